@@ -1,0 +1,1 @@
+"""The model: net, marking, policy, plan, errors. Immutable values, no I/O, no ROS."""

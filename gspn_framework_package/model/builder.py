@@ -1,0 +1,80 @@
+"""A fluent way to write a net in Python."""
+
+from __future__ import annotations
+
+from typing import List, Mapping, Optional, Sequence, Union
+
+from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
+
+PlaceSet = Union[str, Sequence[str], Mapping[str, int]]
+"""One place, several, or place -> arc weight."""
+
+
+class NetBuilder:
+    """Builds a :class:`~gspn_framework_package.model.net.Net` step by step; every method returns the builder.
+
+    >>> net = (NetBuilder("measure")
+    ...        .place("P1", tokens=1).place("P2").place("done")
+    ...        .exponential("T1", rate=0.5, inputs="P1", outputs=["P2", "done"])
+    ...        .immediate("T2", inputs="P2", outputs="P1")
+    ...        .build())
+    >>> net
+    <Net measure: 3 places, 2 transitions, 5 arcs>
+    """
+
+    def __init__(self, name: str = "") -> None:
+        self._name = name
+        self._places: List[Place] = []
+        self._transitions: List[Transition] = []
+        self._arcs: List[Arc] = []
+
+    def place(self, name: str, tokens: int = 0, capacity: Optional[int] = None,
+              position: Optional[Position] = None) -> "NetBuilder":
+        """Add a place with its initial ``tokens``; ``capacity`` None means unlimited."""
+        self._places.append(Place(name, tokens, capacity, position))
+        return self
+
+    def immediate(self, name: str, weight: float = 1.0, priority: int = 1, inputs: PlaceSet = (),
+                  outputs: PlaceSet = (), inhibitors: PlaceSet = (),
+                  position: Optional[Position] = None) -> "NetBuilder":
+        """Add an immediate transition and its arcs."""
+        self._transitions.append(Transition(name, False, 1.0, weight, priority, 1, position))
+        return self._connect(name, inputs, outputs, inhibitors)
+
+    def exponential(self, name: str, rate: float = 1.0, servers: Optional[int] = 1, inputs: PlaceSet = (),
+                    outputs: PlaceSet = (), inhibitors: PlaceSet = (),
+                    position: Optional[Position] = None) -> "NetBuilder":
+        """Add an exponential transition (``rate`` in 1/s; ``servers`` None for infinitely many) and its arcs."""
+        self._transitions.append(Transition(name, True, rate, 1.0, 1, servers, position))
+        return self._connect(name, inputs, outputs, inhibitors)
+
+    def arc(self, source: str, target: str, weight: int = 1) -> "NetBuilder":
+        """Add an arc between a place and a transition."""
+        self._arcs.append(Arc(source, target, weight))
+        return self
+
+    def inhibitor(self, place: str, transition: str, weight: int = 1) -> "NetBuilder":
+        """Add an inhibitor arc: ``weight`` tokens or more on ``place`` forbid ``transition``."""
+        self._arcs.append(Arc(place, transition, weight, inhibitor=True))
+        return self
+
+    def build(self) -> Net:
+        """The net. :raises NetError: see :class:`~gspn_framework_package.model.net.Net`."""
+        return Net(self._places, self._transitions, self._arcs, self._name)
+
+    def _connect(self, name: str, inputs: PlaceSet, outputs: PlaceSet, inhibitors: PlaceSet) -> "NetBuilder":
+        self._arcs += [Arc(p, name, w) for p, w in _weights(inputs).items()]
+        self._arcs += [Arc(name, p, w) for p, w in _weights(outputs).items()]
+        self._arcs += [Arc(p, name, w, True) for p, w in _weights(inhibitors).items()]
+        return self
+
+
+def _weights(places: PlaceSet) -> Mapping[str, int]:
+    if isinstance(places, str):
+        return {places: 1}
+    if isinstance(places, Mapping):
+        return places
+    weights: dict = {}
+    for place in places:
+        weights[place] = weights.get(place, 0) + 1
+    return weights

@@ -1,0 +1,105 @@
+"""The errors of the package: one small tree under one base class.
+
+Every error that a user can cause says *what* is wrong, *where* (file, element, line) and *what to do*; the
+command line prints ``str(error)`` and exits with ``error.exit_code``: 1 when the plan or the answer is "no",
+2 when the input or the usage is wrong.
+"""
+
+from __future__ import annotations
+
+from typing import Optional
+
+
+class GspnError(Exception):
+    """Base of all errors of this package.
+
+    :param message: what is wrong, one sentence without a full stop.
+    :param file: the file it was found in.
+    :param line: the line in that file, counted from 1.
+    :param element: the element of the file or model, e.g. ``arc a3`` or ``policy row 4``.
+    :param hint: what to do about it.
+    """
+
+    exit_code = 2
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        file: Optional[str] = None,
+        line: Optional[int] = None,
+        element: Optional[str] = None,
+        hint: Optional[str] = None,
+    ) -> None:
+        super().__init__(message)
+        self.message = message
+        self.file = str(file) if file is not None else None
+        self.line = line
+        self.element = element
+        self.hint = hint
+
+    def __str__(self) -> str:
+        place = ""
+        if self.file:
+            place = self.file + (":%d" % self.line if self.line else "") + ": "
+        elif self.line:
+            place = "line %d: " % self.line
+        element = self.element + ": " if self.element else ""
+        hint = " (%s)" % self.hint if self.hint else ""
+        return place + element + self.message + hint
+
+    def located(self, *, file: Optional[str] = None, line: Optional[int] = None) -> "GspnError":
+        """The same error, told where it was found by an outer reader that knows; inner knowledge wins."""
+        self.file = self.file or (str(file) if file is not None else None)
+        self.line = self.line or line
+        return self
+
+
+class InputError(GspnError):
+    """Something that was given is not what it should be: the tree of exit code 2."""
+
+
+class UsageError(InputError):
+    """A command or function was called in a way that makes no sense."""
+
+
+class NetError(InputError):
+    """Not a well-formed net: duplicate or unknown name, negative weight, arc between two places ..."""
+
+
+class ExpressionError(InputError):
+    """A condition or an arithmetic expression that cannot be read."""
+
+
+class PolicyError(InputError):
+    """Not a well-formed policy: wrong length of a row, probabilities that do not sum to 1, unknown name ..."""
+
+
+class PlanError(InputError):
+    """Not a plan: syntax, schema, unknown names."""
+
+
+class LogError(InputError):
+    """An event log that cannot be read, or whose entries contradict each other."""
+
+
+class RefusedError(GspnError):
+    """The input is well-formed, and the answer is no: a plan that must not run, a question answered "no"."""
+
+    exit_code = 1
+
+
+class NotEnabledError(RefusedError):
+    """A transition was asked to fire in a marking that does not enable it."""
+
+
+class LimitError(RefusedError):
+    """Not decided within the limit on states, steps or memory that was set."""
+
+
+class CancelledError(RefusedError):
+    """Long work was cancelled by whoever asked for it."""
+
+
+class ExecutionError(RefusedError):
+    """A run that cannot go on: a missing server, a stalled team, a broken action function."""
