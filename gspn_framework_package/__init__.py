@@ -1,0 +1,27 @@
+"""Executes, visualises and analyses Generalized Stochastic Petri Net (GSPN) plans on teams of robots.
+
+The layers, inner to outer (an inner one never imports an outer one):
+
+``model``
+    net, marking, policy, plan, errors: immutable, no input or output.
+``formats``
+    readers and writers of files.
+``analysis``
+    structure, state space, Markov chain.
+``execution``
+    token game, event log, agreement protocol, standalone executor.
+``ros``
+    the nodes: thin adapters between ROS messages and the core.
+``visualizer``, ``world``, ``cli``, ``benchmark``
+    the page, the simulated world, the command line, the benchmarks.
+
+The inner four need no ROS.
+"""
+
+from pkgutil import extend_path
+
+# The messages that catkin generates are a package of this same name in the build or install space. Without the
+# next line, ``python3 -m gspn_framework_package`` started in the checkout would hide them.
+__path__ = extend_path(__path__, __name__)
+
+__version__ = "0.1.0"
