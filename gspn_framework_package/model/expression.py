@@ -1,0 +1,397 @@
+"""Arithmetic over named constants, as net files hold it: ``2*N + 1``, ``lambda / min(k, 3)``, ``1.5e-3``.
+
+Text becomes tokens (:func:`tokenize`), tokens a tree (:func:`parse`), the tree a number (:func:`evaluate`).
+Nothing of Python's own ``eval`` or ``ast`` is involved, so a constant may be called ``lambda``, and no text from
+a file can do more than arithmetic. The language of conditions on markings builds on the same tokens and parser.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, NoReturn, Optional, Sequence, Set, Tuple, Union
+
+from gspn_framework_package.model.errors import ExpressionError
+
+MAX_LENGTH = 10_000
+"""Longest expression that is read, in characters."""
+
+MAX_DEPTH = 60
+"""Deepest nesting of parentheses, signs and powers that is read: far above need, far below the stack."""
+
+
+class Token(NamedTuple):
+    """A word of an expression: ``kind`` is ``number``, ``name``, ``operator`` or ``end``; ``text`` is what it
+    says (of a quoted name: without the quotes); ``start`` is where it begins, in characters from 0."""
+
+    kind: str
+    text: str
+    start: int
+
+
+class Number(NamedTuple):
+    """A number, as written."""
+
+    value: float
+
+
+class Name(NamedTuple):
+    """A name that somebody must give a value: a constant, or in a condition a place."""
+
+    name: str
+
+
+class Negation(NamedTuple):
+    """Minus ``operand``."""
+
+    operand: "Expression"
+
+
+class Operation(NamedTuple):
+    """``left operator right``, the operator one of ``+ - * / ^``."""
+
+    operator: str
+    left: "Expression"
+    right: "Expression"
+
+
+class Call(NamedTuple):
+    """A function of :data:`FUNCTIONS` applied to its arguments."""
+
+    function: str
+    arguments: Tuple["Expression", ...]
+
+
+Expression = Union[Number, Name, Negation, Operation, Call]
+
+FUNCTIONS: Mapping[str, Tuple[int, Optional[int], Callable[..., Any]]] = {
+    "min": (1, None, lambda *a: min(a)),
+    "max": (1, None, lambda *a: max(a)),
+    "floor": (1, 1, math.floor),
+    "ceil": (1, 1, math.ceil),
+    "round": (1, 1, lambda a: math.floor(a + 0.5)),
+    "abs": (1, 1, abs),
+    "sqrt": (1, 1, math.sqrt),
+    "exp": (1, 1, math.exp),
+    "log": (1, 1, math.log),
+    "ln": (1, 1, math.log),
+    "pow": (2, 2, math.pow),
+    "mod": (2, 2, math.fmod),
+}
+"""Function name -> least and greatest number of arguments (None: any), and what it does."""
+
+_TOKEN = re.compile(r"""
+    (?P<space>\s+)
+  | (?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)
+  | (?P<name>[^\W\d][\w.:]*)
+  | (?P<quoted>"[^"]*"|'[^']*')
+  | (?P<operator><=|>=|==|!=|<>|&&|\|\||->|[-+*/^%(),<>=!&|\#@?:\[\]{};])
+""", re.VERBOSE)
+
+
+def tokenize(text: str) -> List[Token]:
+    """The tokens of ``text``, the last one of kind ``end``.
+
+    Names may hold letters, digits, ``_``, ``.`` and ``:``; any other name is written in quotes. Comparison and
+    logical operators are tokens too, for the language of conditions.
+
+    :raises ExpressionError: a character that begins no token, or a text above :data:`MAX_LENGTH`.
+
+    >>> [t.text for t in tokenize("2*p1:Wait >= 'a b'")]
+    ['2', '*', 'p1:Wait', '>=', 'a b', '']
+    """
+    if len(text) > MAX_LENGTH:
+        raise ExpressionError("the expression has %d characters, more than %d" % (len(text), MAX_LENGTH))
+    tokens = []
+    at = 0
+    while at < len(text):
+        match = _TOKEN.match(text, at)
+        if match is None:
+            if text[at] in "\"'":
+                raise ExpressionError("a quote is opened and not closed in '%s'" % shorten(text))
+            raise ExpressionError("character %r makes no sense in '%s'" % (text[at], shorten(text)))
+        kind = match.lastgroup or ""
+        if kind == "quoted":
+            tokens.append(Token("name", match.group()[1:-1], at))
+        elif kind != "space":
+            tokens.append(Token(kind, match.group(), at))
+        at = match.end()
+    tokens.append(Token("end", "", len(text)))
+    return tokens
+
+
+class Parser:
+    """A recursive-descent parser of arithmetic. A richer language subclasses it and starts from its own rule;
+    :meth:`atom` is where a subclass gives names another meaning.
+
+    Grammar, loosest first: ``sum = product {(+|-) product}``, ``product = sign {(*|/) sign}``,
+    ``sign = -sign | +sign | power``, ``power = atom [^ sign]`` (to the right),
+    ``atom = number | name | name(sum, ...) | (sum)``.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.tokens = tokenize(text)
+        self.next = 0
+        self._depth = 0
+
+    @property
+    def token(self) -> Token:
+        """The token that comes next."""
+        return self.tokens[self.next]
+
+    def take(self, *operators: str) -> Optional[str]:
+        """Step over the next token if it is one of these operators; its text, or None if it is not."""
+        token = self.token
+        if token.kind == "operator" and token.text in operators:
+            self.next += 1
+            return token.text
+        return None
+
+    def expect(self, operator: str) -> None:
+        """Step over that operator. :raises ExpressionError: something else comes next."""
+        if not self.take(operator):
+            self.fail("'%s' was expected" % operator)
+
+    def fail(self, message: str) -> NoReturn:
+        """Raise the error that ``message`` happened at the next token."""
+        token = self.token
+        seen = "at the end of" if token.kind == "end" else "before '%s' (character %d) in" % (
+            shorten(token.text), token.start + 1)
+        raise ExpressionError("%s %s '%s'" % (message, seen, shorten(self.text)))
+
+    def finish(self) -> None:
+        """:raises ExpressionError: there are tokens left."""
+        if self.token.kind != "end":
+            self.fail("an operator was expected")
+
+    def sum(self) -> Expression:
+        left = self.product()
+        while True:
+            operator = self.take("+", "-")
+            if not operator:
+                return left
+            left = Operation(operator, left, self.product())
+
+    def product(self) -> Expression:
+        left = self.sign()
+        while True:
+            operator = self.take("*", "/")
+            if not operator:
+                return left
+            left = Operation(operator, left, self.sign())
+
+    def sign(self) -> Expression:
+        self.enter()
+        if self.take("-"):
+            result: Expression = Negation(self.sign())
+        elif self.take("+"):
+            result = self.sign()
+        else:
+            result = self.power()
+        self.leave()
+        return result
+
+    def power(self) -> Expression:
+        base = self.atom()
+        return Operation("^", base, self.sign()) if self.take("^") else base
+
+    def atom(self) -> Expression:
+        token = self.token
+        if token.kind == "number":
+            self.next += 1
+            return Number(float(token.text))
+        if token.kind == "name":
+            self.next += 1
+            if token.text in FUNCTIONS and self.take("("):
+                return self._call(token.text)
+            return Name(token.text)
+        if self.take("("):
+            inner = self.sum()
+            self.expect(")")
+            return inner
+        self.fail("a number, a name or '(' was expected")
+
+    def _call(self, function: str) -> Call:
+        arguments = [self.sum()]
+        while self.take(","):
+            arguments.append(self.sum())
+        self.expect(")")
+        least, greatest, _ = FUNCTIONS[function]
+        if len(arguments) < least or (greatest is not None and len(arguments) > greatest):
+            raise ExpressionError("%s takes %d argument%s, not %d, in '%s'" % (
+                function, least, "" if least == 1 else "s", len(arguments), shorten(self.text)))
+        return Call(function, tuple(arguments))
+
+    def enter(self) -> None:
+        """Count one level of nesting. :raises ExpressionError: above :data:`MAX_DEPTH`."""
+        self._depth += 1
+        if self._depth > MAX_DEPTH:
+            raise ExpressionError("'%s' is nested more than %d levels deep" % (shorten(self.text), MAX_DEPTH))
+
+    def leave(self) -> None:
+        """Undo one :meth:`enter`."""
+        self._depth -= 1
+
+
+def parse(text: str) -> Expression:
+    """The tree of an arithmetic expression.
+
+    :raises ExpressionError: it cannot be read; the message says where.
+    """
+    parser = Parser(text)
+    tree = parser.sum()
+    parser.finish()
+    return tree
+
+
+def names_in(tree: Expression) -> Set[str]:
+    """The names that must have a value for ``tree`` to have one."""
+    found: Set[str] = set()
+    waiting: List[Expression] = [tree]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, Name):
+            found.add(node.name)
+        elif isinstance(node, Negation):
+            waiting.append(node.operand)
+        elif isinstance(node, Operation):
+            waiting += (node.left, node.right)
+        elif isinstance(node, Call):
+            waiting += node.arguments
+    return found
+
+
+def evaluate(expression: Union[str, Expression], constants: Mapping[str, float] = {}) -> float:
+    """The value of an expression (text, or its tree), a finite number.
+
+    :param constants: the values of its names.
+    :raises ExpressionError: it cannot be read, a name has no value, or there is no finite result.
+
+    >>> evaluate("2*N + min(lambda, 3)", {"N": 2, "lambda": 0.5})
+    4.5
+    """
+    tree = parse(expression) if isinstance(expression, str) else expression
+    try:
+        value = _postorder(tree, constants)
+    except ZeroDivisionError:
+        raise ExpressionError("division by zero in '%s'" % _text(expression)) from None
+    except (OverflowError, ValueError):
+        raise ExpressionError("'%s' has no finite real value" % _text(expression)) from None
+    if isinstance(value, complex) or not math.isfinite(value):
+        raise ExpressionError("'%s' has no finite real value" % _text(expression))
+    return value
+
+
+def _postorder(tree: Expression, constants: Mapping[str, float]) -> float:
+    """The value of ``tree``; its own stack, because a long sum nests to the left."""
+    values: List[float] = []
+    waiting: List[Tuple[Expression, bool]] = [(tree, False)]
+    while waiting:
+        node, ready = waiting.pop()
+        if isinstance(node, Number):
+            values.append(node.value)
+        elif isinstance(node, Name):
+            values.append(float(_constant(node.name, constants)))
+        elif not ready:
+            waiting.append((node, True))
+            waiting += [(child, False) for child in reversed(_children(node))]
+        else:
+            count = len(_children(node))
+            arguments = values[-count:]
+            del values[-count:]
+            values.append(_apply(node, arguments))
+    return values[0]
+
+
+def _children(node: Expression) -> Sequence[Expression]:
+    if isinstance(node, Negation):
+        return (node.operand,)
+    if isinstance(node, Operation):
+        return (node.left, node.right)
+    return node.arguments if isinstance(node, Call) else ()
+
+
+def _apply(node: Expression, arguments: Sequence[float]) -> float:
+    if isinstance(node, Negation):
+        return -arguments[0]
+    if isinstance(node, Call):
+        return float(FUNCTIONS[node.function][2](*arguments))
+    assert isinstance(node, Operation)
+    left, right = arguments
+    if node.operator == "+":
+        return left + right
+    if node.operator == "-":
+        return left - right
+    if node.operator == "*":
+        return left * right
+    return left / right if node.operator == "/" else left ** right
+
+
+def _constant(name: str, constants: Mapping[str, float]) -> float:
+    if name not in constants:
+        known = ", ".join(sorted(constants)[:8])
+        raise ExpressionError("'%s' has no value" % shorten(name),
+                              hint="known: %s" % known if known else "no constant is known here")
+    return constants[name]
+
+
+def resolve_constants(definitions: Mapping[str, str], given: Mapping[str, float] = {}) -> Dict[str, float]:
+    """The values of constants that are defined by expressions over each other.
+
+    :param definitions: name -> expression.
+    :param given: values from outside; they go before a definition of the same name.
+    :raises ExpressionError: a definition that cannot be read, uses an unknown name, or uses itself.
+
+    >>> resolve_constants({"a": "2*b", "b": "N"}, {"N": 3}) == {"N": 3.0, "a": 6.0, "b": 3.0}
+    True
+    """
+    values = {name: float(value) for name, value in given.items()}
+    trees = {}
+    for name, text in definitions.items():
+        if name not in values:
+            try:
+                trees[name] = parse(text)
+            except ExpressionError as error:
+                raise ExpressionError(error.message, element="constant '%s'" % name, hint=error.hint) from None
+    open_names: Dict[str, None] = {}  # ordered: the chain of definitions under way
+    waiting = list(reversed(list(trees)))
+    while waiting:
+        name = waiting[-1]
+        if name in values:
+            waiting.pop()
+            continue
+        if name not in open_names:
+            open_names[name] = None
+            needed = sorted(n for n in names_in(trees[name]) if n not in values and n in trees)
+            looped = [n for n in needed if n in open_names]
+            if looped:
+                chain = list(open_names)
+                ring = chain[chain.index(looped[0]):] + [looped[0]]
+                raise ExpressionError("constants are defined by each other: %s" % " -> ".join(ring),
+                                      element="constant '%s'" % looped[0])
+            waiting += needed
+            if needed:
+                continue
+        try:
+            values[name] = evaluate(trees[name], values)
+        except ExpressionError as error:
+            raise ExpressionError(error.message, element="constant '%s'" % name, hint=error.hint) from None
+        del open_names[name]
+        waiting.pop()
+    return values
+
+
+def whole(value: float) -> Optional[int]:
+    """``value`` as an int if it is a whole number that a float holds exactly, else None."""
+    return int(value) if math.isfinite(value) and value == int(value) and abs(value) <= 2 ** 53 else None
+
+
+def shorten(text: str, limit: int = 60) -> str:
+    """``text`` on one line, of at most ``limit`` characters, for a message."""
+    flat = " ".join(text.split())
+    return flat if len(flat) <= limit else flat[:limit - 3] + "..."
+
+
+def _text(expression: Union[str, Expression]) -> str:
+    return shorten(expression) if isinstance(expression, str) else "the expression"
