@@ -1,0 +1,111 @@
+"""The dispatcher of the command line: finds the module of the verb that is asked for, and runs it.
+
+A verb is a module beside this one that has ``NAME``, ``HELP``, ``add_arguments(parser)`` and
+``run(args) -> int``. Only the module of the verb asked for is imported, so that ``gspn --help`` and
+the light verbs start at once.
+
+Exit codes: 0 yes, 1 the plan or the answer is no, 2 the input or the usage is wrong, 70 a fault of
+this program, 130 interrupted, 141 the reader of the output has gone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+import traceback
+from typing import Dict, NoReturn, Optional, Sequence, Tuple
+
+from gspn_framework_package import __version__
+from gspn_framework_package.model.errors import GspnError
+
+EXIT_USAGE = 2
+EXIT_INTERNAL = 70  # EX_SOFTWARE of sysexits.h
+EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells report it
+EXIT_BROKEN_PIPE = 141  # 128 + SIGPIPE
+
+#: Verb -> (its module in this package, its HELP: one line, repeated here so that ``--help`` need
+#: not import the module; a test holds the two together).
+VERBS: Dict[str, Tuple[str, str]] = {}
+
+
+def main(arguments: Optional[Sequence[str]] = None) -> int:
+    """Run one command line and return its exit code; no exception of a verb leaves this function.
+
+    :param arguments: the words after the program's name; by default those it was started with.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in words or bool(os.environ.get("GSPN_DEBUG"))
+    try:
+        args = _parser(words).parse_args(words)
+        code = int(args.run(args))
+        sys.stdout.flush()
+        return code
+    except SystemExit as leaving:  # argparse: --help, --version, wrong usage
+        return leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
+    except KeyboardInterrupt:
+        print("gspn: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # The reader (head, less) has left. Python flushes once more at exit, and would complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_BROKEN_PIPE
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        message, code = _explain(error)
+        print(f"gspn: {message}", file=sys.stderr)
+        return code
+
+
+def _explain(error: Exception) -> Tuple[str, int]:
+    """Return what to tell the user of ``error``, and the exit code."""
+    if isinstance(error, GspnError):
+        return f"error: {error}", error.exit_code
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"error: {os.fsdecode(error.filename)}: {error.strerror}", EXIT_USAGE
+    return (
+        f"internal error: {type(error).__name__}: {error}\n"
+        "This is a fault of gspn, not of its input; with --debug it prints a traceback to report.",
+        EXIT_INTERNAL,
+    )
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors look like all others of this program."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the usage and ``message``, and exit with 2."""
+        self.print_usage(sys.stderr)
+        self.exit(EXIT_USAGE, f"gspn: error: {message}\n")
+
+
+def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
+    """Return the parser for ``words``: complete for the verb they name, the others by name only."""
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument(
+        "--debug",
+        action="store_true",
+        default=argparse.SUPPRESS,
+        help="print a traceback with every error (or set GSPN_DEBUG=1)",
+    )
+    parser = _Parser(
+        prog="gspn",
+        description="Executes, simulates and analyses Generalized Stochastic Petri Net plans.",
+        epilog="Exit codes: 0 yes, 1 the plan or the answer is no, 2 wrong input or usage. "
+        "'gspn VERB --help' explains a verb.",
+        parents=[common],
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"gspn {__version__}")
+    verbs = parser.add_subparsers(title="verbs", metavar="VERB", dest="verb", required=True)
+    asked = next((word for word in words if not word.startswith("-")), None)
+    for name, (module_name, summary) in VERBS.items():
+        verb = verbs.add_parser(name, help=summary, parents=[common], allow_abbrev=False)
+        if name == asked:
+            module = importlib.import_module(f"{__package__}.{module_name}")
+            verb.description = module.HELP
+            module.add_arguments(verb)
+            verb.set_defaults(run=module.run)
+    return parser
