@@ -1,0 +1,284 @@
+"""Policies: from a marking to a distribution over immediate transitions (thesis 2.3, Definition 2).
+
+A :class:`Policy` is the table as written. :class:`PolicyTable` is the table made ready for one net: rows are kept
+for each place they speak of (the "shortcut" of thesis 7.2.1), grouped by which cells are wildcards, so that a
+look-up costs one dictionary access for each such group, and the same for ten rows and for a million.
+"""
+
+from __future__ import annotations
+
+import math
+from operator import itemgetter
+from typing import Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+
+from gspn_framework_package.model.errors import PolicyError
+from gspn_framework_package.model.net import Net
+
+SUM_TOLERANCE = 1e-6
+"""How far the probabilities of a row may be from summing to 1 (they are written by hand, often as 0.33)."""
+
+
+class PolicyRow(NamedTuple):
+    """``counts``: tokens per place of the policy's tuple, None matches any count; ``choices``: pairs
+    (transition, probability)."""
+
+    counts: Tuple[Optional[int], ...]
+    choices: Tuple[Tuple[str, float], ...]
+
+
+class Policy:
+    """A stationary policy as a table over an ordered tuple of places.
+
+    :param places: the places that the cells of a row stand for; places left out may hold any count.
+    :param rows: in file order.
+    :raises PolicyError: a row of the wrong length, a count that is not a number of tokens, probabilities that
+        are negative or do not sum to 1, a row without a choice.
+    """
+
+    def __init__(self, places: Sequence[str] = (), rows: Iterable[PolicyRow] = ()) -> None:
+        self.places: Tuple[str, ...] = tuple(places)
+        self.rows: Tuple[PolicyRow, ...] = tuple(rows)
+        doubles = {p for p in self.places if self.places.count(p) > 1} if len(self.places) < 10_000 else set()
+        if doubles:
+            raise PolicyError("the place '%s' stands twice in the tuple of places" % sorted(doubles)[0])
+        for number, row in enumerate(self.rows, 1):
+            self._check_row(number, row)
+
+    @classmethod
+    def from_table(cls, places: Sequence[str], table: Iterable[Tuple[Sequence[object], Mapping[str, object]]]
+                   ) -> "Policy":
+        """A policy from cells as people write them: numbers, numeric strings, ``'-'`` for any count.
+
+        :raises PolicyError: see :class:`Policy`; also a cell or probability that cannot be read.
+        """
+        rows = []
+        for number, (cells, choices) in enumerate(table, 1):
+            element = "policy row %d" % number
+            if isinstance(cells, (str, int)):
+                cells = (cells,)
+            if not isinstance(choices, Mapping):
+                raise PolicyError("%r is not a map from transition to probability" % (choices,), element=element)
+            rows.append(PolicyRow(tuple(_cell(c, element) for c in cells),
+                                  tuple((str(t), _probability(p, element)) for t, p in choices.items())))
+        return cls(places, rows)
+
+    def _check_row(self, number: int, row: PolicyRow) -> None:
+        element = "policy row %d" % number
+        if len(row.counts) != len(self.places):
+            raise PolicyError("%d cells for %d places" % (len(row.counts), len(self.places)), element=element,
+                              hint="the tuple of places is (%s)" % ", ".join(self.places[:12]))
+        if not row.choices:
+            raise PolicyError("it chooses nothing", element=element)
+        total = 0.0
+        for transition, probability in row.choices:
+            if not 0 <= probability <= 1:
+                raise PolicyError("probability %g of '%s' is not between 0 and 1" % (probability, transition),
+                                  element=element)
+            total += probability
+        if abs(total - 1) > SUM_TOLERANCE:
+            raise PolicyError("the probabilities sum to %g, not to 1" % total, element=element)
+
+    def bind(self, net: Net) -> "PolicyTable":
+        """The policy made ready for ``net``. :raises PolicyError: unknown or exponential names."""
+        return PolicyTable(self, net)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Policy) and (self.places, self.rows) == (other.places, other.rows)
+
+    def __hash__(self) -> int:
+        return hash((self.places, self.rows))
+
+    def __repr__(self) -> str:
+        return "<Policy: %d rows over %d places>" % (len(self.rows), len(self.places))
+
+
+class Distribution(NamedTuple):
+    """What a policy says to a robot: ``row`` (its number from 0) and pairs (transition index, probability),
+    renormalised over the transitions that leave the robot's place."""
+
+    row: int
+    choices: Tuple[Tuple[int, float], ...]
+
+
+Overlap = Tuple[int, int, int]
+"""Rows (first, second; numbers from 0) of one precedence that match one marking and speak of one place."""
+
+
+class PolicyTable:
+    """A policy indexed for look-up in one net.
+
+    Precedence among the rows that match and speak of the robot's place: fewer wildcards first, then file order.
+
+    :raises PolicyError: a place or transition that the net does not have; an exponential transition.
+    """
+
+    def __init__(self, policy: Policy, net: Net) -> None:
+        self.policy = policy
+        self.net = net
+        for place in policy.places:
+            if place not in net.place_index:
+                raise PolicyError("the net has no place '%s'" % place, element="the policy's tuple of places")
+        columns = [net.place_index[p] for p in policy.places]
+        self._restricted: Dict[Tuple[int, int], Distribution] = {}
+        self._any = _RowIndex(columns)
+        self._by_place: Dict[int, _RowIndex] = {}
+        speaks_of: Dict[Tuple[Tuple[str, float], ...], Tuple[int, ...]] = {}
+        for number, row in enumerate(policy.rows):
+            if row.choices not in speaks_of:
+                speaks_of[row.choices] = self._places_of(number, row)
+            self._any.add(number, row)
+            for place in speaks_of[row.choices]:
+                index = self._by_place.get(place)
+                if index is None:
+                    index = self._by_place[place] = _RowIndex(columns)
+                index.add(number, row)
+
+    def _places_of(self, number: int, row: PolicyRow) -> Tuple[int, ...]:
+        places: Dict[int, None] = {}
+        for name, probability in row.choices:
+            t = self.net.transition_index.get(name)
+            if t is None:
+                raise PolicyError("the net has no transition '%s'" % name, element="policy row %d" % (number + 1))
+            if self.net.transitions[t].timed:
+                raise PolicyError("'%s' is an exponential transition; a policy chooses among immediate ones" % name,
+                                  element="policy row %d" % (number + 1))
+            if probability > 0:
+                places.update((p, None) for p, _ in self.net.inputs[t])
+        return tuple(places)
+
+    def distribution(self, marking: Sequence[int], place: int) -> Optional[Distribution]:
+        """What the policy says to a robot in ``place`` (an index) at ``marking``; None when no matching row
+        speaks of it."""
+        index = self._by_place.get(place)
+        number = index.find(marking) if index is not None else None
+        if number is None:
+            return None
+        key = (number, place)
+        if key not in self._restricted:
+            self._restricted[key] = self._restrict(number, place)
+        return self._restricted[key]
+
+    def matches(self, marking: Sequence[int]) -> bool:
+        """Whether any row matches ``marking``, whomever it speaks of."""
+        return self._any.find(marking) is not None
+
+    def _restrict(self, number: int, place: int) -> Distribution:
+        leaving = []
+        for name, probability in self.policy.rows[number].choices:
+            t = self.net.transition_index[name]
+            if probability > 0 and any(p == place for p, _ in self.net.inputs[t]):
+                leaving.append((t, probability))
+        total = math.fsum(p for _, p in leaving)
+        return Distribution(number, tuple((t, p / total) for t, p in leaving))
+
+    def overlaps(self, limit: int = 100) -> List[Overlap]:
+        """Pairs of rows that only file order decides between, at most ``limit`` of them, as
+        (place, earlier row, later row)."""
+        found: List[Overlap] = []
+        for place, index in self._by_place.items():
+            for earlier, later in index.overlaps(limit - len(found)):
+                found.append((place, earlier, later))
+            if len(found) >= limit:
+                break
+        return found
+
+
+class _RowIndex:
+    """Rows grouped by the set of cells that are not wildcards; a dictionary for each group."""
+
+    def __init__(self, columns: Sequence[int]) -> None:
+        self._columns = columns
+        self._groups: Dict[Tuple[int, ...], Dict[Tuple[int, ...], int]] = {}
+        self._doubles: List[Tuple[int, int]] = []
+        self._levels: Optional[List[List[Tuple[Callable, Dict[Tuple[int, ...], int]]]]] = None
+
+    def add(self, number: int, row: PolicyRow) -> None:
+        if None in row.counts:
+            cells = tuple(i for i, count in enumerate(row.counts) if count is not None)
+            key = tuple(row.counts[i] for i in cells)
+        else:
+            cells, key = tuple(range(len(row.counts))), row.counts
+        group = self._groups.setdefault(cells, {})
+        first = group.setdefault(key, number)  # type: ignore[arg-type]
+        if first != number:
+            self._doubles.append((first, number))
+        self._levels = None
+
+    def find(self, marking: Sequence[int]) -> Optional[int]:
+        if self._levels is None:
+            self._levels = self._sorted_levels()
+        for level in self._levels:
+            best: Optional[int] = None
+            for project, rows in level:
+                number = rows.get(project(marking))
+                if number is not None and (best is None or number < best):
+                    best = number
+            if best is not None:
+                return best
+        return None
+
+    def _sorted_levels(self) -> List[List[Tuple[Callable, Dict[Tuple[int, ...], int]]]]:
+        by_size: Dict[int, List] = {}
+        for cells, rows in self._groups.items():
+            by_size.setdefault(len(cells), []).append((_projection([self._columns[i] for i in cells]), rows))
+        return [by_size[size] for size in sorted(by_size, reverse=True)]
+
+    def overlaps(self, limit: int) -> List[Tuple[int, int]]:
+        found = self._doubles[:limit]
+        groups = list(self._groups.items())
+        for i, (cells, rows) in enumerate(groups):
+            for other_cells, other_rows in groups[i + 1:]:
+                if len(other_cells) == len(cells) and len(found) < limit:
+                    found += _compatible(cells, rows, other_cells, other_rows, limit - len(found))
+        return found[:limit]
+
+
+def _compatible(cells: Tuple[int, ...], rows: Dict, other_cells: Tuple[int, ...], other_rows: Dict, limit: int
+                ) -> List[Tuple[int, int]]:
+    """Pairs of rows of two groups that some marking matches both of: they agree on the cells they share."""
+    shared = [c for c in cells if c in other_cells]
+    mine, theirs = [cells.index(c) for c in shared], [other_cells.index(c) for c in shared]
+    seen: Dict[Tuple[int, ...], List[int]] = {}
+    for key, number in rows.items():
+        seen.setdefault(tuple(key[i] for i in mine), []).append(number)
+    found: List[Tuple[int, int]] = []
+    for key, number in other_rows.items():
+        for match in seen.get(tuple(key[i] for i in theirs), ()):
+            found.append((min(match, number), max(match, number)))
+            if len(found) >= limit:
+                return found
+    return found
+
+
+def _projection(columns: Sequence[int]) -> Callable[[Sequence[int]], Tuple[int, ...]]:
+    if not columns:
+        return lambda marking: ()
+    if len(columns) == 1:
+        only = columns[0]
+        return lambda marking: (marking[only],)
+    return itemgetter(*columns)
+
+
+def _cell(cell: object, element: str) -> Optional[int]:
+    if isinstance(cell, str):
+        text = cell.strip()
+        if text == "-":
+            return None
+        if text.isdigit():
+            return int(text)
+    elif isinstance(cell, int) and not isinstance(cell, bool) and cell >= 0:
+        return cell
+    elif isinstance(cell, float) and cell.is_integer() and cell >= 0:
+        return int(cell)
+    raise PolicyError("%r is not a number of tokens" % (cell,), element=element,
+                      hint="write a whole number, or '-' for any")
+
+
+def _probability(value: object, element: str) -> float:
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        number = math.nan
+    if isinstance(value, bool) or not math.isfinite(number):
+        raise PolicyError("%r is not a probability" % (value,), element=element)
+    return number
