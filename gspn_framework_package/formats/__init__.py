@@ -1,0 +1,1 @@
+"""Readers and writers of net files, each to and from the one model. No ROS."""

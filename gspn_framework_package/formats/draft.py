@@ -1,0 +1,201 @@
+"""What readers fill while they go through a file, and what makes a net of it.
+
+The rules that all formats share are here, once: elements are named by their name, or by their id where names
+are empty or shared; arcs find their ends by id, or else by name; what is wrong is told with its line.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Dict, List, Mapping, NamedTuple, NoReturn, Optional, Union
+
+from gspn_framework_package.model.errors import ExpressionError, GspnError, NetError
+from gspn_framework_package.model.expression import evaluate, shorten, whole
+from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
+
+NO_CONSTANTS: Mapping[str, float] = {}
+
+
+class ReadOptions(NamedTuple):
+    """What a reader assumes where tools differ, and what it is told from outside.
+
+    :ivar net: name of the net to take from a file of several.
+    :ivar constants: values of constants; they go before those of the file.
+    :ivar infinite_servers: whether an exponential transition whose file does not say how many servers it has
+        has infinitely many; None takes the default of the format.
+    :ivar missing_weight: weight of an immediate transition whose file gives none: 1, or 0 for "controllable",
+        as robotics users read it.
+    """
+
+    net: Optional[str] = None
+    constants: Mapping[str, float] = NO_CONSTANTS
+    infinite_servers: Optional[bool] = None
+    missing_weight: float = 1.0
+
+    def servers(self, format_default: Optional[int]) -> Optional[int]:
+        """Number of servers (None: infinitely many) of a transition whose file does not say."""
+        if self.infinite_servers is None:
+            return format_default
+        return None if self.infinite_servers else 1
+
+
+class _Node(NamedTuple):
+    identifier: str
+    name: str
+    line: Optional[int]
+    item: Union[Place, Transition]
+
+
+class _ArcLine(NamedTuple):
+    identifier: str
+    source: str
+    target: str
+    weight: int
+    inhibitor: bool
+    line: Optional[int]
+
+
+class NetDraft:
+    """A net in the making.
+
+    :param file: where it comes from, for messages.
+    :param constants: values that its expressions may use.
+    """
+
+    def __init__(self, file: Optional[str] = None, constants: Mapping[str, float] = NO_CONSTANTS) -> None:
+        self.file = file
+        self.constants = constants
+        self.notes: List[str] = []
+        self._nodes: Dict[str, _Node] = {}
+        self._arcs: List[_ArcLine] = []
+
+    # -- filling ----------------------------------------------------------------------------------------
+
+    def note(self, text: str) -> None:
+        """Remember something that the user should know, once."""
+        if text not in self.notes:
+            self.notes.append(text)
+
+    def fail(self, message: str, element: Optional[str] = None, line: Optional[int] = None,
+             hint: Optional[str] = None) -> NoReturn:
+        """Raise a NetError that happened in this file."""
+        raise NetError(message, file=self.file, line=line, element=element, hint=hint)
+
+    def add_place(self, identifier: Optional[str], name: Optional[str], tokens: int = 0,
+                  capacity: Optional[int] = None, position: Optional[Position] = None,
+                  line: Optional[int] = None) -> None:
+        """Add a place; of ``identifier`` and ``name`` one may be missing."""
+        self._add(identifier, name, Place("", tokens, capacity, position), line)
+
+    def add_immediate(self, identifier: Optional[str], name: Optional[str], weight: float = 1.0,
+                      priority: int = 1, position: Optional[Position] = None,
+                      line: Optional[int] = None) -> None:
+        """Add an immediate transition."""
+        self._add(identifier, name, Transition("", False, 1.0, weight, priority, 1, position), line)
+
+    def add_exponential(self, identifier: Optional[str], name: Optional[str], rate: float = 1.0,
+                        servers: Optional[int] = 1, position: Optional[Position] = None,
+                        line: Optional[int] = None) -> None:
+        """Add an exponential transition (``servers`` None: infinitely many)."""
+        self._add(identifier, name, Transition("", True, rate, 1.0, 1, servers, position), line)
+
+    def add_arc(self, identifier: Optional[str], source: Optional[str], target: Optional[str],
+                weight: int = 1, inhibitor: bool = False, line: Optional[int] = None) -> None:
+        """Add an arc; its ends are ids or names, and may come later in the file."""
+        element = "arc '%s'" % identifier if identifier else "arc"
+        if not source or not target:
+            self.fail("it has no %s" % ("target" if source else "source"), element, line)
+        self._arcs.append(_ArcLine(identifier or "", source, target, weight, inhibitor, line))
+
+    def _add(self, identifier: Optional[str], name: Optional[str], item: Union[Place, Transition],
+             line: Optional[int]) -> None:
+        kind = "place" if isinstance(item, Place) else "transition"
+        key = identifier or name
+        if not key:
+            self.fail("a %s has neither an id nor a name" % kind, line=line)
+        if key in self._nodes:
+            other = self._nodes[key]
+            where = " in line %d" % other.line if other.line else ""
+            self.fail("the id is already taken by a %s%s" % (
+                "place" if isinstance(other.item, Place) else "transition", where),
+                "%s '%s'" % (kind, key), line, "ids of places and transitions must differ")
+        self._nodes[key] = _Node(key, name or "", line, item)
+
+    # -- numbers ----------------------------------------------------------------------------------------
+
+    def number(self, text: str, what: str, element: str, line: Optional[int]) -> float:
+        """The value of a number or an expression over the constants.
+
+        :param what: what the number is, for the message: ``rate``.
+        """
+        try:
+            return evaluate(text, self.constants)
+        except ExpressionError as error:
+            hint = error.hint
+            if "has no value" in error.message:
+                hint = "%s; give a constant its value with --const NAME=VALUE" % hint
+            self.fail("its %s cannot be computed: %s" % (what, error.message), element, line, hint)
+
+    def count(self, text: str, what: str, element: str, line: Optional[int]) -> int:
+        """The value of a whole number or an expression with a whole result; it may be negative."""
+        if text.isascii() and text.isdigit() and len(text) < 16:
+            return int(text)
+        value = whole(self.number(text, what, element, line))
+        if value is None:
+            self.fail("its %s '%s' is not a whole number" % (what, shorten(text)), element, line)
+        return value
+
+    # -- the net ----------------------------------------------------------------------------------------
+
+    def net(self, name: str) -> Net:
+        """The net that was drafted.
+
+        :raises NetError: it is not well formed; the message has the file and the line.
+        """
+        names = self._names()
+        by_name: Dict[str, str] = {n.name: i for i, n in self._nodes.items() if n.name}
+        lines: Dict[str, Optional[int]] = {}
+        places: List[Place] = []
+        transitions: List[Transition] = []
+        for identifier, node in self._nodes.items():
+            item = node.item._replace(name=names[identifier])
+            if isinstance(item, Place):
+                places.append(item)
+                lines["place '%s'" % item.name] = node.line
+            else:
+                transitions.append(item)
+                lines["transition '%s'" % item.name] = node.line
+        arcs = []
+        for arc in self._arcs:
+            ends = [names.get(end) or names.get(by_name.get(end, "")) for end in (arc.source, arc.target)]
+            if ends[0] is None or ends[1] is None:
+                self.fail("there is no place or transition '%s'" % (arc.target if ends[0] else arc.source),
+                          "arc '%s' from '%s' to '%s'" % (arc.identifier, arc.source, arc.target), arc.line,
+                          "an arc joins a place and a transition of the same net")
+            arcs.append(Arc(ends[0], ends[1], arc.weight, arc.inhibitor))
+            kind = "inhibitor arc" if arc.inhibitor else "arc"
+            lines.setdefault("%s from '%s' to '%s'" % (kind, ends[0], ends[1]), arc.line)
+        if not places and not transitions:
+            self.fail("the net has no place and no transition")
+        try:
+            return Net(places, transitions, arcs, name)
+        except GspnError as error:
+            raise error.located(file=self.file, line=lines.get(error.element or "")) from None
+
+    def _names(self) -> Dict[str, str]:
+        """The name of each id: its own, or the id where that is empty or not its own alone."""
+        shared = Counter(n.name for n in self._nodes.values())
+        names = {i: n.name if n.name and shared[n.name] == 1 else i for i, n in self._nodes.items()}
+        while True:
+            taken = Counter(names.values())
+            clashing = [i for i, name in names.items() if name != i and taken[name] > 1]
+            if not clashing:
+                break
+            for identifier in clashing:
+                names[identifier] = identifier
+        renamed = [n for i, n in self._nodes.items() if n.name and names[i] != n.name]
+        if renamed:
+            self.note("%d element%s with a name that others have too (such as '%s') %s named by id" % (
+                len(renamed), "" if len(renamed) == 1 else "s", renamed[0].name,
+                "is" if len(renamed) == 1 else "are"))
+        return names

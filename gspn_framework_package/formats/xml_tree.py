@@ -1,0 +1,143 @@
+"""What the XML formats share: safe parsing, children by local name, labels, positions, output."""
+
+from __future__ import annotations
+
+import math
+from typing import List, Optional, Sequence
+
+from lxml import etree
+
+from gspn_framework_package.model.errors import InputError, NetError
+from gspn_framework_package.model.net import Position
+
+
+def parse_xml(data: bytes, file: Optional[str] = None) -> etree._Element:
+    """The root element of an XML document, with comments and processing instructions left out.
+
+    Entities, external files, the network and attribute defaults of a DTD are off.
+
+    :raises InputError: it is not well-formed (with the line), or it declares entities.
+    """
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, dtd_validation=False,
+                             attribute_defaults=False, huge_tree=False, remove_comments=True,
+                             remove_pis=True, remove_blank_text=False)
+    try:
+        root = etree.fromstring(data, parser)
+    except etree.XMLSyntaxError as error:
+        if b"<!ENTITY" in data or "<!ENTITY".encode("utf-16-le") in data:
+            raise _entities(file) from None
+        line = error.lineno or None
+        text = (error.msg or "the document is empty").split(", line ")[0]
+        raise InputError("not well-formed XML: %s" % text, file=file, line=line,
+                         hint="the file may be cut off or damaged") from None
+    except ValueError as error:
+        raise InputError("not well-formed XML: %s" % error, file=file) from None
+    if root is None:
+        raise InputError("not well-formed XML: the document is empty", file=file)
+    dtd = root.getroottree().docinfo.internalDTD
+    if dtd is not None and any(True for _ in dtd.iterentities()):
+        raise _entities(file)
+    return root
+
+
+def _entities(file: Optional[str]) -> InputError:
+    return InputError("the document declares XML entities, which are not read", file=file,
+                      hint="write what they stand for in their place")
+
+
+def tag(element: etree._Element) -> str:
+    """The tag of an element without its namespace."""
+    name = element.tag
+    if not isinstance(name, str):  # an entity reference that nothing declares
+        return ""
+    return name.rpartition("}")[2]
+
+
+def child(element: etree._Element, name: str) -> Optional[etree._Element]:
+    """The first child with that tag, whatever its namespace."""
+    for node in element:
+        if tag(node) == name:
+            return node
+    return None
+
+
+def all_of(element: etree._Element, name: str) -> List[etree._Element]:
+    """All children with that tag, whatever their namespace."""
+    return [node for node in element if tag(node) == name]
+
+
+def label(element: etree._Element, name: str, part: str) -> Optional[str]:
+    """The text of ``element/name/part`` without the space around it; None when missing or empty."""
+    outer = child(element, name)
+    inner = child(outer, part) if outer is not None else None
+    text = inner.text if inner is not None else None
+    return (text or "").strip() or None
+
+
+def line_of(element: etree._Element) -> int:
+    """The line that the element begins in."""
+    return int(element.sourceline or 0)
+
+
+def name_of(element: etree._Element, kind: str) -> str:
+    """What to call the element in a message: ``place 'p1'``."""
+    identifier = element.get("id") or element.get("name")
+    return "%s '%s'" % (kind, identifier) if identifier else kind
+
+
+def position(element: etree._Element) -> Optional[Position]:
+    """The position in ``graphics/position``, None when there is none to use."""
+    graphics = child(element, "graphics")
+    where = child(graphics, "position") if graphics is not None else None
+    return coordinates(where) if where is not None else None
+
+
+def coordinates(element: etree._Element) -> Optional[Position]:
+    """The attributes ``x`` and ``y`` as a position; None unless both are finite numbers."""
+    try:
+        x, y = float(element.get("x", "")), float(element.get("y", ""))
+    except ValueError:
+        return None
+    return (x, y) if math.isfinite(x) and math.isfinite(y) else None
+
+
+def choose_net(nets: Sequence[etree._Element], wanted: Optional[str],
+               file: Optional[str]) -> etree._Element:
+    """The net called ``wanted`` (by name or id), or the only one there is.
+
+    :raises NetError: there is none, none of that name, or several and none was asked for.
+    """
+    if not nets:
+        raise NetError("there is no net in the file", file=file)
+    names = [_net_names(net) for net in nets]
+    known = ", ".join("'%s'" % (n[0] if n else "") for n in names[:20])
+    if wanted is not None:
+        for net, called in zip(nets, names):
+            if wanted in called:
+                return net
+        raise NetError("there is no net '%s' in the file" % wanted, file=file, hint="it has %s" % known)
+    if len(nets) > 1:
+        raise NetError("the file holds %d nets" % len(nets), file=file, line=line_of(nets[1]),
+                       hint="choose one by name: %s" % known)
+    return nets[0]
+
+
+def _net_names(net: etree._Element) -> List[str]:
+    found = (net.get("name"), label(net, "name", "value"), label(net, "name", "text"), net.get("id"))
+    return [n.strip() for n in found if n and n.strip()]
+
+
+def serialise(root: etree._Element, depth: int = 2) -> bytes:
+    """The document as UTF-8 with an XML declaration, broken into lines down to ``depth`` levels."""
+    _break_lines(root, 0, depth)
+    return etree.tostring(root, xml_declaration=True, encoding="UTF-8")
+
+
+def _break_lines(element: etree._Element, level: int, depth: int) -> None:
+    if level >= depth or len(element) == 0:
+        return
+    element.text = "\n" + "  " * (level + 1)
+    for node in element:
+        node.tail = element.text
+        _break_lines(node, level + 1, depth)
+    element[-1].tail = "\n" + "  " * level
