@@ -9,12 +9,14 @@ PACKAGE = "gspn_framework_package"
 
 
 def data_files():
-    """Return every file of the package that is not Python code (schemas, the page, worlds), relative to it."""
+    """Return every file of the package that is not Python code: schemas, the page, worlds."""
     found = []
     for folder, subfolders, names in os.walk(PACKAGE):
         subfolders[:] = [name for name in subfolders if name != "__pycache__"]
-        found += [os.path.join(folder, name) for name in names if not name.endswith((".py", ".pyc"))]
-    return sorted(os.path.relpath(path, PACKAGE) for path in found)
+        for name in names:
+            if not name.endswith((".py", ".pyc")):
+                found.append(os.path.relpath(os.path.join(folder, name), PACKAGE))
+    return sorted(found)
 
 
 setup(

@@ -1,4 +1,4 @@
-"""Executes, visualises and analyses Generalized Stochastic Petri Net (GSPN) plans on teams of robots.
+"""Generalized Stochastic Petri Net plans on robot teams: execution, visualisation, analysis.
 
 The layers, inner to outer (an inner one never imports an outer one):
 
@@ -20,7 +20,7 @@ The inner four need no ROS.
 
 from pkgutil import extend_path
 
-# The messages that catkin generates are a package of this same name in the build or install space. Without the
+# The messages that catkin generates are a package of this same name in the devel space. Without the
 # next line, ``python3 -m gspn_framework_package`` started in the checkout would hide them.
 __path__ = extend_path(__path__, __name__)
 

@@ -1,4 +1,4 @@
-"""Entry point of ``python3 -m gspn_framework_package VERB``, which needs neither a build nor ROS."""
+"""Entry point of ``python3 -m gspn_framework_package VERB``; needs neither a build nor ROS."""
 
 import sys
 

@@ -1,1 +1,1 @@
-"""Benchmarks: one command each, ratios side by side in one run, machine and versions in the output."""
+"""Benchmarks: one command each, ratios side by side, machine and versions in the output."""

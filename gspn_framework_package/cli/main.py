@@ -81,9 +81,9 @@ class _Parser(argparse.ArgumentParser):
         self.exit(EXIT_USAGE, f"gspn: error: {message}\n")
 
 
-def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
+def _parser(words: Sequence[str]) -> _Parser:
     """Return the parser for ``words``: complete for the verb they name, the others by name only."""
-    common = argparse.ArgumentParser(add_help=False)
+    common = _Parser(add_help=False)
     common.add_argument(
         "--debug",
         action="store_true",

@@ -1,0 +1,176 @@
+# shellcheck shell=bash
+# Set-up shared by run_demo and run_tests, which source this file: system packages, a venv, the build.
+# Everything it makes lies in .workspace/ (ignored by git); every step is skipped when nothing changed.
+#
+# The functions, in the order of their use:
+#   prepare        all of the set-up below
+#   use_workspace  put the venv and the built workspace into this shell's environment
+#   end_session    end every process that this run has started and that is still there
+
+set -u
+
+ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)
+WORKSPACE=$ROOT/.workspace
+VENV=$WORKSPACE/venv
+PACKAGE=gspn_framework_package
+
+# Every process that this run starts carries this mark in its environment, whatever process group or
+# session it moves to; end_session finds them by it.
+SESSION="$(basename "$0").$$.$(date +%s)"
+export GSPN_SESSION="${GSPN_SESSION:-}/$SESSION"
+
+export LC_ALL=C.UTF-8
+
+say() { printf '%s: %s\n' "$(basename "$0")" "$*"; }
+die() { printf '%s: error: %s\n' "$(basename "$0")" "$*" >&2; exit 2; }
+
+# A shell that was started with SIGINT ignored (in the background of a script, under nohup, by some CI)
+# cannot trap it, and neither can what it starts. Start over with the default.
+default_interrupt() {
+    local ignored
+    ignored=$(sed -n 's/^SigIgn:[[:space:]]*//p' "/proc/$$/status" 2>/dev/null) || return 0
+    if (( 0x${ignored:-0} & 2 )); then
+        exec perl -e '$SIG{INT} = "DEFAULT"; exec @ARGV' "$0" "$@"
+    fi
+}
+
+prepare() {
+    mkdir -p "$WORKSPACE"
+    exec 9>"$WORKSPACE/lock"
+    flock 9  # two commands started at once prepare one after the other
+    prepare_system
+    prepare_venv
+    prepare_build
+    exec 9>&-
+}
+
+# --- the system's packages
+
+is_noetic() { [ -f /opt/ros/noetic/setup.bash ]; }
+
+system_packages() {
+    local column=1
+    is_noetic && column=2
+    awk -v column=$column '
+        /^[[:space:]]*(#|$)/ { next }
+        { name = (column <= NF) ? $column : $1; if (name != "-") print name }
+    ' "$ROOT/scripts/apt-packages.txt"
+}
+
+missing_packages() {
+    system_packages | while read -r name; do
+        [ "$(dpkg-query -W -f '${db:Status-Status}' "$name" 2>/dev/null)" = installed ] || printf '%s ' "$name"
+    done
+}
+
+as_root() {
+    if [ "$(id -u)" -eq 0 ]; then
+        env DEBIAN_FRONTEND=noninteractive "$@"
+    elif command -v sudo >/dev/null; then
+        sudo env DEBIAN_FRONTEND=noninteractive "$@"
+    else
+        die "needs root, or sudo, for: $*"
+    fi
+}
+
+prepare_system() {
+    command -v apt-get >/dev/null || die "needs Debian 12, or Ubuntu 20.04 with ROS Noetic (no apt-get here)"
+    local missing
+    missing=$(missing_packages)
+    [ -n "$missing" ] || return 0
+    say "installing system packages: $missing"
+    local log=$WORKSPACE/apt.log apt=(apt-get -q -o DPkg::Lock::Timeout=600 -o Acquire::Retries=3)
+    # shellcheck disable=SC2086  # a list of words
+    { as_root "${apt[@]}" update && as_root timeout 1800 "${apt[@]}" install -y --no-install-recommends $missing; } \
+        </dev/null >"$log" 2>&1 || { tail -n 20 "$log" >&2; die "apt-get failed; all of its output: $log"; }
+}
+
+# --- the venv: what the system's packages lack
+
+prepare_venv() {
+    local lists=("$ROOT/scripts/requirements.txt" "$ROOT/scripts/requirements-bare.txt")
+    local key
+    key=$({ echo "$VENV"; /usr/bin/python3 --version; cat "${lists[@]}"; } | sha256sum)
+    [ "$(cat "$VENV/prepared" 2>/dev/null)" = "$key" ] && return 0
+    say "installing Python packages into .workspace/venv"
+    [ -x "$VENV/bin/python" ] || /usr/bin/python3 -m venv --system-site-packages "$VENV" || die "cannot make $VENV"
+    local log=$WORKSPACE/pip.log pip=(timeout 1200 "$VENV/bin/python" -m pip install --disable-pip-version-check)
+    { "${pip[@]}" -r "${lists[0]}" && "${pip[@]}" --no-deps -r "${lists[1]}"; } \
+        </dev/null >"$log" 2>&1 || { tail -n 20 "$log" >&2; die "pip failed; all of its output: $log"; }
+    echo "$key" >"$VENV/prepared"
+}
+
+# --- the catkin workspace: .workspace/src/PACKAGE is the checkout
+
+# What the build depends on. Python code and launch files are run from where they lie and need no build.
+build_key() {
+    {
+        echo "$ROOT"
+        cd "$ROOT" || exit
+        cat CMakeLists.txt package.xml setup.py action/* msg/* srv/*
+        [ -d launch ] && echo launch
+        find scripts test/rostest -type f 2>/dev/null | LC_ALL=C sort
+    } | sha256sum
+}
+
+prepare_build() {
+    local key
+    key=$(build_key)
+    [ "$(cat "$WORKSPACE/built" 2>/dev/null)" = "$key" ] && return 0
+    say "building the workspace"
+    mkdir -p "$WORKSPACE/src"
+    ln -sfn "$ROOT" "$WORKSPACE/src/$PACKAGE"
+    (
+        # on top of the installed ROS only, whatever else this shell has sourced
+        unset CMAKE_PREFIX_PATH PYTHONPATH ROS_PACKAGE_PATH
+        use_ros
+        PATH=$VENV/bin:$PATH timeout 900 \
+            catkin_make -C "$WORKSPACE" -DPYTHON_EXECUTABLE="$VENV/bin/python" \
+            </dev/null >"$WORKSPACE/build.log" 2>&1
+    ) || { tail -n 30 "$WORKSPACE/build.log" >&2; die "catkin_make failed; all of its output: $WORKSPACE/build.log"; }
+    echo "$key" >"$WORKSPACE/built"
+}
+
+use_ros() {
+    # ROS's set-up files read variables that may be unset
+    set +u
+    # shellcheck disable=SC1091
+    if is_noetic; then . /opt/ros/noetic/setup.bash; fi
+    set -u
+}
+
+use_workspace() {
+    set +u
+    # shellcheck disable=SC1091
+    . "$WORKSPACE/devel/setup.bash"
+    set -u
+    export PATH=$VENV/bin:$PATH
+}
+
+# --- the end
+
+# Process ids of everything that carries this run's mark, but for this shell itself.
+session_processes() {
+    local marked id
+    mapfile -t marked < <(grep -lszE "^GSPN_SESSION=.*/$SESSION(/|$)" /proc/[0-9]*/environ)
+    for id in "${marked[@]}"; do
+        id=${id//[!0-9]/}
+        # grep has found itself too, and is gone by now
+        ! [ -e "/proc/$id" ] || printf '%s ' "$id"
+    done
+}
+
+end_session() {
+    local signal deadline ids
+    for signal in INT TERM KILL; do
+        deadline=$((SECONDS + 5))
+        ids=$(session_processes)
+        # shellcheck disable=SC2086  # a list of words
+        [ -z "$ids" ] || kill -s $signal $ids 2>/dev/null
+        while [ -n "$ids" ] && [ $SECONDS -lt $deadline ]; do
+            sleep 0.1
+            ids=$(session_processes)
+        done
+        [ -n "$ids" ] || return 0
+    done
+}
