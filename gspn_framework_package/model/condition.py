@@ -1,0 +1,376 @@
+"""Conditions on markings: ``p3 >= 1 and robots_at_base == 2``, ``'p1:Check L1' + p2 > 3``, ``not deadlock``.
+
+The language is that of :mod:`~gspn_framework_package.model.expression`, with place names for numbers, comparisons
+(``== != < <= > >=``; ``=`` means ``==``), ``and``, ``or``, ``not`` (also ``&``, ``|``, ``!``), ``true`` and
+``false``. A name that is not made of letters, digits, ``_``, ``.`` and ``:`` is written in quotes; a ``#`` before a
+place, as in GreatSPN, changes nothing. No text can do more than compare token counts.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from typing import Any, Callable, Collection, Dict, List, Mapping, NamedTuple, Sequence, Tuple
+
+from gspn_framework_package.model.errors import ExpressionError
+from gspn_framework_package.model.expression import (
+    FUNCTIONS,
+    Call,
+    Name,
+    Negation,
+    Number,
+    Operation,
+    Parser,
+    shorten,
+)
+
+
+class Comparison(NamedTuple):
+    """``left operator right``, numbers on both sides, a truth value as the result."""
+
+    operator: str
+    left: Any
+    right: Any
+
+
+class Logical(NamedTuple):
+    """``and`` or ``or`` of two truth values."""
+
+    operator: str
+    left: Any
+    right: Any
+
+
+class Not(NamedTuple):
+    """The opposite of a truth value."""
+
+    operand: Any
+
+
+class Truth(NamedTuple):
+    """``true`` or ``false``."""
+
+    value: bool
+
+
+class Label(NamedTuple):
+    """A truth value that the analysis knows of each marking, such as ``deadlock``."""
+
+    name: str
+
+
+_COMPARISONS = {"=": "==", "==": "==", "!=": "!=", "<>": "!=", "<": "<", "<=": "<=", ">": ">", ">=": ">="}
+_WORDS = {"and": "and", "&": "and", "&&": "and", "or": "or", "|": "or", "||": "or"}
+_TRUTH_NODES = (Comparison, Logical, Not, Truth, Label)
+
+
+class Condition:
+    """A condition that was read by :func:`parse_condition`, for markings of one net.
+
+    :ivar text: as it was written.
+    :ivar places: names of the places it looks at.
+
+    >>> condition = parse_condition("a >= 1 and a + b == 3", ["a", "b"])
+    >>> condition.holds((1, 2)), condition.holds((0, 3))
+    (True, False)
+    """
+
+    def __init__(self, text: str, tree: Any, place_index: Mapping[str, int]) -> None:
+        self.text = text
+        self._program = _compile(tree, place_index)
+        self.places: Tuple[str, ...] = tuple(
+            name for name, i in place_index.items() if ("place", i) in set(self._program))
+        self.labels: Tuple[str, ...] = tuple(sorted({str(a) for op, a in self._program if op == "label"}))
+
+    def holds(self, marking: Sequence[int], labels: Mapping[str, bool] = {}) -> bool:
+        """Whether it holds in ``marking`` (counts in the order of the places).
+
+        A division by zero makes the comparison it stands in false.
+
+        :param labels: what is known of this marking beyond its counts, e.g. ``{"deadlock": False}``.
+        """
+        return bool(_run(self._program, marking, labels, _SCALAR))
+
+    def holds_in(self, markings: Any, labels: Mapping[str, Any] = {}) -> Any:
+        """In which of many markings it holds.
+
+        :param markings: integer array, one row a marking, one column a place.
+        :param labels: label -> boolean array, one value a row.
+        :return: boolean array, one value a row.
+        """
+        import numpy
+
+        columns = numpy.asarray(markings).T
+        rows = columns.shape[1] if columns.ndim == 2 else 0
+        with numpy.errstate(all="ignore"):
+            result = _run(self._program, columns, labels, _vector_functions())
+        return numpy.broadcast_to(numpy.asarray(result, dtype=bool), (rows,)).copy()
+
+    def __repr__(self) -> str:
+        return "<Condition %s>" % shorten(self.text)
+
+
+def parse_condition(text: str, places: Sequence[str], labels: Collection[str] = ()) -> Condition:
+    """Read a condition.
+
+    :param places: names of the places, in the order that markings have.
+    :param labels: further names that are true or false of a marking; a place of the same name goes first.
+    :raises ExpressionError: it cannot be read, or names something that is not there; the message says where.
+    """
+    index = {name: i for i, name in enumerate(places)}
+    parser = _ConditionParser(text, index, labels)
+    tree = parser.disjunction()
+    parser.finish()
+    if not isinstance(tree, _TRUTH_NODES):
+        raise ExpressionError("'%s' is a number, not a condition" % shorten(text),
+                              hint="compare it with something, e.g. '%s >= 1'" % shorten(text, 30))
+    return Condition(text, tree, index)
+
+
+class _ConditionParser(Parser):
+    """``disjunction = conjunction {or conjunction}``, ``conjunction = opposite {and opposite}``,
+    ``opposite = not opposite | comparison``, ``comparison = sum [(== | < | ...) sum]``; parentheses hold either kind."""
+
+    def __init__(self, text: str, places: Mapping[str, int], labels: Collection[str]) -> None:
+        super().__init__(text)
+        self._places = places
+        self._labels = labels
+
+    def disjunction(self) -> Any:
+        left = self.conjunction()
+        while self._word() == "or":
+            left = self._logical("or", left, self.conjunction)
+        return left
+
+    def conjunction(self) -> Any:
+        left = self.opposite()
+        while self._word() == "and":
+            left = self._logical("and", left, self.opposite)
+        return left
+
+    def opposite(self) -> Any:
+        if self._is_not():
+            self.next += 1
+            self.enter()
+            at = self.next
+            inner = self.opposite()
+            self._need_truth(inner, at)
+            self.leave()
+            return Not(inner)
+        return self.comparison()
+
+    def comparison(self) -> Any:
+        at = self.next
+        left: Any = self.sum()
+        written = self.take(*_COMPARISONS)
+        if not written:
+            return left
+        self._need_number(left, at)
+        at = self.next
+        right: Any = self.sum()
+        self._need_number(right, at)
+        if self.token.kind == "operator" and self.token.text in _COMPARISONS:
+            self.fail("comparisons are joined by 'and', one was not expected")
+        return Comparison(_COMPARISONS[written], left, right)
+
+    def sum(self) -> Any:
+        return self._arithmetic(super().sum)
+
+    def product(self) -> Any:
+        return self._arithmetic(super().product)
+
+    def atom(self) -> Any:
+        if self.take("#") and self.token.kind != "name":
+            self.fail("a place was expected after '#'")
+        token = self.token
+        if self.take("("):
+            inner = self.disjunction()
+            self.expect(")")
+            return inner
+        if token.kind != "name":
+            return super().atom()
+        if not self._quoted() and token.text not in self._places:
+            if token.text in ("true", "false"):
+                self.next += 1
+                return Truth(token.text == "true")
+            if token.text in FUNCTIONS:
+                return super().atom()
+        if token.text in self._places:
+            self.next += 1
+            return Name(token.text)
+        if token.text in self._labels:
+            self.next += 1
+            return Label(token.text)
+        self._unknown(token.text)
+
+    def _unknown(self, name: str) -> Any:
+        import difflib
+
+        close = difflib.get_close_matches(name, list(self._places), 3, 0.5)
+        known = ["'%s'" % p for p in (close or list(self._places)[:8])]
+        hint = ("did you mean %s?" % " or ".join(known)) if close else "places: %s" % ", ".join(known)
+        raise ExpressionError("there is no place '%s' (character %d in '%s')" % (
+            shorten(name), self.token.start + 1, shorten(self.text)), hint=hint)
+
+    def _arithmetic(self, rule: Callable[[], Any]) -> Any:
+        """Apply a rule of the arithmetic grammar; what it combines must be numbers."""
+        at = self.next
+        result = rule()
+        for operand in _operands(result):
+            self._need_number(operand, at)
+        return result
+
+    def _logical(self, word: str, left: Any, rule: Callable[[], Any]) -> Logical:
+        self._need_truth(left, self.next)
+        self.next += 1
+        at = self.next
+        right = rule()
+        self._need_truth(right, at)
+        return Logical(word, left, right)
+
+    def _need_truth(self, node: Any, at: int) -> None:
+        if not isinstance(node, _TRUTH_NODES):
+            self.next = at
+            self.fail("a comparison was expected, not a number,")
+
+    def _need_number(self, node: Any, at: int) -> None:
+        if isinstance(node, _TRUTH_NODES):
+            self.next = at
+            self.fail("a number was expected, not a condition,")
+
+    def _quoted(self) -> bool:
+        return self.text[self.token.start:self.token.start + 1] in ("'", '"')
+
+    def _word(self) -> str:
+        token = self.token
+        if token.kind == "operator" or (token.kind == "name" and not self._quoted()):
+            return _WORDS.get(token.text if token.text in self._places else token.text.lower(), "")
+        return ""
+
+    def _is_not(self) -> bool:
+        token = self.token
+        if token.kind == "operator":
+            return token.text == "!"
+        return (token.kind == "name" and not self._quoted() and token.text not in self._places
+                and token.text.lower() == "not")
+
+
+def _operands(node: Any) -> Tuple[Any, ...]:
+    if isinstance(node, Operation):
+        return node.left, node.right
+    if isinstance(node, Negation):
+        return (node.operand,)
+    return node.arguments if isinstance(node, Call) else ()
+
+
+# -- evaluation: a flat program for a stack machine, so that no text is too deep --------------------------
+
+_Step = Tuple[str, Any]
+_Functions = Mapping[str, Callable[..., Any]]
+
+
+def _compile(tree: Any, place_index: Mapping[str, int]) -> Tuple[_Step, ...]:
+    program: List[_Step] = []
+    waiting: List[Tuple[Any, bool]] = [(tree, False)]
+    while waiting:
+        node, ready = waiting.pop()
+        if isinstance(node, (Number, Truth)):
+            program.append(("value", node.value))
+        elif isinstance(node, Name):
+            program.append(("place", place_index[node.name]))
+        elif isinstance(node, Label):
+            program.append(("label", node.name))
+        elif ready:
+            program.append(_step(node))
+        else:
+            waiting.append((node, True))
+            waiting += [(child, False) for child in reversed(_children(node))]
+    return tuple(program)
+
+
+def _children(node: Any) -> Tuple[Any, ...]:
+    if isinstance(node, (Comparison, Logical)):
+        return node.left, node.right
+    if isinstance(node, Not):
+        return (node.operand,)
+    return _operands(node)
+
+
+def _step(node: Any) -> _Step:
+    if isinstance(node, Call):
+        return node.function, len(node.arguments)
+    if isinstance(node, (Negation, Not)):
+        return ("negate" if isinstance(node, Negation) else "not"), 1
+    return node.operator, 2
+
+
+def _run(program: Sequence[_Step], counts: Any, labels: Mapping[str, Any], functions: _Functions) -> Any:
+    stack: List[Any] = []
+    for step, argument in program:
+        if step == "value":
+            stack.append(argument)
+        elif step == "place":
+            stack.append(counts[argument])
+        elif step == "label":
+            stack.append(labels[argument])
+        else:
+            values = stack[-argument:]
+            del stack[-argument:]
+            stack.append(functions[step](*values))
+    return stack[0]
+
+
+def _divide(a: float, b: float) -> float:
+    return a / b if b else math.nan
+
+
+def _or_nan(function: Callable[..., Any]) -> Callable[..., Any]:
+    def guarded(*arguments: Any) -> Any:
+        try:
+            value = function(*arguments)
+        except (ValueError, ZeroDivisionError, OverflowError):
+            return math.nan
+        return math.nan if isinstance(value, complex) else value
+
+    return guarded
+
+
+def _is_not_equal(a: Any, b: Any) -> bool:
+    return bool(a < b or a > b)  # false with "not a number" on a side, as all comparisons are
+
+
+_COMMON: Dict[str, Callable[..., Any]] = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "==": operator.eq,
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "negate": operator.neg,
+}
+_SCALAR: Dict[str, Callable[..., Any]] = {
+    **{name: _or_nan(function) for name, (_, _, function) in FUNCTIONS.items()},
+    **_COMMON,
+    "/": _divide, "^": _or_nan(lambda a, b: float(a) ** b), "!=": _is_not_equal,
+    "not": operator.not_, "and": lambda a, b: a and b, "or": lambda a, b: a or b,
+}
+_VECTOR: Dict[str, Callable[..., Any]] = {}
+
+
+def _vector_functions() -> _Functions:
+    if not _VECTOR:
+        import functools
+
+        import numpy as np
+
+        def finite(value: Any) -> Any:
+            return np.where(np.isfinite(value), value, np.nan)
+
+        _VECTOR.update(_COMMON)
+        _VECTOR.update({
+            "min": lambda *a: functools.reduce(np.minimum, a), "max": lambda *a: functools.reduce(np.maximum, a),
+            "floor": np.floor, "ceil": np.ceil, "round": lambda a: np.floor(np.add(a, 0.5)), "abs": np.abs,
+            "sqrt": np.sqrt, "exp": lambda a: finite(np.exp(a)), "log": lambda a: finite(np.log(a)),
+            "ln": lambda a: finite(np.log(a)), "pow": lambda a, b: finite(np.float_power(a, b)), "mod": np.fmod,
+            "/": lambda a, b: np.where(np.equal(b, 0), np.nan, np.true_divide(a, b)),
+            "^": lambda a, b: finite(np.float_power(a, b)), "!=": lambda a, b: np.less(a, b) | np.greater(a, b),
+            "not": np.logical_not, "and": np.logical_and, "or": np.logical_or,
+        })
+    return _VECTOR
+
+
