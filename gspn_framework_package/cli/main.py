@@ -38,12 +38,9 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words or bool(os.environ.get("GSPN_DEBUG"))
     try:
-        args = _parser(words).parse_args(words)
-        code = int(args.run(args))
-        sys.stdout.flush()
+        code = _run(words)
+        sys.stdout.flush()  # here, where a reader that has gone is noticed
         return code
-    except SystemExit as leaving:  # argparse: --help, --version, wrong usage
-        return leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
     except KeyboardInterrupt:
         print("gspn: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
@@ -57,6 +54,14 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         message, code = _explain(error)
         print(f"gspn: {message}", file=sys.stderr)
         return code
+
+
+def _run(words: Sequence[str]) -> int:
+    try:
+        args = _parser(words).parse_args(words)
+    except SystemExit as leaving:  # --help, --version, wrong usage; argparse has said what
+        return leaving.code if isinstance(leaving.code, int) else EXIT_USAGE
+    return int(args.run(args))
 
 
 def _explain(error: Exception) -> Tuple[str, int]:

@@ -1,0 +1,344 @@
+"""The package as a whole: its layers, its syntax, its manifest, its command line."""
+
+import ast
+import importlib
+import os
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+import gspn_framework_package
+from gspn_framework_package.cli import main as dispatcher
+from gspn_framework_package.model.errors import GspnError, InputError
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "gspn_framework_package"
+MODULES = sorted(PACKAGE.rglob("*.py"))
+SCRIPTS = [ROOT / "setup.py", ROOT / "scripts" / "gspn", *sorted((ROOT / "scripts").glob("*.py"))]
+PLANS = sorted((ROOT / "plans").rglob("*.py"))
+
+#: The layers, each with a number: a module may import only from its own layer and from those with
+#: a lower number. Those of the outer shell have numbers in the order in which they build on
+#: each other: the command line may start anything, nothing but the benchmarks starts it.
+LAYERS = {
+    "model": 0,
+    "formats": 1,
+    "analysis": 2,
+    "execution": 3,
+    "ros": 4,
+    "visualizer": 5,
+    "world": 5,
+    "benchmark": 6,
+    "cli": 7,
+}
+INNER = [layer for layer, number in LAYERS.items() if number <= 3]
+
+#: What no inner module may import: ROS, and the generated messages of this package.
+ROS = re.compile(
+    r"(rospy|roslib|roslaunch|rosgraph|rosbag|genpy|actionlib|tf2_ros|\w+_msgs|std_srvs)(\.|$)"
+    r"|gspn_framework_package\.(msg|srv)(\.|$)"
+)
+
+
+def name_of(path):
+    parts = list(path.relative_to(ROOT).with_suffix("").parts)
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def layer_of(name):
+    """Return the layer that a module of the package is in; None: the package itself."""
+    parts = name.split(".")
+    return parts[1] if len(parts) > 1 and parts[1] in LAYERS else None
+
+
+def imports_of(path, source=None):
+    """Return the full names of the modules that a file imports, wherever in the file."""
+    package = name_of(path) if path.name == "__init__.py" else name_of(path).rpartition(".")[0]
+    names = []
+    for node in ast.walk(ast.parse(source if source is not None else path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                outer = package.split(".")[: len(package.split(".")) - node.level + 1]
+                base = ".".join(outer + ([base] if base else []))
+            names += [base] + ["{}.{}".format(base, alias.name) for alias in node.names]
+    return names
+
+
+def outward_imports(path, source=None):
+    """Return the imports of a module that its layer forbids."""
+    own = layer_of(name_of(path))
+    if own is None:
+        return []
+    forbidden = []
+    for name in imports_of(path, source):
+        other = layer_of(name) if name.startswith(PACKAGE.name + ".") else None
+        if other is not None and LAYERS[other] > LAYERS[own] or own in INNER and ROS.match(name):
+            forbidden.append(name)
+    return forbidden
+
+
+def clean_environment():
+    """Return the environment of a user in a bare checkout: no ROS sourced."""
+    return {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("ROS", "CMAKE", "PYTHON", "GSPN_DEBUG"))
+    }
+
+
+def gspn(*words, interpreter_options=()):
+    """Run the command line as a user does in a bare checkout."""
+    return subprocess.run(
+        [sys.executable, *interpreter_options, "-m", PACKAGE.name, *words],
+        cwd=str(ROOT),
+        env=clean_environment(),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+# --- layers
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_a_module_imports_only_inner_layers(path):
+    assert outward_imports(path) == []
+
+
+@pytest.mark.parametrize(
+    "module, line",
+    [
+        ("model/net.py", "from gspn_framework_package.formats import pipe"),
+        ("model/net.py", "from ..execution import token_game"),
+        ("model/__init__.py", "from ..execution import token_game"),
+        ("execution/token_game.py", "def f():\n    import rospy"),
+        ("analysis/graph.py", "from std_msgs.msg import Header"),
+        ("formats/pipe.py", "from gspn_framework_package import ros"),
+        ("ros/node.py", "import gspn_framework_package.visualizer.server"),
+    ],
+)
+def test_the_layer_check_sees_an_outward_import(module, line):
+    assert outward_imports(PACKAGE / module, line)
+
+
+@pytest.mark.parametrize(
+    "module, line",
+    [
+        ("formats/pipe.py", "from ..model.net import Net"),
+        ("ros/node.py", "import rospy\nfrom gspn_framework_package.msg import FiredTransition"),
+        ("execution/log.py", "from . import entries"),
+    ],
+)
+def test_the_layer_check_lets_inward_imports_pass(module, line):
+    assert outward_imports(PACKAGE / module, line) == []
+
+
+def test_every_folder_of_the_package_is_a_layer():
+    folders = {path.parent.relative_to(PACKAGE).parts[0] for path in PACKAGE.glob("*/__init__.py")}
+    assert folders <= set(LAYERS)
+
+
+@pytest.mark.parametrize("layer", INNER)
+def test_importing_an_inner_layer_imports_no_ros(layer):
+    if not (PACKAGE / layer).is_dir():
+        pytest.fail("the layer {} is missing".format(layer))
+    names = [name_of(path) for path in sorted((PACKAGE / layer).rglob("*.py"))]
+    code = "import importlib, sys\nfor n in {!r}: importlib.import_module(n)\nprint(*sys.modules)"
+    imported = subprocess.run(
+        [sys.executable, "-c", code.format(names)],
+        cwd=str(ROOT),
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+        timeout=120,
+    ).stdout.split()
+    assert set(names) <= set(imported)
+    assert [name for name in imported if ROS.match(name)] == []
+
+
+# --- syntax
+
+
+@pytest.mark.parametrize(
+    "path", MODULES + SCRIPTS + PLANS, ids=lambda path: str(path.relative_to(ROOT))
+)
+def test_the_syntax_is_that_of_python_3_8(path):
+    ast.parse(path.read_text("utf-8"), filename=str(path), feature_version=(3, 8))
+
+
+@pytest.mark.parametrize(
+    "code", ["match x:\n    case 1: pass", "with (open(a) as b, open(c)): pass"]
+)
+def test_the_syntax_check_refuses_newer_syntax(code):
+    with pytest.raises(SyntaxError):
+        ast.parse(code, feature_version=(3, 8))
+
+
+# --- manifest
+
+
+def test_version_and_license_agree_everywhere():
+    manifest = ElementTree.parse(str(ROOT / "package.xml")).getroot()
+    assert manifest.get("format") == "3"
+    assert manifest.findtext("name") == PACKAGE.name
+    assert manifest.findtext("version") == gspn_framework_package.__version__
+    assert manifest.findtext("license") == "BSD-3-Clause"
+    license_file = ROOT / manifest.find("license").get("file")
+    assert license_file.read_text("utf-8").startswith("BSD 3-Clause")
+
+
+def test_every_interface_file_is_built():
+    cmake = (ROOT / "CMakeLists.txt").read_text("utf-8")
+    for folder in ("action", "msg", "srv"):
+        for path in (ROOT / folder).iterdir():
+            assert path.name in cmake
+
+
+def test_the_action_keeps_the_fields_of_the_thesis():
+    text = (ROOT / "action" / "ExecGSPN.action").read_text("utf-8")
+    fields = [line.split("#")[0].split() for line in text.splitlines()]
+    assert [" ".join(words) for words in fields if words] == [
+        "string place", "---", "string transition", "---", "int32[] time_passed",
+    ]  # fmt: skip
+
+
+# --- command line
+
+
+class Verb:
+    """A verb for the tests below; does what the test asks for."""
+
+    NAME, HELP = "verb", "does as told"
+
+    def __init__(self, outcome):
+        self.outcome = outcome
+
+    def add_arguments(self, parser):
+        parser.add_argument("--number", type=int, default=0)
+
+    def run(self, args):
+        if isinstance(self.outcome, BaseException):
+            raise self.outcome
+        return self.outcome + args.number
+
+
+@pytest.fixture
+def verb(monkeypatch):
+    """Returns a function that puts a verb with the given outcome into the command line."""
+
+    def install(outcome):
+        monkeypatch.setitem(dispatcher.VERBS, "verb", ("a_verb", Verb.HELP))
+        monkeypatch.setitem(sys.modules, "gspn_framework_package.cli.a_verb", Verb(outcome))
+        monkeypatch.delenv("GSPN_DEBUG", raising=False)
+
+    return install
+
+
+@pytest.mark.parametrize("name", sorted(dispatcher.VERBS))
+def test_a_verb_is_what_the_table_says(name):
+    module_name, summary = dispatcher.VERBS[name]
+    module = importlib.import_module("gspn_framework_package.cli." + module_name)
+    assert module.NAME == name
+    assert module.HELP == summary
+    shown = gspn(name, "--help")
+    assert shown.returncode == 0
+    assert shown.stdout.startswith("usage: gspn " + name)
+
+
+def test_help_lists_every_verb_and_imports_none():
+    shown = gspn("--help", interpreter_options=["-X", "importtime"])
+    assert shown.returncode == 0
+    for name in dispatcher.VERBS:
+        assert re.search(r"^    {}\b".format(re.escape(name)), shown.stdout, re.MULTILINE)
+    for module_name, _ in dispatcher.VERBS.values():
+        assert "gspn_framework_package.cli." + module_name not in shown.stderr
+
+
+def test_version():
+    shown = gspn("--version")
+    assert (shown.returncode, shown.stdout.split()) == (
+        0, ["gspn", gspn_framework_package.__version__],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("words", [[], ["no-such-verb"], ["--no-such-option"]])
+def test_wrong_usage_exits_with_2_and_says_why(words):
+    shown = gspn(*words)
+    assert shown.returncode == 2
+    assert shown.stdout == ""
+    assert "gspn: error: " in shown.stderr
+    assert "Traceback" not in shown.stderr
+
+
+@pytest.mark.parametrize("code", [0, 1, 2])
+def test_the_exit_code_is_that_of_the_verb(verb, code):
+    verb(code)
+    assert dispatcher.main(["verb"]) == code
+
+
+def test_arguments_reach_the_verb(verb):
+    verb(0)
+    assert dispatcher.main(["verb", "--number", "1"]) == 1
+    assert dispatcher.main(["--debug", "verb", "--number=2"]) == 2
+
+
+@pytest.mark.parametrize(
+    "outcome, code, message",
+    [
+        (InputError("no place p", file="a.json", line=3), 2, "gspn: error: a.json:3: no place p"),
+        (FileNotFoundError(2, "No such file", "b.json"), 2, "gspn: error: b.json: No such file"),
+        (KeyboardInterrupt(), 130, "gspn: interrupted"),
+        (KeyError("x"), 70, "gspn: internal error: KeyError: 'x'"),
+        (RecursionError("too deep"), 70, "gspn: internal error: RecursionError: too deep"),
+    ],
+)
+def test_an_exception_is_one_message_and_an_exit_code(verb, capsys, outcome, code, message):
+    verb(outcome)
+    assert dispatcher.main(["verb"]) == code
+    output, errors = capsys.readouterr()
+    assert output == ""
+    assert errors.splitlines()[0] == message
+    assert "Traceback" not in errors
+
+
+def test_an_error_with_another_exit_code_keeps_it(verb):
+    error = GspnError("refused")
+    error.exit_code = 1
+    verb(error)
+    assert dispatcher.main(["verb"]) == 1
+
+
+@pytest.mark.parametrize("how", ["option", "variable"])
+def test_debug_adds_the_traceback(verb, capsys, monkeypatch, how):
+    verb(KeyError("x"))
+    if how == "variable":
+        monkeypatch.setenv("GSPN_DEBUG", "1")
+    assert dispatcher.main(["verb", "--debug"] if how == "option" else ["verb"]) == 70
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_a_reader_that_leaves_gets_no_complaint():
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        process = subprocess.run(
+            [sys.executable, "-m", PACKAGE.name, "--help"],
+            cwd=str(ROOT),
+            env=clean_environment(),
+            stdout=writing,
+            stderr=subprocess.PIPE,
+            timeout=60,
+        )
+    finally:
+        os.close(writing)
+    assert process.stderr == b""
+    assert process.returncode == 141
