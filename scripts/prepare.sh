@@ -9,6 +9,12 @@
 
 set -u
 
+# A shell that was started with SIGINT ignored (in the background of a script, under nohup, by some CI)
+# cannot trap it, and neither can what it starts. Then start over with the default.
+if (( 0x$(sed -n 's/^SigIgn:[[:space:]]*//p' "/proc/$$/status") & 2 )); then
+    exec perl -e '$SIG{INT} = "DEFAULT"; exec @ARGV' "$0" "$@"
+fi
+
 ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)
 WORKSPACE=$ROOT/.workspace
 VENV=$WORKSPACE/venv
@@ -23,16 +29,6 @@ export LC_ALL=C.UTF-8
 
 say() { printf '%s: %s\n' "$(basename "$0")" "$*"; }
 die() { printf '%s: error: %s\n' "$(basename "$0")" "$*" >&2; exit 2; }
-
-# A shell that was started with SIGINT ignored (in the background of a script, under nohup, by some CI)
-# cannot trap it, and neither can what it starts. Start over with the default.
-default_interrupt() {
-    local ignored
-    ignored=$(sed -n 's/^SigIgn:[[:space:]]*//p' "/proc/$$/status" 2>/dev/null) || return 0
-    if (( 0x${ignored:-0} & 2 )); then
-        exec perl -e '$SIG{INT} = "DEFAULT"; exec @ARGV' "$0" "$@"
-    fi
-}
 
 prepare() {
     mkdir -p "$WORKSPACE"
