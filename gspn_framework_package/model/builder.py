@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import List, Mapping, Optional, Sequence, Union
+from typing import Dict, List, Mapping, Optional, Sequence, Union
 
 from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
 
@@ -11,7 +11,8 @@ PlaceSet = Union[str, Sequence[str], Mapping[str, int]]
 
 
 class NetBuilder:
-    """Builds a :class:`~gspn_framework_package.model.net.Net` step by step; every method returns the builder.
+    """Builds a :class:`~gspn_framework_package.model.net.Net` step by step; every method returns
+    the builder.
 
     >>> net = (NetBuilder("measure")
     ...        .place("P1", tokens=1).place("P2").place("done")
@@ -28,32 +29,52 @@ class NetBuilder:
         self._transitions: List[Transition] = []
         self._arcs: List[Arc] = []
 
-    def place(self, name: str, tokens: int = 0, capacity: Optional[int] = None,
-              position: Optional[Position] = None) -> "NetBuilder":
+    def place(
+        self,
+        name: str,
+        tokens: int = 0,
+        capacity: Optional[int] = None,
+        position: Optional[Position] = None,
+    ) -> NetBuilder:
         """Add a place with its initial ``tokens``; ``capacity`` None means unlimited."""
         self._places.append(Place(name, tokens, capacity, position))
         return self
 
-    def immediate(self, name: str, weight: float = 1.0, priority: int = 1, inputs: PlaceSet = (),
-                  outputs: PlaceSet = (), inhibitors: PlaceSet = (),
-                  position: Optional[Position] = None) -> "NetBuilder":
+    def immediate(
+        self,
+        name: str,
+        weight: float = 1.0,
+        priority: int = 1,
+        inputs: PlaceSet = (),
+        outputs: PlaceSet = (),
+        inhibitors: PlaceSet = (),
+        position: Optional[Position] = None,
+    ) -> NetBuilder:
         """Add an immediate transition and its arcs."""
         self._transitions.append(Transition(name, False, 1.0, weight, priority, 1, position))
         return self._connect(name, inputs, outputs, inhibitors)
 
-    def exponential(self, name: str, rate: float = 1.0, servers: Optional[int] = 1, inputs: PlaceSet = (),
-                    outputs: PlaceSet = (), inhibitors: PlaceSet = (),
-                    position: Optional[Position] = None) -> "NetBuilder":
-        """Add an exponential transition (``rate`` in 1/s; ``servers`` None for infinitely many) and its arcs."""
+    def exponential(
+        self,
+        name: str,
+        rate: float = 1.0,
+        servers: Optional[int] = 1,
+        inputs: PlaceSet = (),
+        outputs: PlaceSet = (),
+        inhibitors: PlaceSet = (),
+        position: Optional[Position] = None,
+    ) -> NetBuilder:
+        """Add an exponential transition (``rate`` in 1/s; ``servers`` None for infinitely many) and
+        its arcs."""
         self._transitions.append(Transition(name, True, rate, 1.0, 1, servers, position))
         return self._connect(name, inputs, outputs, inhibitors)
 
-    def arc(self, source: str, target: str, weight: int = 1) -> "NetBuilder":
+    def arc(self, source: str, target: str, weight: int = 1) -> NetBuilder:
         """Add an arc between a place and a transition."""
         self._arcs.append(Arc(source, target, weight))
         return self
 
-    def inhibitor(self, place: str, transition: str, weight: int = 1) -> "NetBuilder":
+    def inhibitor(self, place: str, transition: str, weight: int = 1) -> NetBuilder:
         """Add an inhibitor arc: ``weight`` tokens or more on ``place`` forbid ``transition``."""
         self._arcs.append(Arc(place, transition, weight, inhibitor=True))
         return self
@@ -62,7 +83,9 @@ class NetBuilder:
         """The net. :raises NetError: see :class:`~gspn_framework_package.model.net.Net`."""
         return Net(self._places, self._transitions, self._arcs, self._name)
 
-    def _connect(self, name: str, inputs: PlaceSet, outputs: PlaceSet, inhibitors: PlaceSet) -> "NetBuilder":
+    def _connect(
+        self, name: str, inputs: PlaceSet, outputs: PlaceSet, inhibitors: PlaceSet
+    ) -> NetBuilder:
         self._arcs += [Arc(p, name, w) for p, w in _weights(inputs).items()]
         self._arcs += [Arc(name, p, w) for p, w in _weights(outputs).items()]
         self._arcs += [Arc(p, name, w, True) for p, w in _weights(inhibitors).items()]
@@ -74,7 +97,7 @@ def _weights(places: PlaceSet) -> Mapping[str, int]:
         return {places: 1}
     if isinstance(places, Mapping):
         return places
-    weights: dict = {}
+    weights: Dict[str, int] = {}
     for place in places:
         weights[place] = weights.get(place, 0) + 1
     return weights

@@ -1,8 +1,8 @@
 """The errors of the package: one small tree under one base class.
 
-Every error that a user can cause says *what* is wrong, *where* (file, element, line) and *what to do*; the
-command line prints ``str(error)`` and exits with ``error.exit_code``: 1 when the plan or the answer is "no",
-2 when the input or the usage is wrong.
+Every error that a user can cause says *what* is wrong, *where* (file, element, line) and *what to
+do*; the command line prints ``str(error)`` and exits with ``error.exit_code``: 1 when the plan or
+the answer is "no", 2 when the input or the usage is wrong.
 """
 
 from __future__ import annotations
@@ -48,8 +48,9 @@ class GspnError(Exception):
         hint = " (%s)" % self.hint if self.hint else ""
         return place + element + self.message + hint
 
-    def located(self, *, file: Optional[str] = None, line: Optional[int] = None) -> "GspnError":
-        """The same error, told where it was found by an outer reader that knows; inner knowledge wins."""
+    def located(self, *, file: Optional[str] = None, line: Optional[int] = None) -> GspnError:
+        """The same error, told where it was found by an outer reader that knows; inner knowledge
+        wins."""
         self.file = self.file or (str(file) if file is not None else None)
         self.line = self.line or line
         return self
@@ -64,7 +65,8 @@ class UsageError(InputError):
 
 
 class NetError(InputError):
-    """Not a well-formed net: duplicate or unknown name, negative weight, arc between two places ..."""
+    """Not a well-formed net: duplicate or unknown name, negative weight, arc between two places
+    ..."""
 
 
 class ExpressionError(InputError):
@@ -72,7 +74,8 @@ class ExpressionError(InputError):
 
 
 class PolicyError(InputError):
-    """Not a well-formed policy: wrong length of a row, probabilities that do not sum to 1, unknown name ..."""
+    """Not a well-formed policy: wrong length of a row, probabilities that do not sum to 1, unknown
+    name ..."""
 
 
 class PlanError(InputError):
@@ -84,7 +87,8 @@ class LogError(InputError):
 
 
 class RefusedError(GspnError):
-    """The input is well-formed, and the answer is no: a plan that must not run, a question answered "no"."""
+    """The input is well-formed, and the answer is no: a plan that must not run, a question answered
+    "no"."""
 
     exit_code = 1
 

@@ -1,17 +1,31 @@
-"""Generalized stochastic Petri nets: the net, its marking and the firing rule (thesis 2.1, Definition 1).
+"""Generalized stochastic Petri nets: the net, its marking and the firing rule (thesis 2.1,
+Definition 1).
 
-A :class:`Net` is immutable. It is built by :class:`~gspn_framework_package.model.builder.NetBuilder` or by a
-reader of ``formats``; every edit gives a new net. A *marking* is a tuple of token counts in the order of
-``net.places``: hashable, cheap, and the same thing for the token game, the analysis and the page.
+A :class:`Net` is immutable. It is built by
+:class:`~gspn_framework_package.model.builder.NetBuilder` or by a reader of ``formats``; every edit
+gives a new net. A *marking* is a tuple of token counts in the order of ``net.places``: hashable,
+cheap, and the same thing for the token game, the analysis and the page.
 
-This module holds the only firing rule of the package; everything else calls :meth:`Net.is_enabled` and
+This module holds the only firing rule of the package; everything else calls :meth:`Net.is_enabled`
+and
 :meth:`Net.fire`, or is tested to agree with them.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import (
+    Dict,
+    Iterable,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    TypeVar,
+    Union,
+)
 
 from gspn_framework_package.model.errors import NetError, NotEnabledError
 
@@ -22,8 +36,8 @@ WeightedPlaces = Tuple[Tuple[int, int], ...]
 
 
 class Place(NamedTuple):
-    """A place: ``tokens`` in the initial marking; ``capacity`` None means unlimited; ``position`` (x, y) in
-    the units of the drawing, y downwards."""
+    """A place: ``tokens`` in the initial marking; ``capacity`` None means unlimited; ``position``
+    (x, y) in the units of the drawing, y downwards."""
 
     name: str
     tokens: int = 0
@@ -34,9 +48,10 @@ class Place(NamedTuple):
 class Transition(NamedTuple):
     """A transition, immediate (``timed`` false) or exponential.
 
-    ``rate`` (1/s, > 0) counts for exponential ones only. ``weight`` (>= 0) and ``priority`` (a larger number
-    goes first) count for immediate ones only; weight 0 marks a *controllable* choice, which a policy must
-    make. ``servers`` is the number of servers of an exponential transition, None for infinitely many.
+    ``rate`` (1/s, > 0) counts for exponential ones only. ``weight`` (>= 0) and ``priority`` (a
+    larger number goes first) count for immediate ones only; weight 0 marks a *controllable* choice,
+    which a policy must make. ``servers`` is the number of servers of an exponential transition,
+    None for infinitely many.
     """
 
     name: str
@@ -48,9 +63,12 @@ class Transition(NamedTuple):
     position: Optional[Position] = None
 
 
+Node = TypeVar("Node", Place, Transition)
+
+
 class Arc(NamedTuple):
-    """An arc from a place to a transition or back, by name; an ``inhibitor`` arc goes from a place to a
-    transition, and forbids it while the place holds ``weight`` tokens or more."""
+    """An arc from a place to a transition or back, by name; an ``inhibitor`` arc goes from a place
+    to a transition, and forbids it while the place holds ``weight`` tokens or more."""
 
     source: str
     target: str
@@ -63,11 +81,12 @@ class Net:
 
     :param places: in the order that markings have.
     :param transitions: in file order.
-    :param arcs: in file order, which decides where the robots of a transition go. Parallel arcs add up
-        (of parallel inhibitor arcs the lowest weight counts).
+    :param arcs: in file order, which decides where the robots of a transition go. Parallel arcs add
+        up (of parallel inhibitor arcs the lowest weight counts).
     :param name: for messages and pictures.
-    :raises NetError: duplicate or empty names, arcs to nowhere or between two nodes of one kind, weights
-        below 1, negative counts, a marking above capacity, rates that are not positive numbers.
+    :raises NetError: duplicate or empty names, arcs to nowhere or between two nodes of one kind,
+        weights below 1, negative counts, a marking above capacity, rates that are not positive
+        numbers.
 
     >>> net = Net([Place("P1", 1), Place("P2")], [Transition("T1", timed=True)],
     ...           [Arc("P1", "T1"), Arc("T1", "P2")])
@@ -89,19 +108,23 @@ class Net:
         self.transitions: Tuple[Transition, ...] = tuple(transitions)
         self.arcs: Tuple[Arc, ...] = tuple(arcs)
         self.place_index: Mapping[str, int] = {p.name: i for i, p in enumerate(self.places)}
-        self.transition_index: Mapping[str, int] = {t.name: i for i, t in enumerate(self.transitions)}
+        self.transition_index: Mapping[str, int] = {
+            t.name: i for i, t in enumerate(self.transitions)
+        }
         self._check_nodes()
         self._index_arcs()
         self.initial_marking: Marking = tuple(p.tokens for p in self.places)
 
-    # -- building ---------------------------------------------------------------------------------------
+    # -- building ----------------------------------------------------------------------------------
 
     def _check_nodes(self) -> None:
         seen: Dict[str, str] = {}
         for kind, nodes in (("place", self.places), ("transition", self.transitions)):
             for node in nodes:
                 if not isinstance(node.name, str) or not node.name:
-                    raise NetError("a %s has no name" % kind, hint="give every place and transition a name")
+                    raise NetError(
+                        "a %s has no name" % kind, hint="give every place and transition a name"
+                    )
                 if node.name in seen:
                     raise NetError(
                         "the name is already taken by a %s" % seen[node.name],
@@ -121,9 +144,13 @@ class Net:
         for arc in self.arcs:
             if not isinstance(arc.weight, int) or isinstance(arc.weight, bool) or arc.weight < 1:
                 raise NetError(
-                    "weight %r is not a whole number of at least 1" % (arc.weight,), element=_arc_name(arc)
+                    "weight %r is not a whole number of at least 1" % (arc.weight,),
+                    element=_arc_name(arc),
                 )
-            place, transition = self.place_index.get(arc.source), self.transition_index.get(arc.target)
+            place, transition = (
+                self.place_index.get(arc.source),
+                self.transition_index.get(arc.target),
+            )
             if place is not None and transition is not None:
                 if arc.inhibitor:
                     known = inhibitors[transition].get(place, arc.weight)
@@ -131,7 +158,10 @@ class Net:
                 else:
                     inputs[transition][place] = inputs[transition].get(place, 0) + arc.weight
                 continue
-            transition, place = self.transition_index.get(arc.source), self.place_index.get(arc.target)
+            transition, place = (
+                self.transition_index.get(arc.source),
+                self.place_index.get(arc.target),
+            )
             if place is not None and transition is not None and not arc.inhibitor:
                 outputs[transition][place] = outputs[transition].get(place, 0) + arc.weight
                 continue
@@ -177,31 +207,31 @@ class Net:
                     hint="an arc joins a place and a transition of the same net",
                 )
         if arc.inhibitor:
-            return NetError("an inhibitor arc goes from a place to a transition", element=_arc_name(arc))
+            return NetError(
+                "an inhibitor arc goes from a place to a transition", element=_arc_name(arc)
+            )
         kind = "places" if arc.source in self.place_index else "transitions"
         return NetError("it joins two %s" % kind, element=_arc_name(arc))
 
-    # -- the firing rule --------------------------------------------------------------------------------
+    # -- the firing rule ---------------------------------------------------------------------------
 
     def is_enabled(self, marking: Sequence[int], t: int) -> bool:
-        """Whether transition number ``t`` has concession in ``marking``: enough tokens on every input place,
-        fewer than the weight on every inhibitor place, room in every output place with a capacity.
-        Priorities are not looked at here, see :meth:`enabled`."""
+        """Whether transition number ``t`` has concession in ``marking``: enough tokens on every
+        input place, fewer than the weight on every inhibitor place, room in every output place with
+        a capacity. Priorities are not looked at here, see :meth:`enabled`."""
         for p, weight in self.inputs[t]:
             if marking[p] < weight:
                 return False
         for p, weight in self.inhibitors[t]:
             if marking[p] >= weight:
                 return False
-        for p, change, capacity in self._capacities[t]:
-            if marking[p] + change > capacity:
-                return False
-        return True
+        return all(marking[p] + change <= capacity for p, change, capacity in self._capacities[t])
 
     def fire(self, marking: Sequence[int], t: int) -> Marking:
         """The marking after transition number ``t`` fired.
 
-        :raises NotEnabledError: when ``marking`` does not enable it; the message says which place is why.
+        :raises NotEnabledError: when ``marking`` does not enable it; the message says which place
+            is why.
         """
         if not self.is_enabled(marking, t):
             raise NotEnabledError(
@@ -215,7 +245,8 @@ class Net:
 
     def enabled(self, marking: Sequence[int], *, by_priority: bool = True) -> Tuple[int, ...]:
         """Numbers of the enabled transitions. With ``by_priority`` immediate transitions go before
-        exponential ones, and of the immediate ones only those of the highest priority are enabled."""
+        exponential ones, and of the immediate ones only those of the highest priority are
+        enabled."""
         found = tuple(t for t in range(len(self.transitions)) if self.is_enabled(marking, t))
         if not by_priority:
             return found
@@ -226,15 +257,15 @@ class Net:
         return tuple(t for t in immediate if self.transitions[t].priority == top)
 
     def enabling_degree(self, marking: Sequence[int], t: int) -> int:
-        """How many times transition ``t`` could fire at once in ``marking``: what an infinite server works
-        on. A transition without input places has degree 1 when it is enabled."""
+        """How many times transition ``t`` could fire at once in ``marking``: what an infinite
+        server works on. A transition without input places has degree 1 when it is enabled."""
         if not self.is_enabled(marking, t):
             return 0
         return min((marking[p] // weight for p, weight in self.inputs[t]), default=1)
 
     def effective_rate(self, marking: Sequence[int], t: int) -> float:
-        """Rate (1/s) at which the exponential transition ``t`` fires in ``marking``: its rate times the
-        number of its servers that have work."""
+        """Rate (1/s) at which the exponential transition ``t`` fires in ``marking``: its rate times
+        the number of its servers that have work."""
         transition = self.transitions[t]
         degree = self.enabling_degree(marking, t)
         if transition.servers is not None:
@@ -249,17 +280,21 @@ class Net:
                 reasons.append("%s has %d of %d tokens" % (self.places[p].name, marking[p], weight))
         for p, weight in self.inhibitors[t]:
             if marking[p] >= weight:
-                reasons.append("%s holds %d and inhibits from %d on" % (self.places[p].name, marking[p], weight))
+                reasons.append(
+                    "%s holds %d and inhibits from %d on"
+                    % (self.places[p].name, marking[p], weight)
+                )
         for p, change, capacity in self._capacities[t]:
             if marking[p] + change > capacity:
                 reasons.append("%s is full (capacity %d)" % (self.places[p].name, capacity))
         return reasons
 
     def effect(self, t: int) -> WeightedPlaces:
-        """Pairs (place index, change of its count) of firing ``t``; places that keep their count are left out."""
+        """Pairs (place index, change of its count) of firing ``t``; places that keep their count
+        are left out."""
         return self._effects[t]
 
-    # -- look-up ----------------------------------------------------------------------------------------
+    # -- look-up -----------------------------------------------------------------------------------
 
     def place(self, name: str) -> Place:
         """The place of that name. :raises NetError: there is none."""
@@ -278,11 +313,14 @@ class Net:
         return _number(self.transition_index, name, "transition")
 
     def marking(self, counts: Mapping[str, int]) -> Marking:
-        """The marking with these counts, zero elsewhere. :raises NetError: unknown place, negative count."""
+        """The marking with these counts, zero elsewhere. :raises NetError: unknown place, negative
+        count."""
         marking = [0] * len(self.places)
         for name, count in counts.items():
             if not isinstance(count, int) or count < 0:
-                raise NetError("%r is not a number of tokens" % (count,), element="place '%s'" % name)
+                raise NetError(
+                    "%r is not a number of tokens" % (count,), element="place '%s'" % name
+                )
             marking[self.place_number(name)] = count
         return tuple(marking)
 
@@ -290,21 +328,21 @@ class Net:
         """The marking as place name -> count; without the empty places unless ``zeros``."""
         return {p.name: n for p, n in zip(self.places, marking) if n or zeros}
 
-    # -- edits: each gives a new net --------------------------------------------------------------------
+    # -- edits: each gives a new net ---------------------------------------------------------------
 
-    def with_place(self, place: Place) -> "Net":
+    def with_place(self, place: Place) -> Net:
         """The net with one more place (or with the place of that name replaced)."""
         return Net(_put(self.places, place), self.transitions, self.arcs, self.name)
 
-    def with_transition(self, transition: Transition) -> "Net":
+    def with_transition(self, transition: Transition) -> Net:
         """The net with one more transition (or with the transition of that name replaced)."""
         return Net(self.places, _put(self.transitions, transition), self.arcs, self.name)
 
-    def with_arc(self, arc: Arc) -> "Net":
+    def with_arc(self, arc: Arc) -> Net:
         """The net with one more arc."""
         return Net(self.places, self.transitions, self.arcs + (arc,), self.name)
 
-    def with_marking(self, marking: Union[Marking, Mapping[str, int]]) -> "Net":
+    def with_marking(self, marking: Union[Marking, Mapping[str, int]]) -> Net:
         """The net with another initial marking (a tuple in place order, or place name -> count)."""
         counts = self.marking(marking) if isinstance(marking, Mapping) else tuple(marking)
         if len(counts) != len(self.places):
@@ -312,33 +350,44 @@ class Net:
         places = [p._replace(tokens=n) for p, n in zip(self.places, counts)]
         return Net(places, self.transitions, self.arcs, self.name)
 
-    def without_place(self, name: str) -> "Net":
+    def without_place(self, name: str) -> Net:
         """The net without a place and its arcs ("delete place", thesis 4.3.5)."""
         self.place_number(name)
         return self.without_places([name])
 
-    def without_places(self, names: Iterable[str]) -> "Net":
+    def without_places(self, names: Iterable[str]) -> Net:
         """The net without these places and their arcs."""
         gone = set(names)
         for name in gone:
             self.place_number(name)
-        return Net([p for p in self.places if p.name not in gone], self.transitions,
-                   [a for a in self.arcs if a.source not in gone and a.target not in gone], self.name)
+        return Net(
+            [p for p in self.places if p.name not in gone],
+            self.transitions,
+            [a for a in self.arcs if a.source not in gone and a.target not in gone],
+            self.name,
+        )
 
-    def without_transition(self, name: str) -> "Net":
+    def without_transition(self, name: str) -> Net:
         """The net without a transition and its arcs ("delete transition", thesis 4.3.5)."""
         self.transition_number(name)
-        return Net(self.places, [t for t in self.transitions if t.name != name],
-                   [a for a in self.arcs if name not in (a.source, a.target)], self.name)
+        return Net(
+            self.places,
+            [t for t in self.transitions if t.name != name],
+            [a for a in self.arcs if name not in (a.source, a.target)],
+            self.name,
+        )
 
-    def without_arc(self, source: str, target: str, *, inhibitor: bool = False) -> "Net":
-        """The net without the arcs from ``source`` to ``target``. :raises NetError: there is none."""
-        kept = [a for a in self.arcs if (a.source, a.target, a.inhibitor) != (source, target, inhibitor)]
+    def without_arc(self, source: str, target: str, *, inhibitor: bool = False) -> Net:
+        """The net without the arcs from ``source`` to ``target``. :raises NetError: there is
+        none."""
+        kept = [
+            a for a in self.arcs if (a.source, a.target, a.inhibitor) != (source, target, inhibitor)
+        ]
         if len(kept) == len(self.arcs):
             raise NetError("there is no arc from '%s' to '%s'" % (source, target))
         return Net(self.places, self.transitions, kept, self.name)
 
-    # -- values -----------------------------------------------------------------------------------------
+    # -- values ------------------------------------------------------------------------------------
 
     def _key(self) -> Tuple[object, ...]:
         return self.name, self.places, self.transitions, self.arcs
@@ -351,10 +400,14 @@ class Net:
 
     def __repr__(self) -> str:
         return "<Net %s: %d places, %d transitions, %d arcs>" % (
-            self.name or "without a name", len(self.places), len(self.transitions), len(self.arcs))
+            self.name or "without a name",
+            len(self.places),
+            len(self.transitions),
+            len(self.arcs),
+        )
 
 
-def _put(nodes: Tuple, node: Union[Place, Transition]) -> List:
+def _put(nodes: Sequence[Node], node: Node) -> List[Node]:
     """``nodes`` with ``node`` in the place of the one of its name, or at the end."""
     if any(n.name == node.name for n in nodes):
         return [node if n.name == node.name else n for n in nodes]
@@ -369,22 +422,33 @@ def _number(index: Mapping[str, int], name: str, kind: str) -> int:
 
 
 def _arc_name(arc: Arc) -> str:
-    return "%s from '%s' to '%s'" % ("inhibitor arc" if arc.inhibitor else "arc", arc.source, arc.target)
+    return "%s from '%s' to '%s'" % (
+        "inhibitor arc" if arc.inhibitor else "arc",
+        arc.source,
+        arc.target,
+    )
 
 
 def _check_place(place: Place) -> None:
     element = "place '%s'" % place.name
     if not isinstance(place.tokens, int) or place.tokens < 0:
-        raise NetError("its initial marking %r is not a whole number of at least 0" % (place.tokens,),
-                       element=element)
+        raise NetError(
+            "its initial marking %r is not a whole number of at least 0" % (place.tokens,),
+            element=element,
+        )
     if place.capacity is None:
         return
     if not isinstance(place.capacity, int) or place.capacity < 1:
-        raise NetError("its capacity %r is not a whole number of at least 1" % (place.capacity,),
-                       element=element, hint="leave the capacity out for an unlimited place")
+        raise NetError(
+            "its capacity %r is not a whole number of at least 1" % (place.capacity,),
+            element=element,
+            hint="leave the capacity out for an unlimited place",
+        )
     if place.tokens > place.capacity:
-        raise NetError("its initial marking %d is above its capacity %d" % (place.tokens, place.capacity),
-                       element=element)
+        raise NetError(
+            "its initial marking %d is above its capacity %d" % (place.tokens, place.capacity),
+            element=element,
+        )
 
 
 def _check_transition(transition: Transition) -> None:
@@ -392,10 +456,19 @@ def _check_transition(transition: Transition) -> None:
     if transition.timed and not (math.isfinite(transition.rate) and transition.rate > 0):
         raise NetError("its rate %r is not a number above 0" % (transition.rate,), element=element)
     if not transition.timed and not (math.isfinite(transition.weight) and transition.weight >= 0):
-        raise NetError("its weight %r is not a number of at least 0" % (transition.weight,), element=element)
+        raise NetError(
+            "its weight %r is not a number of at least 0" % (transition.weight,), element=element
+        )
     if not isinstance(transition.priority, int) or transition.priority < 0:
-        raise NetError("its priority %r is not a whole number of at least 0" % (transition.priority,),
-                       element=element)
-    if transition.servers is not None and (not isinstance(transition.servers, int) or transition.servers < 1):
-        raise NetError("its number of servers %r is not a whole number of at least 1" % (transition.servers,),
-                       element=element, hint="None stands for infinitely many")
+        raise NetError(
+            "its priority %r is not a whole number of at least 0" % (transition.priority,),
+            element=element,
+        )
+    if transition.servers is not None and (
+        not isinstance(transition.servers, int) or transition.servers < 1
+    ):
+        raise NetError(
+            "its number of servers %r is not a whole number of at least 1" % (transition.servers,),
+            element=element,
+            hint="None stands for infinitely many",
+        )

@@ -1,7 +1,7 @@
 """Plans: a net, a policy and a map from places to actions, with everything a run needs to know.
 
-A plan is read by ``formats.plan_file`` (or ``formats.thesis_input``) and checked by ``analysis.preflight``.
-What its parts mean when it runs is written down in ``docs/semantics.md``.
+A plan is read by ``formats.plan_file`` (or ``formats.thesis_input``) and checked by
+``analysis.preflight``. What its parts mean when it runs is written down in ``docs/semantics.md``.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ class Synchronisation(enum.Enum):
 
 
 class Outcome(enum.Enum):
-    """The ways in which an action of any type can end, by the names that ``outcomes`` uses in a plan."""
+    """The ways in which an action of any type can end, by the names that ``outcomes`` uses in a
+    plan."""
 
     SUCCEEDED = "succeeded"
     ABORTED = "aborted"
@@ -36,19 +37,21 @@ class Outcome(enum.Enum):
 
 
 class FunctionAction(NamedTuple):
-    """An action that is a Python function or class of the plan's folder, ``module.function``; in ROS it is
-    served as an ExecGSPN action server of the name ``server``."""
+    """An action that is a Python function or class of the plan's folder, ``module.function``; in
+    ROS it is served as an ExecGSPN action server of the name ``server``."""
 
     function: str
     server: str
 
 
 class ServerAction(NamedTuple):
-    """An action server that exists already, ``server``, of the action type ``type`` (package/NameAction).
+    """An action server that exists already, ``server``, of the action type ``type``
+    (package/NameAction).
 
-    An ``ExecGSPNAction`` names its transition itself. For any other type ``goal`` holds the goal's fields
-    (nested maps), and ``outcomes`` says which transition each :class:`Outcome` stands for; "" lets the policy
-    decide, and an outcome that is not listed is a failure (but success, not listed, lets the policy decide).
+    An ``ExecGSPNAction`` names its transition itself. For any other type ``goal`` holds the goal's
+    fields (nested maps), and ``outcomes`` says which transition each :class:`Outcome` stands for;
+    "" lets the policy decide, and an outcome that is not listed is a failure (but success, not
+    listed, lets the policy decide).
     """
 
     type: str
@@ -75,7 +78,8 @@ class FailureKind(enum.Enum):
 
 
 class FailureRule(NamedTuple):
-    """A failure rule of one place: ``times`` and ``delay`` (seconds) count for RETRY, ``transition`` for FIRE."""
+    """A failure rule of one place: ``times`` and ``delay`` (seconds) count for RETRY,
+    ``transition`` for FIRE."""
 
     kind: FailureKind = FailureKind.WAIT
     times: int = 0
@@ -102,8 +106,8 @@ class LostRule(NamedTuple):
 
 
 class RobotSpec(NamedTuple):
-    """A robot of the plan: its ``name``, its initial ``place`` and the places where it acts otherwise than the
-    team does (``actions``, a team of different robots)."""
+    """A robot of the plan: its ``name``, its initial ``place`` and the places where it acts
+    otherwise than the team does (``actions``, a team of different robots)."""
 
     name: str
     place: str
@@ -111,8 +115,9 @@ class RobotSpec(NamedTuple):
 
 
 class Timing(NamedTuple):
-    """Times of the agreement, in seconds. A robot that nobody heard for ``evict_after`` is proposed for
-    eviction (0: never); one without contact to a quorum for ``fence_after`` stops itself (0: never)."""
+    """Times of the agreement, in seconds. A robot that nobody heard for ``evict_after`` is proposed
+    for eviction (0: never); one without contact to a quorum for ``fence_after`` stops itself (0:
+    never)."""
 
     evict_after: float = 10.0
     fence_after: float = 0.0
@@ -120,7 +125,8 @@ class Timing(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """A plan. Every field has been checked against the net by whoever made it: see :meth:`validate`."""
+    """A plan. Every field has been checked against the net by whoever made it: see
+    :meth:`validate`."""
 
     net: Net
     name: str = "plan"
@@ -146,7 +152,7 @@ class Plan:
     file: Optional[str] = None
     notes: Tuple[str, ...] = ()
 
-    # -- derived ----------------------------------------------------------------------------------------
+    # -- derived -----------------------------------------------------------------------------------
 
     @property
     def action_places(self) -> Tuple[str, ...]:
@@ -161,7 +167,8 @@ class Plan:
         return self.actions.get(place)
 
     def failure_rule(self, place: str) -> FailureRule:
-        """The failure rule of a place; ``'*'`` in the plan stands for every place without one of its own."""
+        """The failure rule of a place; ``'*'`` in the plan stands for every place without one of
+        its own."""
         return self.on_failure.get(place) or self.on_failure.get("*") or FailureRule()
 
     def timeout(self, place: str) -> Optional[float]:
@@ -169,37 +176,50 @@ class Plan:
         return self.timeouts.get(place, self.timeouts.get("*"))
 
     def hash(self) -> str:
-        """Hex digest of everything that decides how a run goes: replicas that differ in it must not meet."""
+        """Hex digest of everything that decides how a run goes: replicas that differ in it must not
+        meet."""
         text = json.dumps(self._essence(), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
     def _essence(self) -> Dict[str, Any]:
         return {
             "places": [[p.name, p.capacity] for p in self.net.places],
-            "resources": [[p.name, p.tokens] for p in self.net.places if p.name in self.resource_places],
-            "transitions": [[t.name, t.timed, t.rate, t.weight, t.priority, t.servers]
-                            for t in self.net.transitions],
+            "resources": [
+                [p.name, p.tokens] for p in self.net.places if p.name in self.resource_places
+            ],
+            "transitions": [
+                [t.name, t.timed, t.rate, t.weight, t.priority, t.servers]
+                for t in self.net.transitions
+            ],
             "arcs": [list(a) for a in self.net.arcs],
-            "policy": [list(self.policy.places), [[list(r.counts), list(map(list, r.choices))]
-                                                  for r in self.policy.rows]],
+            "policy": [
+                list(self.policy.places),
+                [[list(r.counts), list(map(list, r.choices))] for r in self.policy.rows],
+            ],
             "idle": sorted(p for p in self.action_places if self.actions.get(p) is None),
-            "idle_per_robot": {r.name: {p: a is None for p, a in sorted(r.actions.items())}
-                               for r in self.robots if r.actions},
+            "idle_per_robot": {
+                r.name: {p: a is None for p, a in sorted(r.actions.items())}
+                for r in self.robots
+                if r.actions
+            },
             "resource_places": sorted(self.resource_places),
             "synchronisation": self.synchronisation.value,
             "seed": self.seed,
             "strict": self.strict,
-            "on_failure": {p: [r.kind.value, r.times, r.delay, r.transition] for p, r in self.on_failure.items()},
+            "on_failure": {
+                p: [r.kind.value, r.times, r.delay, r.transition]
+                for p, r in self.on_failure.items()
+            },
             "routing": {t: dict(r) for t, r in self.routing.items()},
             "on_lost": [self.on_lost.kind.value, self.on_lost.transition],
             "on_evict": {p: dict(r) for p, r in self.on_evict.items()},
             "until": self.until,
         }
 
-    def for_robots(self, number: int) -> "Plan":
-        """The plan for a team of ``number`` robots: its first ones, or more, which start at the entries of
-        ``spawn``, cyclically (the places of the plan's own robots where there is no ``spawn``). Robots added are
-        named robot_k. The initial marking follows.
+    def for_robots(self, number: int) -> Plan:
+        """The plan for a team of ``number`` robots: its first ones, or more, which start at the
+        entries of ``spawn``, cyclically (the places of the plan's own robots where there is no
+        ``spawn``). Robots added are named robot_k. The initial marking follows.
 
         :raises PlanError: ``number`` below 1, or nowhere to start.
         """
@@ -212,33 +232,41 @@ class Plan:
         while len(robots) < number:
             k += 1
             if not cycle:
-                raise PlanError("the plan has no robots and no 'spawn' places to start more", file=self.file)
+                raise PlanError(
+                    "the plan has no robots and no 'spawn' places to start more", file=self.file
+                )
             name = "robot_%d" % k
             if name not in taken:
                 robots.append(RobotSpec(name, cycle[len(robots) % len(cycle)]))
                 taken.add(name)
         return self.with_robots(robots)
 
-    def with_robots(self, robots: List[RobotSpec]) -> "Plan":
-        """The plan with these robots; the marking of the action places follows from their places."""
+    def with_robots(self, robots: List[RobotSpec]) -> Plan:
+        """The plan with these robots; the marking of the action places follows from their
+        places."""
         counts = {p.name: p.tokens for p in self.net.places if p.name in self.resource_places}
         for robot in robots:
             counts[robot.place] = counts.get(robot.place, 0) + 1
         return replace(self, robots=tuple(robots), net=self.net.with_marking(counts))
 
-    # -- checking ---------------------------------------------------------------------------------------
+    # -- checking ----------------------------------------------------------------------------------
 
-    def validate(self) -> "Plan":
+    def validate(self) -> Plan:
         """The plan itself, if every name in it exists where it should.
 
-        :raises PlanError: unknown places or transitions, a rule that names a transition it cannot fire, two
-            robots of one name, robots in resource places.
+        :raises PlanError: unknown places or transitions, a rule that names a transition it cannot
+            fire, two robots of one name, robots in resource places.
         :raises PolicyError: see :class:`~gspn_framework_package.model.policy.PolicyTable`.
         """
         self.policy.bind(self.net)
-        for what, places in (("actions", self.actions), ("resource_places", self.resource_places),
-                             ("on_failure", self.on_failure), ("timeout", self.timeouts),
-                             ("on_evict", self.on_evict), ("spawn", self.spawn)):
+        for what, places in (
+            ("actions", self.actions),
+            ("resource_places", self.resource_places),
+            ("on_failure", self.on_failure),
+            ("timeout", self.timeouts),
+            ("on_evict", self.on_evict),
+            ("spawn", self.spawn),
+        ):
             for place in places:
                 if place != "*" or what not in ("on_failure", "timeout"):
                     self._known_place(place, what)
@@ -246,15 +274,22 @@ class Plan:
             if rule.kind is FailureKind.FIRE:
                 self._known_transition(rule.transition, "on_failure of '%s'" % place)
                 if place != "*" and rule.transition not in self._leaving(place):
-                    raise PlanError("'%s' does not leave that place" % rule.transition, file=self.file,
-                                    element="on_failure of '%s'" % place)
+                    raise PlanError(
+                        "'%s' does not leave that place" % rule.transition,
+                        file=self.file,
+                        element="on_failure of '%s'" % place,
+                    )
         if self.on_lost.kind is LostKind.FIRE:
             self._known_transition(self.on_lost.transition, "on_lost")
-        for place, returned in self.on_evict.items():
+        for returned in self.on_evict.values():
             for resource in returned:
                 self._known_place(resource, "on_evict")
                 if resource not in self.resource_places:
-                    raise PlanError("'%s' is not a resource place" % resource, file=self.file, element="on_evict")
+                    raise PlanError(
+                        "'%s' is not a resource place" % resource,
+                        file=self.file,
+                        element="on_evict",
+                    )
         self._validate_routing()
         self._validate_robots()
         return self
@@ -267,25 +302,39 @@ class Plan:
             targets = {self.net.places[p].name for p, _ in self.net.outputs[t]}
             for source, target in routes.items():
                 if source not in sources or target not in targets:
-                    raise PlanError("'%s' does not lead from '%s' to '%s'" % (transition, source, target),
-                                    file=self.file, element="routing")
+                    raise PlanError(
+                        "'%s' does not lead from '%s' to '%s'" % (transition, source, target),
+                        file=self.file,
+                        element="routing",
+                    )
 
     def _validate_robots(self) -> None:
         names = set()
         for robot in self.robots:
             if robot.name in names or not robot.name:
-                raise PlanError("two robots are named '%s'" % robot.name if robot.name else "a robot has no name",
-                                file=self.file, element="robots")
+                raise PlanError(
+                    "two robots are named '%s'" % robot.name
+                    if robot.name
+                    else "a robot has no name",
+                    file=self.file,
+                    element="robots",
+                )
             names.add(robot.name)
             for place in (robot.place,) + tuple(robot.actions):
                 self._known_place(place, "robot '%s'" % robot.name)
                 if place in self.resource_places:
-                    raise PlanError("'%s' is a resource place; a robot cannot be there" % place, file=self.file,
-                                    element="robot '%s'" % robot.name)
+                    raise PlanError(
+                        "'%s' is a resource place; a robot cannot be there" % place,
+                        file=self.file,
+                        element="robot '%s'" % robot.name,
+                    )
         for place in self.spawn:
             if place in self.resource_places:
-                raise PlanError("'%s' is a resource place; a robot cannot start there" % place, file=self.file,
-                                element="spawn")
+                raise PlanError(
+                    "'%s' is a resource place; a robot cannot start there" % place,
+                    file=self.file,
+                    element="spawn",
+                )
 
     def _leaving(self, place: str) -> List[str]:
         p = self.net.place_number(place)
@@ -297,4 +346,6 @@ class Plan:
 
     def _known_transition(self, transition: str, element: str) -> None:
         if transition not in self.net.transition_index:
-            raise PlanError("the net has no transition '%s'" % transition, file=self.file, element=element)
+            raise PlanError(
+                "the net has no transition '%s'" % transition, file=self.file, element=element
+            )

@@ -1,8 +1,9 @@
 """Policies: from a marking to a distribution over immediate transitions (thesis 2.3, Definition 2).
 
-A :class:`Policy` is the table as written. :class:`PolicyTable` is the table made ready for one net: rows are kept
-for each place they speak of (the "shortcut" of thesis 7.2.1), grouped by which cells are wildcards, so that a
-look-up costs one dictionary access for each such group, and the same for ten rows and for a million.
+A :class:`Policy` is the table as written. :class:`PolicyTable` is the table made ready for one net:
+rows are kept for each place they speak of (the "shortcut" of thesis 7.2.1), grouped by which cells
+are wildcards, so that a look-up costs one dictionary access for each such group, and the same for
+ten rows and for a million.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ from gspn_framework_package.model.errors import PolicyError
 from gspn_framework_package.model.net import Net
 
 SUM_TOLERANCE = 1e-6
-"""How far the probabilities of a row may be from summing to 1 (they are written by hand, often as 0.33)."""
+"""How far the probabilities of a row may be from summing to 1 (they are written by hand, often as
+0.33)."""
 
 
 class PolicyRow(NamedTuple):
-    """``counts``: tokens per place of the policy's tuple, None matches any count; ``choices``: pairs
-    (transition, probability)."""
+    """``counts``: tokens per place of the policy's tuple, None matches any count; ``choices``:
+    pairs (transition, probability)."""
 
     counts: Tuple[Optional[int], ...]
     choices: Tuple[Tuple[str, float], ...]
@@ -31,23 +33,31 @@ class Policy:
 
     :param places: the places that the cells of a row stand for; places left out may hold any count.
     :param rows: in file order.
-    :raises PolicyError: a row of the wrong length, a count that is not a number of tokens, probabilities that
-        are negative or do not sum to 1, a row without a choice.
+    :raises PolicyError: a row of the wrong length, a count that is not a number of tokens,
+        probabilities that are negative or do not sum to 1, a row without a choice.
     """
 
     def __init__(self, places: Sequence[str] = (), rows: Iterable[PolicyRow] = ()) -> None:
         self.places: Tuple[str, ...] = tuple(places)
         self.rows: Tuple[PolicyRow, ...] = tuple(rows)
-        doubles = {p for p in self.places if self.places.count(p) > 1} if len(self.places) < 10_000 else set()
+        doubles = (
+            {p for p in self.places if self.places.count(p) > 1}
+            if len(self.places) < 10_000
+            else set()
+        )
         if doubles:
-            raise PolicyError("the place '%s' stands twice in the tuple of places" % sorted(doubles)[0])
+            raise PolicyError(
+                "the place '%s' stands twice in the tuple of places" % sorted(doubles)[0]
+            )
         for number, row in enumerate(self.rows, 1):
             self._check_row(number, row)
 
     @classmethod
-    def from_table(cls, places: Sequence[str], table: Iterable[Tuple[Sequence[object], Mapping[str, object]]]
-                   ) -> "Policy":
-        """A policy from cells as people write them: numbers, numeric strings, ``'-'`` for any count.
+    def from_table(
+        cls, places: Sequence[str], table: Iterable[Tuple[Sequence[object], Mapping[str, object]]]
+    ) -> Policy:
+        """A policy from cells as people write them: numbers, numeric strings, ``'-'`` for any
+        count.
 
         :raises PolicyError: see :class:`Policy`; also a cell or probability that cannot be read.
         """
@@ -57,28 +67,39 @@ class Policy:
             if isinstance(cells, (str, int)):
                 cells = (cells,)
             if not isinstance(choices, Mapping):
-                raise PolicyError("%r is not a map from transition to probability" % (choices,), element=element)
-            rows.append(PolicyRow(tuple(_cell(c, element) for c in cells),
-                                  tuple((str(t), _probability(p, element)) for t, p in choices.items())))
+                raise PolicyError(
+                    "%r is not a map from transition to probability" % (choices,), element=element
+                )
+            rows.append(
+                PolicyRow(
+                    tuple(_cell(c, element) for c in cells),
+                    tuple((str(t), _probability(p, element)) for t, p in choices.items()),
+                )
+            )
         return cls(places, rows)
 
     def _check_row(self, number: int, row: PolicyRow) -> None:
         element = "policy row %d" % number
         if len(row.counts) != len(self.places):
-            raise PolicyError("%d cells for %d places" % (len(row.counts), len(self.places)), element=element,
-                              hint="the tuple of places is (%s)" % ", ".join(self.places[:12]))
+            raise PolicyError(
+                "%d cells for %d places" % (len(row.counts), len(self.places)),
+                element=element,
+                hint="the tuple of places is (%s)" % ", ".join(self.places[:12]),
+            )
         if not row.choices:
             raise PolicyError("it chooses nothing", element=element)
         total = 0.0
         for transition, probability in row.choices:
             if not 0 <= probability <= 1:
-                raise PolicyError("probability %g of '%s' is not between 0 and 1" % (probability, transition),
-                                  element=element)
+                raise PolicyError(
+                    "probability %g of '%s' is not between 0 and 1" % (probability, transition),
+                    element=element,
+                )
             total += probability
         if abs(total - 1) > SUM_TOLERANCE:
             raise PolicyError("the probabilities sum to %g, not to 1" % total, element=element)
 
-    def bind(self, net: Net) -> "PolicyTable":
+    def bind(self, net: Net) -> PolicyTable:
         """The policy made ready for ``net``. :raises PolicyError: unknown or exponential names."""
         return PolicyTable(self, net)
 
@@ -93,31 +114,36 @@ class Policy:
 
 
 class Distribution(NamedTuple):
-    """What a policy says to a robot: ``row`` (its number from 0) and pairs (transition index, probability),
-    renormalised over the transitions that leave the robot's place."""
+    """What a policy says to a robot: ``row`` (its number from 0) and pairs (transition index,
+    probability), renormalised over the transitions that leave the robot's place."""
 
     row: int
     choices: Tuple[Tuple[int, float], ...]
 
 
 Overlap = Tuple[int, int, int]
-"""Rows (first, second; numbers from 0) of one precedence that match one marking and speak of one place."""
+"""Rows (first, second; numbers from 0) of one precedence that match one marking and speak of one
+place."""
 
 
 class PolicyTable:
     """A policy indexed for look-up in one net.
 
-    Precedence among the rows that match and speak of the robot's place: fewer wildcards first, then file order.
+    Precedence among the rows that match and speak of the robot's place: fewer wildcards first, then
+    file order.
 
-    :raises PolicyError: a place or transition that the net does not have; an exponential transition.
+    :raises PolicyError: a place or transition that the net does not have; an exponential
+        transition.
     """
 
     def __init__(self, policy: Policy, net: Net) -> None:
         self.policy = policy
         self.net = net
-        for place in policy.places:
-            if place not in net.place_index:
-                raise PolicyError("the net has no place '%s'" % place, element="the policy's tuple of places")
+        for name in policy.places:
+            if name not in net.place_index:
+                raise PolicyError(
+                    "the net has no place '%s'" % name, element="the policy's tuple of places"
+                )
         columns = [net.place_index[p] for p in policy.places]
         self._restricted: Dict[Tuple[int, int], Distribution] = {}
         self._any = _RowIndex(columns)
@@ -138,17 +164,22 @@ class PolicyTable:
         for name, probability in row.choices:
             t = self.net.transition_index.get(name)
             if t is None:
-                raise PolicyError("the net has no transition '%s'" % name, element="policy row %d" % (number + 1))
+                raise PolicyError(
+                    "the net has no transition '%s'" % name, element="policy row %d" % (number + 1)
+                )
             if self.net.transitions[t].timed:
-                raise PolicyError("'%s' is an exponential transition; a policy chooses among immediate ones" % name,
-                                  element="policy row %d" % (number + 1))
+                raise PolicyError(
+                    "'%s' is an exponential transition; a policy chooses among immediate ones"
+                    % name,
+                    element="policy row %d" % (number + 1),
+                )
             if probability > 0:
                 places.update((p, None) for p, _ in self.net.inputs[t])
         return tuple(places)
 
     def distribution(self, marking: Sequence[int], place: int) -> Optional[Distribution]:
-        """What the policy says to a robot in ``place`` (an index) at ``marking``; None when no matching row
-        speaks of it."""
+        """What the policy says to a robot in ``place`` (an index) at ``marking``; None when no
+        matching row speaks of it."""
         index = self._by_place.get(place)
         number = index.find(marking) if index is not None else None
         if number is None:
@@ -183,6 +214,10 @@ class PolicyTable:
         return found
 
 
+Projection = Callable[[Sequence[int]], Tuple[int, ...]]
+KeyedRows = Dict[Tuple[int, ...], int]
+
+
 class _RowIndex:
     """Rows grouped by the set of cells that are not wildcards; a dictionary for each group."""
 
@@ -190,7 +225,7 @@ class _RowIndex:
         self._columns = columns
         self._groups: Dict[Tuple[int, ...], Dict[Tuple[int, ...], int]] = {}
         self._doubles: List[Tuple[int, int]] = []
-        self._levels: Optional[List[List[Tuple[Callable, Dict[Tuple[int, ...], int]]]]] = None
+        self._levels: Optional[List[List[Tuple[Projection, KeyedRows]]]] = None
 
     def add(self, number: int, row: PolicyRow) -> None:
         if None in row.counts:
@@ -217,25 +252,33 @@ class _RowIndex:
                 return best
         return None
 
-    def _sorted_levels(self) -> List[List[Tuple[Callable, Dict[Tuple[int, ...], int]]]]:
-        by_size: Dict[int, List] = {}
+    def _sorted_levels(self) -> List[List[Tuple[Projection, KeyedRows]]]:
+        by_size: Dict[int, List[Tuple[Projection, KeyedRows]]] = {}
         for cells, rows in self._groups.items():
-            by_size.setdefault(len(cells), []).append((_projection([self._columns[i] for i in cells]), rows))
+            by_size.setdefault(len(cells), []).append(
+                (_projection([self._columns[i] for i in cells]), rows)
+            )
         return [by_size[size] for size in sorted(by_size, reverse=True)]
 
     def overlaps(self, limit: int) -> List[Tuple[int, int]]:
         found = self._doubles[:limit]
         groups = list(self._groups.items())
         for i, (cells, rows) in enumerate(groups):
-            for other_cells, other_rows in groups[i + 1:]:
+            for other_cells, other_rows in groups[i + 1 :]:
                 if len(other_cells) == len(cells) and len(found) < limit:
                     found += _compatible(cells, rows, other_cells, other_rows, limit - len(found))
         return found[:limit]
 
 
-def _compatible(cells: Tuple[int, ...], rows: Dict, other_cells: Tuple[int, ...], other_rows: Dict, limit: int
-                ) -> List[Tuple[int, int]]:
-    """Pairs of rows of two groups that some marking matches both of: they agree on the cells they share."""
+def _compatible(
+    cells: Tuple[int, ...],
+    rows: KeyedRows,
+    other_cells: Tuple[int, ...],
+    other_rows: KeyedRows,
+    limit: int,
+) -> List[Tuple[int, int]]:
+    """Pairs of rows of two groups that some marking matches both of: they agree on the cells they
+    share."""
     shared = [c for c in cells if c in other_cells]
     mine, theirs = [cells.index(c) for c in shared], [other_cells.index(c) for c in shared]
     seen: Dict[Tuple[int, ...], List[int]] = {}
@@ -250,7 +293,7 @@ def _compatible(cells: Tuple[int, ...], rows: Dict, other_cells: Tuple[int, ...]
     return found
 
 
-def _projection(columns: Sequence[int]) -> Callable[[Sequence[int]], Tuple[int, ...]]:
+def _projection(columns: Sequence[int]) -> Projection:
     if not columns:
         return lambda marking: ()
     if len(columns) == 1:
@@ -270,8 +313,11 @@ def _cell(cell: object, element: str) -> Optional[int]:
         return cell
     elif isinstance(cell, float) and cell.is_integer() and cell >= 0:
         return int(cell)
-    raise PolicyError("%r is not a number of tokens" % (cell,), element=element,
-                      hint="write a whole number, or '-' for any")
+    raise PolicyError(
+        "%r is not a number of tokens" % (cell,),
+        element=element,
+        hint="write a whole number, or '-' for any",
+    )
 
 
 def _probability(value: object, element: str) -> float:

@@ -1,0 +1,35 @@
+"""The randomness of a run: a hash of the log position, so that every replica draws the same."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import List, Sequence, Tuple, TypeVar
+
+T = TypeVar("T")
+
+
+def uniform(seed: int, slot: int, index: int, who: str) -> float:
+    """A number in [0, 1): the first 53 bits of SHA-256 over seed, log slot, index in the slot, and
+    who draws."""
+    digest = hashlib.sha256(("%d|%d|%d|%s" % (seed, slot, index, who)).encode()).digest()
+    return (int.from_bytes(digest[:7], "big") >> 3) / (1 << 53)
+
+
+def choose(choices: Sequence[Tuple[T, float]], number: float) -> T:
+    """The choice that ``number`` in [0, 1) falls on; the weights (>= 0, one above 0) need not sum
+    to 1."""
+    target = number * sum(weight for _, weight in choices)
+    for choice, weight in choices:
+        target -= weight
+        if target < 0:
+            return choice
+    return [choice for choice, weight in choices if weight > 0][-1]
+
+
+def sample(items: Sequence[T], count: int, seed: int, slot: int, index: int, who: str) -> List[T]:
+    """``count`` of the items, drawn without replacement."""
+    left = list(items)
+    drawn = []
+    for k in range(count):
+        drawn.append(left.pop(int(uniform(seed, slot, index, "%s#%d" % (who, k)) * len(left))))
+    return drawn

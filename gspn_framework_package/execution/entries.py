@@ -1,0 +1,155 @@
+"""Entries of the event log: the outside facts from which a whole run follows.
+
+An entry is a value; ``to_json`` and ``from_json`` turn it into a JSON object and back. The field
+``visit`` grows by one at each move of a robot, so that a stale or repeated ``Done`` can be told and
+does nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, NamedTuple, Tuple, Type, Union
+
+from gspn_framework_package.model.errors import LogError
+
+
+class Start(NamedTuple):
+    """The run begins with this team: ``roster`` holds (robot, place, incarnation), ``witnesses``
+    vote but have no token."""
+
+    roster: Tuple[Tuple[str, str, int], ...]
+    seed: int
+    plan: str
+    witnesses: Tuple[str, ...] = ()
+
+
+class Done(NamedTuple):
+    """A robot finished the action of its visit. ``result``: a transition, or "" for "the policy
+    decides"."""
+
+    robot: str
+    incarnation: int
+    visit: int
+    result: str = ""
+
+
+class Failed(NamedTuple):
+    """An attempt at the action of a visit did not succeed; ``reason`` is one of
+    :data:`FAILURES`."""
+
+    robot: str
+    incarnation: int
+    visit: int
+    attempt: int
+    reason: str
+    detail: str = ""
+
+
+FAILURES = (
+    "aborted",
+    "rejected",
+    "preempted",
+    "lost",
+    "timeout",
+    "no server",
+    "server died",
+    "bad result",
+)
+
+
+class Retry(NamedTuple):
+    """The operator has the failed action of a robot tried again."""
+
+    robot: str
+
+
+class Fire(NamedTuple):
+    """The environment (or the operator in its name) fires a transition that moves no robot."""
+
+    transition: str
+
+
+class Join(NamedTuple):
+    """A robot joins, or comes back with a higher incarnation. ``place`` counts for one that was
+    never here; one that was lost or had left returns to its last place with the next visit; one
+    that only restarted keeps place and visit, and its action is started again as the next
+    attempt."""
+
+    robot: str
+    incarnation: int
+    place: str = ""
+
+
+class Leave(NamedTuple):
+    """A robot leaves the team of its own will, and takes its token along."""
+
+    robot: str
+
+
+class Evict(NamedTuple):
+    """A robot is taken to be lost; its token goes to the account of the lost."""
+
+    robot: str
+    incarnation: int
+
+
+class SetPlace(NamedTuple):
+    """The operator puts a robot into a place; its action there begins."""
+
+    robot: str
+    place: str
+
+
+class Pause(NamedTuple):
+    """Nothing fires (``robot`` "" means the team), or the robot joins no firing, until
+    ``Resume``."""
+
+    robot: str = ""
+
+
+class Resume(NamedTuple):
+    """Ends a ``Pause`` of the team ("") or of a robot."""
+
+    robot: str = ""
+
+
+class Stop(NamedTuple):
+    """The operator ends the run."""
+
+    reason: str = "stopped by the operator"
+
+
+Entry = Union[Start, Done, Failed, Retry, Fire, Join, Leave, Evict, SetPlace, Pause, Resume, Stop]
+
+_KINDS: Dict[str, Type[Any]] = {
+    "start": Start,
+    "done": Done,
+    "failed": Failed,
+    "retry": Retry,
+    "fire": Fire,
+    "join": Join,
+    "leave": Leave,
+    "evict": Evict,
+    "set_place": SetPlace,
+    "pause": Pause,
+    "resume": Resume,
+    "stop": Stop,
+}
+_NAMES = {kind: name for name, kind in _KINDS.items()}
+
+
+def to_json(entry: Entry) -> Dict[str, Any]:
+    """The entry as a JSON object: its kind under ``entry``, beside its fields."""
+    return {"entry": _NAMES[type(entry)], **entry._asdict()}
+
+
+def from_json(data: Dict[str, Any]) -> Entry:
+    """The entry of a JSON object. :raises LogError: not one."""
+    try:
+        kind = _KINDS[data["entry"]]
+        fields = {key: value for key, value in data.items() if key != "entry"}
+        if kind is Start:
+            fields["roster"] = tuple((str(r), str(p), int(i)) for r, p, i in fields["roster"])
+            fields["witnesses"] = tuple(fields.get("witnesses", ()))
+        return kind(**fields)
+    except (KeyError, TypeError, ValueError) as error:
+        raise LogError("not a log entry: %.200r (%s)" % (data, error)) from None

@@ -1,0 +1,200 @@
+"""What the log makes of a team: the marking, and for each robot its place, its visit and what it is
+up to.
+
+A :class:`TeamState` is changed only by the token game. It can be written as JSON and read back (a
+*snapshot*), which gives a state that goes on exactly as the first one would.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+
+from gspn_framework_package.model.errors import LogError
+from gspn_framework_package.model.net import Net
+
+POLICY = -1
+"""The request of a robot that lets the policy decide."""
+
+
+class Phase(enum.Enum):
+    """What a token with an identity is up to (thesis 4.1.2; Free and Void are moments, not
+    phases)."""
+
+    DOING = "doing"
+    """Its action runs."""
+    DONE = "done"
+    """Its action is over and it asks for a transition; it is *waiting* when that did not fire at
+    once."""
+    FAILED = "failed"
+    """Its action failed for good; the operator decides."""
+    INACTIVE = "inactive"
+    """It is in a place without output arcs, and has finished there."""
+    LOST = "lost"
+    """It was evicted; its token is in the account of the lost."""
+    LEFT = "left"
+    """It left the team of its own will."""
+
+
+GONE = (Phase.LOST, Phase.LEFT)
+
+
+class Draw(NamedTuple):
+    """A choice that a robot holds to: ``transition`` drawn at log position (``slot``, ``index``),
+    for the marking of that ``version``, among ``candidates``."""
+
+    version: int
+    candidates: Tuple[int, ...]
+    transition: int
+    slot: int
+    index: int  # type: ignore[assignment]  # hides tuple.index, which nobody needs
+
+
+@dataclass
+class RobotState:
+    """A robot (or agent) in a :class:`TeamState`; places and transitions are indices of the net."""
+
+    name: str
+    place: int
+    incarnation: int = 0
+    visit: int = 1
+    attempt: int = 1
+    phase: Phase = Phase.DOING
+    request: int = POLICY
+    """What a DONE robot asks for: a transition, or POLICY."""
+    order: int = 0
+    """Position of its ``Done`` among all: the one done first moves first."""
+    failures: int = 0
+    """Failed attempts since the last retry by the operator."""
+    paused: bool = False
+    drawn: Optional[Draw] = None
+    why: str = ""
+    """Why it failed, or why the policy gives it nothing to do."""
+
+
+@dataclass
+class TeamState:
+    """The state of a run after a prefix of its log.
+
+    ``waiting`` holds the robots that are DONE in the order of their ``Done``, ``done_in`` the same
+    for each place; both follow from ``robots``.
+    """
+
+    marking: Tuple[int, ...]
+    robots: Dict[str, RobotState] = field(default_factory=dict)
+    witnesses: Tuple[str, ...] = ()
+    seed: int = 0
+    next_slot: int = 0
+    version: int = 0
+    orders: int = 0
+    created: int = 0
+    paused: bool = False
+    ended: Optional[str] = None
+    waiting: Dict[str, None] = field(default_factory=dict)
+    done_in: Dict[int, Dict[str, None]] = field(default_factory=dict)
+
+    def members(self) -> List[str]:
+        """Who votes: the robots that are neither lost nor have left, and the witnesses."""
+        return [r.name for r in self.robots.values() if r.phase not in GONE] + list(self.witnesses)
+
+    def active(self) -> List[RobotState]:
+        """The robots whose tokens are in the net."""
+        return [r for r in self.robots.values() if r.phase not in GONE]
+
+    def add_waiting(self, robot: RobotState) -> None:
+        """Note that ``robot`` is DONE, after all that are."""
+        self.orders += 1
+        robot.order = self.orders
+        robot.phase = Phase.DONE
+        self._index(robot)
+
+    def remove_waiting(self, robot: RobotState) -> None:
+        """Forget that ``robot`` is DONE, if it was; whatever it held to is forgotten too."""
+        robot.drawn = None
+        if self.waiting.pop(robot.name, 0) is None:
+            names = self.done_in[robot.place]
+            del names[robot.name]
+            if not names:
+                del self.done_in[robot.place]
+
+    def _index(self, robot: RobotState) -> None:
+        self.waiting[robot.name] = None
+        self.done_in.setdefault(robot.place, {})[robot.name] = None
+
+    def set_marking(self, marking: Tuple[int, ...]) -> None:
+        """Take over a new marking; choices made for the old one no longer hold."""
+        if marking != self.marking:
+            self.marking = marking
+            self.version += 1
+
+    # -- snapshots ---------------------------------------------------------------------------------
+
+    def to_json(self, net: Net) -> Dict[str, Any]:
+        """The state as a JSON object, with names for indices."""
+        return {
+            "marking": net.named(self.marking, zeros=False),
+            "robots": [_robot_to_json(r, net) for r in self.robots.values()],
+            "witnesses": list(self.witnesses),
+            **{key: getattr(self, key) for key in _PLAIN},
+        }
+
+    @classmethod
+    def from_json(cls, data: Dict[str, Any], net: Net) -> TeamState:
+        """The state of a JSON object. :raises LogError: not one, or not of this net."""
+        try:
+            state = cls(
+                net.marking(data["marking"]),
+                witnesses=tuple(data["witnesses"]),
+                **{key: data[key] for key in _PLAIN},
+            )
+            for item in data["robots"]:
+                robot = _robot_from_json(item, net)
+                state.robots[robot.name] = robot
+            for robot in sorted(state.robots.values(), key=lambda r: r.order):
+                if robot.phase is Phase.DONE:
+                    state._index(robot)
+            return state
+        except (KeyError, TypeError, ValueError) as error:
+            raise LogError("not a snapshot of this plan (%s)" % error) from None
+
+
+_PLAIN = ("seed", "next_slot", "version", "orders", "created", "paused", "ended")
+_ROBOT_PLAIN = ("name", "incarnation", "visit", "attempt", "order", "failures", "paused", "why")
+
+
+def _robot_to_json(robot: RobotState, net: Net) -> Dict[str, Any]:
+    data: Dict[str, Any] = {key: getattr(robot, key) for key in _ROBOT_PLAIN}
+    data["place"] = net.places[robot.place].name
+    data["phase"] = robot.phase.value
+    data["request"] = "" if robot.request == POLICY else net.transitions[robot.request].name
+    if robot.drawn is not None:
+        drawn = robot.drawn
+        data["drawn"] = [
+            drawn.version,
+            [net.transitions[t].name for t in drawn.candidates],
+            net.transitions[drawn.transition].name,
+            drawn.slot,
+            drawn.index,
+        ]
+    return data
+
+
+def _robot_from_json(data: Dict[str, Any], net: Net) -> RobotState:
+    robot = RobotState(
+        place=net.place_number(data["place"]),
+        phase=Phase(data["phase"]),
+        **{key: data[key] for key in _ROBOT_PLAIN},
+    )
+    if data["request"]:
+        robot.request = net.transition_number(data["request"])
+    if "drawn" in data:
+        version, candidates, transition, slot, index = data["drawn"]
+        robot.drawn = Draw(
+            version,
+            tuple(net.transition_number(t) for t in candidates),
+            net.transition_number(transition),
+            slot,
+            index,
+        )
+    return robot
