@@ -1,0 +1,1 @@
+"""Analysis: structure, state space, Markov chains, simulation. Model in, result objects out; no ROS, no files."""

@@ -1,0 +1,100 @@
+"""What the exploration engines share: their result, progress and cancelling, growing arrays.
+
+An engine is a function ``explore(packed, limit, watch) -> RawGraph``. There are two: ``numpy_engine`` (always
+there) and ``numba_engine`` (where numba is installed).
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Callable, NamedTuple, Optional, Tuple
+
+import numpy as np
+
+from gspn_framework_package.model.errors import CancelledError
+
+Progress = Callable[[str, int, float], None]
+"""Called with what is counted (``"states"``), how many there are, and the seconds since the start."""
+
+Cancel = Callable[[], bool]
+"""Asked now and then; true stops the work with a CancelledError."""
+
+
+class RawGraph(NamedTuple):
+    """What an engine found: ``states`` (uint64, shape ``(n, words)``, the initial one first); the arcs of state
+    ``s`` at ``offsets[s]:offsets[s + 1]`` of ``targets`` (state numbers) and ``labels`` (transitions in engine
+    order); the successors of the first ``explored`` states are known, of all of them when the limit was not
+    met."""
+
+    states: Any
+    offsets: Any
+    targets: Any
+    labels: Any
+    explored: int
+
+
+class FieldOverflow(Exception):
+    """A count outgrew its field; ``bits`` are the guard bits that were hit, one int per word."""
+
+    def __init__(self, bits: Tuple[int, ...]) -> None:
+        super().__init__("a field of a packed marking is too narrow")
+        self.bits = bits
+
+
+class Watch:
+    """Tells progress at most every ``interval`` seconds, and stops the work when it is cancelled."""
+
+    def __init__(self, progress: Optional[Progress] = None, cancel: Optional[Cancel] = None,
+                 interval: float = 0.5) -> None:
+        self._progress = progress
+        self._cancel = cancel
+        self._interval = interval
+        self._start = time.monotonic()
+        self._last = self._start
+
+    def step(self, what: str, count: int) -> None:
+        """Say that ``count`` of ``what`` are done. :raises CancelledError: somebody said stop."""
+        if self._cancel is not None and self._cancel():
+            raise CancelledError("cancelled after %d %s" % (count, what))
+        if self._progress is not None:
+            now = time.monotonic()
+            if now - self._last >= self._interval:
+                self._last = now
+                self._progress(what, count, now - self._start)
+
+
+class Growing:
+    """An array that grows in place by its first axis; ``array[:used]`` is what counts."""
+
+    def __init__(self, dtype: Any, columns: int = 0, capacity: int = 1024) -> None:
+        self._columns = columns
+        self.array = np.empty((capacity, columns) if columns else capacity, dtype=dtype)
+        self.used = 0
+
+    def reserve(self, count: int) -> None:
+        """Have room for ``count`` rows in all."""
+        capacity = len(self.array)
+        if count > capacity:
+            capacity = max(count, capacity + (capacity >> 1))
+            self._resize(capacity)
+
+    def extend(self, rows: Any) -> None:
+        """Append ``rows``."""
+        self.reserve(self.used + len(rows))
+        self.array[self.used:self.used + len(rows)] = rows
+        self.used += len(rows)
+
+    def finished(self) -> Any:
+        """The array of the rows in use; the rest is given back."""
+        self._resize(self.used)
+        return self.array
+
+    def _resize(self, capacity: int) -> None:
+        # In place: the allocator moves pages instead of copying, so that there is never a second copy.
+        shape = (capacity, self._columns) if self._columns else (capacity,)
+        self.array.resize(shape, refcheck=False)
+
+
+def label_type(transitions: int) -> Any:
+    """The smallest integer type for transition numbers."""
+    return np.int16 if transitions < 2 ** 15 else np.int32
