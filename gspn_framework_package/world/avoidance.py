@@ -1,0 +1,211 @@
+"""The next velocity of one robot among walls and other robots: a dynamic window over directions and speeds.
+
+A robot that turns on the spot is a disc that can leave in any direction after a turn, so the window is taken over
+directions and speeds of the disc (as velocity obstacles do; Fiorini and Shiller 1998, van den Berg et al. 2008) and the
+chosen one is followed by turning first. Others are expected along the path that they announce; how far ahead they count
+depends on who has the right of way. A last check of the very command (`brake`) keeps two robots from ever touching, whatever
+was predicted: each stops before it could reach the other (passive safety, Fraichard and Asama 2004).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import List, Optional, Sequence, Tuple
+
+import numpy as np
+
+from gspn_framework_package.world.grid import Grid
+from gspn_framework_package.world.room import Point, Pose
+
+Rank = Tuple[float, ...]
+"""The right of way: of two robots the one with the smaller rank has it."""
+
+HORIZON = 3.0
+"""Seconds that a robot looks ahead for those who have the right of way ..."""
+
+SHORT_HORIZON = 1.0
+"""... and for those who have not: they will give way."""
+
+GAP = 0.03
+"""Metres that two robots keep between their discs."""
+
+_STEPS = np.linspace(0.2, HORIZON, 15)
+_OFFSETS = np.radians([0, 12, -12, 25, -25, 42, -42, 65, -65, 95, -95, 130, -130, 180])
+_TURN = 1.8  # radians per second that a turn on the spot takes on average
+
+
+@dataclass(frozen=True)
+class Peer:
+    """What a robot knows of another one: what it sees, and what the other announces.
+
+    :param name: of the other robot.
+    :param pose: where it is.
+    :param velocity: metres per second east and north.
+    :param active: it is driving to a goal; otherwise it stands, parked or dead.
+    :param rank: its right of way.
+    :param path: where it is going next, from its position on; empty when it is not active.
+    :param stuck: it wants to go on and cannot.
+    """
+
+    name: str
+    pose: Pose
+    velocity: Tuple[float, float] = (0.0, 0.0)
+    active: bool = False
+    rank: Rank = (math.inf,)
+    path: Tuple[Point, ...] = ()
+    stuck: bool = False
+
+    @property
+    def speed(self) -> float:
+        """Metres per second."""
+        return math.hypot(*self.velocity)
+
+    def ahead(self, full_speed: float) -> np.ndarray:
+        """Where it will be at the times that are looked at, along its path; shape (times, 2)."""
+        here = np.array([self.pose.x, self.pose.y])
+        if not self.active or len(self.path) < 1 or self.stuck:
+            return here + np.outer(_STEPS, self.velocity if self.active else (0.0, 0.0))
+        points = np.vstack([here, np.array(self.path)])
+        way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+        # whoever is turning now will drive soon
+        gone = _STEPS * max(self.speed, 0.5 * full_speed)
+        return np.column_stack(
+            [np.interp(gone, way, points[:, 0]), np.interp(gone, way, points[:, 1])]
+        )
+
+
+def wrap(angle: float) -> float:
+    """The same angle in (-pi, pi]."""
+    return math.remainder(angle, math.tau)
+
+
+def choose(
+    grid: Grid,
+    pose: Pose,
+    target: Point,
+    speed: float,
+    peers: Sequence[Peer],
+    rank: Rank,
+    last: Optional[float],
+) -> Tuple[float, float]:
+    """The direction and speed to go for.
+
+    :param grid: the room.
+    :param pose: the robot's.
+    :param target: a point in sight to go to.
+    :param speed: metres per second wanted, if nothing is in the way.
+    :param peers: the other robots nearby.
+    :param rank: the robot's right of way.
+    :param last: the direction chosen last time, to stay with it when others are no better.
+    :returns: direction in radians, speed in metres per second, 0 when nothing better is to be had.
+    """
+    robot = grid.room.robot
+    wanted = math.atan2(target[1] - pose.y, target[0] - pose.x)
+    directions = np.repeat(wanted + _OFFSETS, 2)
+    speeds = np.tile([speed, speed / 2], len(_OFFSETS))
+    turns = np.abs(np.remainder(directions - pose.yaw + math.pi, math.tau) - math.pi)
+
+    # where each choice leads: first the turn, then straight, not beyond the target
+    gone = np.clip(_STEPS[None, :] - turns[:, None] / _TURN, 0.0, None) * speeds[:, None]
+    gone = np.minimum(gone, max(math.hypot(target[0] - pose.x, target[1] - pose.y), 0.05))
+    xs = pose.x + gone * np.cos(directions)[:, None]
+    ys = pose.y + gone * np.sin(directions)[:, None]
+
+    offset = np.repeat(_OFFSETS, 2)
+    cost = -np.cos(offset) * speeds / robot.max_speed
+    cost += 0.12 * turns / math.pi
+    # of two equal sides everyone takes the right one, so that two who meet do not mirror each other
+    cost += np.where(offset > 0.0, 0.04, 0.0)
+    if last is not None:
+        cost += 0.1 * np.abs(np.remainder(directions - last + math.pi, math.tau) - math.pi) / math.pi
+
+    spare = grid.clearance_at(xs, ys) - robot.radius
+    least = spare.min(axis=1)
+    cost += 0.5 * np.clip(1.0 - least / 0.08, 0.0, 1.0) ** 2
+    cost += np.where(least < min(0.01, float(spare[0, 0])) - 1e-3, 10.0, 0.0)
+
+    still = 0.0
+    here = np.array([pose.x, pose.y])
+    for peer in peers:
+        horizon = HORIZON if not peer.active or peer.rank < rank else SHORT_HORIZON
+        ahead = peer.ahead(robot.max_speed)
+        urgency = np.clip(1.0 - _STEPS / horizon, 0.0, 1.0)
+        if not peer.active:
+            urgency = np.where(urgency > 0.0, 0.6 + 0.4 * urgency, 0.0)
+        gaps = np.hypot(xs - ahead[:, 0], ys - ahead[:, 1]) - 2 * robot.radius
+        cost += _threat(gaps, urgency)
+        waiting = np.hypot(here[0] - ahead[:, 0], here[1] - ahead[:, 1]) - 2 * robot.radius
+        still += float(_threat(waiting[None, :], urgency)[0])
+    best = int(np.argmin(cost))
+    # standing still costs nothing but the way not made
+    if still + 0.05 <= cost[best]:
+        return (float(directions[best]), 0.0)
+    return (float(directions[best]), float(speeds[best]))
+
+
+def _threat(gaps: np.ndarray, urgency: np.ndarray) -> np.ndarray:
+    """What it costs to come as near as ``gaps`` (choices, times) at times of that urgency."""
+    near = np.clip(1.0 - (gaps - GAP) / 0.10, 0.0, 1.0)
+    hit = gaps < GAP
+    return ((0.8 * near + 2.5 * hit) * urgency).max(axis=1)
+
+
+def follow(direction: float, speed: float, yaw: float) -> Tuple[float, float]:
+    """Speed and turn rate with which a robot that looks along ``yaw`` takes up a direction.
+
+    It turns first, and drives as it comes to look where it goes.
+    """
+    error = wrap(direction - yaw)
+    # as fast as the turn can be stopped again in time
+    turn = min(2.0, math.sqrt(4.0 * abs(error)), 4.0 * abs(error))
+    drive = speed * max(0.0, math.cos(error)) ** 3 if abs(error) < 1.2 else 0.0
+    return (drive, math.copysign(turn, error))
+
+
+def brake(
+    grid: Grid, pose: Pose, speed: float, dt: float, peers: Sequence[Peer], gap: float = 0.02
+) -> float:
+    """The speed, cut so that the robot can stop before it touches anything.
+
+    Others may come nearer at their present speed meanwhile. Driving away from something too near is allowed.
+
+    :param speed: metres per second forward, wanted.
+    :param dt: seconds until the next command.
+    :param gap: metres between discs that are never given up.
+    """
+    robot = grid.room.robot
+    if speed <= 0.0:
+        return 0.0
+    for factor in (1.0, 0.6, 0.3):
+        tried = speed * factor
+        reach = tried * dt + tried * tried / (2 * robot.acceleration) + 0.008
+        x, y = pose.x + reach * math.cos(pose.yaw), pose.y + reach * math.sin(pose.yaw)
+        spare, now = (
+            float(value) - robot.radius
+            for value in grid.clearance_at(np.array([x, pose.x]), np.array([y, pose.y]))
+        )
+        if spare < 0.006 and spare < now:
+            continue
+        if all(_stays_clear(pose, (x, y), peer, dt, 2 * robot.radius + gap) for peer in peers):
+            return tried
+    return 0.0
+
+
+def _stays_clear(pose: Pose, there: Point, peer: Peer, dt: float, least: float) -> bool:
+    before = pose.distance(peer.pose)
+    after = peer.pose.distance(there)
+    # what the other does meanwhile, at worst straight towards us
+    coming = peer.speed * dt * 1.2
+    return after - coming >= least or (after >= before and before >= least - gap_lost(peer))
+
+
+def gap_lost(peer: Peer) -> float:
+    """How much of the gap may be gone already when a robot drives away from another."""
+    return 0.02 if peer.speed < 0.01 else 0.01
+
+
+def sort_near(pose: Pose, peers: Sequence[Peer], reach: float) -> List[Peer]:
+    """The peers within ``reach`` metres, nearest first."""
+    near = [peer for peer in peers if pose.distance(peer.pose) < reach]
+    return sorted(near, key=lambda peer: pose.distance(peer.pose))

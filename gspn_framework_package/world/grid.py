@@ -1,0 +1,185 @@
+"""The room as a grid: how far it is from everywhere to a goal, and which way.
+
+A robot's path costs its length, dearer near walls. ``Grid.field`` finds the cheapest ways from every cell to one goal
+with SciPy's Dijkstra; a robot that leaves its path therefore needs no new search.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import List, Sequence, Tuple
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from gspn_framework_package.world.room import Point, Room
+
+RESOLUTION = 0.05
+"""Metres along the side of a cell."""
+
+COMFORT = 0.12
+"""Metres from a wall or obstacle (beyond the robot's radius) from which on a way costs no more."""
+
+Disc = Tuple[float, float, float]
+"""A disc on the floor: x, y, radius."""
+
+
+class Field:
+    """The cheapest ways from every cell of a grid to one goal.
+
+    :param grid: the grid.
+    :param goal: the goal, metres.
+    :param cost: for each cell, metres of (weighted) way; infinite where no way leads.
+    :param following: for each cell, the next cell on the way; negative at the goal and where no way leads.
+    """
+
+    def __init__(self, grid: "Grid", goal: Point, cost: np.ndarray, following: np.ndarray) -> None:
+        self._grid = grid
+        self.goal = goal
+        self.costs = cost
+        self._following = following
+
+    def start(self, point: Point) -> int:
+        """The cell from which a way starts: the point's own, or the cheapest one close by."""
+        grid = self._grid
+        cell = grid.cell(point)
+        if np.isfinite(self.costs[cell]):
+            return cell
+        near = grid.cells_near(point, 3.5 * RESOLUTION)
+        if len(near) == 0:
+            return cell
+        reach = self.costs[near] + np.hypot(grid.xs[near] - point[0], grid.ys[near] - point[1])
+        return int(near[int(np.argmin(reach))])
+
+    def cost(self, point: Point) -> float:
+        """Metres of weighted way from a point to the goal; infinite if there is none."""
+        return float(self.costs[self.start(point)])
+
+    def path(self, point: Point, length: float = math.inf) -> List[Point]:
+        """The way from a point: centres of cells, then the goal itself.
+
+        :param length: metres after which to stop.
+        """
+        grid = self._grid
+        cell = self.start(point)
+        if not np.isfinite(self.costs[cell]):
+            return []
+        points: List[Point] = []
+        following, xs, ys = self._following, grid.xs, grid.ys
+        way = 0.0
+        while following[cell] >= 0 and way < length:
+            points.append((float(xs[cell]), float(ys[cell])))
+            cell = int(following[cell])
+            if len(points) > 1:
+                way += math.dist(points[-1], points[-2])
+        if way < length:
+            points.append(self.goal)
+        return points
+
+
+class Grid:
+    """A room's floor in cells of :data:`RESOLUTION`, with the clearance of each.
+
+    :param room: the room.
+    """
+
+    def __init__(self, room: Room) -> None:
+        bounds = room.bounds()
+        self.room = room
+        self.columns = math.ceil((bounds.high[0] - bounds.low[0]) / RESOLUTION) + 1
+        self.rows = math.ceil((bounds.high[1] - bounds.low[1]) / RESOLUTION) + 1
+        self._low = bounds.low
+        columns, rows = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
+        self.xs: np.ndarray = bounds.low[0] + columns.ravel() * RESOLUTION
+        self.ys: np.ndarray = bounds.low[1] + rows.ravel() * RESOLUTION
+        self.clearance: np.ndarray = room.clearance(self.xs, self.ys)
+        self._table = self.clearance.reshape(self.rows, self.columns)
+        # beyond the robot's radius
+        spare = self.clearance - room.robot.radius
+        # a cell is free when a robot in its middle touches nothing
+        self.free: np.ndarray = spare > 0.01
+        self._toll = 1.0 + 3.0 * np.clip(1.0 - spare / COMFORT, 0.0, 1.0) ** 2
+        self._edges()
+
+    def _edges(self) -> None:
+        cells = np.arange(self.columns * self.rows)
+        column, row = cells % self.columns, cells // self.columns
+        tails, heads, lengths = [], [], []
+        for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2)):
+            there = (column + dx < self.columns) & (row + dy < self.rows) & (row + dy >= 0)
+            tail = cells[there]
+            head = tail + dx + dy * self.columns
+            open_ = self.free[tail] & self.free[head]
+            tail, head = tail[open_], head[open_]
+            length = np.full(len(tail), RESOLUTION * math.hypot(dx, dy))
+            tails += [tail, head]
+            heads += [head, tail]
+            lengths += [length, length]
+        self._tails = np.concatenate(tails)
+        self._heads = np.concatenate(heads)
+        toll = (self._toll[self._tails] + self._toll[self._heads]) / 2
+        self._weights = np.concatenate(lengths) * toll
+        # in the order of a compressed sparse row matrix, so that each search only swaps the weights
+        order = np.lexsort((self._heads, self._tails))
+        self._tails, self._heads = self._tails[order], self._heads[order]
+        self._weights = self._weights[order]
+        counts = np.bincount(self._tails, minlength=len(cells))
+        self._rows_start = np.concatenate([[0], np.cumsum(counts)])
+
+    def cell(self, point: Point) -> int:
+        """The index of the cell that holds a point; points outside belong to the border."""
+        column = min(max(round((point[0] - self._low[0]) / RESOLUTION), 0), self.columns - 1)
+        row = min(max(round((point[1] - self._low[1]) / RESOLUTION), 0), self.rows - 1)
+        return row * self.columns + column
+
+    def cells_near(self, point: Point, radius: float) -> np.ndarray:
+        """The indices of the cells whose middles lie within ``radius`` of a point."""
+        return np.flatnonzero(np.hypot(self.xs - point[0], self.ys - point[1]) <= radius)
+
+    def clearance_at(self, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
+        """The clearance in points (bilinear between the cells), metres."""
+        column = np.clip((xs - self._low[0]) / RESOLUTION, 0, self.columns - 1.001)
+        row = np.clip((ys - self._low[1]) / RESOLUTION, 0, self.rows - 1.001)
+        left, low = column.astype(int), row.astype(int)
+        right, up = column - left, row - low
+        table = self._table
+        return (
+            table[low, left] * (1 - right) * (1 - up)
+            + table[low, left + 1] * right * (1 - up)
+            + table[low + 1, left] * (1 - right) * up
+            + table[low + 1, left + 1] * right * up
+        )
+
+    def field(
+        self, goal: Point, blocked: Sequence[Disc] = (), dear: Sequence[Disc] = ()
+    ) -> Field:
+        """The cheapest ways to a goal.
+
+        :param goal: where to, metres.
+        :param blocked: discs that no way may cross.
+        :param dear: discs that a way had better not cross: five times the cost.
+        """
+        weights = self._weights
+        if blocked or dear:
+            weights = weights.copy()
+        for x, y, radius in dear:
+            inside = np.hypot(self.xs - x, self.ys - y) < radius
+            weights[inside[self._heads] | inside[self._tails]] *= 5.0
+        for x, y, radius in blocked:
+            inside = np.hypot(self.xs - x, self.ys - y) < radius
+            weights[inside[self._heads] | inside[self._tails]] = np.inf
+        count = self.columns * self.rows
+        graph = csr_matrix((weights, self._heads, self._rows_start), shape=(count, count))
+        # edges go both ways, so the predecessor on the way from the goal is the next cell on the way to it
+        cost, following = dijkstra(
+            graph, indices=self.cell(goal), return_predecessors=True, directed=True
+        )
+        return Field(self, goal, cost, following)
+
+    def is_clear(self, start: Point, end: Point, spare: float) -> bool:
+        """Whether a robot can go straight, with ``spare`` metres beyond its radius to everything."""
+        count = max(2, math.ceil(math.dist(start, end) / RESOLUTION) + 1)
+        xs = np.linspace(start[0], end[0], count)
+        ys = np.linspace(start[1], end[1], count)
+        return bool((self.clearance_at(xs, ys) > self.room.robot.radius + spare).all())

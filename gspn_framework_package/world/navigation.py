@@ -1,0 +1,435 @@
+"""The navigator of one robot: from where it is to a goal, among walls, parked, dead and moving robots.
+
+Pure: ``step`` takes what the robot knows and gives the command for its motors. Its parts:
+
+- the way: the cheapest on the room's grid, around robots that stand (:mod:`.grid`);
+- the next velocity: a dynamic window (:mod:`.avoidance`);
+- the right of way: the older goal goes first. A robot that is stuck says so; whoever stands in its path and has less
+  right of way *yields*: it goes to the nearest spot off that path and inherits the right of way meanwhile, so that those
+  behind it make room in turn (priority inheritance; PIBT, Okumura et al. 2019). That is how two robots resolve a corridor
+  too narrow for both, and four a crossing.
+- recovery: one that stays stuck all the same tries another way, then steps aside at random, then gives up and says why.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+import random
+from dataclasses import dataclass
+from typing import Dict, List, Optional, Sequence, Tuple
+
+import numpy as np
+
+from gspn_framework_package.world import avoidance
+from gspn_framework_package.world.avoidance import GAP, Peer, Rank, wrap
+from gspn_framework_package.world.grid import Disc, Field, Grid
+from gspn_framework_package.world.room import Point, Pose
+
+STUCK_AFTER = 2.5
+"""Seconds without getting nearer to the goal after which a robot says that it is stuck."""
+
+DETOUR_AFTER = 8.0
+"""Seconds without progress after which it looks for a way around robots that hardly move."""
+
+ESCAPE_AFTER = 14.0
+"""Seconds without progress after which it steps aside at random."""
+
+GIVE_UP_AFTER = 60.0
+"""Seconds without progress, or without any way, after which the goal is given up."""
+
+_LOOK_AHEAD = 0.9  # metres of path looked at for a target in sight
+_NEIGHBOURHOOD = 1.4  # metres within which others count
+
+
+class Status(enum.Enum):
+    """What a navigator is doing."""
+
+    IDLE = "idle"
+    """No goal."""
+
+    DRIVING = "driving"
+    """On its way."""
+
+    YIELDING = "yielding"
+    """On its way, but making room for another robot first."""
+
+    REACHED = "reached"
+    """The last goal was reached."""
+
+    FAILED = "failed"
+    """The last goal was given up; ``Navigator.reason`` says why."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a robot knows at one moment.
+
+    :param time: seconds.
+    :param pose: its own.
+    :param peers: the other robots.
+    """
+
+    time: float
+    pose: Pose
+    peers: Tuple[Peer, ...] = ()
+
+
+@dataclass
+class _Yield:
+    """Making room."""
+
+    to: str
+    rank: Rank
+    field: Field
+    spot: Point
+    since: float
+    arrived: Optional[float] = None
+
+
+class Navigator:
+    """Drives one robot.
+
+    :param grid: the room.
+    :param index: breaks ties in the right of way; different for each robot.
+    :param goal_tolerance: metres.
+    :param yaw_tolerance: radians.
+    """
+
+    def __init__(
+        self, grid: Grid, index: int, goal_tolerance: float = 0.06, yaw_tolerance: float = 0.15
+    ) -> None:
+        self._grid = grid
+        self._index = index
+        self._goal_tolerance = goal_tolerance
+        self._yaw_tolerance = yaw_tolerance
+        self._random = random.Random(index)
+        self.status = Status.IDLE
+        self.reason = ""
+        self.goal: Optional[Pose] = None
+        self.rank: Rank = (math.inf, index)
+        self.path: Tuple[Point, ...] = ()
+        self._turn_at_goal = True
+        self._field: Optional[Field] = None
+        self._field_key: Tuple[object, ...] = ()
+        self._field_time = -math.inf
+        self._best = math.inf
+        self._progress_time = 0.0
+        self._no_way_since: Optional[float] = None
+        self._yield: Optional[_Yield] = None
+        self._last_direction: Optional[float] = None
+        self._last_moved: Dict[str, Tuple[Point, float]] = {}
+        self._escaped = 0.0
+        self._turning = False
+
+    # ---- goals -------------------------------------------------------------------------------
+
+    def go(self, goal: Pose, time: float, turn: bool = True) -> None:
+        """Take up a goal, instead of the one before.
+
+        :param time: seconds; the older of two goals has the right of way.
+        :param turn: also look along ``goal.yaw`` in the end.
+        """
+        self.goal = goal
+        self.status = Status.DRIVING
+        self.reason = ""
+        self.rank = (round(time, 3), float(self._index))
+        self._turn_at_goal = turn
+        self._field = None
+        self._best = math.inf
+        self._progress_time = time
+        self._no_way_since = None
+        self._yield = None
+        self._escaped = time
+        self._turning = False
+
+    def cancel(self) -> None:
+        """Drop the goal and stop."""
+        self.goal = None
+        self.status = Status.IDLE
+        self._rest()
+
+    def _rest(self) -> None:
+        self.path = ()
+        self.rank = (math.inf, float(self._index))
+        self._yield = None
+        self._last_direction = None
+
+    def _end(self, status: Status, reason: str = "") -> None:
+        self.goal = None
+        self.status = status
+        self.reason = reason
+        self._rest()
+
+    @property
+    def active(self) -> bool:
+        """Whether it has a goal."""
+        return self.goal is not None
+
+    def stuck_for(self, time: float) -> float:
+        """Seconds since the robot last came nearer to its goal."""
+        return time - self._progress_time if self.goal is not None else 0.0
+
+    def announce(self, name: str, pose: Pose, velocity: Tuple[float, float], time: float) -> Peer:
+        """What the others are told about this robot."""
+        return Peer(
+            name=name,
+            pose=pose,
+            velocity=velocity,
+            active=self.active,
+            rank=self._yield.rank if self._yield is not None else self.rank,
+            path=self.path,
+            stuck=self.stuck_for(time) > STUCK_AFTER,
+        )
+
+    # ---- driving -----------------------------------------------------------------------------
+
+    def step(self, seen: Observation, dt: float) -> Tuple[float, float]:
+        """The command for the next ``dt`` seconds.
+
+        :returns: speed in metres per second and turn rate in radians per second.
+        """
+        if self.goal is None:
+            return (0.0, 0.0)
+        pose, goal = seen.pose, self.goal
+        if pose.distance(goal) < self._goal_tolerance * (1.5 if self._turning else 1.0):
+            self._turning = True
+            error = wrap(goal.yaw - pose.yaw)
+            if not self._turn_at_goal or abs(error) < self._yaw_tolerance:
+                self._end(Status.REACHED)
+                return (0.0, 0.0)
+            self.path = ((goal.x, goal.y),)
+            self._progress_time = seen.time
+            return (0.0, avoidance.follow(goal.yaw, 0.0, pose.yaw)[1])
+        self._turning = False
+        self._watch(seen)
+        self._plan(seen)
+        if self.goal is None or self._field is None:
+            return (0.0, 0.0)
+        self._measure(seen)
+        if self.goal is None:
+            return (0.0, 0.0)
+        self._consider_yielding(seen)
+        return self._drive(seen, dt)
+
+    def _watch(self, seen: Observation) -> None:
+        """Remember since when each peer stands."""
+        for peer in seen.peers:
+            point = (peer.pose.x, peer.pose.y)
+            before = self._last_moved.get(peer.name)
+            if before is None or math.dist(before[0], point) > 0.05:
+                self._last_moved[peer.name] = (point, seen.time)
+
+    def _standing(self, peer: Peer, time: float, seconds: float) -> bool:
+        return time - self._last_moved[peer.name][1] > seconds
+
+    def _plan(self, seen: Observation) -> None:
+        """Find the way, anew when the robots that stand have changed."""
+        assert self.goal is not None
+        reach = 2 * self._grid.room.robot.radius
+        blocked: List[Disc] = []
+        dear: List[Disc] = []
+        detour = self.stuck_for(seen.time) > DETOUR_AFTER
+        for peer in seen.peers:
+            x, y = round(peer.pose.x / 0.03) * 0.03, round(peer.pose.y / 0.03) * 0.03
+            if not peer.active:
+                blocked.append((x, y, reach + 0.02))
+                dear.append((x, y, reach + 0.06))
+            elif self._standing(peer, seen.time, 2.0 if detour else 4.0):
+                dear.append((x, y, reach + (0.12 if detour else 0.06)))
+        key: Tuple[object, ...] = (self.goal, tuple(blocked), tuple(dear))
+        if key != self._field_key and (
+            self._field is None or seen.time - self._field_time > 0.5
+        ):
+            self._field_key, self._field_time = key, seen.time
+            goal = (self.goal.x, self.goal.y)
+            field = self._grid.field(goal, blocked, dear)
+            if math.isinf(field.cost((seen.pose.x, seen.pose.y))):
+                # no way now; go as near as the walls allow, those who stand there may leave
+                if self._no_way_since is None:
+                    self._no_way_since = seen.time
+                field = self._grid.field(goal, (), [(x, y, r + 0.05) for x, y, r in blocked])
+                if math.isinf(field.cost((seen.pose.x, seen.pose.y))):
+                    self._end(Status.FAILED, "no way leads there")
+                    return
+            else:
+                self._no_way_since = None
+            self._field = field
+            self._best = math.inf
+        elif self._no_way_since is not None and seen.time - self._field_time > 1.0:
+            self._field_key = ()
+
+    def _measure(self, seen: Observation) -> None:
+        """Watch the progress; give up in the end."""
+        assert self._field is not None
+        cost = self._field.cost((seen.pose.x, seen.pose.y))
+        if self._best == math.inf:
+            # a new field: the old and the new cost cannot be compared, the patience goes on
+            self._best = cost
+        elif cost < self._best - 0.05:
+            self._best = cost
+            self._progress_time = seen.time
+        waited = seen.time - self._progress_time
+        if self._no_way_since is not None and seen.time - self._no_way_since > GIVE_UP_AFTER / 2:
+            self._end(Status.FAILED, "the way is blocked by robots that stand there")
+        elif waited > GIVE_UP_AFTER:
+            self._end(Status.FAILED, "stuck for %d s" % GIVE_UP_AFTER)
+
+    def _drive(self, seen: Observation, dt: float) -> Tuple[float, float]:
+        assert self._field is not None and self.goal is not None
+        pose, robot = seen.pose, self._grid.room.robot
+        rank = self.rank
+        field, end = self._field, (self.goal.x, self.goal.y)
+        if self._yield is not None:
+            field, end, rank = self._yield.field, self._yield.spot, self._yield.rank
+        here = (pose.x, pose.y)
+        path = field.path(here, _LOOK_AHEAD + 0.6)
+        self.path = tuple(path[::3]) + tuple(path[-1:])
+        away = math.dist(here, end)
+        if self._yield is not None and away < self._goal_tolerance:
+            self.path = (end,)
+            return (0.0, 0.0)
+        target = self._in_sight(here, path)
+        speed = min(robot.max_speed, 1.5 * away + 0.02)
+        near = avoidance.sort_near(pose, seen.peers, _NEIGHBOURHOOD)
+        direction, speed = avoidance.choose(
+            self._grid, pose, target, speed, near, rank, self._last_direction
+        )
+        self._last_direction = direction
+        drive, turn = avoidance.follow(direction, speed, pose.yaw)
+        return (avoidance.brake(self._grid, pose, drive, dt, near), turn)
+
+    def _in_sight(self, here: Point, path: Sequence[Point]) -> Point:
+        """The farthest point of the path, within reach, to which it goes straight."""
+        target = path[0] if path else here
+        for point in path[2::2] + path[-1:]:
+            if math.dist(here, point) > _LOOK_AHEAD or not self._grid.is_clear(here, point, 0.02):
+                break
+            target = point
+        return target
+
+    # ---- making room -------------------------------------------------------------------------
+
+    def _consider_yielding(self, seen: Observation) -> None:
+        time, pose = seen.time, seen.pose
+        now = self._yield
+        if now is not None:
+            if now.arrived is None and math.dist((pose.x, pose.y), now.spot) < self._goal_tolerance:
+                now.arrived = time
+            if self._may_resume(now, seen):
+                self._yield = now = None
+                self.status = Status.DRIVING
+                self._progress_time = time
+        rank = now.rank if now is not None else self.rank
+        asking = [
+            peer
+            for peer in seen.peers
+            if peer.active
+            and peer.stuck
+            and peer.rank < rank
+            and (now is None or peer.name != now.to)
+            and _distance_to_path(peer, (pose.x, pose.y))
+            < 2 * self._grid.room.robot.radius + GAP + 0.02
+        ]
+        if asking:
+            first = min(asking, key=lambda peer: peer.rank)
+            self._make_room(first, seen)
+        elif (
+            now is None
+            and self.stuck_for(time) > ESCAPE_AFTER
+            and time - self._escaped > ESCAPE_AFTER
+        ):
+            self._escape(seen)
+
+    def _may_resume(self, now: _Yield, seen: Observation) -> bool:
+        other = next((peer for peer in seen.peers if peer.name == now.to), None)
+        if other is None or not other.active:
+            return now.arrived is not None or seen.time - now.since > 6.0
+        if now.arrived is None:
+            return seen.time - now.since > 12.0
+        if seen.time - now.arrived > 10.0:
+            return True
+        if seen.time - now.arrived < 0.5:
+            return False
+        assert self._field is not None
+        # the way on is free once the other's path no longer crosses the next piece of it
+        ahead = self._field.path((seen.pose.x, seen.pose.y), 0.5)
+        apart = 2 * self._grid.room.robot.radius + GAP
+        return all(_distance_to_path(other, point) > apart for point in ahead)
+
+    def _make_room(self, other: Peer, seen: Observation) -> None:
+        """Go to the nearest spot off the path of ``other``."""
+        grid, apart = self._grid, 2 * self._grid.room.robot.radius
+        here = (seen.pose.x, seen.pose.y)
+        blocked = [
+            (peer.pose.x, peer.pose.y, apart + 0.01)
+            for peer in seen.peers
+            if not peer.active or peer.name == other.name
+        ]
+        field = grid.field(here, blocked)
+        cost = field.costs
+        cells = np.flatnonzero(np.isfinite(cost) & (cost < 4.0))
+        if len(cells) == 0:
+            return
+        xs, ys = grid.xs[cells], grid.ys[cells]
+        good = grid.clearance[cells] > grid.room.robot.radius + 0.02
+        good &= _distances_to_path(other, xs, ys) > apart + GAP + 0.04
+        price = cost[cells].copy()
+        for peer in seen.peers:
+            away = np.hypot(xs - peer.pose.x, ys - peer.pose.y)
+            good &= (away > apart + 0.03) | (peer.active & (peer.name != other.name))
+            # a spot that someone stands in can be had, but only by making room once more
+            price += np.where(away < apart + 0.05, 1.0, 0.0)
+        if not good.any():
+            return
+        best = int(cells[good][int(np.argmin(price[good]))])
+        spot = (float(grid.xs[best]), float(grid.ys[best]))
+        self._yield = _Yield(
+            to=other.name,
+            rank=(*other.rank, 1.0, float(self._index)),
+            field=grid.field(spot, blocked),
+            spot=spot,
+            since=seen.time,
+        )
+        self.status = Status.YIELDING
+
+    def _escape(self, seen: Observation) -> None:
+        """Step aside at random, the last thing that may help."""
+        self._escaped = seen.time
+        grid, apart = self._grid, 2 * self._grid.room.robot.radius
+        cells = grid.cells_near((seen.pose.x, seen.pose.y), 0.7)
+        good = grid.clearance[cells] > grid.room.robot.radius + 0.02
+        for peer in seen.peers:
+            good &= (
+                np.hypot(grid.xs[cells] - peer.pose.x, grid.ys[cells] - peer.pose.y) > apart + 0.03
+            )
+        if not good.any():
+            return
+        best = int(self._random.choice(list(cells[good])))
+        spot = (float(grid.xs[best]), float(grid.ys[best]))
+        self._yield = _Yield(
+            to="", rank=self.rank, field=grid.field(spot), spot=spot, since=seen.time
+        )
+        self.status = Status.YIELDING
+
+
+def _path_of(peer: Peer) -> np.ndarray:
+    return np.array([(peer.pose.x, peer.pose.y), *peer.path])
+
+
+def _distance_to_path(peer: Peer, point: Point) -> float:
+    return float(_distances_to_path(peer, np.array([point[0]]), np.array([point[1]]))[0])
+
+
+def _distances_to_path(peer: Peer, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
+    """How near the announced path of a peer comes to each point, metres."""
+    path = _path_of(peer)
+    nearest = np.hypot(xs - path[0, 0], ys - path[0, 1])
+    for (x1, y1), (x2, y2) in zip(path, path[1:]):
+        dx, dy = x2 - x1, y2 - y1
+        length = dx * dx + dy * dy
+        if length < 1e-12:
+            continue
+        part = np.clip(((xs - x1) * dx + (ys - y1) * dy) / length, 0.0, 1.0)
+        nearest = np.minimum(nearest, np.hypot(xs - x1 - part * dx, ys - y1 - part * dy))
+    return nearest

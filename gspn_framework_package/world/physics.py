@@ -1,0 +1,375 @@
+"""The room and its robots as PyBullet bodies: wheels, motors, contacts, a laser scanner, encoders.
+
+Robots are differential-drive discs of TurtleBot3 Burger's size. They move because their wheels turn on the floor;
+nothing here ever sets a pose after the start. Stepping is by a fixed time step, as fast as the caller asks for it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Dict, List, Optional, Sequence, Set, Tuple
+
+import pybullet
+from pybullet_utils.bullet_client import BulletClient
+
+from gspn_framework_package.world.room import Box, Cylinder, Pose, Room
+
+TIME_STEP = 1.0 / 120.0
+"""Seconds of one physics step."""
+
+PALETTE = (
+    "#e63946", "#1d78d6", "#2a9d4e", "#f4a100", "#8e44ad", "#00a6a6", "#d6508f", "#7a5c3e",
+)
+"""Colours of the robots, in the order of the team."""
+
+_FLOOR_COLOR = (0.86, 0.88, 0.90, 1.0)
+_BODY_HEIGHT = 0.15
+_BODY_BOTTOM = 0.012
+_SCANNER_HEIGHT = 0.172
+
+
+def rgba(color: str) -> Tuple[float, float, float, float]:
+    """``#rrggbb`` as four numbers from 0 to 1."""
+    red, green, blue = (int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
+    return (red, green, blue, 1.0)
+
+
+@dataclass
+class Contacts:
+    """How often bodies have touched, each touch counted once however long it lasts.
+
+    :ivar robots: touches between two robots, by pair of names in alphabetical order.
+    :ivar solids: touches of a robot with a wall or an obstacle, by name of the robot.
+    """
+
+    robots: Dict[Tuple[str, str], int] = field(default_factory=dict)
+    solids: Dict[str, int] = field(default_factory=dict)
+
+    @property
+    def total(self) -> int:
+        """All touches together."""
+        return sum(self.robots.values()) + sum(self.solids.values())
+
+
+@dataclass
+class _Body:
+    unique_id: int
+    speed: float = 0.0
+    turn_rate: float = 0.0
+    target_speed: float = 0.0
+    target_turn_rate: float = 0.0
+    driven: bool = False
+    wheels: Tuple[float, float] = (0.0, 0.0)
+    odometry: Pose = Pose(0.0, 0.0, 0.0)
+
+
+class Physics:
+    """A room with robots in it.
+
+    :param room: the room.
+    :param robots: names of the robots, in the order of ``room.spawn``.
+    :param poses: where they start, instead of ``room.spawn``.
+    :param gui: open PyBullet's window.
+    :raises ValueError: fewer start poses than robots.
+    """
+
+    def __init__(
+        self,
+        room: Room,
+        robots: Sequence[str],
+        poses: Optional[Sequence[Pose]] = None,
+        gui: bool = False,
+    ) -> None:
+        starts = list(poses if poses is not None else room.spawn)
+        if len(starts) < len(robots):
+            raise ValueError("%d robots, but %d start poses" % (len(robots), len(starts)))
+        self.room = room
+        self.robots: Tuple[str, ...] = tuple(robots)
+        self.contacts = Contacts()
+        self._steps = 0
+        self._touching: Set[Tuple[str, str]] = set()
+        self._client = BulletClient(
+            connection_mode=pybullet.GUI if gui else pybullet.DIRECT
+        )
+        self._client.setGravity(0, 0, -9.81)
+        self._client.setTimeStep(TIME_STEP)
+        self._floor = self._make_floor()
+        for solid in room.solids():
+            self._make_solid(solid)
+        self._bodies: Dict[str, _Body] = {}
+        for index, (name, pose) in enumerate(zip(robots, starts)):
+            self._bodies[name] = _Body(self._make_robot(pose, PALETTE[index % len(PALETTE)]))
+            self._bodies[name].odometry = pose
+        self._names = {body.unique_id: name for name, body in self._bodies.items()}
+        # let the bodies settle on their wheels, so that the first measured second is like the others
+        for body in self._bodies.values():
+            self._turn_wheels(body)
+        for _ in range(20):
+            self._client.stepSimulation()
+        for body in self._bodies.values():
+            body.wheels = self._wheel_angles(body)
+
+    def close(self) -> None:
+        """Give the simulation's memory back."""
+        self._client.disconnect()
+
+    # ---- building ----------------------------------------------------------------------------
+
+    def _make_floor(self) -> int:
+        bounds = self.room.bounds()
+        half = [
+            (high - low) / 2 + self.room.wall_thickness
+            for low, high in zip(bounds.low, bounds.high)
+        ]
+        middle = [(high + low) / 2 for low, high in zip(bounds.low, bounds.high)]
+        extents = [half[0] + 0.3, half[1] + 0.3, 0.05]
+        shape = self._client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=extents)
+        look = self._client.createVisualShape(
+            pybullet.GEOM_BOX, halfExtents=extents, rgbaColor=_FLOOR_COLOR, specularColor=[0, 0, 0]
+        )
+        floor = self._client.createMultiBody(0, shape, look, [middle[0], middle[1], -0.05])
+        self._client.changeDynamics(floor, -1, lateralFriction=1.0)
+        return int(floor)
+
+    def _make_solid(self, solid: "Cylinder | Box") -> None:
+        if isinstance(solid, Cylinder):
+            yaw = 0.0
+            shape = self._client.createCollisionShape(
+                pybullet.GEOM_CYLINDER, radius=solid.radius, height=solid.height
+            )
+            look = self._client.createVisualShape(
+                pybullet.GEOM_CYLINDER,
+                radius=solid.radius,
+                length=solid.height,
+                rgbaColor=rgba(solid.color),
+                specularColor=[0.1, 0.1, 0.1],
+            )
+        else:
+            yaw = solid.yaw
+            half = [solid.size[0] / 2, solid.size[1] / 2, solid.height / 2]
+            shape = self._client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half)
+            look = self._client.createVisualShape(
+                pybullet.GEOM_BOX, halfExtents=half, rgbaColor=rgba(solid.color)
+            )
+        self._client.createMultiBody(
+            0,
+            shape,
+            look,
+            [solid.at[0], solid.at[1], solid.height / 2],
+            pybullet.getQuaternionFromEuler([0, 0, yaw]),
+        )
+
+    def _make_robot(self, pose: Pose, color: str) -> int:
+        kind, client = self.room.robot, self._client
+        dark, light = [0.13, 0.14, 0.16, 1.0], rgba(color)
+        # the casters are part of the base, without friction, and hang a millimetre above the floor, so that the
+        # wheels carry the robot
+        ball, lift = 0.01, 0.001
+        front = kind.radius * 0.7
+        body = client.createCollisionShapeArray(
+            shapeTypes=[pybullet.GEOM_CYLINDER, pybullet.GEOM_SPHERE, pybullet.GEOM_SPHERE],
+            radii=[kind.radius, ball, ball],
+            lengths=[_BODY_HEIGHT, 0.0, 0.0],
+            halfExtents=[[0, 0, 0]] * 3,
+            collisionFramePositions=[
+                [0, 0, _BODY_BOTTOM + _BODY_HEIGHT / 2],
+                [front, 0, ball + lift],
+                [-front, 0, ball + lift],
+            ],
+        )
+        # looks: plates, a coloured ring, the scanner
+        plates = [
+            (kind.radius, 0.02, 0.022, dark),
+            (kind.radius * 0.98, 0.045, 0.06, list(light)),
+            (kind.radius, 0.012, 0.09, dark),
+            (kind.radius * 0.9, 0.03, 0.11, list(light)),
+            (kind.radius, 0.012, 0.135, dark),
+            (0.035, 0.035, _SCANNER_HEIGHT - 0.01, [0.05, 0.05, 0.06, 1.0]),
+        ]
+        looks = client.createVisualShapeArray(
+            shapeTypes=[pybullet.GEOM_CYLINDER] * len(plates) + [pybullet.GEOM_BOX],
+            radii=[p[0] for p in plates] + [0.0],
+            lengths=[p[1] for p in plates] + [0.0],
+            halfExtents=[[0, 0, 0]] * len(plates) + [[0.03, 0.012, 0.004]],
+            rgbaColors=[p[3] for p in plates] + [[1.0, 1.0, 1.0, 1.0]],
+            visualFramePositions=[[0, 0, p[2]] for p in plates] + [[kind.radius * 0.65, 0, 0.145]],
+        )
+        wheel = client.createCollisionShape(
+            pybullet.GEOM_CYLINDER, radius=kind.wheel_radius, height=0.018
+        )
+        wheel_look = client.createVisualShape(
+            pybullet.GEOM_CYLINDER, radius=kind.wheel_radius, length=0.018, rgbaColor=dark
+        )
+        side = kind.wheel_separation / 2
+        level = pybullet.getQuaternionFromEuler([0, 0, 0])
+        # the frame of a cylinder is along z; a wheel's is along y
+        lying = pybullet.getQuaternionFromEuler([-math.pi / 2, 0, 0])
+        unique_id = client.createMultiBody(
+            baseMass=kind.mass,
+            baseCollisionShapeIndex=body,
+            baseVisualShapeIndex=looks,
+            basePosition=[pose.x, pose.y, 0.0],
+            baseOrientation=pybullet.getQuaternionFromEuler([0, 0, pose.yaw]),
+            baseInertialFramePosition=[0, 0, 0.04],
+            linkMasses=[0.03, 0.03],
+            linkCollisionShapeIndices=[wheel, wheel],
+            linkVisualShapeIndices=[wheel_look, wheel_look],
+            linkPositions=[[0, side, kind.wheel_radius], [0, -side, kind.wheel_radius]],
+            linkOrientations=[lying, lying],
+            linkInertialFramePositions=[[0, 0, 0]] * 2,
+            linkInertialFrameOrientations=[level] * 2,
+            linkParentIndices=[0, 0],
+            linkJointTypes=[pybullet.JOINT_REVOLUTE] * 2,
+            linkJointAxis=[[0, 0, 1]] * 2,
+        )
+        for link in (0, 1):
+            client.changeDynamics(unique_id, link, lateralFriction=1.0, jointDamping=0.0)
+        client.changeDynamics(
+            unique_id, -1, lateralFriction=0.0, linearDamping=0.0, angularDamping=0.0
+        )
+        return int(unique_id)
+
+    # ---- running -----------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Seconds simulated since the start."""
+        return self._steps * TIME_STEP
+
+    def drive(self, robot: str, speed: float, turn_rate: float) -> None:
+        """Set what a robot's motors are to reach; both are cut to the robot's limits.
+
+        :param speed: forward, metres per second.
+        :param turn_rate: counter-clockwise, radians per second.
+        """
+        kind, body = self.room.robot, self._bodies[robot]
+        body.target_speed = min(max(speed, -kind.max_speed), kind.max_speed)
+        body.target_turn_rate = min(max(turn_rate, -kind.max_turn_rate), kind.max_turn_rate)
+
+    def step(self) -> None:
+        """Advance by :data:`TIME_STEP`."""
+        for body in self._bodies.values():
+            self._turn_wheels(body)
+        self._client.stepSimulation()
+        self._steps += 1
+        for body in self._bodies.values():
+            self._read_encoders(body)
+        self._count_contacts()
+
+    def advance(self, seconds: float) -> None:
+        """Take as many steps as bring the time nearest to ``time + seconds``."""
+        for _ in range(round(seconds / TIME_STEP)):
+            self.step()
+
+    def _turn_wheels(self, body: _Body) -> None:
+        kind = self.room.robot
+        most, most_turn = kind.acceleration * TIME_STEP, kind.turn_acceleration * TIME_STEP
+        change = body.target_speed - body.speed
+        turn_change = body.target_turn_rate - body.turn_rate
+        if change == 0.0 and turn_change == 0.0 and body.driven:
+            return
+        body.driven = True
+        body.speed += min(max(change, -most), most)
+        body.turn_rate += min(max(turn_change, -most_turn), most_turn)
+        difference = body.turn_rate * kind.wheel_separation / 2
+        self._client.setJointMotorControlArray(
+            body.unique_id,
+            [0, 1],
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=[
+                (body.speed - difference) / kind.wheel_radius,
+                (body.speed + difference) / kind.wheel_radius,
+            ],
+            forces=[0.3, 0.3],
+        )
+
+    def _wheel_angles(self, body: _Body) -> Tuple[float, float]:
+        left, right = self._client.getJointStates(body.unique_id, [0, 1])
+        return (left[0], right[0])
+
+    def _read_encoders(self, body: _Body) -> None:
+        kind = self.room.robot
+        angles = self._wheel_angles(body)
+        left = (angles[0] - body.wheels[0]) * kind.wheel_radius
+        right = (angles[1] - body.wheels[1]) * kind.wheel_radius
+        body.wheels = angles
+        turn = (right - left) / kind.wheel_separation
+        heading = body.odometry.yaw + turn / 2
+        way = (left + right) / 2
+        body.odometry = Pose(
+            body.odometry.x + way * math.cos(heading),
+            body.odometry.y + way * math.sin(heading),
+            math.remainder(body.odometry.yaw + turn, math.tau),
+        )
+
+    def _count_contacts(self) -> None:
+        touching: Set[Tuple[str, str]] = set()
+        for name, body in self._bodies.items():
+            for contact in self._client.getContactPoints(
+                bodyA=body.unique_id, linkIndexA=-1
+            ):
+                if contact[2] == self._floor or contact[8] > 0.0:
+                    continue
+                other = self._names.get(contact[2], "")
+                touching.add((min(name, other), max(name, other)))
+        for pair in touching - self._touching:
+            first, second = pair
+            if first:
+                self.contacts.robots[pair] = self.contacts.robots.get(pair, 0) + 1
+            else:
+                self.contacts.solids[second] = self.contacts.solids.get(second, 0) + 1
+        self._touching = touching
+
+    # ---- what can be known -------------------------------------------------------------------
+
+    def pose(self, robot: str) -> Pose:
+        """The true pose of a robot."""
+        position, orientation = self._client.getBasePositionAndOrientation(
+            self._bodies[robot].unique_id
+        )
+        # the base frame is the centre of mass, which is on the robot's axis
+        x, y, z, w = orientation
+        yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return Pose(position[0], position[1], yaw)
+
+    def velocity(self, robot: str) -> Tuple[float, float, float]:
+        """The true velocity: metres per second east and north, and radians per second."""
+        linear, angular = self._client.getBaseVelocity(self._bodies[robot].unique_id)
+        return (linear[0], linear[1], angular[2])
+
+    def odometry(self, robot: str) -> Tuple[Pose, float, float]:
+        """What the wheel encoders say: pose (started at the true one), speed, turn rate."""
+        body = self._bodies[robot]
+        return (body.odometry, body.speed, body.turn_rate)
+
+    def temperature(self, robot: str) -> float:
+        """What the robot's thermometer reads, degrees Celsius."""
+        pose = self.pose(robot)
+        return self.room.temperature.at((pose.x, pose.y), self.time)
+
+    def scan(self, robot: str) -> List[float]:
+        """One turn of the laser scanner: ranges in metres, counter-clockwise from straight ahead.
+
+        A ray that meets nothing has infinite range.
+        """
+        kind, pose = self.room.robot, self.pose(robot)
+        # rays start outside of the robot's own body
+        start = kind.radius + 0.005
+        directions = [pose.yaw + math.tau * i / kind.scan_rays for i in range(kind.scan_rays)]
+        height = _BODY_BOTTOM + _BODY_HEIGHT - 0.02
+        cosines = [(math.cos(a), math.sin(a)) for a in directions]
+        hits = self._client.rayTestBatch(
+            [[pose.x + c * start, pose.y + s * start, height] for c, s in cosines],
+            [
+                [pose.x + c * kind.scan_range, pose.y + s * kind.scan_range, height]
+                for c, s in cosines
+            ],
+        )
+        span = kind.scan_range - start
+        return [start + hit[2] * span if hit[0] >= 0 else math.inf for hit in hits]
+
+    @property
+    def client(self) -> BulletClient:
+        """The PyBullet connection, for a camera."""
+        return self._client

@@ -1,0 +1,164 @@
+"""Watches a team and counts: laps, distance, touches, minutes stuck, two in one location, overtakings.
+
+It judges by the true poses of the world, not by any robot's or plan's belief.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import asdict, dataclass, field
+from typing import Any, Deque, Dict, List, Optional, Set, Tuple
+
+from gspn_framework_package.world.navigation import Status
+from gspn_framework_package.world.room import Pose
+from gspn_framework_package.world.team import Team
+
+STUCK_SECONDS = 20.0
+"""A robot with a goal that stays within :data:`STUCK_RADIUS` for longer than this is stuck."""
+
+STUCK_RADIUS = 0.1
+"""Metres."""
+
+
+@dataclass
+class Tally:
+    """What the referee has counted for one robot.
+
+    :ivar distance: metres driven.
+    :ivar entries: locations entered.
+    :ivar laps: times that every location was entered, in the order of the room file.
+    :ivar stuck: seconds with a goal and without way made, beyond the first :data:`STUCK_SECONDS`.
+    :ivar reached: goals reached.
+    :ivar aborted: goals given up by the navigator.
+    """
+
+    distance: float = 0.0
+    entries: int = 0
+    laps: int = 0
+    stuck: float = 0.0
+    reached: int = 0
+    aborted: int = 0
+
+
+@dataclass
+class _Track:
+    pose: Pose
+    anchor: Pose
+    since: float
+    status: Status = Status.IDLE
+    inside: Set[str] = field(default_factory=set)
+    next_location: int = 0
+
+
+class Referee:
+    """Counts what a team does; call :meth:`watch` after each of its steps.
+
+    :param team: the team.
+    """
+
+    def __init__(self, team: Team) -> None:
+        self._team = team
+        self.tallies: Dict[str, Tally] = {name: Tally() for name in team.robots}
+        self.together: List[Tuple[float, str, Tuple[str, ...]]] = []
+        """Time, location and robots of each time that two were in one location."""
+        self.overtakings: List[Tuple[float, str, str]] = []
+        """Time, location and robot of each entry that was not the next one granted by the plan."""
+        self._tracks = {
+            name: _Track(team.physics.pose(name), team.physics.pose(name), team.time)
+            for name in team.robots
+        }
+        self._granted: Optional[Dict[str, Deque[str]]] = None
+        self._shared: Set[Tuple[str, Tuple[str, ...]]] = set()
+
+    def grant(self, robot: str, location: str) -> None:
+        """The plan sends a robot into a location; from the first grant on, the order of entries is judged."""
+        if self._granted is None:
+            self._granted = {name: deque() for name in self._team.room.locations}
+        self._granted[location].append(robot)
+
+    def withdraw(self, robot: str) -> None:
+        """A robot was lost: what was granted to it and not used yet is void."""
+        for queue in (self._granted or {}).values():
+            while robot in queue:
+                queue.remove(robot)
+
+    def watch(self) -> None:
+        """Take note of where everyone is now."""
+        team, time = self._team, self._team.time
+        names = list(team.room.locations)
+        radius = team.room.robot.radius
+        residents: Dict[str, List[str]] = {name: [] for name in names}
+        for robot, track in self._tracks.items():
+            tally, pose = self.tallies[robot], team.physics.pose(robot)
+            moved = pose.distance(track.pose)
+            tally.distance += moved if moved > 1e-4 else 0.0
+            track.pose = pose
+            self._watch_goal(robot, track, tally, time)
+            for name in names:
+                away = team.room.locations[name].area.distance((pose.x, pose.y))
+                if away < radius:
+                    residents[name].append(robot)
+                # a robot has entered with its middle, and left with its edge
+                if away <= 0.0 and name not in track.inside:
+                    track.inside.add(name)
+                    self._enter(robot, name, track, tally, names)
+                elif away >= radius:
+                    track.inside.discard(name)
+        self._watch_sharing(residents, time)
+
+    def _watch_goal(self, robot: str, track: _Track, tally: Tally, time: float) -> None:
+        navigator = self._team.navigators[robot]
+        if navigator.status is not track.status:
+            tally.reached += navigator.status is Status.REACHED
+            tally.aborted += navigator.status is Status.FAILED
+            track.status = navigator.status
+        if not navigator.active or track.pose.distance(track.anchor) > STUCK_RADIUS:
+            track.anchor, track.since = track.pose, time
+        elif time - track.since > STUCK_SECONDS:
+            tally.stuck += time - max(track.since + STUCK_SECONDS, self._last_time)
+        self._last_time = time
+
+    _last_time = 0.0
+
+    def _enter(
+        self, robot: str, location: str, track: _Track, tally: Tally, names: List[str]
+    ) -> None:
+        tally.entries += 1
+        if location == names[track.next_location]:
+            track.next_location = (track.next_location + 1) % len(names)
+            tally.laps += track.next_location == 0
+        if self._granted is not None:
+            queue = self._granted[location]
+            if queue and queue[0] == robot:
+                queue.popleft()
+            else:
+                self.overtakings.append((self._team.time, location, robot))
+                if robot in queue:
+                    queue.remove(robot)
+
+    def _watch_sharing(self, residents: Dict[str, List[str]], time: float) -> None:
+        shared = {
+            (name, tuple(robots)) for name, robots in residents.items() if len(robots) > 1
+        }
+        for name, robots in sorted(shared - self._shared):
+            self.together.append((time, name, robots))
+        self._shared = shared
+
+    def report(self) -> Dict[str, Any]:
+        """All figures, ready for JSON."""
+        contacts = self._team.physics.contacts
+        tallies = self.tallies.values()
+        return {
+            "simulated_seconds": round(self._team.time, 3),
+            "robots": {name: asdict(tally) for name, tally in self.tallies.items()},
+            "laps": sum(tally.laps for tally in tallies),
+            "entries": sum(tally.entries for tally in tallies),
+            "distance": round(sum(tally.distance for tally in tallies), 2),
+            "contacts_between_robots": sum(contacts.robots.values()),
+            "contacts_with_solids": sum(contacts.solids.values()),
+            "stuck_minutes": round(sum(tally.stuck for tally in tallies) / 60, 3),
+            "goals_reached": sum(tally.reached for tally in tallies),
+            "goals_aborted": sum(tally.aborted for tally in tallies),
+            "two_in_one_location": len(self.together),
+            "overtakings": len(self.overtakings),
+        }

@@ -1,0 +1,280 @@
+"""The room: what a world looks like, where robots work and wait, how hot it is.
+
+Lengths are metres, angles radians, temperatures degrees Celsius, times seconds; x points east, y north, yaw counts
+counter-clockwise from east (REP 103). ``room_file`` reads rooms from YAML.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Dict, List, Mapping, Tuple, Union
+
+import numpy as np
+
+Point = Tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where something is and where it looks.
+
+    :param x: metres east.
+    :param y: metres north.
+    :param yaw: radians, counter-clockwise from east.
+    """
+
+    x: float
+    y: float
+    yaw: float = 0.0
+
+    def distance(self, other: Union["Pose", Point]) -> float:
+        """The straight distance to another pose or point, in metres."""
+        x, y = (other.x, other.y) if isinstance(other, Pose) else other
+        return math.hypot(self.x - x, self.y - y)
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A standing cylinder; ``at`` is its axis."""
+
+    at: Point
+    radius: float
+    height: float = 0.5
+    color: str = "#ffffff"
+
+    def distance(self, x: Any, y: Any) -> Any:
+        """The distance from points to the surface, negative inside; numbers or arrays, metres."""
+        return np.hypot(x - self.at[0], y - self.at[1]) - self.radius
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box on the floor; ``size`` is its length along its own x and y before it is turned by ``yaw``."""
+
+    at: Point
+    size: Tuple[float, float]
+    yaw: float = 0.0
+    height: float = 0.5
+    color: str = "#8d99ae"
+
+    def distance(self, x: Any, y: Any) -> Any:
+        """The distance from points to the surface, negative inside; numbers or arrays, metres."""
+        dx, dy = x - self.at[0], y - self.at[1]
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        ex = np.abs(dx * cos + dy * sin) - self.size[0] / 2
+        ey = np.abs(dy * cos - dx * sin) - self.size[1] / 2
+        outside = np.hypot(np.maximum(ex, 0.0), np.maximum(ey, 0.0))
+        return outside + np.minimum(np.maximum(ex, ey), 0.0)
+
+
+Obstacle = Union[Cylinder, Box]
+
+
+@dataclass(frozen=True)
+class Area:
+    """A rectangle along the axes of the room, from its south-west to its north-east corner."""
+
+    low: Point
+    high: Point
+
+    def distance(self, point: Point) -> float:
+        """The distance from a point to the rectangle, 0 inside."""
+        dx = max(self.low[0] - point[0], 0.0, point[0] - self.high[0])
+        dy = max(self.low[1] - point[1], 0.0, point[1] - self.high[1])
+        return math.hypot(dx, dy)
+
+
+@dataclass(frozen=True)
+class Location:
+    """A place where work is done, and the bay beside it where robots wait for the next one.
+
+    :param name: as the plan calls it.
+    :param area: what belongs to the location; at most one robot may be in it.
+    :param entry: where a robot waits until the area is clear; outside of the area.
+    :param sweep: the points to drive through, in this order, to sweep the area.
+    :param bay: the poses in which robots may wait for the next location, one robot each.
+    """
+
+    name: str
+    area: Area
+    entry: Pose
+    sweep: Tuple[Point, ...]
+    bay: Tuple[Pose, ...]
+
+
+@dataclass(frozen=True)
+class HotSpot:
+    """A source of heat whose excess temperature falls off as a Gaussian.
+
+    :param path: where its centre is: one point, or a closed path that it walks along.
+    :param excess: degrees above the surroundings in its centre.
+    :param radius: the standard deviation of the Gaussian, metres.
+    :param speed: metres per second along the path.
+    :param hot_for: seconds that it burns ...
+    :param cold_for: ... and seconds that it is cold after that; 0 means that it always burns.
+    :param phase: seconds into the first ``hot_for`` at time 0.
+    """
+
+    path: Tuple[Point, ...]
+    excess: float
+    radius: float
+    speed: float = 0.0
+    hot_for: float = 0.0
+    cold_for: float = 0.0
+    phase: float = 0.0
+
+    def burns(self, time: float) -> bool:
+        """Whether it burns at that time."""
+        period = self.hot_for + self.cold_for
+        return self.cold_for <= 0.0 or (time + self.phase) % period < self.hot_for
+
+    def at(self, time: float) -> Point:
+        """Where its centre is at that time."""
+        legs = list(zip(self.path, self.path[1:] + self.path[:1]))
+        length = sum(math.dist(a, b) for a, b in legs)
+        if length == 0.0:
+            return self.path[0]
+        rest = (self.speed * time) % length
+        for start, end in legs:
+            leg = math.dist(start, end)
+            if rest <= leg and leg > 0.0:
+                part = rest / leg
+                return (start[0] + part * (end[0] - start[0]), start[1] + part * (end[1] - start[1]))
+            rest -= leg
+        return self.path[0]
+
+
+@dataclass(frozen=True)
+class TemperatureField:
+    """The temperature everywhere: an ambient one, and hot spots on top of it."""
+
+    ambient: float = 21.0
+    hot_spots: Tuple[HotSpot, ...] = ()
+
+    def at(self, point: Point, time: float) -> float:
+        """The temperature in a point at a time, degrees Celsius."""
+        total = self.ambient
+        for spot in self.hot_spots:
+            if spot.burns(time):
+                away = math.dist(spot.at(time), point) / spot.radius
+                total += spot.excess * math.exp(-0.5 * away * away)
+        return total
+
+
+@dataclass(frozen=True)
+class RobotType:
+    """Size and limits of the robots. The defaults are TurtleBot3 Burger's (ROBOTIS e-manual).
+
+    :param radius: of the disc that the robot covers, metres.
+    :param max_speed: metres per second.
+    :param max_turn_rate: radians per second.
+    :param acceleration: metres per second squared.
+    :param turn_acceleration: radians per second squared.
+    :param wheel_radius: metres.
+    :param wheel_separation: metres between the wheels.
+    :param mass: kilograms.
+    :param scan_rays: rays of the laser scanner, all around.
+    :param scan_range: metres.
+    """
+
+    radius: float = 0.105
+    max_speed: float = 0.22
+    max_turn_rate: float = 2.84
+    acceleration: float = 2.5
+    turn_acceleration: float = 3.2
+    wheel_radius: float = 0.033
+    wheel_separation: float = 0.16
+    mass: float = 1.0
+    scan_rays: int = 120
+    scan_range: float = 3.5
+
+
+@dataclass(frozen=True)
+class Room:
+    """A room and all that is in it, as the room file describes it.
+
+    :param name: of the room.
+    :param walls: polylines; a wall stands along each, its middle on the line.
+    :param wall_thickness: metres.
+    :param wall_height: metres.
+    :param obstacles: cylinders and boxes.
+    :param locations: by name, in the order of the file.
+    :param spawn: where the robots start, in the order of the team.
+    :param temperature: the temperature field.
+    :param robot: size and limits of the robots.
+    """
+
+    name: str
+    walls: Tuple[Tuple[Point, ...], ...]
+    wall_thickness: float = 0.1
+    wall_height: float = 0.3
+    obstacles: Tuple[Obstacle, ...] = ()
+    locations: Mapping[str, Location] = field(default_factory=dict)
+    spawn: Tuple[Pose, ...] = ()
+    temperature: TemperatureField = TemperatureField()
+    robot: RobotType = RobotType()
+
+    def wall_boxes(self) -> List[Box]:
+        """The walls as boxes, one for each straight piece, long enough to close the corners."""
+        boxes = []
+        for line in self.walls:
+            for (x1, y1), (x2, y2) in zip(line, line[1:]):
+                boxes.append(
+                    Box(
+                        at=((x1 + x2) / 2, (y1 + y2) / 2),
+                        size=(math.hypot(x2 - x1, y2 - y1) + self.wall_thickness, self.wall_thickness),
+                        yaw=math.atan2(y2 - y1, x2 - x1),
+                        height=self.wall_height,
+                        color="#22262e",
+                    )
+                )
+        return boxes
+
+    def solids(self) -> List[Obstacle]:
+        """Everything that stands still and is hard: walls and obstacles."""
+        return [*self.wall_boxes(), *self.obstacles]
+
+    def bounds(self) -> Area:
+        """The rectangle around everything."""
+        points = [point for line in self.walls for point in line]
+        points += [solid.at for solid in self.obstacles]
+        points += [(pose.x, pose.y) for pose in self.spawn]
+        xs, ys = [p[0] for p in points], [p[1] for p in points]
+        return Area((min(xs), min(ys)), (max(xs), max(ys)))
+
+    def clearance(self, x: Any, y: Any) -> Any:
+        """The distance from points to the nearest wall or obstacle, negative inside one, metres."""
+        nearest = np.full(np.shape(x), np.inf)
+        for solid in self.solids():
+            nearest = np.minimum(nearest, solid.distance(x, y))
+        return nearest
+
+    def as_json(self) -> Dict[str, Any]:
+        """What a page needs to draw the room."""
+        boxes = [
+            {"at": box.at, "size": box.size, "yaw": box.yaw, "height": box.height, "color": box.color}
+            for box in [*self.wall_boxes(), *(o for o in self.obstacles if isinstance(o, Box))]
+        ]
+        bounds = self.bounds()
+        return {
+            "name": self.name,
+            "bounds": [bounds.low, bounds.high],
+            "boxes": boxes,
+            "cylinders": [
+                {"at": o.at, "radius": o.radius, "height": o.height, "color": o.color}
+                for o in self.obstacles
+                if isinstance(o, Cylinder)
+            ],
+            "locations": {
+                name: {
+                    "area": [place.area.low, place.area.high],
+                    "entry": [place.entry.x, place.entry.y, place.entry.yaw],
+                    "sweep": list(place.sweep),
+                    "bay": [[slot.x, slot.y, slot.yaw] for slot in place.bay],
+                }
+                for name, place in self.locations.items()
+            },
+            "robot_radius": self.robot.radius,
+            "ambient": self.temperature.ambient,
+        }

@@ -1,0 +1,89 @@
+"""A team of robots in a simulated room: physics and one navigator for each, stepped together.
+
+No ROS, no threads, no wall clock: the node, the tests and the benchmark drive this same class.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, List, Optional, Sequence, Tuple
+
+from gspn_framework_package.world.avoidance import Peer
+from gspn_framework_package.world.grid import Grid
+from gspn_framework_package.world.navigation import Navigator, Observation
+from gspn_framework_package.world.physics import TIME_STEP, Physics
+from gspn_framework_package.world.room import Pose, Room
+
+CONTROL_STEPS = 12
+"""Physics steps between two commands of the navigators: 10 commands a second."""
+
+CONTROL_PERIOD = CONTROL_STEPS * TIME_STEP
+"""Seconds between two commands of the navigators."""
+
+
+class Team:
+    """Robots that drive in a room.
+
+    :param room: the room.
+    :param robots: their names.
+    :param poses: where they start, instead of ``room.spawn``.
+    :param gui: open PyBullet's window.
+    """
+
+    def __init__(
+        self,
+        room: Room,
+        robots: Sequence[str],
+        poses: Optional[Sequence[Pose]] = None,
+        gui: bool = False,
+    ) -> None:
+        self.room = room
+        self.physics = Physics(room, robots, poses, gui)
+        self.grid = Grid(room)
+        self.robots: Tuple[str, ...] = tuple(robots)
+        self.navigators: Dict[str, Navigator] = {
+            name: Navigator(self.grid, index) for index, name in enumerate(robots)
+        }
+        self._teleop: Dict[str, Tuple[float, float, float]] = {}
+
+    @property
+    def time(self) -> float:
+        """Seconds simulated since the start."""
+        return self.physics.time
+
+    def teleoperate(self, robot: str, speed: float, turn_rate: float, seconds: float = 0.5) -> None:
+        """Drive a robot by hand while it has no goal; it stops when no command follows in time."""
+        self._teleop[robot] = (speed, turn_rate, self.time + seconds)
+
+    def peers(self) -> List[Peer]:
+        """What every robot shows and announces now."""
+        peers = []
+        for name in self.robots:
+            velocity = self.physics.velocity(name)
+            peers.append(
+                self.navigators[name].announce(
+                    name, self.physics.pose(name), (velocity[0], velocity[1]), self.time
+                )
+            )
+        return peers
+
+    def step(self) -> None:
+        """Advance by :data:`CONTROL_PERIOD`: one command for each robot, then the physics."""
+        peers = self.peers()
+        for me in peers:
+            navigator = self.navigators[me.name]
+            if navigator.active:
+                others = tuple(peer for peer in peers if peer is not me)
+                command = navigator.step(Observation(self.time, me.pose, others), CONTROL_PERIOD)
+            else:
+                command = self._by_hand(me.name)
+            self.physics.drive(me.name, *command)
+        for _ in range(CONTROL_STEPS):
+            self.physics.step()
+
+    def _by_hand(self, robot: str) -> Tuple[float, float]:
+        speed, turn_rate, until = self._teleop.get(robot, (0.0, 0.0, -1.0))
+        return (speed, turn_rate) if self.time < until else (0.0, 0.0)
+
+    def close(self) -> None:
+        """Give the simulation's memory back."""
+        self.physics.close()

@@ -1,0 +1,177 @@
+"""The patrol without ROS: robots that really drive, under the rule of the plan, decided in one place.
+
+Stands in for the execution nodes when the world itself is tested and measured: each robot checks a location, decides,
+waits in the bay or goes on to the next location, and no location is ever granted to two.
+"""
+
+from __future__ import annotations
+
+import random
+from typing import Dict, List, Optional, Sequence
+
+from gspn_framework_package.world import patrol
+from gspn_framework_package.world.navigation import Status
+from gspn_framework_package.world.referee import Referee
+from gspn_framework_package.world.room import Pose, Room
+from gspn_framework_package.world.team import Team
+
+
+class SimulatedRobot:
+    """One robot of a team, as the patrol's actions want it (:class:`.patrol.Robot`)."""
+
+    def __init__(self, team: Team, name: str) -> None:
+        self.name = name
+        self._team = team
+        self._navigator = team.navigators[name]
+
+    def now(self) -> float:
+        """The time, seconds."""
+        return self._team.time
+
+    def pose(self) -> Pose:
+        """Where it is."""
+        return self._team.physics.pose(self.name)
+
+    def others(self) -> Dict[str, Pose]:
+        """Where the others are."""
+        return {
+            name: self._team.physics.pose(name) for name in self._team.robots if name != self.name
+        }
+
+    def temperature(self) -> float:
+        """Degrees Celsius."""
+        return self._team.physics.temperature(self.name)
+
+    def go(self, goal: Pose) -> None:
+        """Start driving."""
+        self._navigator.go(goal, self._team.time)
+
+    def arrived(self) -> Optional[bool]:
+        """None on the way; then whether the last goal was reached."""
+        return None if self._navigator.active else self._navigator.status is Status.REACHED
+
+    def trouble(self) -> str:
+        """Why the last goal was not reached."""
+        return self._navigator.reason
+
+
+class _Patroller:
+    def __init__(self, robot: SimulatedRobot, slot: int, at: str) -> None:
+        self.robot = robot
+        self.slot = slot
+        self.at = at
+        self.state = "wait"
+        self.action: Optional[patrol.Action] = None
+        self.feedback = ""
+
+
+class Patrol:
+    """A team on patrol.
+
+    :param room: with locations in a ring, in the order of the file.
+    :param robots: names of the robots.
+    :param seed: of everything that is drawn.
+    :param threshold: degrees Celsius above which a location is too hot.
+    :param wait_seconds: mean time that a robot waits before it decides again.
+    :param spread: start with the robots spread over the bays; otherwise all start at ``room.spawn``, in the
+        bay of the last location.
+    """
+
+    def __init__(
+        self,
+        room: Room,
+        robots: Sequence[str],
+        seed: int = 0,
+        threshold: float = 30.0,
+        wait_seconds: float = 4.0,
+        spread: bool = False,
+        gui: bool = False,
+    ) -> None:
+        self._random = random.Random(seed)
+        self._ring = list(room.locations)
+        starts = [self._ring[index % len(self._ring) if spread else -1] for index in range(len(robots))]
+        poses: Optional[List[Pose]] = None
+        if spread:
+            poses = [room.locations[at].bay[index] for index, at in enumerate(starts)]
+        self.team = Team(room, robots, poses, gui)
+        self.referee = Referee(self.team)
+        self.failures: List[str] = []
+        self._threshold = threshold
+        self._wait_seconds = wait_seconds
+        self._members = [
+            _Patroller(SimulatedRobot(self.team, name), index, at)
+            for index, (name, at) in enumerate(zip(robots, starts))
+        ]
+        self._dead: Dict[str, _Patroller] = {}
+
+    def step(self) -> None:
+        """Advance the team by one control period, the actions with it."""
+        order = list(self._members)
+        self._random.shuffle(order)
+        for member in order:
+            self._act(member)
+        self.team.step()
+        self.referee.watch()
+
+    def run(self, seconds: float) -> None:
+        """Go on for that many simulated seconds."""
+        end = self.team.time + seconds
+        while self.team.time < end:
+            self.step()
+
+    def kill(self, robot: str) -> None:
+        """A robot stops for good, wherever it is; its body stays."""
+        member = next(m for m in self._members if m.robot.name == robot)
+        self._members.remove(member)
+        self._dead[robot] = member
+        self.team.navigators[robot].cancel()
+        self.referee.withdraw(robot)
+
+    def revive(self, robot: str) -> None:
+        """It comes back and begins its last action again."""
+        member = self._dead.pop(robot)
+        member.action = None
+        self._members.append(member)
+        if member.state == "check":
+            self.referee.grant(robot, member.at)
+            self._start(member)
+
+    def _next(self, location: str) -> str:
+        return self._ring[(self._ring.index(location) + 1) % len(self._ring)]
+
+    def _act(self, member: _Patroller) -> None:
+        if member.action is None:
+            self._start(member)
+        assert member.action is not None
+        try:
+            member.feedback = next(member.action)
+        except StopIteration as done:
+            member.action = None
+            self._decide(member, done.value)
+        except patrol.ActionFailed as error:
+            self.failures.append("%s at %.1f s: %s" % (member.robot.name, self.team.time, error))
+            member.action = None
+
+    def _decide(self, member: _Patroller, answer: Optional[str]) -> None:
+        if answer == "high":
+            member.state = "alarm"
+            return
+        target = self._next(member.at)
+        # whoever was lost in a location holds it, as its token does until it is evicted
+        if any(other.at == target and other.state != "wait" for other in self._members):
+            member.state = "wait"
+        else:
+            member.state, member.at = "check", target
+            self.referee.grant(member.robot.name, target)
+
+    def _start(self, member: _Patroller) -> None:
+        room, robot = self.team.room, member.robot
+        if member.state == "check":
+            member.action = patrol.check_temperature(
+                robot, room, member.at, self._threshold, "high", "low"
+            )
+        elif member.state == "alarm":
+            member.action = patrol.alarm(robot, room, member.at, 5.0, "off")
+        else:
+            seconds = self._wait_seconds * self._random.uniform(0.5, 1.5)
+            member.action = patrol.wait(robot, room, member.at, seconds, "done", member.slot)
