@@ -1,1 +1,17 @@
-"""Readers and writers of net files, each to and from the one model. No ROS."""
+"""Readers and writers of net files, each to and from the one model. No ROS.
+
+>>> from gspn_framework_package.formats import read_net, write_net  # doctest: +SKIP
+>>> write_net(read_net("patrol.xml"), "patrol.pnpro")  # doctest: +SKIP
+[]
+"""
+
+from gspn_framework_package.formats.registry import (
+    FORMATS,
+    Format,
+    format_of_name,
+    read_net,
+    read_net_with_notes,
+    write_net,
+)
+
+__all__ = ["FORMATS", "Format", "format_of_name", "read_net", "read_net_with_notes", "write_net"]

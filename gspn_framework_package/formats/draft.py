@@ -1,8 +1,8 @@
 """What readers fill while they go through a file, and what makes a net of it.
 
-The rules that all formats share are here, once: elements are named by their name, or by their id where names
-are empty or shared; arcs find their ends by id, or else by name; what is wrong is told with its line.
-"""
+The rules that all formats share are here, once: elements are named by their name, or by their id
+where names are empty or shared; arcs find their ends by id, or else by name; what is wrong is told
+with its line."""
 
 from __future__ import annotations
 
@@ -21,11 +21,10 @@ class ReadOptions(NamedTuple):
 
     :ivar net: name of the net to take from a file of several.
     :ivar constants: values of constants; they go before those of the file.
-    :ivar infinite_servers: whether an exponential transition whose file does not say how many servers it has
-        has infinitely many; None takes the default of the format.
-    :ivar missing_weight: weight of an immediate transition whose file gives none: 1, or 0 for "controllable",
-        as robotics users read it.
-    """
+    :ivar infinite_servers: whether an exponential transition whose file does not say how many
+        servers it has has infinitely many; None takes the default of the format.
+    :ivar missing_weight: weight of an immediate transition whose file gives none: 1, or 0 for
+        "controllable", as robotics users read it."""
 
     net: Optional[str] = None
     constants: Mapping[str, float] = NO_CONSTANTS
@@ -62,53 +61,90 @@ class NetDraft:
     :param constants: values that its expressions may use.
     """
 
-    def __init__(self, file: Optional[str] = None, constants: Mapping[str, float] = NO_CONSTANTS) -> None:
+    def __init__(
+        self, file: Optional[str] = None, constants: Mapping[str, float] = NO_CONSTANTS
+    ) -> None:
         self.file = file
         self.constants = constants
         self.notes: List[str] = []
         self._nodes: Dict[str, _Node] = {}
         self._arcs: List[_ArcLine] = []
 
-    # -- filling ----------------------------------------------------------------------------------------
+    # -- filling ---------------------------------------------------------------------------------
 
     def note(self, text: str) -> None:
         """Remember something that the user should know, once."""
         if text not in self.notes:
             self.notes.append(text)
 
-    def fail(self, message: str, element: Optional[str] = None, line: Optional[int] = None,
-             hint: Optional[str] = None) -> NoReturn:
+    def fail(
+        self,
+        message: str,
+        element: Optional[str] = None,
+        line: Optional[int] = None,
+        hint: Optional[str] = None,
+    ) -> NoReturn:
         """Raise a NetError that happened in this file."""
         raise NetError(message, file=self.file, line=line, element=element, hint=hint)
 
-    def add_place(self, identifier: Optional[str], name: Optional[str], tokens: int = 0,
-                  capacity: Optional[int] = None, position: Optional[Position] = None,
-                  line: Optional[int] = None) -> None:
+    def add_place(
+        self,
+        identifier: Optional[str],
+        name: Optional[str],
+        tokens: int = 0,
+        capacity: Optional[int] = None,
+        position: Optional[Position] = None,
+        line: Optional[int] = None,
+    ) -> None:
         """Add a place; of ``identifier`` and ``name`` one may be missing."""
         self._add(identifier, name, Place("", tokens, capacity, position), line)
 
-    def add_immediate(self, identifier: Optional[str], name: Optional[str], weight: float = 1.0,
-                      priority: int = 1, position: Optional[Position] = None,
-                      line: Optional[int] = None) -> None:
+    def add_immediate(
+        self,
+        identifier: Optional[str],
+        name: Optional[str],
+        weight: float = 1.0,
+        priority: int = 1,
+        position: Optional[Position] = None,
+        line: Optional[int] = None,
+    ) -> None:
         """Add an immediate transition."""
         self._add(identifier, name, Transition("", False, 1.0, weight, priority, 1, position), line)
 
-    def add_exponential(self, identifier: Optional[str], name: Optional[str], rate: float = 1.0,
-                        servers: Optional[int] = 1, position: Optional[Position] = None,
-                        line: Optional[int] = None) -> None:
+    def add_exponential(
+        self,
+        identifier: Optional[str],
+        name: Optional[str],
+        rate: float = 1.0,
+        servers: Optional[int] = 1,
+        position: Optional[Position] = None,
+        line: Optional[int] = None,
+    ) -> None:
         """Add an exponential transition (``servers`` None: infinitely many)."""
         self._add(identifier, name, Transition("", True, rate, 1.0, 1, servers, position), line)
 
-    def add_arc(self, identifier: Optional[str], source: Optional[str], target: Optional[str],
-                weight: int = 1, inhibitor: bool = False, line: Optional[int] = None) -> None:
+    def add_arc(
+        self,
+        identifier: Optional[str],
+        source: Optional[str],
+        target: Optional[str],
+        weight: int = 1,
+        inhibitor: bool = False,
+        line: Optional[int] = None,
+    ) -> None:
         """Add an arc; its ends are ids or names, and may come later in the file."""
         element = "arc '%s'" % identifier if identifier else "arc"
         if not source or not target:
             self.fail("it has no %s" % ("target" if source else "source"), element, line)
         self._arcs.append(_ArcLine(identifier or "", source, target, weight, inhibitor, line))
 
-    def _add(self, identifier: Optional[str], name: Optional[str], item: Union[Place, Transition],
-             line: Optional[int]) -> None:
+    def _add(
+        self,
+        identifier: Optional[str],
+        name: Optional[str],
+        item: Union[Place, Transition],
+        line: Optional[int],
+    ) -> None:
         kind = "place" if isinstance(item, Place) else "transition"
         key = identifier or name
         if not key:
@@ -116,12 +152,16 @@ class NetDraft:
         if key in self._nodes:
             other = self._nodes[key]
             where = " in line %d" % other.line if other.line else ""
-            self.fail("the id is already taken by a %s%s" % (
-                "place" if isinstance(other.item, Place) else "transition", where),
-                "%s '%s'" % (kind, key), line, "ids of places and transitions must differ")
+            self.fail(
+                "the id is already taken by a %s%s"
+                % ("place" if isinstance(other.item, Place) else "transition", where),
+                "%s '%s'" % (kind, key),
+                line,
+                "ids of places and transitions must differ",
+            )
         self._nodes[key] = _Node(key, name or "", line, item)
 
-    # -- numbers ----------------------------------------------------------------------------------------
+    # -- numbers ---------------------------------------------------------------------------------
 
     def number(self, text: str, what: str, element: str, line: Optional[int]) -> float:
         """The value of a number or an expression over the constants.
@@ -145,7 +185,7 @@ class NetDraft:
             self.fail("its %s '%s' is not a whole number" % (what, shorten(text)), element, line)
         return value
 
-    # -- the net ----------------------------------------------------------------------------------------
+    # -- the net ---------------------------------------------------------------------------------
 
     def net(self, name: str) -> Net:
         """The net that was drafted.
@@ -167,11 +207,18 @@ class NetDraft:
                 lines["transition '%s'" % item.name] = node.line
         arcs = []
         for arc in self._arcs:
-            ends = [names.get(end) or names.get(by_name.get(end, "")) for end in (arc.source, arc.target)]
+            ends = [
+                names.get(end) or names.get(by_name.get(end, ""))
+                for end in (arc.source, arc.target)
+            ]
             if ends[0] is None or ends[1] is None:
-                self.fail("there is no place or transition '%s'" % (arc.target if ends[0] else arc.source),
-                          "arc '%s' from '%s' to '%s'" % (arc.identifier, arc.source, arc.target), arc.line,
-                          "an arc joins a place and a transition of the same net")
+                self.fail(
+                    "there is no place or transition '%s'"
+                    % (arc.target if ends[0] else arc.source),
+                    "arc '%s' from '%s' to '%s'" % (arc.identifier, arc.source, arc.target),
+                    arc.line,
+                    "an arc joins a place and a transition of the same net",
+                )
             arcs.append(Arc(ends[0], ends[1], arc.weight, arc.inhibitor))
             kind = "inhibitor arc" if arc.inhibitor else "arc"
             lines.setdefault("%s from '%s' to '%s'" % (kind, ends[0], ends[1]), arc.line)
@@ -195,7 +242,13 @@ class NetDraft:
                 names[identifier] = identifier
         renamed = [n for i, n in self._nodes.items() if n.name and names[i] != n.name]
         if renamed:
-            self.note("%d element%s with a name that others have too (such as '%s') %s named by id" % (
-                len(renamed), "" if len(renamed) == 1 else "s", renamed[0].name,
-                "is" if len(renamed) == 1 else "are"))
+            self.note(
+                "%d element%s with a name that others have too (such as '%s') %s named by id"
+                % (
+                    len(renamed),
+                    "" if len(renamed) == 1 else "s",
+                    renamed[0].name,
+                    "is" if len(renamed) == 1 else "are",
+                )
+            )
         return names

@@ -1,18 +1,16 @@
 """PIPE XML, the "xml language" of the thesis (2.x to 5): read and write.
 
-Elements are named by ``name/value``, arcs join ids. What the generations of the tool write differently, and how
-it is read:
+Elements are named by ``name/value``, arcs join ids. What the generations of the tool write
+differently, and how it is read:
 
 ==================  ================================================================================
-marking, weight     ``1`` (2.x), ``Default,1`` (3 on), ``Default,0,Red,1`` (coloured: refused when more
-                    than one class of tokens is in use); ``@`` stands for a comma inside a function;
-                    empty (5) is the default: no token, weight 1
-capacity            missing or 0: unlimited
-``timed``           missing: immediate; ``rate`` is the weight of an immediate transition
-``infiniteServer``  missing: single server, unless the reader is told otherwise
-``priority``        missing: 1
-arc ``type``        missing: normal
-``definition``      a constant (a rate parameter), which a rate may name or compute with
+marking, weight     ``1`` (2.x), ``Default,1`` (3 on), ``Default,0,Red,1`` (coloured: refused when
+more than one class of tokens is in use); ``@`` stands for a comma inside a function; empty (5) is
+the default: no token, weight 1 capacity            missing or 0: unlimited ``timed``
+missing: immediate; ``rate`` is the weight of an immediate transition ``infiniteServer``  missing:
+single server, unless the reader is told otherwise ``priority``        missing: 1 arc ``type``
+missing: normal ``definition``      a constant (a rate parameter), which a rate may name or compute
+with
 ==================  ================================================================================
 """
 
@@ -23,34 +21,36 @@ from typing import Dict, List, Mapping, Optional, Sequence, Set, Tuple
 from lxml import etree
 
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions
-from gspn_framework_package.formats.source import read_bytes, write_bytes
 from gspn_framework_package.formats.xml_tree import (
-    all_of, child, choose_net, label, line_of, name_of, parse_xml, position, serialise, tag)
+    all_of,
+    child,
+    choose_net,
+    label,
+    line_of,
+    name_of,
+    number_text,
+    position,
+    serialise,
+    tag,
+    writing_names,
+)
 from gspn_framework_package.model.errors import ExpressionError, NetError
-from gspn_framework_package.model.expression import parse, resolve_constants, shorten
+from gspn_framework_package.model.expression import resolve_constants, shorten
 from gspn_framework_package.model.net import Net, Position
 
 NET_TYPE = "P/T net"
 _DEFAULT_CLASS = "Default"
+_ARC_KINDS = {"regular": "normal", "inhibition": "inhibitor"}  # how other tools spell them
 
 
-def read(path: str, options: ReadOptions = ReadOptions()) -> Net:
-    """The net of a PIPE file.
-
-    :raises InputError: it cannot be read, is not XML, or is not a PIPE net.
-    """
-    return read_with_notes(path, options)[0]
-
-
-def read_with_notes(path: str, options: ReadOptions = ReadOptions()) -> Tuple[Net, List[str]]:
-    """As :func:`read`, and notes on what had to be assumed."""
-    return from_xml(parse_xml(read_bytes(path), str(path)), str(path), options)
-
-
-def from_xml(root: etree._Element, file: Optional[str], options: ReadOptions) -> Tuple[Net, List[str]]:
+def from_xml(
+    root: etree._Element, file: Optional[str], options: ReadOptions
+) -> Tuple[Net, List[str]]:
     """The net in a parsed document, and notes."""
     if tag(root) not in ("pnml", "net"):
-        raise NetError("the root element is <%s>, not <pnml>" % tag(root), file=file, line=root.sourceline)
+        raise NetError(
+            "the root element is <%s>, not <pnml>" % tag(root), file=file, line=line_of(root)
+        )
     nets = [root] if tag(root) == "net" else all_of(root, "net")
     element = choose_net(nets, options.net, file)
     reader = _Reader(element, file, options)
@@ -59,7 +59,11 @@ def from_xml(root: etree._Element, file: Optional[str], options: ReadOptions) ->
 
 
 def _net_name(net: etree._Element) -> str:
-    return label(net, "name", "value") or (net.get("id") or "").strip() or (net.get("name") or "").strip()
+    return (
+        label(net, "name", "value")
+        or (net.get("id") or "").strip()
+        or (net.get("name") or "").strip()
+    )
 
 
 class _Reader:
@@ -79,15 +83,20 @@ class _Reader:
             if kind in readers:
                 readers[kind](element)
             elif kind == "page":
-                self.draft.fail("a page in a PIPE net", line=line_of(element),
-                                hint="pages belong to ISO PNML; read it as format pnml")
+                self.draft.fail(
+                    "a page in a PIPE net",
+                    line=line_of(element),
+                    hint="pages belong to ISO PNML; read it as format pnml",
+                )
             elif kind not in silent:
                 self.draft.note("<%s> elements are ignored" % kind)
         if len(self.classes) > 1:
             names = sorted(self.classes)
-            self.draft.fail("a coloured net: it uses tokens of the classes %s" % ", ".join(names),
-                            line=max(self.classes.values()),
-                            hint="only nets with one class of tokens are read; unfold it first")
+            self.draft.fail(
+                "a coloured net: it uses tokens of the classes %s" % ", ".join(names),
+                line=max(self.classes.values()),
+                hint="only nets with one class of tokens are read; unfold it first",
+            )
 
     def _constants(self, file: Optional[str]) -> Mapping[str, float]:
         definitions = {}
@@ -102,11 +111,18 @@ class _Reader:
 
     def _place(self, element: etree._Element) -> None:
         what, line = name_of(element, "place"), line_of(element)
-        tokens = self._tokens(label(element, "initialMarking", "value"), 0, "initial marking", what, line)
-        text = label(element, "capacity", "value")
-        capacity = self.draft.count(text, "capacity", what, line) if text else 0
-        self.draft.add_place(element.get("id"), label(element, "name", "value"), tokens, capacity or None,
-                             position(element), line)
+        tokens = self._tokens(
+            label(element, "initialMarking", "value"), 0, "initial marking", what, line
+        )
+        capacity = self._tokens(label(element, "capacity", "value"), 0, "capacity", what, line)
+        self.draft.add_place(
+            element.get("id"),
+            label(element, "name", "value"),
+            tokens,
+            capacity or None,
+            position(element),
+            line,
+        )
 
     def _transition(self, element: etree._Element) -> None:
         what, line = name_of(element, "transition"), line_of(element)
@@ -119,8 +135,9 @@ class _Reader:
                 servers = self.options.servers(1)
             else:
                 servers = None if self._flag(element, "infiniteServer", what) else 1
-            self.draft.add_exponential(identifier, name, 1.0 if rate is None else rate, servers,
-                                       position(element), line)
+            self.draft.add_exponential(
+                identifier, name, 1.0 if rate is None else rate, servers, position(element), line
+            )
             return
         text = label(element, "priority", "value")
         priority = self.draft.count(text, "priority", what, line) if text else 1
@@ -136,30 +153,51 @@ class _Reader:
             return None
         text = text.replace("@", ",")
         if "#" in text:
-            self.draft.fail("its %s '%s' depends on the marking" % (what, shorten(text)), name,
-                            line_of(element), "only constant rates and weights are read")
+            self.draft.fail(
+                "its %s '%s' depends on the marking" % (what, shorten(text)),
+                name,
+                line_of(element),
+                "only constant rates and weights are read",
+            )
         return self.draft.number(text, what, name, line_of(element))
 
     def _flag(self, element: etree._Element, what: str, name: str) -> bool:
         text = (label(element, what, "value") or "false").lower()
         if text not in ("true", "false", "1", "0"):
-            self.draft.fail("its %s is '%s', neither true nor false" % (what, shorten(text)), name,
-                            line_of(element))
+            self.draft.fail(
+                "its %s is '%s', neither true nor false" % (what, shorten(text)),
+                name,
+                line_of(element),
+            )
         return text in ("true", "1")
 
     def _arc(self, element: etree._Element) -> None:
         what, line = name_of(element, "arc"), line_of(element)
         kinds = child(element, "type")
-        kind = (kinds.get("value") or label(element, "type", "value") or "normal").lower() \
-            if kinds is not None else "normal"
+        kind = (
+            (kinds.get("value") or label(element, "type", "value") or "normal").lower()
+            if kinds is not None
+            else "normal"
+        )
+        kind = _ARC_KINDS.get(kind, kind)
         if kind not in ("normal", "inhibitor"):
-            self.draft.fail("arcs of type '%s' are not known" % shorten(kind), what, line,
-                            "normal and inhibitor arcs are")
+            self.draft.fail(
+                "arcs of type '%s' are not known" % shorten(kind),
+                what,
+                line,
+                "normal and inhibitor arcs are",
+            )
         weight = self._tokens(label(element, "inscription", "value"), 1, "weight", what, line)
         if weight == 0 and kind == "inhibitor":  # PIPE 5: no weight, one token inhibits
             weight = 1
-        self.draft.add_arc(element.get("id"), element.get("source"), element.get("target"), weight,
-                           kind == "inhibitor", line)
+        self.draft.add_arc(
+            element.get("id"),
+            element.get("source"),
+            element.get("target"),
+            weight,
+            kind == "inhibitor",
+            line,
+        )
 
     def _tokens(self, text: Optional[str], default: int, what: str, name: str, line: int) -> int:
         """The number in ``1`` or ``Default,1`` or ``Default,0,Red,1``."""
@@ -185,8 +223,12 @@ class _Reader:
 
     def _constant_only(self, text: str, what: str, name: str, line: int) -> None:
         if "#" in text:
-            self.draft.fail("its %s '%s' depends on the marking" % (what, shorten(text)), name, line,
-                            "only constant weights are read")
+            self.draft.fail(
+                "its %s '%s' depends on the marking" % (what, shorten(text)),
+                name,
+                line,
+                "only constant weights are read",
+            )
 
 
 def _classes(text: str) -> Optional[Sequence[Tuple[str, str]]]:
@@ -199,27 +241,26 @@ def _classes(text: str) -> Optional[Sequence[Tuple[str, str]]]:
 
 
 def _is_class(text: str) -> bool:
-    return bool(text) and not text[0].isdigit() and text.replace("_", "a").replace(" ", "a").isalnum()
+    return (
+        bool(text) and not text[0].isdigit() and text.replace("_", "a").replace(" ", "a").isalnum()
+    )
 
 
-# -- writing ----------------------------------------------------------------------------------------------
-
-
-def write(net: Net, path: str) -> None:
-    """Write ``net`` as a PIPE file that PIPE 2.5 to 5 and the readers of the thesis's xml understand.
-
-    :raises NetError: it has something that the format cannot say.
-    :raises InputError: the file cannot be written.
-    """
-    write_bytes(path, to_bytes(net))
+# -- writing -------------------------------------------------------------------------------------
 
 
 def to_bytes(net: Net) -> bytes:
-    """The document that :func:`write` writes."""
+    """The net as a document that PIPE 2.5 to 5 and readers of the thesis's xml understand.
+
+    :raises NetError: it has something that the format cannot say.
+    """
     root = etree.Element("pnml")
-    element = etree.SubElement(root, "net", id=net.name or "Net-One", type=NET_TYPE)
-    etree.SubElement(element, "token", id=_DEFAULT_CLASS, enabled="true", red="0", green="0", blue="0")
-    try:
+    element = etree.SubElement(root, "net", type=NET_TYPE)
+    etree.SubElement(
+        element, "token", id=_DEFAULT_CLASS, enabled="true", red="0", green="0", blue="0"
+    )
+    with writing_names(net):
+        element.set("id", net.name or "Net-One")
         for place in net.places:
             node = _write_node(element, "place", place.name, place.position)
             _write_value(node, "initialMarking", "%s,%d" % (_DEFAULT_CLASS, place.tokens))
@@ -227,33 +268,45 @@ def to_bytes(net: Net) -> bytes:
         for transition in net.transitions:
             node = _write_node(element, "transition", transition.name, transition.position)
             _write_value(node, "orientation", "0")
-            _write_value(node, "rate", repr(float(transition.rate if transition.timed
-                                                  else transition.weight)))
+            _write_value(
+                node,
+                "rate",
+                number_text(transition.rate if transition.timed else transition.weight),
+            )
             _write_value(node, "timed", _boolean(transition.timed))
             if transition.timed and transition.servers not in (None, 1):
-                raise NetError("PIPE files know single and infinite servers, not %d" % transition.servers,
-                               element="transition '%s'" % transition.name,
-                               hint="PNPRO and PNML files can hold it")
-            _write_value(node, "infiniteServer", _boolean(transition.timed and transition.servers is None))
+                raise NetError(
+                    "PIPE files know single and infinite servers, not %d" % transition.servers,
+                    element="transition '%s'" % transition.name,
+                    hint="PNPRO and PNML files can hold it",
+                )
+            _write_value(
+                node, "infiniteServer", _boolean(transition.timed and transition.servers is None)
+            )
             _write_value(node, "priority", str(transition.priority))
         used: Set[str] = set()
         for arc in net.arcs:
-            node = etree.SubElement(element, "arc", id=_arc_id(arc.source, arc.target, used),
-                                    source=arc.source, target=arc.target)
+            node = etree.SubElement(
+                element,
+                "arc",
+                id=_arc_id(arc.source, arc.target, used),
+                source=arc.source,
+                target=arc.target,
+            )
             etree.SubElement(node, "graphics")
             _write_value(node, "inscription", "%s,%d" % (_DEFAULT_CLASS, arc.weight))
             _write_value(node, "tagged", "false")
             etree.SubElement(node, "type", value="inhibitor" if arc.inhibitor else "normal")
-    except ValueError as error:  # a control character in a name
-        raise NetError("a name cannot be written in XML: %s" % error, element="net '%s'" % net.name) from None
     return serialise(root)
 
 
-def _write_node(parent: etree._Element, kind: str, name: str, where: Optional[Position]) -> etree._Element:
+def _write_node(
+    parent: etree._Element, kind: str, name: str, where: Optional[Position]
+) -> etree._Element:
     node = etree.SubElement(parent, kind, id=name)
     if where is not None:
         graphics = etree.SubElement(node, "graphics")
-        etree.SubElement(graphics, "position", x=repr(float(where[0])), y=repr(float(where[1])))
+        etree.SubElement(graphics, "position", x=number_text(where[0]), y=number_text(where[1]))
     _write_value(node, "name", name)
     return node
 

@@ -30,8 +30,11 @@ def read_bytes(path: str, limit: int = MAX_BYTES) -> bytes:
 
 
 def _too_large(path: str, limit: int) -> InputError:
-    return InputError("the file is larger than %d MB" % (limit // 1_000_000), file=path,
-                      hint="no net of a sensible size needs that; is it the right file?")
+    return InputError(
+        "the file is larger than %d MB" % (limit // 1_000_000),
+        file=path,
+        hint="no net of a sensible size needs that; is it the right file?",
+    )
 
 
 def write_bytes(path: str, data: bytes) -> None:

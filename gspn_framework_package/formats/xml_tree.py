@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import List, Optional, Sequence
+from contextlib import contextmanager
+from typing import Any, Iterator, List, Optional, Sequence, cast
 
 from lxml import etree
 
 from gspn_framework_package.model.errors import InputError, NetError
-from gspn_framework_package.model.net import Position
+from gspn_framework_package.model.net import Net, Position
 
 
 def parse_xml(data: bytes, file: Optional[str] = None) -> etree._Element:
@@ -18,9 +19,17 @@ def parse_xml(data: bytes, file: Optional[str] = None) -> etree._Element:
 
     :raises InputError: it is not well-formed (with the line), or it declares entities.
     """
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, dtd_validation=False,
-                             attribute_defaults=False, huge_tree=False, remove_comments=True,
-                             remove_pis=True, remove_blank_text=False)
+    parser = etree.XMLParser(
+        resolve_entities=False,
+        no_network=True,
+        load_dtd=False,
+        dtd_validation=False,
+        attribute_defaults=False,
+        huge_tree=False,
+        remove_comments=True,
+        remove_pis=True,
+        remove_blank_text=False,
+    )
     try:
         root = etree.fromstring(data, parser)
     except etree.XMLSyntaxError as error:
@@ -28,21 +37,28 @@ def parse_xml(data: bytes, file: Optional[str] = None) -> etree._Element:
             raise _entities(file) from None
         line = error.lineno or None
         text = (error.msg or "the document is empty").split(", line ")[0]
-        raise InputError("not well-formed XML: %s" % text, file=file, line=line,
-                         hint="the file may be cut off or damaged") from None
+        raise InputError(
+            "not well-formed XML: %s" % text,
+            file=file,
+            line=line,
+            hint="the file may be cut off or damaged",
+        ) from None
     except ValueError as error:
         raise InputError("not well-formed XML: %s" % error, file=file) from None
     if root is None:
         raise InputError("not well-formed XML: the document is empty", file=file)
-    dtd = root.getroottree().docinfo.internalDTD
-    if dtd is not None and any(True for _ in dtd.iterentities()):
+    dtd: Any = root.getroottree().docinfo.internalDTD
+    if dtd is not None and dtd.entities():
         raise _entities(file)
     return root
 
 
 def _entities(file: Optional[str]) -> InputError:
-    return InputError("the document declares XML entities, which are not read", file=file,
-                      hint="write what they stand for in their place")
+    return InputError(
+        "the document declares XML entities, which are not read",
+        file=file,
+        hint="write what they stand for in their place",
+    )
 
 
 def tag(element: etree._Element) -> str:
@@ -76,7 +92,7 @@ def label(element: etree._Element, name: str, part: str) -> Optional[str]:
 
 def line_of(element: etree._Element) -> int:
     """The line that the element begins in."""
-    return int(element.sourceline or 0)
+    return cast(int, element.sourceline or 0)
 
 
 def name_of(element: etree._Element, kind: str) -> str:
@@ -101,8 +117,9 @@ def coordinates(element: etree._Element) -> Optional[Position]:
     return (x, y) if math.isfinite(x) and math.isfinite(y) else None
 
 
-def choose_net(nets: Sequence[etree._Element], wanted: Optional[str],
-               file: Optional[str]) -> etree._Element:
+def choose_net(
+    nets: Sequence[etree._Element], wanted: Optional[str], file: Optional[str]
+) -> etree._Element:
     """The net called ``wanted`` (by name or id), or the only one there is.
 
     :raises NetError: there is none, none of that name, or several and none was asked for.
@@ -115,16 +132,43 @@ def choose_net(nets: Sequence[etree._Element], wanted: Optional[str],
         for net, called in zip(nets, names):
             if wanted in called:
                 return net
-        raise NetError("there is no net '%s' in the file" % wanted, file=file, hint="it has %s" % known)
+        raise NetError(
+            "there is no net '%s' in the file" % wanted, file=file, hint="it has %s" % known
+        )
     if len(nets) > 1:
-        raise NetError("the file holds %d nets" % len(nets), file=file, line=line_of(nets[1]),
-                       hint="choose one by name: %s" % known)
+        raise NetError(
+            "the file holds %d nets" % len(nets),
+            file=file,
+            line=line_of(nets[1]),
+            hint="choose one by name: %s" % known,
+        )
     return nets[0]
 
 
 def _net_names(net: etree._Element) -> List[str]:
-    found = (net.get("name"), label(net, "name", "value"), label(net, "name", "text"), net.get("id"))
+    found = (
+        net.get("name"),
+        label(net, "name", "value"),
+        label(net, "name", "text"),
+        net.get("id"),
+    )
     return [n.strip() for n in found if n and n.strip()]
+
+
+def number_text(value: float) -> str:
+    """A number such that reading it gives exactly the same."""
+    return repr(float(value))
+
+
+@contextmanager
+def writing_names(net: Net) -> Iterator[None]:
+    """Tells names that XML cannot hold (control characters) as an error of the net."""
+    try:
+        yield
+    except ValueError as error:
+        raise NetError(
+            "a name cannot be written in XML: %s" % error, element="net '%s'" % net.name
+        ) from None
 
 
 def serialise(root: etree._Element, depth: int = 2) -> bytes:

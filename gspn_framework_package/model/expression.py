@@ -1,15 +1,29 @@
-"""Arithmetic over named constants, as net files hold it: ``2*N + 1``, ``lambda / min(k, 3)``, ``1.5e-3``.
+"""Arithmetic over named constants, as net files hold it: ``2*N + 1``, ``lambda / min(k, 3)``,
+``1.5e-3``.
 
-Text becomes tokens (:func:`tokenize`), tokens a tree (:func:`parse`), the tree a number (:func:`evaluate`).
-Nothing of Python's own ``eval`` or ``ast`` is involved, so a constant may be called ``lambda``, and no text from
-a file can do more than arithmetic. The language of conditions on markings builds on the same tokens and parser.
-"""
+Text becomes tokens (:func:`tokenize`), tokens a tree (:func:`parse`), the tree a number
+(:func:`evaluate`). Nothing of Python's own ``eval`` or ``ast`` is involved, so a constant may be
+called ``lambda``, and no text from a file can do more than arithmetic. The language of conditions
+on markings builds on the same tokens and parser."""
 
 from __future__ import annotations
 
 import math
 import re
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, NoReturn, Optional, Sequence, Set, Tuple, Union
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    List,
+    Mapping,
+    NamedTuple,
+    NoReturn,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
 
 from gspn_framework_package.model.errors import ExpressionError
 
@@ -17,12 +31,14 @@ MAX_LENGTH = 10_000
 """Longest expression that is read, in characters."""
 
 MAX_DEPTH = 60
-"""Deepest nesting of parentheses, signs and powers that is read: far above need, far below the stack."""
+"""Deepest nesting of parentheses, signs and powers that is read: far above need, far below the
+stack."""
 
 
 class Token(NamedTuple):
-    """A word of an expression: ``kind`` is ``number``, ``name``, ``operator`` or ``end``; ``text`` is what it
-    says (of a quoted name: without the quotes); ``start`` is where it begins, in characters from 0."""
+    """A word of an expression: ``kind`` is ``number``, ``name``, ``operator`` or ``end``; ``text``
+    is what it says (of a quoted name: without the quotes); ``start`` is where it begins, in
+    characters from 0."""
 
     kind: str
     text: str
@@ -44,22 +60,22 @@ class Name(NamedTuple):
 class Negation(NamedTuple):
     """Minus ``operand``."""
 
-    operand: "Expression"
+    operand: Expression
 
 
 class Operation(NamedTuple):
     """``left operator right``, the operator one of ``+ - * / ^``."""
 
     operator: str
-    left: "Expression"
-    right: "Expression"
+    left: Expression
+    right: Expression
 
 
 class Call(NamedTuple):
     """A function of :data:`FUNCTIONS` applied to its arguments."""
 
     function: str
-    arguments: Tuple["Expression", ...]
+    arguments: Tuple[Expression, ...]
 
 
 Expression = Union[Number, Name, Negation, Operation, Call]
@@ -80,20 +96,23 @@ FUNCTIONS: Mapping[str, Tuple[int, Optional[int], Callable[..., Any]]] = {
 }
 """Function name -> least and greatest number of arguments (None: any), and what it does."""
 
-_TOKEN = re.compile(r"""
+_TOKEN = re.compile(
+    r"""
     (?P<space>\s+)
   | (?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)
   | (?P<name>[^\W\d][\w.:]*)
   | (?P<quoted>"[^"]*"|'[^']*')
   | (?P<operator><=|>=|==|!=|<>|&&|\|\||->|[-+*/^%(),<>=!&|\#@?:\[\]{};])
-""", re.VERBOSE)
+""",
+    re.VERBOSE,
+)
 
 
 def tokenize(text: str) -> List[Token]:
     """The tokens of ``text``, the last one of kind ``end``.
 
-    Names may hold letters, digits, ``_``, ``.`` and ``:``; any other name is written in quotes. Comparison and
-    logical operators are tokens too, for the language of conditions.
+    Names may hold letters, digits, ``_``, ``.`` and ``:``; any other name is written in quotes.
+    Comparison and logical operators are tokens too, for the language of conditions.
 
     :raises ExpressionError: a character that begins no token, or a text above :data:`MAX_LENGTH`.
 
@@ -101,7 +120,9 @@ def tokenize(text: str) -> List[Token]:
     ['2', '*', 'p1:Wait', '>=', 'a b', '']
     """
     if len(text) > MAX_LENGTH:
-        raise ExpressionError("the expression has %d characters, more than %d" % (len(text), MAX_LENGTH))
+        raise ExpressionError(
+            "the expression has %d characters, more than %d" % (len(text), MAX_LENGTH)
+        )
     tokens = []
     at = 0
     while at < len(text):
@@ -121,7 +142,8 @@ def tokenize(text: str) -> List[Token]:
 
 
 class Parser:
-    """A recursive-descent parser of arithmetic. A richer language subclasses it and starts from its own rule;
+    """A recursive-descent parser of arithmetic. A richer language subclasses it and starts from its
+    own rule;
     :meth:`atom` is where a subclass gives names another meaning.
 
     Grammar, loosest first: ``sum = product {(+|-) product}``, ``product = sign {(*|/) sign}``,
@@ -141,7 +163,8 @@ class Parser:
         return self.tokens[self.next]
 
     def take(self, *operators: str) -> Optional[str]:
-        """Step over the next token if it is one of these operators; its text, or None if it is not."""
+        """Step over the next token if it is one of these operators; its text, or None if it is
+        not."""
         token = self.token
         if token.kind == "operator" and token.text in operators:
             self.next += 1
@@ -156,8 +179,11 @@ class Parser:
     def fail(self, message: str) -> NoReturn:
         """Raise the error that ``message`` happened at the next token."""
         token = self.token
-        seen = "at the end of" if token.kind == "end" else "before '%s' (character %d) in" % (
-            shorten(token.text), token.start + 1)
+        seen = (
+            "at the end of"
+            if token.kind == "end"
+            else "before '%s' (character %d) in" % (shorten(token.text), token.start + 1)
+        )
         raise ExpressionError("%s %s '%s'" % (message, seen, shorten(self.text)))
 
     def finish(self) -> None:
@@ -166,6 +192,7 @@ class Parser:
             self.fail("an operator was expected")
 
     def sum(self) -> Expression:
+        """Read terms that are added and subtracted."""
         left = self.product()
         while True:
             operator = self.take("+", "-")
@@ -174,6 +201,7 @@ class Parser:
             left = Operation(operator, left, self.product())
 
     def product(self) -> Expression:
+        """Read factors that are multiplied and divided."""
         left = self.sign()
         while True:
             operator = self.take("*", "/")
@@ -182,6 +210,7 @@ class Parser:
             left = Operation(operator, left, self.sign())
 
     def sign(self) -> Expression:
+        """Read a power with the signs before it."""
         self.enter()
         if self.take("-"):
             result: Expression = Negation(self.sign())
@@ -193,10 +222,12 @@ class Parser:
         return result
 
     def power(self) -> Expression:
+        """Read an atom, raised to a power or not."""
         base = self.atom()
         return Operation("^", base, self.sign()) if self.take("^") else base
 
     def atom(self) -> Expression:
+        """Read a number, a name, a call or a sum in parentheses."""
         token = self.token
         if token.kind == "number":
             self.next += 1
@@ -206,11 +237,11 @@ class Parser:
             if token.text in FUNCTIONS and self.take("("):
                 return self._call(token.text)
             return Name(token.text)
-        if self.take("("):
-            inner = self.sum()
-            self.expect(")")
-            return inner
-        self.fail("a number, a name or '(' was expected")
+        if not self.take("("):
+            self.fail("a number, a name or '(' was expected")
+        inner = self.sum()
+        self.expect(")")
+        return inner
 
     def _call(self, function: str) -> Call:
         arguments = [self.sum()]
@@ -219,15 +250,19 @@ class Parser:
         self.expect(")")
         least, greatest, _ = FUNCTIONS[function]
         if len(arguments) < least or (greatest is not None and len(arguments) > greatest):
-            raise ExpressionError("%s takes %d argument%s, not %d, in '%s'" % (
-                function, least, "" if least == 1 else "s", len(arguments), shorten(self.text)))
+            raise ExpressionError(
+                "%s takes %d argument%s, not %d, in '%s'"
+                % (function, least, "" if least == 1 else "s", len(arguments), shorten(self.text))
+            )
         return Call(function, tuple(arguments))
 
     def enter(self) -> None:
         """Count one level of nesting. :raises ExpressionError: above :data:`MAX_DEPTH`."""
         self._depth += 1
         if self._depth > MAX_DEPTH:
-            raise ExpressionError("'%s' is nested more than %d levels deep" % (shorten(self.text), MAX_DEPTH))
+            raise ExpressionError(
+                "'%s' is nested more than %d levels deep" % (shorten(self.text), MAX_DEPTH)
+            )
 
     def leave(self) -> None:
         """Undo one :meth:`enter`."""
@@ -325,18 +360,22 @@ def _apply(node: Expression, arguments: Sequence[float]) -> float:
         return left - right
     if node.operator == "*":
         return left * right
-    return left / right if node.operator == "/" else left ** right
+    return left / right if node.operator == "/" else left**right
 
 
 def _constant(name: str, constants: Mapping[str, float]) -> float:
     if name not in constants:
         known = ", ".join(sorted(constants)[:8])
-        raise ExpressionError("'%s' has no value" % shorten(name),
-                              hint="known: %s" % known if known else "no constant is known here")
+        raise ExpressionError(
+            "'%s' has no value" % shorten(name),
+            hint="known: %s" % known if known else "no constant is known here",
+        )
     return constants[name]
 
 
-def resolve_constants(definitions: Mapping[str, str], given: Mapping[str, float] = {}) -> Dict[str, float]:
+def resolve_constants(
+    definitions: Mapping[str, str], given: Mapping[str, float] = {}
+) -> Dict[str, float]:
     """The values of constants that are defined by expressions over each other.
 
     :param definitions: name -> expression.
@@ -353,7 +392,9 @@ def resolve_constants(definitions: Mapping[str, str], given: Mapping[str, float]
             try:
                 trees[name] = parse(text)
             except ExpressionError as error:
-                raise ExpressionError(error.message, element="constant '%s'" % name, hint=error.hint) from None
+                raise ExpressionError(
+                    error.message, element="constant '%s'" % name, hint=error.hint
+                ) from None
     open_names: Dict[str, None] = {}  # ordered: the chain of definitions under way
     waiting = list(reversed(list(trees)))
     while waiting:
@@ -367,16 +408,20 @@ def resolve_constants(definitions: Mapping[str, str], given: Mapping[str, float]
             looped = [n for n in needed if n in open_names]
             if looped:
                 chain = list(open_names)
-                ring = chain[chain.index(looped[0]):] + [looped[0]]
-                raise ExpressionError("constants are defined by each other: %s" % " -> ".join(ring),
-                                      element="constant '%s'" % looped[0])
+                ring = chain[chain.index(looped[0]) :] + [looped[0]]
+                raise ExpressionError(
+                    "constants are defined by each other: %s" % " -> ".join(ring),
+                    element="constant '%s'" % looped[0],
+                )
             waiting += needed
             if needed:
                 continue
         try:
             values[name] = evaluate(trees[name], values)
         except ExpressionError as error:
-            raise ExpressionError(error.message, element="constant '%s'" % name, hint=error.hint) from None
+            raise ExpressionError(
+                error.message, element="constant '%s'" % name, hint=error.hint
+            ) from None
         del open_names[name]
         waiting.pop()
     return values
@@ -384,13 +429,15 @@ def resolve_constants(definitions: Mapping[str, str], given: Mapping[str, float]
 
 def whole(value: float) -> Optional[int]:
     """``value`` as an int if it is a whole number that a float holds exactly, else None."""
-    return int(value) if math.isfinite(value) and value == int(value) and abs(value) <= 2 ** 53 else None
+    return (
+        int(value) if math.isfinite(value) and value == int(value) and abs(value) <= 2**53 else None
+    )
 
 
 def shorten(text: str, limit: int = 60) -> str:
     """``text`` on one line, of at most ``limit`` characters, for a message."""
     flat = " ".join(text.split())
-    return flat if len(flat) <= limit else flat[:limit - 3] + "..."
+    return flat if len(flat) <= limit else flat[: limit - 3] + "..."
 
 
 def _text(expression: Union[str, Expression]) -> str:

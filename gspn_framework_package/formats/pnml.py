@@ -1,0 +1,354 @@
+"""PNML of ISO/IEC 15909-2, with stochastic data as process-mining tools attach it: read and write.
+
+Pages may be nested, and reference places and transitions stand for the nodes they refer to. Timing
+is in ``toolspecific tool="StochasticPetriNet" version="0.2"``: ``distributionType`` IMMEDIATE or
+EXPONENTIAL, with ``weight`` and ``priority``, or with the parameter of the distribution. Two tools
+write that parameter with two meanings: pm4py writes the rate, ProM the mean. A file whose net
+carries ProM's own properties (time unit or execution policy) is read as ProM's, any other as
+pm4py's, with a note. A transition without such data is exponential with rate 1, with a note: the
+standard itself knows no time.
+
+What the standard and those tools have no word for (capacities, numbers of servers, that a parameter
+is a rate) is in ``toolspecific tool="gspn_framework_package"``, which other tools ignore."""
+
+from __future__ import annotations
+
+from typing import Dict, List, NamedTuple, Optional, Tuple
+
+from lxml import etree
+
+from gspn_framework_package.formats.draft import NetDraft, ReadOptions
+from gspn_framework_package.formats.xml_tree import (
+    all_of,
+    child,
+    choose_net,
+    label,
+    line_of,
+    name_of,
+    number_text,
+    position,
+    serialise,
+    tag,
+    writing_names,
+)
+from gspn_framework_package.model.expression import shorten
+from gspn_framework_package.model.net import Net, Position
+
+NAMESPACE = "http://www.pnml.org/version-2009/grammar/pnml"
+NET_TYPE = "http://www.pnml.org/version-2009/grammar/ptnet"
+STOCHASTIC = "StochasticPetriNet"
+OWN = "gspn_framework_package"
+
+_COLOURED = ("symmetric", "highlevel", "hlpn", "colored", "coloured")
+_COLOURED_LABELS = ("hlinitialMarking", "hlinscription", "declaration", "structure")
+_SILENT = ("name", "graphics", "toolspecific", "text")
+
+
+class _Reference(NamedTuple):
+    target: str
+    line: int
+
+
+def from_xml(
+    root: etree._Element, file: Optional[str], options: ReadOptions
+) -> Tuple[Net, List[str]]:
+    """The net in a parsed document, and notes.
+
+    :raises NetError: there is no such net, or it is not a place/transition net.
+    """
+    element = choose_net(all_of(root, "net"), options.net, file)
+    reader = _Reader(element, file, options)
+    reader.read()
+    name = label(element, "name", "text") or (element.get("id") or "").strip()
+    return reader.draft.net(name), reader.draft.notes
+
+
+class _Reader:
+    """Goes once through a net element and its pages."""
+
+    def __init__(self, net: etree._Element, file: Optional[str], options: ReadOptions) -> None:
+        self.net = net
+        self.options = options
+        self.draft = NetDraft(file, options.constants)
+        self.references: Dict[str, _Reference] = {}
+        self.arcs: List[etree._Element] = []
+        self.untimed = 0
+        self.parameters = 0
+        self.means = any(_properties(net, STOCHASTIC))
+
+    def read(self) -> None:
+        """Fill the draft."""
+        kind = (self.net.get("type") or "").lower()
+        if any(word in kind for word in _COLOURED):
+            self.draft.fail(
+                "a coloured net (type %s)" % shorten(kind),
+                line=line_of(self.net),
+                hint="only place/transition nets are read; unfold it first",
+            )
+        self._page(self.net)
+        for arc in self.arcs:
+            self._arc(arc)
+        if self.untimed:
+            self.draft.note(
+                "%d transition%s without timing: exponential with rate 1"
+                % (self.untimed, "" if self.untimed == 1 else "s")
+            )
+        if self.parameters:
+            meaning = "means, as ProM writes them" if self.means else "rates, as pm4py writes them"
+            self.draft.note("parameters of exponential distributions are read as %s" % meaning)
+
+    def _page(self, page: etree._Element) -> None:
+        readers = {
+            "page": self._page,
+            "place": self._place,
+            "transition": self._transition,
+            "referencePlace": self._reference,
+            "referenceTransition": self._reference,
+            "arc": self.arcs.append,
+        }
+        for element in page:
+            kind = tag(element)
+            if kind in readers:
+                readers[kind](element)
+            elif kind in _COLOURED_LABELS:
+                self._refuse_colour(element, "net")
+            elif kind not in _SILENT:
+                self.draft.note("<%s> elements are ignored" % kind)
+
+    def _refuse_colour(self, element: etree._Element, what: str) -> None:
+        self.draft.fail(
+            "a coloured net: it has a <%s>" % tag(element),
+            what,
+            line_of(element),
+            "only place/transition nets are read; unfold it first",
+        )
+
+    def _check_labels(self, element: etree._Element, what: str) -> None:
+        for node in element:
+            if tag(node) in _COLOURED_LABELS:
+                self._refuse_colour(node, what)
+
+    def _place(self, element: etree._Element) -> None:
+        what, line = name_of(element, "place"), line_of(element)
+        self._check_labels(element, what)
+        text = label(element, "initialMarking", "text")
+        tokens = self.draft.count(text, "initial marking", what, line) if text else 0
+        own = dict(_properties(element, OWN))
+        text = own.get("capacity")
+        capacity = self.draft.count(text, "capacity", what, line) if text else None
+        self.draft.add_place(
+            element.get("id"),
+            label(element, "name", "text"),
+            tokens,
+            capacity,
+            position(element),
+            line,
+        )
+
+    def _transition(self, element: etree._Element) -> None:
+        what, line = name_of(element, "transition"), line_of(element)
+        self._check_labels(element, what)
+        identifier, name = element.get("id"), label(element, "name", "text")
+        data, own = dict(_properties(element, STOCHASTIC)), dict(_properties(element, OWN))
+        kind = data.get("distributionType", "").upper()
+        if not kind and ("weight" in data or "priority" in data):
+            kind = "IMMEDIATE"
+        if kind == "IMMEDIATE":
+            text = data.get("weight")
+            weight = self.options.missing_weight
+            if text:
+                weight = self.draft.number(text, "weight", what, line)
+            text = data.get("priority")
+            priority = self.draft.count(text, "priority", what, line) if text else 1
+            self.draft.add_immediate(identifier, name, weight, priority, position(element), line)
+            return
+        if kind not in ("", "EXPONENTIAL"):
+            self.draft.fail(
+                "its time has the distribution %s" % shorten(kind),
+                what,
+                line,
+                "immediate and exponential transitions are read",
+            )
+        text = own.get("servers")
+        servers = self.options.servers(1)
+        if text:
+            servers = (
+                None
+                if text == "infinite"
+                else self.draft.count(text, "number of servers", what, line)
+            )
+        self.draft.add_exponential(
+            identifier,
+            name,
+            self._rate(kind, data, own, what, line),
+            servers,
+            position(element),
+            line,
+        )
+
+    def _rate(
+        self, kind: str, data: Dict[str, str], own: Dict[str, str], what: str, line: int
+    ) -> float:
+        text = data.get("distributionParameters", "").strip("[](){} ")
+        if not text:
+            if not kind:
+                self.untimed += 1
+            return 1.0
+        value = self.draft.number(text.rstrip(";,"), "rate", what, line)
+        if own.get("parameter") == "rate":
+            return value
+        self.parameters += 1
+        if self.means:
+            if value <= 0:
+                self.draft.fail("its mean time %s is not above 0" % shorten(text), what, line)
+            value = 1.0 / value
+        return value
+
+    def _reference(self, element: etree._Element) -> None:
+        identifier, target = element.get("id"), element.get("ref")
+        what = name_of(element, "reference")
+        if not identifier or not target:
+            self.draft.fail("it needs an id and a ref", what, line_of(element))
+        self.references[identifier] = _Reference(target, line_of(element))
+
+    def _resolve(self, end: Optional[str]) -> Optional[str]:
+        """The node that a chain of references leads to."""
+        seen: Dict[str, None] = {}
+        while end is not None and end in self.references:
+            if end in seen:
+                ring = [*list(seen)[list(seen).index(end) :], end]
+                self.draft.fail(
+                    "references lead to each other: %s" % shorten(" -> ".join(ring)),
+                    "reference '%s'" % end,
+                    self.references[end].line,
+                )
+            seen[end] = None
+            end = self.references[end].target
+        return end
+
+    def _arc(self, element: etree._Element) -> None:
+        what, line = name_of(element, "arc"), line_of(element)
+        self._check_labels(element, what)
+        kind = _arc_kind(element)
+        if kind not in ("normal", "inhibitor"):
+            self.draft.fail(
+                "arcs of type '%s' are not known" % shorten(kind),
+                what,
+                line,
+                "normal and inhibitor arcs are",
+            )
+        text = label(element, "inscription", "text")
+        weight = self.draft.count(text, "weight", what, line) if text else 1
+        self.draft.add_arc(
+            element.get("id"),
+            self._resolve(element.get("source")),
+            self._resolve(element.get("target")),
+            weight,
+            kind == "inhibitor",
+            line,
+        )
+
+
+def _arc_kind(element: etree._Element) -> str:
+    """``<type value="inhibitor"/>``, or ``<arctype><text>inhibitor</text></arctype>`` of pm4py."""
+    text = label(element, "arctype", "text") or label(element, "type", "text")
+    node = child(element, "type")
+    if node is not None and node.get("value"):
+        text = node.get("value")
+    return (text or "normal").strip().lower()
+
+
+def _properties(element: etree._Element, tool: str) -> List[Tuple[str, str]]:
+    """The data of a tool at an element: ``<property key="weight">2</property>``, or attributes."""
+    found: List[Tuple[str, str]] = []
+    for node in all_of(element, "toolspecific"):
+        if node.get("tool") == tool:
+            found += [(str(k), str(v)) for k, v in node.items() if k not in ("tool", "version")]
+            found += [(p.get("key", ""), (p.text or "").strip()) for p in all_of(node, "property")]
+    return found
+
+
+# -- writing -------------------------------------------------------------------------------------
+
+
+def to_bytes(net: Net) -> bytes:
+    """The net as an ISO 15909-2 document of one page, timing as pm4py reads it.
+
+    :raises NetError: a name that XML cannot hold.
+    """
+    root = etree.Element("pnml", xmlns=NAMESPACE)
+    with writing_names(net):
+        element = etree.SubElement(root, "net", id=net.name or "net1", type=NET_TYPE)
+        if net.name:
+            _write_text(element, "name", net.name)
+        page = etree.SubElement(element, "page", id="page1")
+        ids = {p.name: "p%d" % i for i, p in enumerate(net.places)}
+        ids.update((t.name, "t%d" % i) for i, t in enumerate(net.transitions))
+        for place in net.places:
+            node = _write_node(page, "place", ids[place.name], place.name, place.position)
+            if place.tokens:
+                _write_text(node, "initialMarking", str(place.tokens))
+            if place.capacity is not None:
+                _write_properties(node, OWN, "1.0", {"capacity": str(place.capacity)})
+        for transition in net.transitions:
+            node = _write_node(
+                page, "transition", ids[transition.name], transition.name, transition.position
+            )
+            if transition.timed:
+                servers = "infinite" if transition.servers is None else str(transition.servers)
+                rate = number_text(transition.rate)
+                _write_properties(
+                    node,
+                    STOCHASTIC,
+                    "0.2",
+                    {
+                        "distributionType": "EXPONENTIAL",
+                        "distributionParameters": rate,
+                        "priority": "0",
+                        "weight": "1.0",
+                    },
+                )
+                _write_properties(node, OWN, "1.0", {"parameter": "rate", "servers": servers})
+            else:
+                _write_properties(
+                    node,
+                    STOCHASTIC,
+                    "0.2",
+                    {
+                        "distributionType": "IMMEDIATE",
+                        "priority": str(transition.priority),
+                        "weight": number_text(transition.weight),
+                    },
+                )
+        for number, arc in enumerate(net.arcs):
+            node = etree.SubElement(
+                page, "arc", id="a%d" % number, source=ids[arc.source], target=ids[arc.target]
+            )
+            if arc.weight != 1:
+                _write_text(node, "inscription", str(arc.weight))
+            if arc.inhibitor:
+                etree.SubElement(node, "type", value="inhibitor")
+    return serialise(root, depth=3)
+
+
+def _write_node(
+    parent: etree._Element, kind: str, identifier: str, name: str, where: Optional[Position]
+) -> etree._Element:
+    node = etree.SubElement(parent, kind, id=identifier)
+    _write_text(node, "name", name)
+    if where is not None:
+        graphics = etree.SubElement(node, "graphics")
+        etree.SubElement(graphics, "position", x=number_text(where[0]), y=number_text(where[1]))
+    return node
+
+
+def _write_text(parent: etree._Element, name: str, text: str) -> None:
+    etree.SubElement(etree.SubElement(parent, name), "text").text = text
+
+
+def _write_properties(
+    parent: etree._Element, tool: str, version: str, values: Dict[str, str]
+) -> None:
+    node = etree.SubElement(parent, "toolspecific", tool=tool, version=version)
+    for key, value in values.items():
+        etree.SubElement(node, "property", key=key).text = value

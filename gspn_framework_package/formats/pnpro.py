@@ -1,0 +1,284 @@
+"""PNPRO, the project files of the GreatSPN editor: read and write.
+
+A project holds several nets; one is chosen by name. Markings, weights, delays and numbers of
+servers are expressions over constants. What the tool means, and we follow: ``delay`` of an
+exponential transition is its *rate*; missing ``delay``, ``weight``, ``priority`` and ``mult`` are
+1; missing ``nservers`` is Infinite. A ``template`` is a constant without a fixed value: it takes
+the value it was last used with, with a note, unless it is given one. Coloured, fluid and
+general-distribution elements, and nets composed of others, are refused.
+
+The editor's unit of length is 16 units of our drawings, and it stores upper left corners of boxes
+whose width depends on the kind of the node; places and transitions that are in line in the editor
+are in line here."""
+
+from __future__ import annotations
+
+from typing import Dict, List, Mapping, Optional, Tuple
+
+from lxml import etree
+
+from gspn_framework_package.formats.draft import NetDraft, ReadOptions
+from gspn_framework_package.formats.xml_tree import (
+    all_of,
+    child,
+    choose_net,
+    coordinates,
+    line_of,
+    name_of,
+    number_text,
+    serialise,
+    tag,
+    writing_names,
+)
+from gspn_framework_package.model.errors import ExpressionError, NetError
+from gspn_framework_package.model.expression import resolve_constants, shorten
+from gspn_framework_package.model.net import Net, Position
+
+UNIT = 16.0
+"""Units of our drawings in one unit of the editor; a power of two, so that nothing is rounded."""
+
+_CORNER = {"place": 0.0, "EXP": 0.55, "IMM": 0.85}
+_COMPOSITIONS = ("unfolding", "multinet", "composition", "algebra", "dta")
+_COLOURED = ("color-class", "color-var")
+
+
+def from_xml(
+    root: etree._Element, file: Optional[str], options: ReadOptions
+) -> Tuple[Net, List[str]]:
+    """The net in a parsed document, and notes.
+
+    :raises NetError: there is no such net, or it is not a GSPN.
+    """
+    if tag(root) == "gspn":
+        element = choose_net([root], options.net, file)
+    else:
+        _refuse_composition(root, file, options.net)
+        element = choose_net(all_of(root, "gspn"), options.net, file)
+    reader = _Reader(element, file, options)
+    reader.read()
+    return reader.draft.net((element.get("name") or "").strip()), reader.draft.notes
+
+
+def _refuse_composition(root: etree._Element, file: Optional[str], wanted: Optional[str]) -> None:
+    nets = all_of(root, "gspn")
+    for element in root:
+        if tag(element) in _COMPOSITIONS and (
+            element.get("name") == wanted if wanted is not None else not nets
+        ):
+            names = ", ".join("'%s'" % net.get("name") for net in nets)
+            raise NetError(
+                "it is composed of other nets, which is not read",
+                file=file,
+                line=line_of(element),
+                element="<%s> '%s'" % (tag(element), element.get("name")),
+                hint="the file has the nets %s" % names
+                if nets
+                else "export the composed net first",
+            )
+
+
+class _Reader:
+    """Goes once through a net element."""
+
+    def __init__(self, net: etree._Element, file: Optional[str], options: ReadOptions) -> None:
+        self.file = file
+        self.net = net
+        self.options = options
+        nodes = child(net, "nodes")
+        edges = child(net, "edges")
+        self.nodes = [] if nodes is None else list(nodes)
+        self.edges = [] if edges is None else list(edges)
+        self.draft = NetDraft(file)
+
+    def read(self) -> None:
+        """Fill the draft."""
+        self._refuse_colours()
+        self.draft.constants = self._constants()
+        readers = {"place": self._place, "transition": self._transition}
+        silent = {"constant", "template", "text-box", "label", ""}
+        for element in self.nodes:
+            kind = tag(element)
+            if kind in readers:
+                readers[kind](element)
+            elif kind not in silent:
+                self.draft.note("<%s> elements are ignored" % kind)
+        for element in self.edges:
+            if tag(element) == "arc":
+                self._arc(element)
+
+    def _refuse_colours(self) -> None:
+        for element in self.nodes:
+            domain = (element.get("domain") or "").strip()
+            if tag(element) in _COLOURED or domain not in ("", "Neutral"):
+                self.draft.fail(
+                    "a coloured net",
+                    name_of(element, tag(element)),
+                    line_of(element),
+                    "only nets with one class of tokens are read; unfold it first",
+                )
+
+    def _constants(self) -> Mapping[str, float]:
+        definitions: Dict[str, str] = {}
+        lines: Dict[str, int] = {}
+        for element in self.nodes:
+            kind, name = tag(element), (element.get("name") or "").strip()
+            if kind not in ("constant", "template") or not name:
+                continue
+            lines["constant '%s'" % name] = line_of(element)
+            attribute = "value" if kind == "constant" else "last-binding"
+            text = (element.get(attribute) or "").strip()
+            if not text:
+                continue  # an error only where it is used
+            definitions[name] = text
+            if kind == "template" and name not in self.options.constants:
+                self.draft.note(
+                    "%s = %s: the value that the template was last used with"
+                    % (name, shorten(text))
+                )
+        try:
+            return resolve_constants(definitions, self.options.constants)
+        except ExpressionError as error:
+            raise error.located(file=self.file, line=lines.get(error.element or "")) from None
+
+    def _place(self, element: etree._Element) -> None:
+        what, line = name_of(element, "place"), line_of(element)
+        if (element.get("type") or "").upper() == "CONTINUOUS":
+            self.draft.fail("a fluid place", what, line, "only discrete places are read")
+        text = (element.get("marking") or "").strip()
+        tokens = self.draft.count(text, "initial marking", what, line) if text else 0
+        self.draft.add_place(
+            None, _name(element), tokens, None, _from_editor(coordinates(element), "place"), line
+        )
+
+    def _transition(self, element: etree._Element) -> None:
+        what, line = name_of(element, "transition"), line_of(element)
+        kind = (element.get("type") or "EXP").strip().upper()
+        if kind not in ("EXP", "IMM"):
+            known = {"GEN": "of a general distribution", "CONT": "with a continuous flow"}
+            self.draft.fail(
+                "a transition %s" % known.get(kind, "of the unknown type '%s'" % shorten(kind)),
+                what,
+                line,
+                "exponential (EXP) and immediate (IMM) ones are read",
+            )
+        guard = (element.get("guard") or "").strip()
+        if guard and guard.lower() != "true":
+            self.draft.fail(
+                "its guard '%s' is not read" % shorten(guard),
+                what,
+                line,
+                "guards belong to coloured nets",
+            )
+        where = _from_editor(coordinates(element), kind)
+        if kind == "EXP":
+            rate = self._value(element, "delay", "rate", what, 1.0)
+            self.draft.add_exponential(
+                None, _name(element), rate, self._servers(element, what), where, line
+            )
+            return
+        text = (element.get("priority") or "").strip()
+        priority = self.draft.count(text, "priority", what, line) if text else 1
+        weight = self._value(element, "weight", "weight", what, self.options.missing_weight)
+        self.draft.add_immediate(None, _name(element), weight, priority, where, line)
+
+    def _value(
+        self, element: etree._Element, attribute: str, meaning: str, what: str, default: float
+    ) -> float:
+        text = (element.get(attribute) or "").strip()
+        if not text:
+            return default
+        if "#" in text:
+            self.draft.fail(
+                "its %s '%s' depends on the marking" % (meaning, shorten(text)),
+                what,
+                line_of(element),
+                "only constant rates and weights are read",
+            )
+        return self.draft.number(text, meaning, what, line_of(element))
+
+    def _servers(self, element: etree._Element, what: str) -> Optional[int]:
+        text = (element.get("nservers") or "").strip()
+        if not text:
+            return self.options.servers(None)
+        if text.lower() in ("infinite", "single"):
+            return None if text.lower() == "infinite" else 1
+        return self.draft.count(text, "number of servers", what, line_of(element))
+
+    def _arc(self, element: etree._Element) -> None:
+        tail, head = element.get("tail"), element.get("head")
+        what, line = "arc from '%s' to '%s'" % (tail, head), line_of(element)
+        kind = (element.get("kind") or element.get("type") or "").strip().upper()
+        if kind not in ("INPUT", "OUTPUT", "INHIBITOR"):
+            self.draft.fail(
+                "arcs of kind '%s' are not known" % shorten(kind),
+                what,
+                line,
+                "INPUT, OUTPUT and INHIBITOR arcs are",
+            )
+        text = (element.get("mult") or element.get("multiplicity") or "").strip()
+        if text.startswith("<"):
+            self.draft.fail("a coloured net: its weight is '%s'" % shorten(text), what, line)
+        weight = self.draft.count(text, "weight", what, line) if text else 1
+        self.draft.add_arc(None, tail, head, weight, kind == "INHIBITOR", line)
+
+
+def _name(element: etree._Element) -> str:
+    return (element.get("name") or "").strip()
+
+
+def _from_editor(where: Optional[Position], kind: str) -> Optional[Position]:
+    if where is None:
+        return None
+    return round((where[0] - _CORNER[kind]) * UNIT, 6), where[1] * UNIT
+
+
+# -- writing -------------------------------------------------------------------------------------
+
+
+def to_bytes(net: Net) -> bytes:
+    """The net as a project file of one net.
+
+    :raises NetError: a place has a capacity, which GreatSPN has no word for.
+    """
+    root = etree.Element("project", name=net.name or "net", version="121")
+    with writing_names(net):
+        gspn = etree.SubElement(root, "gspn", name=net.name or "net")
+        nodes, edges = etree.SubElement(gspn, "nodes"), etree.SubElement(gspn, "edges")
+        for place in net.places:
+            if place.capacity is not None:
+                raise NetError(
+                    "PNPRO files have no capacities",
+                    element="place '%s'" % place.name,
+                    hint="replace it by a complementary place first (complement_capacities)",
+                )
+            node = etree.SubElement(nodes, "place", name=place.name, marking=str(place.tokens))
+            _write_position(node, place.position, "place")
+        for transition in net.transitions:
+            node = etree.SubElement(nodes, "transition", name=transition.name)
+            if transition.timed:
+                node.set("type", "EXP")
+                node.set("delay", number_text(transition.rate))
+                servers = transition.servers
+                node.set("nservers", "Infinite" if servers is None else str(servers))
+            else:
+                node.set("type", "IMM")
+                node.set("weight", number_text(transition.weight))
+                node.set("priority", str(transition.priority))
+            _write_position(node, transition.position, node.get("type", ""))
+        for arc in net.arcs:
+            kind = "INPUT" if arc.source in net.place_index else "OUTPUT"
+            etree.SubElement(
+                edges,
+                "arc",
+                tail=arc.source,
+                head=arc.target,
+                kind="INHIBITOR" if arc.inhibitor else kind,
+                mult=str(arc.weight),
+            )
+    return serialise(root, depth=4)
+
+
+def _write_position(node: etree._Element, where: Optional[Position], kind: str) -> None:
+    if where is not None:
+        node.set("x", number_text(round(where[0] / UNIT + _CORNER[kind], 9)))
+        node.set("y", number_text(where[1] / UNIT))

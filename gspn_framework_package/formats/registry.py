@@ -1,0 +1,266 @@
+"""All net formats in one table: which one a file is in, reading it, writing it."""
+
+from __future__ import annotations
+
+import codecs
+from pathlib import Path
+from typing import Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple, Union
+
+from lxml import etree
+
+from gspn_framework_package.formats import pipe, pnml, pnpro, tina
+from gspn_framework_package.formats.draft import NO_CONSTANTS, ReadOptions
+from gspn_framework_package.formats.source import read_bytes, write_bytes
+from gspn_framework_package.formats.xml_tree import line_of, parse_xml, tag
+from gspn_framework_package.model.errors import GspnError, InputError, UsageError
+from gspn_framework_package.model.expression import shorten
+from gspn_framework_package.model.net import Net
+
+PathLike = Union[str, "Path"]
+_XmlReader = Callable[[etree._Element, Optional[str], ReadOptions], Tuple[Net, List[str]]]
+_TextReader = Callable[[str, Optional[str], ReadOptions], Tuple[Net, List[str]]]
+
+
+class Format(NamedTuple):
+    """A file format.
+
+    :ivar name: what it is called in ``--to`` and ``format=``.
+    :ivar title: what it is called in sentences.
+    :ivar extensions: how its files end; the first is the usual one.
+    :ivar from_xml: the reader, of an XML format.
+    :ivar from_text: the reader, of a text format.
+    :ivar to_bytes: the writer, if there is one.
+    :ivar losses: what writing a net would leave out, in sentences.
+    """
+
+    name: str
+    title: str
+    extensions: Tuple[str, ...]
+    from_xml: Optional[_XmlReader] = None
+    from_text: Optional[_TextReader] = None
+    to_bytes: Optional[Callable[[Net], bytes]] = None
+    losses: Callable[[Net], List[str]] = lambda net: []
+
+
+FORMATS: Mapping[str, Format] = {
+    f.name: f
+    for f in (
+        Format("pipe", "PIPE XML", (".xml",), from_xml=pipe.from_xml, to_bytes=pipe.to_bytes),
+        Format(
+            "pnml", "ISO 15909-2 PNML", (".pnml",), from_xml=pnml.from_xml, to_bytes=pnml.to_bytes
+        ),
+        Format(
+            "pnpro",
+            "PNPRO (GreatSPN)",
+            (".pnpro",),
+            from_xml=pnpro.from_xml,
+            to_bytes=pnpro.to_bytes,
+        ),
+        Format(
+            "tina",
+            "TINA .net",
+            (".net",),
+            from_text=tina.from_text,
+            to_bytes=tina.to_bytes,
+            losses=tina.losses,
+        ),
+    )
+}
+"""Format name -> format."""
+
+
+def read_net(
+    path: PathLike,
+    *,
+    format: Optional[str] = None,
+    net: Optional[str] = None,
+    constants: Mapping[str, float] = NO_CONSTANTS,
+    infinite_servers: Optional[bool] = None,
+    missing_weight: float = 1.0,
+) -> Net:
+    """The net of a file, in any format that is known; the format is told by the content.
+
+    :param format: a name in :data:`FORMATS`, when it should not be guessed.
+    :param net: the name of the net to take from a file of several.
+    :param constants: values of constants; they go before those of the file.
+    :param infinite_servers: whether exponential transitions whose file does not say have infinitely
+        many servers; None takes the default of the format (PNPRO: infinitely many, others: one).
+    :param missing_weight: weight of immediate transitions whose file gives none: 1, or 0 for
+        "controllable".
+    :raises InputError: the file cannot be read, or is not a net; the message says where and why.
+    """
+    return read_net_with_notes(
+        path,
+        format=format,
+        net=net,
+        constants=constants,
+        infinite_servers=infinite_servers,
+        missing_weight=missing_weight,
+    )[0]
+
+
+def read_net_with_notes(
+    path: PathLike,
+    *,
+    format: Optional[str] = None,
+    net: Optional[str] = None,
+    constants: Mapping[str, float] = NO_CONSTANTS,
+    infinite_servers: Optional[bool] = None,
+    missing_weight: float = 1.0,
+) -> Tuple[Net, List[str]]:
+    """As :func:`read_net`, and notes on what had to be assumed or was left out."""
+    options = ReadOptions(net, constants, infinite_servers, missing_weight)
+    wanted = _format(format) if format is not None else None
+    file = str(path)
+    data = read_bytes(file)
+    try:
+        return _read(data, file, wanted, options)
+    except GspnError as error:
+        raise error.located(file=file) from None
+
+
+def write_net(net: Net, path: PathLike, format: Optional[str] = None) -> List[str]:
+    """Write a net; the format is told by the name of the file unless given.
+
+    :returns: what the format could not hold, in sentences.
+    :raises UsageError: the format is not known or is not written.
+    :raises NetError: the net has something that the format cannot say.
+    :raises InputError: the file cannot be written.
+    """
+    chosen = _format(format) if format is not None else format_of_name(path)
+    if chosen.to_bytes is None:
+        raise UsageError("%s is not written" % chosen.title)
+    write_bytes(str(path), chosen.to_bytes(net))
+    return chosen.losses(net)
+
+
+def format_of_name(path: PathLike) -> Format:
+    """The format that the name of a file stands for.
+
+    :raises UsageError: it stands for none.
+    """
+    suffix = Path(path).suffix.lower()
+    for entry in FORMATS.values():
+        if suffix in entry.extensions:
+            return entry
+    known = ", ".join("%s (%s)" % (f.name, f.extensions[0]) for f in FORMATS.values())
+    raise UsageError(
+        "cannot tell the format from the name '%s'" % path, hint="name one with --to: %s" % known
+    )
+
+
+def _format(name: str) -> Format:
+    try:
+        return FORMATS[name.lower()]
+    except KeyError:
+        raise UsageError(
+            "there is no format '%s'" % name, hint="known: %s" % ", ".join(FORMATS)
+        ) from None
+
+
+def _read(
+    data: bytes, file: str, wanted: Optional[Format], options: ReadOptions
+) -> Tuple[Net, List[str]]:
+    if not data.strip():
+        raise InputError("the file is empty", file=file)
+    if wanted is not None and wanted.from_text is not None:
+        return wanted.from_text(_decode(data, file), file, options)
+    if wanted is not None or _is_xml(data):
+        root = parse_xml(data, file)
+        chosen = wanted or _format_of_xml(root, file)
+        _check_root(root, chosen, file)
+        assert chosen.from_xml is not None
+        return chosen.from_xml(root, file, options)
+    text = _decode(data, file)
+    if text.lstrip().startswith(("{", "[")):
+        raise InputError(
+            "this is JSON, not a net",
+            file=file,
+            hint="a plan is given where a plan is asked for; its net is the file it names",
+        )
+    if text.startswith("|0|"):
+        raise InputError(
+            "the old .net/.def format of GreatSPN is not read",
+            file=file,
+            hint="open it in the editor of GreatSPN and save it as PNPRO",
+        )
+    if tina.recognises(text):
+        return tina.from_text(text, file, options)
+    raise InputError(
+        "not a net in any format that is known",
+        file=file,
+        hint="known: %s" % ", ".join(f.title for f in FORMATS.values()),
+    )
+
+
+def _is_xml(data: bytes) -> bool:
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return True
+    if data.startswith(codecs.BOM_UTF8):
+        data = data[len(codecs.BOM_UTF8) :]
+    return data.lstrip()[:1] == b"<"
+
+
+def _decode(data: bytes, file: str) -> str:
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(
+            "neither XML nor text: not a net in any format that is known",
+            file=file,
+            hint="known: %s" % ", ".join(f.title for f in FORMATS.values()),
+        ) from None
+    if "\0" in text:
+        raise InputError("neither XML nor text: not a net in any format that is known", file=file)
+    return text
+
+
+_ROOTS: Dict[str, Tuple[str, ...]] = {
+    "pipe": ("pnml", "net"),
+    "pnml": ("pnml",),
+    "pnpro": ("project", "gspn"),
+}
+
+
+def _check_root(root: etree._Element, chosen: Format, file: str) -> None:
+    expected = _ROOTS[chosen.name]
+    if tag(root) not in expected:
+        raise InputError(
+            "the root element is <%s>, not <%s> as in %s"
+            % (shorten(tag(root)), expected[0], chosen.title),
+            file=file,
+            line=line_of(root),
+        )
+
+
+def _format_of_xml(root: etree._Element, file: str) -> Format:
+    """Which XML format a document is in. PIPE and ISO PNML share the root and most tags; PIPE has
+    its numbers in ``value`` elements, ISO in ``text`` elements."""
+    name = tag(root)
+    if name in ("project", "gspn"):
+        return FORMATS["pnpro"]
+    if name == "net":
+        return FORMATS["pipe"]
+    if name != "pnml":
+        raise InputError(
+            "the root element is <%s>, which is no net format that is known" % shorten(name),
+            file=file,
+            line=line_of(root),
+            hint="known: %s" % ", ".join(f.title for f in FORMATS.values()),
+        )
+    for element in root.iter():
+        kind = tag(element)
+        parent = element.getparent()
+        if (
+            kind in ("value", "text")
+            and parent is not None
+            and tag(parent) in ("name", "initialMarking", "inscription", "rate", "timed")
+        ):
+            return FORMATS["pipe" if kind == "value" else "pnml"]
+        if kind == "page":
+            return FORMATS["pnml"]
+        if kind == "net" and "P/T" in (element.get("type") or ""):
+            return FORMATS["pipe"]
+    return FORMATS[
+        "pnml" if (root.nsmap.get(None) or "").startswith("http://www.pnml.org") else "pipe"
+    ]
