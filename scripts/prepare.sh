@@ -1,6 +1,7 @@
 # shellcheck shell=bash
 # Set-up shared by run_demo and run_tests, which source this file: system packages, a venv, the build.
-# Everything it makes lies in .workspace/ (ignored by git); every step is skipped when nothing changed.
+# Everything it makes lies in .workspace/ and build/, both ignored by git. Every step is skipped when
+# nothing changed.
 #
 # The functions, in the order of their use:
 #   prepare        all of the set-up below
@@ -18,6 +19,9 @@ fi
 ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)
 WORKSPACE=$ROOT/.workspace
 VENV=$WORKSPACE/venv
+# Under build/, for there alone rosrun looks for no executables: in a catkin workspace of the user's own
+# that has this checkout in it, it would find those of this workspace too.
+CATKIN_WS=$ROOT/build/catkin_ws
 PACKAGE=gspn_framework_package
 
 # Every process that this run starts carries this mark in its environment, whatever process group or
@@ -96,35 +100,45 @@ prepare_venv() {
     echo "$key" >"$VENV/prepared"
 }
 
-# --- the catkin workspace: .workspace/src/PACKAGE is the checkout
+# --- the catkin workspace
+
+# The package in the workspace: a folder with links to all that the checkout has at its top. One link to
+# the checkout would be a loop, as the workspace is in it.
+link_package() {
+    local link=$CATKIN_WS/src/$PACKAGE entry
+    mkdir -p "$link"
+    find "$link" -xtype l -delete
+    for entry in "$ROOT"/*; do
+        [ "$entry" = "$ROOT/build" ] || [ -L "$link/${entry##*/}" ] || ln -s "$entry" "$link/"
+    done
+}
 
 # What the build depends on. Python code and launch files are run from where they lie and need no build.
 build_key() {
     {
+        ls "$ROOT"
         echo "$ROOT"
         cd "$ROOT" || exit
         cat CMakeLists.txt package.xml setup.py action/* msg/* srv/*
-        [ -d launch ] && echo launch
         find scripts test/rostest -type f 2>/dev/null | LC_ALL=C sort
+        cat scripts/*
     } | sha256sum
 }
 
 prepare_build() {
-    local key
+    local key log=$WORKSPACE/build.log
+    link_package
     key=$(build_key)
-    [ "$(cat "$WORKSPACE/built" 2>/dev/null)" = "$key" ] && return 0
+    [ "$(cat "$CATKIN_WS/built" 2>/dev/null)" = "$key" ] && return 0
     say "building the workspace"
-    mkdir -p "$WORKSPACE/src"
-    ln -sfn "$ROOT" "$WORKSPACE/src/$PACKAGE"
     (
         # on top of the installed ROS only, whatever else this shell has sourced
         unset CMAKE_PREFIX_PATH PYTHONPATH ROS_PACKAGE_PATH
         use_ros
         PATH=$VENV/bin:$PATH timeout 900 \
-            catkin_make -C "$WORKSPACE" -DPYTHON_EXECUTABLE="$VENV/bin/python" \
-            </dev/null >"$WORKSPACE/build.log" 2>&1
-    ) || { tail -n 30 "$WORKSPACE/build.log" >&2; die "catkin_make failed; all of its output: $WORKSPACE/build.log"; }
-    echo "$key" >"$WORKSPACE/built"
+            catkin_make -C "$CATKIN_WS" -DPYTHON_EXECUTABLE="$VENV/bin/python" </dev/null >"$log" 2>&1
+    ) || { tail -n 30 "$log" >&2; die "catkin_make failed; all of its output: $log"; }
+    echo "$key" >"$CATKIN_WS/built"
 }
 
 use_ros() {
@@ -138,7 +152,7 @@ use_ros() {
 use_workspace() {
     set +u
     # shellcheck disable=SC1091
-    . "$WORKSPACE/devel/setup.bash"
+    . "$CATKIN_WS/devel/setup.bash"
     set -u
     export PATH=$VENV/bin:$PATH
 }
