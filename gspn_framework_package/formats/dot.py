@@ -1,0 +1,202 @@
+"""Drawing with Graphviz: graphs as DOT text, nets as graphs, DOT text as SVG, PNG or PDF.
+
+:class:`Graph` writes correct DOT whatever the names hold; the analysis draws coverability trees and
+    Markov chains with it, :func:`net_graph` draws nets."""
+
+from __future__ import annotations
+
+import subprocess
+from typing import Dict, List, Mapping, Optional, Sequence, Union
+
+from gspn_framework_package.model.errors import InputError, LimitError, UsageError
+from gspn_framework_package.model.net import Net, Place, Position, Transition
+
+IMAGE_FORMATS = ("svg", "png", "pdf")
+"""What :func:`render` makes."""
+
+_MAX_LAYERED = 300
+"""Number of nodes from which on a force-directed layout is used: the layered one takes too long."""
+
+_MAX_DOTS = 4
+"""Most tokens that are drawn as dots; more are a number."""
+
+Attribute = Union[str, int, float]
+
+
+class Graph:
+    """A directed graph in the making, for Graphviz.
+
+    >>> graph = Graph("g", rankdir="LR")
+    >>> graph.node("a", label='say "hi"')
+    >>> graph.edge("a", "b", label="2")
+    >>> print(graph.text(), end="")
+    digraph "g" {
+      graph [rankdir="LR"];
+      "a" [label="say \\"hi\\""];
+      "a" -> "b" [label="2"];
+    }
+    """
+
+    def __init__(self, name: str = "", **attributes: Attribute) -> None:
+        self.name = name
+        self._lines: List[str] = []
+        if attributes:
+            self._lines.append("graph%s;" % _attributes(attributes))
+
+    def defaults(self, kind: str, **attributes: Attribute) -> None:
+        """Set attributes of every ``node`` or ``edge`` that is added later."""
+        self._lines.append("%s%s;" % (kind, _attributes(attributes)))
+
+    def node(self, identifier: str, **attributes: Attribute) -> None:
+        """Add a node; labels are taken literally, a line break in them is a line break."""
+        self._lines.append("%s%s;" % (_quote(identifier), _attributes(attributes)))
+
+    def edge(self, source: str, target: str, **attributes: Attribute) -> None:
+        """Add an edge."""
+        self._lines.append(
+            "%s -> %s%s;" % (_quote(source), _quote(target), _attributes(attributes))
+        )
+
+    def text(self) -> str:
+        """The graph in the DOT language."""
+        body = "".join("  %s\n" % line for line in self._lines)
+        return "digraph %s {\n%s}\n" % (_quote(self.name), body)
+
+
+def _quote(text: str) -> str:
+    """A DOT string that shows ``text`` as it is."""
+    flat = text.replace("\0", "").replace("\\", "\\\\").replace('"', '\\"')
+    return '"%s"' % "\\n".join(flat.splitlines() or [""])
+
+
+def _attributes(values: Mapping[str, Attribute]) -> str:
+    if not values:
+        return ""
+    return " [%s]" % ", ".join("%s=%s" % (k, _quote(str(v))) for k, v in values.items())
+
+
+def net_graph(net: Net, marking: Optional[Sequence[int]] = None) -> Graph:
+    """A net as a graph: places round with their tokens, immediate transitions black and thin,
+    exponential ones white and thick, inhibitor arcs with a circle at their end; rates, weights,
+    priorities, capacities and arc weights where they are not the usual ones.
+
+    :param marking: the tokens to show, in place order; the initial marking by default.
+
+    A net whose nodes all have positions is drawn with them, any other is laid out by Graphviz.
+    """
+    nodes = len(net.places) + len(net.transitions)
+    positions = _positions(net)
+    attributes: Dict[str, Attribute] = {"fontname": "Helvetica", "forcelabels": "true"}
+    if positions:
+        attributes.update(layout="neato", inputscale=72, splines="true", notranslate="true")
+    elif nodes > _MAX_LAYERED:
+        attributes.update(layout="sfdp", overlap="prism", splines="false")
+    else:
+        attributes.update(layout="dot", rankdir="LR", nodesep=0.5, ranksep=0.5)
+    graph = Graph(net.name, **attributes)
+    graph.defaults("node", fontname="Helvetica", fontsize=10, margin=0, fixedsize="true")
+    graph.defaults("edge", fontname="Helvetica", fontsize=9, arrowsize=0.7)
+    counts = net.initial_marking if marking is None else marking
+    for place, tokens in zip(net.places, counts):
+        graph.node(place.name, **_place_attributes(place, tokens), **_at(place.name, positions))
+    for transition in net.transitions:
+        graph.node(
+            transition.name,
+            **_transition_attributes(transition),
+            **_at(transition.name, positions),
+        )
+    for arc in net.arcs:
+        looks: Dict[str, Attribute] = {}
+        if arc.weight != 1:
+            looks["label"] = arc.weight
+        if arc.inhibitor:
+            looks["arrowhead"] = "odot"
+        graph.edge(arc.source, arc.target, **looks)
+    return graph
+
+
+def _positions(net: Net) -> Dict[str, Position]:
+    """Where the nodes are, if every one says so and they are not all in one spot."""
+    found = {p.name: p.position for p in net.places if p.position is not None}
+    found.update((t.name, t.position) for t in net.transitions if t.position is not None)
+    if len(found) < len(net.places) + len(net.transitions) or len(set(found.values())) < 2:
+        return {}
+    return found
+
+
+def _at(name: str, positions: Mapping[str, Position]) -> Dict[str, Attribute]:
+    if not positions:
+        return {}
+    x, y = positions[name]
+    return {"pos": "%.2f,%.2f!" % (x, 0 - y)}  # Graphviz counts y upwards
+
+
+def _place_attributes(place: Place, tokens: int) -> Dict[str, Attribute]:
+    dots = "●" * tokens if tokens <= _MAX_DOTS else str(tokens)
+    if tokens == _MAX_DOTS:
+        dots = "●●\n●●"
+    label = place.name
+    if place.capacity is not None:
+        label += "\n≤ %d" % place.capacity
+    return {"shape": "circle", "width": 0.42, "label": dots, "xlabel": label}
+
+
+def _transition_attributes(transition: Transition) -> Dict[str, Attribute]:
+    label = transition.name
+    if transition.timed:
+        servers = {None: " ∞", 1: ""}.get(transition.servers, " ×%s" % transition.servers)
+        label += "\nλ %g%s" % (transition.rate, servers)
+        return {"shape": "box", "width": 0.16, "height": 0.42, "label": "", "xlabel": label}
+    if transition.weight != 1:
+        label += "\nw %g" % transition.weight
+    if transition.priority != 1:
+        label += "\nπ %d" % transition.priority
+    return {
+        "shape": "box",
+        "width": 0.06,
+        "height": 0.42,
+        "style": "filled",
+        "fillcolor": "black",
+        "label": "",
+        "xlabel": label,
+    }
+
+
+def render(text: str, image: str = "svg", timeout: float = 60.0) -> bytes:
+    """The picture of a graph in the DOT language.
+
+    :param image: one of :data:`IMAGE_FORMATS`.
+    :param timeout: longest time to wait for Graphviz, in seconds.
+    :raises UsageError: another ``image``, or Graphviz is not installed.
+    :raises InputError: Graphviz cannot read the text.
+    :raises LimitError: it takes longer than ``timeout``.
+    """
+    if image not in IMAGE_FORMATS:
+        raise UsageError(
+            "pictures of the format '%s' are not made" % image,
+            hint="known: %s" % ", ".join(IMAGE_FORMATS),
+        )
+    try:
+        done = subprocess.run(
+            ["dot", "-T" + image],
+            input=text.encode("utf-8"),
+            capture_output=True,
+            timeout=timeout,
+            check=False,
+        )
+    except FileNotFoundError:
+        raise UsageError(
+            "Graphviz, which draws, is not installed",
+            hint="apt install graphviz; DOT text needs none",
+        ) from None
+    except subprocess.TimeoutExpired:
+        raise LimitError(
+            "Graphviz did not finish in %g s" % timeout,
+            hint="draw something smaller, or give it longer",
+        ) from None
+    if done.returncode != 0 or not done.stdout:
+        reason = done.stderr.decode("utf-8", "replace").strip().splitlines()[:1] or [
+            "no reason given"
+        ]
+        raise InputError("Graphviz cannot draw it: %s" % reason[0])
+    return done.stdout

@@ -1,0 +1,81 @@
+"""A net as a JSON object, as plans and event logs hold it inline."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, Optional
+
+from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
+
+
+def net_to_json(net: Net) -> Dict[str, Any]:
+    """The net as a JSON object; what has its default value is left out."""
+    return {
+        "name": net.name,
+        "places": [_place(p) for p in net.places],
+        "transitions": [_transition(t) for t in net.transitions],
+        "arcs": [_arc(a) for a in net.arcs],
+    }
+
+
+def net_from_json(data: Dict[str, Any]) -> Net:
+    """The net of a JSON object that fits the schema. :raises NetError: see Net."""
+    places = [
+        Place(p["name"], p.get("tokens", 0), p.get("capacity"), _position(p)) for p in data["places"]
+    ]
+    transitions = [
+        Transition(
+            t["name"],
+            t.get("timed", False),
+            float(t.get("rate", 1.0)),
+            float(t.get("weight", 1.0)),
+            t.get("priority", 1),
+            t.get("servers", 1),
+            _position(t),
+        )
+        for t in data["transitions"]
+    ]
+    arcs = [
+        Arc(a["from"], a["to"], a.get("weight", 1), a.get("inhibitor", False)) for a in data["arcs"]
+    ]
+    return Net(places, transitions, arcs, data.get("name", ""))
+
+
+def _position(node: Dict[str, Any]) -> Optional[Position]:
+    position = node.get("position")
+    return (float(position[0]), float(position[1])) if position is not None else None
+
+
+def _place(place: Place) -> Dict[str, Any]:
+    data: Dict[str, Any] = {"name": place.name}
+    if place.tokens:
+        data["tokens"] = place.tokens
+    if place.capacity is not None:
+        data["capacity"] = place.capacity
+    if place.position is not None:
+        data["position"] = list(place.position)
+    return data
+
+
+def _transition(transition: Transition) -> Dict[str, Any]:
+    data: Dict[str, Any] = {"name": transition.name}
+    if transition.timed:
+        data.update(timed=True, rate=transition.rate)
+        if transition.servers != 1:
+            data["servers"] = transition.servers
+    else:
+        if transition.weight != 1:
+            data["weight"] = transition.weight
+        if transition.priority != 1:
+            data["priority"] = transition.priority
+    if transition.position is not None:
+        data["position"] = list(transition.position)
+    return data
+
+
+def _arc(arc: Arc) -> Dict[str, Any]:
+    data: Dict[str, Any] = {"from": arc.source, "to": arc.target}
+    if arc.weight != 1:
+        data["weight"] = arc.weight
+    if arc.inhibitor:
+        data["inhibitor"] = True
+    return data

@@ -1,0 +1,250 @@
+"""A plan as a JSON object that fits ``plan.schema.json``, to and from the model."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from typing import Any, Dict, List, Mapping, Optional
+
+import jsonschema
+
+from gspn_framework_package.formats.net_json import net_from_json, net_to_json
+from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.errors import ExpressionError, PlanError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import (
+    Action,
+    FailureKind,
+    FailureRule,
+    FunctionAction,
+    LostKind,
+    LostRule,
+    Plan,
+    RobotSpec,
+    ServerAction,
+    Synchronisation,
+    Timing,
+)
+from gspn_framework_package.model.policy import Policy
+
+EXEC_GSPN = "gspn_framework_package/ExecGSPNAction"
+"""The type of the action servers of the thesis, and of ours."""
+
+_SCHEMA_FILE = os.path.join(os.path.dirname(__file__), "plan.schema.json")
+
+
+def schema() -> Dict[str, Any]:
+    """The JSON Schema of plans (draft 7), which ships with the package."""
+    with open(_SCHEMA_FILE, encoding="utf-8") as file:
+        loaded: Dict[str, Any] = json.load(file)
+    return loaded
+
+
+def check_schema(data: Any, definition: Optional[str] = None, file: Optional[str] = None) -> None:
+    """Check ``data`` against the schema of plans, or against one of its definitions.
+
+    :raises PlanError: with the path of the element that does not fit.
+    """
+    whole = schema()
+    part = dict(whole["definitions"][definition], definitions=whole["definitions"]) if definition else whole
+    error = jsonschema.exceptions.best_match(jsonschema.Draft7Validator(part).iter_errors(data))
+    if error is not None:
+        path = ".".join(str(p) for p in error.absolute_path)
+        raise PlanError(_shorten(error.message), file=file, element=path or None, hint=_hint(error))
+
+
+def _shorten(text: str) -> str:
+    return text if len(text) <= 300 else text[:140] + " ... " + text[-140:]
+
+
+def _hint(error: Any) -> Optional[str]:
+    described = error.schema.get("description") if isinstance(error.schema, Mapping) else None
+    if error.validator == "additionalProperties" and "properties" in error.schema:
+        return "known here: " + ", ".join(sorted(error.schema["properties"]))
+    return described.rstrip(".") if described else None
+
+
+def server_name(place: str) -> str:
+    """The name of the action server of a place: the place's own, as far as ROS allows it."""
+    name = re.sub(r"[^A-Za-z0-9_]+", "_", place).strip("_")
+    return name if name[:1].isalpha() else "place_" + name
+
+
+def plan_from_json(
+    data: Dict[str, Any],
+    net: Optional[Net] = None,
+    policy: Optional[Policy] = None,
+    *,
+    file: Optional[str] = None,
+    folder: Optional[str] = None,
+) -> Plan:
+    """The plan of a JSON object.
+
+    :param data: the object; it is checked against the schema.
+    :param net: the net, where ``data`` only names its file.
+    :param policy: the policy, where ``data`` only names its file.
+    :param file: where it comes from, for messages and for ``Plan.file``.
+    :param folder: the folder that the functions are in.
+    :raises PlanError: it does not fit the schema, or names what does not exist.
+    """
+    check_schema(data, file=file)
+    if net is None:
+        net = net_from_json(data["net"])
+    if policy is None:
+        policy = policy_from_json(data["policy"]) if "policy" in data else Policy()
+    agreement = data.get("agreement", {})
+    resources = frozenset(data.get("resource_places", ()))
+    robots = _robots(data.get("robots"), file)
+    until = data.get("until")
+    if until is not None:
+        try:
+            parse_condition(until, [p.name for p in net.places])
+        except ExpressionError as error:
+            raise PlanError(str(error), file=file, element="until") from None
+    plan = Plan(
+        net=net,
+        name=data.get("plan", net.name or "plan"),
+        policy=policy,
+        actions={p: _action(p, a) for p, a in data["actions"].items()},
+        resource_places=resources,
+        robots=robots if robots is not None else deal_robots(net, resources),
+        spawn=tuple(data.get("spawn", ())),
+        synchronisation=Synchronisation(data.get("synchronisation", "full")),
+        seed=data.get("seed", 0),
+        strict=data.get("strict", False),
+        on_failure={p: _failure_rule(r) for p, r in data.get("on_failure", {}).items()},
+        timeouts={p: float(s) for p, s in data.get("timeout", {}).items()},
+        routing=data.get("routing", {}),
+        simulate_environment=data.get("environment", "operator") == "simulate",
+        on_lost=_lost_rule(data.get("on_lost", "hold")),
+        on_evict=data.get("on_evict", {}),
+        until=until,
+        timing=Timing(
+            float(agreement.get("evict_after", Timing().evict_after)),
+            float(agreement.get("fence_after", Timing().fence_after)),
+        ),
+        fsync=agreement.get("fsync", False),
+        witness=tuple(agreement.get("witnesses", ())),
+        folder=folder,
+        file=file,
+    )
+    return plan.validate()
+
+
+def policy_from_json(data: Dict[str, Any]) -> Policy:
+    """The policy of a JSON object that fits the schema. :raises PolicyError: see Policy."""
+    return Policy.from_table(data["places"], ((r["marking"], r["choose"]) for r in data["rows"]))
+
+
+def deal_robots(net: Net, resources: Any, order: Optional[List[str]] = None, prefix: str = "robot_") -> Any:
+    """Robots for a plan that names none: one for each token of the initial marking, numbered place by
+    place in the order given (that of the net where none is), resource places left out."""
+    places = list(order or ())
+    places += [p.name for p in net.places if p.name not in set(places)]
+    names = [p for p in places if p not in resources for _ in range(net.place(p).tokens)]
+    return tuple(RobotSpec("%s%d" % (prefix, k), place) for k, place in enumerate(names, 1))
+
+
+def _robots(data: Any, file: Optional[str]) -> Any:
+    if data is None:
+        return None
+    if isinstance(data, dict):
+        return tuple(RobotSpec(name, place) for name, place in data.items())
+    return tuple(
+        RobotSpec(r["name"], r["place"], {p: _action(p, a) for p, a in r.get("actions", {}).items()})
+        for r in data
+    )
+
+
+def _action(place: str, data: Any) -> Action:
+    if data is None:
+        return None
+    if isinstance(data, str):
+        return FunctionAction(data, server_name(place))
+    if "function" in data:
+        return FunctionAction(data["function"], data.get("server", server_name(place)))
+    return ServerAction(
+        data.get("type", EXEC_GSPN), data["server"], data.get("goal"), data.get("outcomes", {})
+    )
+
+
+def _failure_rule(data: Any) -> FailureRule:
+    if isinstance(data, dict):
+        return FailureRule(FailureKind.RETRY, data["retry"], float(data.get("delay", 0.0)))
+    kind, _, rest = data.partition(" ")
+    if kind == "retry":
+        return FailureRule(FailureKind.RETRY, int(rest))
+    return FailureRule(FailureKind(kind), transition=rest)
+
+
+def _lost_rule(text: str) -> LostRule:
+    kind, _, transition = text.partition(" ")
+    return LostRule(LostKind(kind), transition)
+
+
+# -- writing ---------------------------------------------------------------------------------------
+
+
+def plan_to_json(plan: Plan) -> Dict[str, Any]:
+    """The plan as one self-contained JSON object, net and policy inline: ``plan_from_json`` gives a
+    plan of the same hash. Its functions are named, not contained."""
+    data: Dict[str, Any] = {
+        "plan": plan.name,
+        "net": net_to_json(plan.net),
+        "policy": {
+            "places": list(plan.policy.places),
+            "rows": [
+                {"marking": ["-" if c is None else c for c in row.counts], "choose": dict(row.choices)}
+                for row in plan.policy.rows
+            ],
+        },
+        "actions": {p: _action_to_json(a) for p, a in plan.actions.items()},
+        "resource_places": sorted(plan.resource_places),
+        "synchronisation": plan.synchronisation.value,
+        "robots": [
+            {
+                "name": r.name,
+                "place": r.place,
+                "actions": {p: _action_to_json(a) for p, a in r.actions.items()},
+            }
+            for r in plan.robots
+        ],
+        "spawn": list(plan.spawn),
+        "seed": plan.seed,
+        "strict": plan.strict,
+        "on_failure": {p: _failure_to_json(r) for p, r in plan.on_failure.items()},
+        "timeout": dict(plan.timeouts),
+        "routing": {t: dict(r) for t, r in plan.routing.items()},
+        "environment": "simulate" if plan.simulate_environment else "operator",
+        "on_lost": " ".join(filter(None, (plan.on_lost.kind.value, plan.on_lost.transition))),
+        "on_evict": {p: dict(r) for p, r in plan.on_evict.items()},
+        "agreement": {
+            "evict_after": plan.timing.evict_after,
+            "fence_after": plan.timing.fence_after,
+            "fsync": plan.fsync,
+            "witnesses": list(plan.witness),
+        },
+    }
+    if plan.until is not None:
+        data["until"] = plan.until
+    return data
+
+
+def _action_to_json(action: Action) -> Any:
+    if isinstance(action, FunctionAction):
+        return {"function": action.function, "server": action.server}
+    if isinstance(action, ServerAction):
+        data: Dict[str, Any] = {"type": action.type, "server": action.server}
+        if action.goal is not None:
+            data["goal"] = action.goal
+        if action.outcomes:
+            data["outcomes"] = dict(action.outcomes)
+        return data
+    return None
+
+
+def _failure_to_json(rule: FailureRule) -> Any:
+    if rule.kind is FailureKind.RETRY:
+        return {"retry": rule.times, "delay": rule.delay}
+    return " ".join(filter(None, (rule.kind.value, rule.transition)))

@@ -1,0 +1,195 @@
+"""The two input forms of the thesis, read as they are (4.1.3 standalone, 4.3.6 ROS).
+
+In files written for the thesis the values are JSON strings that hold Python literals
+(``"{'p1': ['ExecGSPN', 'action_server_1']}"``, ``"('p1','p2')"``, ``"True"``), policy cells are
+numbers, numeric strings or ``'-'``, and paths are absolute to a machine that is gone: what does not
+exist is looked for by its name beside the input file.
+"""
+
+from __future__ import annotations
+
+import ast
+import os
+from typing import Any, List, Mapping, Sequence, Tuple
+
+from gspn_framework_package.formats.plan_json import EXEC_GSPN, deal_robots, server_name
+from gspn_framework_package.formats.registry import read_net_with_notes
+from gspn_framework_package.model.errors import PlanError
+from gspn_framework_package.model.plan import (
+    Action,
+    FunctionAction,
+    Plan,
+    ServerAction,
+    Synchronisation,
+)
+from gspn_framework_package.model.policy import Policy
+
+ROS_KEYS = (
+    "gspn",
+    "place_to_client_mapping",
+    "resources_list",
+    "places_tuple",
+    "policy_dictionary",
+    "full_synchronization",
+)
+STANDALONE_KEYS = (
+    "project_path",
+    "gspn",
+    "place_to_function_mapping",
+    "places_tuple",
+    "policy_dictionary",
+)
+
+
+def is_thesis_input(data: Mapping[str, Any]) -> bool:
+    """Whether a JSON object is one of the two forms, judged by the keys that only they have."""
+    return "place_to_client_mapping" in data or "place_to_function_mapping" in data
+
+
+def plan_from_thesis(data: Mapping[str, Any], path: str) -> Plan:
+    """The plan of an input file of the thesis. The robots, which such a file does not name, are dealt
+    over the action places in the order of ``places_tuple`` by the initial marking; the seed is 0.
+
+    :raises PlanError: a key is missing or unknown, or a value cannot be read.
+    """
+    is_ros = "place_to_client_mapping" in data
+    reader = _Reader(data, path, ROS_KEYS if is_ros else STANDALONE_KEYS)
+    project = reader.existing(reader.text("project_path"), folder=True) if not is_ros else ""
+    net_path = reader.existing(reader.text("gspn"), beside=project)
+    net, notes = read_net_with_notes(net_path)
+    places = reader.names("places_tuple")
+    policy = Policy.from_table(places, reader.policy_rows())
+    if is_ros:
+        resources = frozenset(reader.names("resources_list"))
+        actions = {p: reader.client(p, value) for p, value in reader.mapping("place_to_client_mapping")}
+        full = reader.flag("full_synchronization")
+    else:
+        functions = dict(reader.mapping("place_to_function_mapping"))
+        resources = frozenset()
+        actions = {p: reader.function(p, value) for p, value in functions.items()}
+        full = True
+    plan = Plan(
+        net=net,
+        name=os.path.splitext(os.path.basename(path))[0],
+        policy=policy,
+        actions=actions,
+        resource_places=resources,
+        robots=deal_robots(net, resources, places, "robot_" if is_ros else ""),
+        synchronisation=Synchronisation.FULL if full else Synchronisation.PARTIAL,
+        folder=project or os.path.dirname(os.path.abspath(path)),
+        file=path,
+    )
+    return plan.validate().with_notes(notes + reader.notes)
+
+
+class _Reader:
+    """One input file: values that may be literals in strings, paths that may be gone."""
+
+    def __init__(self, data: Mapping[str, Any], path: str, keys: Sequence[str]) -> None:
+        self.data = data
+        self.path = path
+        self.notes: List[str] = []
+        for key in keys:
+            if key not in data:
+                raise PlanError(
+                    "the key '%s' is missing" % key, file=path, hint="needed are " + ", ".join(keys)
+                )
+        for key in data:
+            if key not in keys:
+                self.notes.append("the key '%s' is not known and was left out" % key)
+
+    def _fail(self, key: str, value: Any, wanted: str) -> PlanError:
+        return PlanError("%.80r is not %s" % (value, wanted), file=self.path, element=key)
+
+    def text(self, key: str) -> str:
+        value = self.data[key]
+        if not isinstance(value, str) or not value.strip():
+            raise self._fail(key, value, "a path")
+        return value.strip()
+
+    def literal(self, key: str) -> Any:
+        """The value of a key; a string is taken for a Python literal."""
+        value = self.data[key]
+        if not isinstance(value, str):
+            return value
+        try:
+            return ast.literal_eval(value.strip())
+        except (ValueError, SyntaxError, MemoryError, RecursionError):
+            raise self._fail(key, value, "a Python literal") from None
+
+    def flag(self, key: str) -> bool:
+        value = self.data[key]
+        if isinstance(value, str):
+            value = {"true": True, "false": False}.get(value.strip().lower(), value)
+        if not isinstance(value, bool):
+            raise self._fail(key, value, "True or False")
+        return value
+
+    def names(self, key: str) -> List[str]:
+        value = self.literal(key)
+        if isinstance(value, str):  # ('p1') is a string in Python, meant as a tuple of one
+            value = (value,)
+        if not isinstance(value, (list, tuple)) or not all(isinstance(n, str) for n in value):
+            raise self._fail(key, value, "a list of names")
+        return list(value)
+
+    def mapping(self, key: str) -> List[Tuple[str, Any]]:
+        value = self.literal(key)
+        if not isinstance(value, dict) or not all(isinstance(k, str) for k in value):
+            raise self._fail(key, value, "a dictionary from places")
+        return list(value.items())
+
+    def policy_rows(self) -> List[Tuple[Sequence[object], Mapping[str, object]]]:
+        value = self.literal("policy_dictionary")
+        if not isinstance(value, dict):
+            raise self._fail("policy_dictionary", value, "a dictionary from markings")
+        return [(self._cells(marking), choices) for marking, choices in value.items()]
+
+    def _cells(self, marking: Any) -> Sequence[object]:
+        if isinstance(marking, str) and marking.strip() != "-":
+            try:
+                marking = ast.literal_eval(marking.strip())
+            except (ValueError, SyntaxError):
+                raise self._fail("policy_dictionary", marking, "a marking") from None
+        return marking if isinstance(marking, (list, tuple)) else (marking,)
+
+    def client(self, place: str, value: Any) -> Action:
+        if value is None:
+            return None
+        if not isinstance(value, (list, tuple)) or len(value) != 2:
+            raise self._fail("place_to_client_mapping", value, "[action type, server name]")
+        kind, server = str(value[0]), str(value[1])
+        return ServerAction(EXEC_GSPN if kind == "ExecGSPN" else _action_type(kind), server)
+
+    def function(self, place: str, value: Any) -> Action:
+        if value is None:
+            return None
+        if not isinstance(value, str) or "." not in value.strip("."):
+            raise self._fail("place_to_function_mapping", value, "file.function")
+        return FunctionAction(value, server_name(place))
+
+    def existing(self, path: str, folder: bool = False, beside: str = "") -> str:
+        """``path`` as it is, or what has its name in ``beside`` or beside the input file."""
+        exists = os.path.isdir if folder else os.path.isfile
+        here = os.path.dirname(os.path.abspath(self.path))
+        if exists(path) and os.path.isabs(path):
+            return path
+        name = os.path.basename(path.replace("\\", "/").rstrip("/"))
+        candidates = [os.path.join(d, p) for d in (beside, here) if d for p in (path, name)]
+        if folder:
+            candidates.append(here)
+        for candidate in candidates:
+            if exists(candidate):
+                if os.path.isabs(path):
+                    self.notes.append("%s does not exist; took %s" % (path, candidate))
+                return candidate
+        raise PlanError(
+            "%s does not exist, and there is no %s beside the input file" % (path, name), file=self.path
+        )
+
+
+def _action_type(kind: str) -> str:
+    if "/" not in kind:
+        return EXEC_GSPN.split("/")[0] + "/" + kind + ("" if kind.endswith("Action") else "Action")
+    return kind
+
