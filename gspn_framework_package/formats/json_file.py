@@ -22,7 +22,9 @@ def read_json(path: str) -> Any:
         raise InputError("it is not UTF-8 text", file=path, line=line) from None
     except json.JSONDecodeError as error:
         raise InputError(
-            "it is not JSON: %s (column %d)" % (error.msg, error.colno), file=path, line=error.lineno
+            "it is not JSON: %s (column %d)" % (error.msg, error.colno),
+            file=path,
+            line=error.lineno,
         ) from None
     except RecursionError:
         raise InputError("it is nested too deeply", file=path) from None

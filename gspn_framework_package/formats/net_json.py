@@ -20,7 +20,8 @@ def net_to_json(net: Net) -> Dict[str, Any]:
 def net_from_json(data: Dict[str, Any]) -> Net:
     """The net of a JSON object that fits the schema. :raises NetError: see Net."""
     places = [
-        Place(p["name"], p.get("tokens", 0), p.get("capacity"), _position(p)) for p in data["places"]
+        Place(p["name"], p.get("tokens", 0), p.get("capacity"), _position(p))
+        for p in data["places"]
     ]
     transitions = [
         Transition(

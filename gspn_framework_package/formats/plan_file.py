@@ -23,7 +23,8 @@ def read_plan(path: str) -> Plan:
 
     :param path: a plan file, an input file of the thesis (4.1.3, 4.3.6), or a folder with a
         ``plan.json``.
-    :returns: the validated plan; ``Plan.notes`` holds what a person should know about how it was read.
+    :returns: the validated plan; ``Plan.notes`` holds what a person should know about how it was
+        read.
     :raises GspnError: with file, line and element; nothing is half-loaded.
     """
     path = os.fspath(path)
@@ -39,7 +40,8 @@ def read_plan(path: str) -> Plan:
             return thesis_input.plan_from_thesis(data, path)
         return _own_form(data, path)
     except GspnError as error:
-        raise error.located(file=path)
+        error.located(file=path)
+        raise
 
 
 def is_plan(path: str) -> bool:
@@ -78,4 +80,5 @@ def read_policy(path: str) -> Policy:
         check_schema(data, "policy", file=path)
         return policy_from_json(data)
     except GspnError as error:
-        raise error.located(file=path)
+        error.located(file=path)
+        raise

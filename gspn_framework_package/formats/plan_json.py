@@ -47,8 +47,11 @@ def check_schema(data: Any, definition: Optional[str] = None, file: Optional[str
     :raises PlanError: with the path of the element that does not fit.
     """
     whole = schema()
-    part = dict(whole["definitions"][definition], definitions=whole["definitions"]) if definition else whole
-    error = jsonschema.exceptions.best_match(jsonschema.Draft7Validator(part).iter_errors(data))
+    part = whole
+    if definition is not None:
+        part = dict(whole["definitions"][definition], definitions=whole["definitions"])
+    errors = jsonschema.Draft7Validator(part).iter_errors(data)
+    error = jsonschema.exceptions.best_match(errors)
     if error is not None:
         path = ".".join(str(p) for p in error.absolute_path)
         raise PlanError(_shorten(error.message), file=file, element=path or None, hint=_hint(error))
@@ -137,9 +140,11 @@ def policy_from_json(data: Dict[str, Any]) -> Policy:
     return Policy.from_table(data["places"], ((r["marking"], r["choose"]) for r in data["rows"]))
 
 
-def deal_robots(net: Net, resources: Any, order: Optional[List[str]] = None, prefix: str = "robot_") -> Any:
-    """Robots for a plan that names none: one for each token of the initial marking, numbered place by
-    place in the order given (that of the net where none is), resource places left out."""
+def deal_robots(
+    net: Net, resources: Any, order: Optional[List[str]] = None, prefix: str = "robot_"
+) -> Any:
+    """Robots for a plan that names none: one for each token of the initial marking, numbered place
+    by place in the order given (that of the net where none is), resource places left out."""
     places = list(order or ())
     places += [p.name for p in net.places if p.name not in set(places)]
     names = [p for p in places if p not in resources for _ in range(net.place(p).tokens)]
@@ -152,7 +157,9 @@ def _robots(data: Any, file: Optional[str]) -> Any:
     if isinstance(data, dict):
         return tuple(RobotSpec(name, place) for name, place in data.items())
     return tuple(
-        RobotSpec(r["name"], r["place"], {p: _action(p, a) for p, a in r.get("actions", {}).items()})
+        RobotSpec(
+            r["name"], r["place"], {p: _action(p, a) for p, a in r.get("actions", {}).items()}
+        )
         for r in data
     )
 
@@ -195,7 +202,10 @@ def plan_to_json(plan: Plan) -> Dict[str, Any]:
         "policy": {
             "places": list(plan.policy.places),
             "rows": [
-                {"marking": ["-" if c is None else c for c in row.counts], "choose": dict(row.choices)}
+                {
+                    "marking": ["-" if c is None else c for c in row.counts],
+                    "choose": dict(row.choices),
+                }
                 for row in plan.policy.rows
             ],
         },

@@ -47,8 +47,9 @@ def is_thesis_input(data: Mapping[str, Any]) -> bool:
 
 
 def plan_from_thesis(data: Mapping[str, Any], path: str) -> Plan:
-    """The plan of an input file of the thesis. The robots, which such a file does not name, are dealt
-    over the action places in the order of ``places_tuple`` by the initial marking; the seed is 0.
+    """The plan of an input file of the thesis. The robots, which such a file does not name, are
+    dealt over the action places in the order of ``places_tuple`` by the initial marking; the seed
+    is 0.
 
     :raises PlanError: a key is missing or unknown, or a value cannot be read.
     """
@@ -61,7 +62,9 @@ def plan_from_thesis(data: Mapping[str, Any], path: str) -> Plan:
     policy = Policy.from_table(places, reader.policy_rows())
     if is_ros:
         resources = frozenset(reader.names("resources_list"))
-        actions = {p: reader.client(p, value) for p, value in reader.mapping("place_to_client_mapping")}
+        actions = {
+            p: reader.client(p, value) for p, value in reader.mapping("place_to_client_mapping")
+        }
         full = reader.flag("full_synchronization")
     else:
         functions = dict(reader.mapping("place_to_function_mapping"))
@@ -184,7 +187,8 @@ class _Reader:
                     self.notes.append("%s does not exist; took %s" % (path, candidate))
                 return candidate
         raise PlanError(
-            "%s does not exist, and there is no %s beside the input file" % (path, name), file=self.path
+            "%s does not exist, and there is no %s beside the input file" % (path, name),
+            file=self.path,
         )
 
 
@@ -192,4 +196,3 @@ def _action_type(kind: str) -> str:
     if "/" not in kind:
         return EXEC_GSPN.split("/")[0] + "/" + kind + ("" if kind.endswith("Action") else "Action")
     return kind
-

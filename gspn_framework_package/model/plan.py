@@ -10,7 +10,7 @@ import enum
 import hashlib
 import json
 from dataclasses import dataclass, field, replace
-from typing import Any, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Tuple, Union
+from typing import Any, Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Tuple, Union
 
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.net import Net
@@ -248,6 +248,10 @@ class Plan:
         for robot in robots:
             counts[robot.place] = counts.get(robot.place, 0) + 1
         return replace(self, robots=tuple(robots), net=self.net.with_marking(counts))
+
+    def with_notes(self, notes: Iterable[str]) -> Plan:
+        """The plan with more notes of its reader for people."""
+        return replace(self, notes=self.notes + tuple(notes))
 
     # -- checking ----------------------------------------------------------------------------------
 
