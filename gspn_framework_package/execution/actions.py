@@ -1,0 +1,294 @@
+"""Actions that are Python functions: how they are written, found and called. No ROS.
+
+An action is what happens in an action place: a plain function, or a class whose objects can be
+called. It asks for what it needs by the names of its parameters, all of them optional:
+
+``place``
+    name of the place it runs for.
+``robot``
+    name of the robot (standalone: of the agent) that runs it.
+``feedback``
+    called with one or several whole numbers, tells how far it is (by custom: seconds so far).
+``is_cancelled``
+    called without arguments, tells whether somebody wants it to end; ``is_cancelled.wait(s)``
+    sleeps ``s`` seconds and wakes at once when that happens.
+``visit``, ``attempt``
+    number of the robot's visit (it grows at each move) and of the attempt within it: above 1, an
+    earlier attempt failed or was cut off by a crash.
+
+It returns the name of the transition to fire, or nothing, "" or "None" to let the policy decide
+(thesis Algorithm 1). Any exception means that it failed; :class:`ActionFailed` says so without a
+traceback in the log. A class is instantiated once for each robot (its ``__init__`` may ask for
+``robot``). For example, in ``actions.py`` of a plan's folder, named ``actions.count`` in the plan::
+
+    from gspn_framework_package.execution.actions import action
+
+    @action
+    def count(place, feedback, is_cancelled):
+        for second in range(10):
+            feedback(second)
+            if is_cancelled.wait(1.0):
+                return None
+        return "T_counted"
+
+The decorator is not needed; it checks the parameters where the function is written.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import os
+import sys
+import threading
+from types import ModuleType
+from typing import Any, Callable, Dict, FrozenSet, NamedTuple, Optional, Set, TypeVar
+
+from gspn_framework_package.model.errors import PlanError
+from gspn_framework_package.model.plan import FunctionAction, Plan
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+class ActionFailed(Exception):  # noqa: N818  # what it says, not a fault of the program
+    """Raised by an action that did not succeed; its text is told to the operator."""
+
+
+class Cancellation:
+    """Tells an action whether somebody wants it to end."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+
+    def __call__(self) -> bool:
+        """Whether the action shall end."""
+        return self._event.is_set()
+
+    def wait(self, seconds: Optional[float] = None) -> bool:
+        """Sleep for ``seconds`` (None: for ever), at most until the action shall end; whether it
+        shall."""
+        return self._event.wait(seconds)
+
+    def cancel(self) -> None:
+        """Have the action end."""
+        self._event.set()
+
+
+def no_feedback(*progress: Any) -> None:
+    """The ``feedback`` of an action to which nobody listens."""
+
+
+class ActionContext(NamedTuple):
+    """What an action may ask for by name."""
+
+    place: str
+    robot: str
+    feedback: Callable[..., None]
+    is_cancelled: Cancellation
+    visit: int = 0
+    attempt: int = 1
+
+
+class PythonAction:
+    """A function or class of a plan, ready to be called for any robot.
+
+    :param function: the function, or the class.
+    :param name: its name in the plan, for messages.
+    :raises PlanError: it cannot be called, or asks for something that there is not.
+    """
+
+    def __init__(self, function: Callable[..., Any], name: str) -> None:
+        self.name = name
+        self._class = function if inspect.isclass(function) else None
+        self._names: FrozenSet[str]
+        self._init_names: FrozenSet[str] = frozenset()
+        if self._class is None:
+            self._function = function
+            self._names = _parameters(function, name)
+        else:
+            call = inspect.getattr_static(self._class, "__call__", None)
+            if not inspect.isfunction(call):
+                raise PlanError(
+                    "the class has no method __call__",
+                    element="action '%s'" % name,
+                    hint="an action is a function, or a class whose objects can be called",
+                )
+            self._names = _parameters(call, name, bound=True)
+            if self._class.__init__ is not object.__init__:
+                self._init_names = _parameters(self._class.__init__, name, bound=True)
+            self._objects: Dict[str, Any] = {}
+            self._lock = threading.Lock()
+
+    def __call__(self, context: ActionContext) -> str:
+        """Run the action; the transition that it names, "" for "the policy decides".
+
+        Whatever it raises is passed on. A result that is no text is returned as its ``repr``, which
+        names no transition: the token game reports it as a bad result.
+        """
+        function: Callable[..., Any]
+        function = self._function if self._class is None else self._object(context)
+        result = function(**_pick(context, self._names))
+        if result is None:
+            return ""
+        return result if isinstance(result, str) else "%.200r" % (result,)
+
+    def _object(self, context: ActionContext) -> Any:
+        assert self._class is not None
+        with self._lock:
+            if context.robot not in self._objects:
+                self._objects[context.robot] = self._class(**_pick(context, self._init_names))
+            return self._objects[context.robot]
+
+
+def action(function: _Function) -> _Function:
+    """Decorator: this function (or class) is an action; checks at once what it asks for.
+
+    :raises PlanError: it asks for something that there is not.
+    """
+    PythonAction(function, getattr(function, "__qualname__", repr(function)))
+    return function
+
+
+def load_action(folder: Optional[str], name: str) -> PythonAction:
+    """The action ``module.function`` of a plan.
+
+    :param folder: the plan's folder, in which ``module.py`` is looked for (``package.module`` in
+        its subfolder); a module that is not there is imported as any other.
+    :raises PlanError: no such module or function, or it is not an action; what importing it raised.
+    """
+    element = "action '%s'" % name
+    module_name, dot, function_name = name.rpartition(".")
+    if not dot or not module_name or not all(part.isidentifier() for part in name.split(".")):
+        raise PlanError(
+            "'%s' is not the name of a function" % name,
+            element=element,
+            hint="write module.function",
+        )
+    module = _load_module(folder, module_name, element)
+    function = getattr(module, function_name, None)
+    if function is None:
+        there = sorted(
+            key
+            for key, value in vars(module).items()
+            if callable(value) and getattr(value, "__module__", "") == module.__name__
+        )
+        raise PlanError(
+            "the module has no '%s'" % function_name,
+            file=module.__file__,
+            element=element,
+            hint="it has: %s" % ", ".join(there) if there else "it has no functions",
+        )
+    if not callable(function):
+        raise PlanError("this is not a function", file=module.__file__, element=element)
+    try:
+        return PythonAction(function, name)
+    except PlanError as error:
+        raise error.located(file=module.__file__) from None
+
+
+def load_actions(plan: Plan, robot: str) -> Dict[str, PythonAction]:
+    """The Python actions of a robot, by place; places with another action, or none, are left out.
+
+    :raises PlanError: see :func:`load_action`.
+    """
+    loaded: Dict[str, PythonAction] = {}
+    result = {}
+    for place in plan.action_places:
+        bound = plan.action(robot, place)
+        if isinstance(bound, FunctionAction):
+            if bound.function not in loaded:
+                loaded[bound.function] = load_action(plan.folder, bound.function)
+            result[place] = loaded[bound.function]
+    return result
+
+
+def _load_module(folder: Optional[str], name: str, element: str) -> ModuleType:
+    path = os.path.join(os.path.abspath(folder), *name.split(".")) if folder else ""
+    for file in (path + ".py", os.path.join(path, "__init__.py")):
+        if path and os.path.isfile(file):
+            return _load_file(str(folder), file, element)
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name is None or not (name + ".").startswith(error.name + "."):
+            raise _import_failed(error, None, element) from error
+        raise PlanError(
+            "there is no module '%s'" % name,
+            element=element,
+            hint="looked for %s.py in %s, and among the installed modules"
+            % (name.replace(".", "/"), folder or "no folder"),
+        ) from None
+    except Exception as error:
+        raise _import_failed(error, None, element) from error
+
+
+def _load_file(folder: str, file: str, element: str) -> ModuleType:
+    # A name of its own: two plans may both have an actions.py, even in one process.
+    digest = hashlib.sha256(os.path.realpath(file).encode()).hexdigest()[:12]
+    name = "gspn_plan_%s_%s" % (digest, os.path.splitext(os.path.basename(file))[0])
+    if name in sys.modules:
+        return sys.modules[name]
+    folder = os.path.abspath(folder)
+    if folder not in sys.path:
+        sys.path.append(folder)  # its modules may import each other; they hide none of Python's own
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        if isinstance(error, PlanError):
+            raise error.located(file=file) from None
+        raise _import_failed(error, file, element) from error
+    return module
+
+
+def _import_failed(error: Exception, file: Optional[str], element: str) -> PlanError:
+    line = error.lineno if isinstance(error, SyntaxError) and error.filename == file else None
+    frame = error.__traceback__
+    while frame is not None:
+        if frame.tb_frame.f_code.co_filename == file:
+            line = frame.tb_lineno
+        frame = frame.tb_next
+    text = error.msg if isinstance(error, SyntaxError) else str(error)
+    return PlanError(
+        "importing the module failed: %s: %s" % (type(error).__name__, text),
+        file=file,
+        line=line,
+        element=element,
+    )
+
+
+def _parameters(function: Callable[..., Any], name: str, bound: bool = False) -> FrozenSet[str]:
+    """The names of the context that ``function`` asks for."""
+    try:
+        parameters = list(inspect.signature(function).parameters.values())[1 if bound else 0 :]
+    except (TypeError, ValueError):  # built in, without a signature
+        return frozenset()
+    names: Set[str] = set()
+    missing = inspect.Parameter.empty
+    for parameter in parameters:
+        if parameter.kind is parameter.VAR_KEYWORD:
+            names.update(ActionContext._fields)
+        elif parameter.name in ActionContext._fields:
+            if parameter.kind is parameter.POSITIONAL_ONLY:
+                raise PlanError(
+                    "its parameter '%s' cannot be given by name" % parameter.name,
+                    element="action '%s'" % name,
+                )
+            names.add(parameter.name)
+        elif parameter.kind is not parameter.VAR_POSITIONAL and parameter.default is missing:
+            raise PlanError(
+                "its parameter '%s' is nothing that an action can ask for" % parameter.name,
+                element="action '%s'" % name,
+                hint="there are: %s" % ", ".join(ActionContext._fields),
+            )
+    return frozenset(names)
+
+
+def _pick(context: ActionContext, names: FrozenSet[str]) -> Dict[str, Any]:
+    return {name: getattr(context, name) for name in names}
