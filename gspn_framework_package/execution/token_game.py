@@ -77,6 +77,13 @@ class TokenGame:
             and not self._has_robots[t]
             and (agents or not self._makes_robots[t])
         ]
+        self.environment_transitions = tuple(
+            t
+            for t, transition in enumerate(net.transitions)
+            if transition.timed
+            and not self._has_robots[t]
+            and (agents or not self._makes_robots[t])
+        )
         self._immediate = [
             tuple(t for t in leaving if not net.transitions[t].timed) for leaving in net.consumers
         ]

@@ -1,0 +1,363 @@
+"""Standalone execution: a plan runs without ROS, its agents are threads (thesis 4.1).
+
+The executor is one thread with one queue. Actions run on threads of their own, made on demand, and
+only put their results into the queue; the executor turns them into entries of a local log, and the
+token game says what follows. An agent's six states (thesis 4.1.2, Figure 4.5) are told to whoever
+listens; what the log says is all there is.
+"""
+
+from __future__ import annotations
+
+import enum
+import heapq
+import itertools
+import queue
+import random
+import threading
+import time
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.actions import (
+    ActionContext,
+    ActionFailed,
+    Cancellation,
+    load_actions,
+)
+from gspn_framework_package.execution.environment import Environment
+from gspn_framework_package.execution.firing import (
+    CancelAction,
+    Command,
+    Ended,
+    Fault,
+    Firing,
+    StartAction,
+)
+from gspn_framework_package.execution.team_state import Phase, TeamState
+from gspn_framework_package.execution.token_game import Step, TokenGame
+from gspn_framework_package.execution.worker_pool import WorkerPool
+from gspn_framework_package.model.errors import ExecutionError, PlanError, UsageError
+from gspn_framework_package.model.plan import Plan, ServerAction
+
+
+class AgentState(enum.Enum):
+    """What an agent is doing (thesis 4.1.2)."""
+
+    FREE = "Free"
+    """It has come to a new place and is about to start."""
+    OCCUPIED = "Occupied"
+    """It executes the function of its place."""
+    DONE = "Done"
+    """It has finished the function, and the transition is still to be fired."""
+    WAITING = "Waiting"
+    """It has finished, and what it wants is not enabled: it waits for others (or the operator)."""
+    INACTIVE = "Inactive"
+    """It has finished in a place without output arcs."""
+    VOID = "Void"
+    """It was destroyed: a transition consumed more agents than it produced."""
+
+
+class Listener:
+    """What a run tells while it goes on; override what is of interest. The methods are called on
+    the executor's thread and should return soon."""
+
+    def on_step(
+        self, slot: int, entries: Sequence[log.Entry], firings: Sequence[Firing], state: TeamState
+    ) -> None:
+        """The entries of log slot ``slot`` were reduced, and led to the firings and the state."""
+
+    def on_agent_state(self, agent: str, state: AgentState) -> None:
+        """An agent changed its state."""
+
+    def on_feedback(self, agent: str, visit: int, progress: Tuple[Any, ...]) -> None:
+        """The action of an agent tells how far it is (called on the action's thread)."""
+
+    def on_fault(self, agent: str, message: str) -> None:
+        """Something went wrong that a person should know; ``agent`` "" where it concerns none."""
+
+    def on_end(self, reason: str, finished: bool) -> None:
+        """The run is over: it came to its own end (``finished``), or was stopped."""
+
+
+class _Attempt(NamedTuple):
+    """An attempt at an action: which it is, and how to cancel it."""
+
+    visit: int
+    attempt: int
+    cancellation: Cancellation
+
+
+_Message = Callable[[], List[log.Entry]]
+"""Run on the executor's thread; the entries that follow."""
+
+
+class StandaloneExecutor:
+    """Runs a plan on threads, once.
+
+    :param plan: a validated plan whose actions are Python functions (or null).
+    :param listener: told what happens.
+    :param time_source: monotonic seconds.
+    :raises PlanError: a place is bound to an action server; a function is missing or broken.
+
+    ``start`` returns at once; ``wait`` waits for the end; ``stop`` ends the run at any time, and
+    does not wait for functions that never return.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        listener: Optional[Listener] = None,
+        time_source: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.plan = plan
+        self.game = TokenGame(plan, agents=True)
+        self.state = self.game.new_state()
+        """Changed on the executor's thread only; others use :meth:`status`."""
+        self.result: Optional[Ended] = None
+        """How the run ended; None while it goes on."""
+        self._listener = listener or Listener()
+        self._clock = time_source
+        self._actions = _load_functions(plan)
+        self._pool = WorkerPool("agent")
+        self._queue: queue.SimpleQueue[_Message] = queue.SimpleQueue()
+        self._running: Dict[str, _Attempt] = {}
+        self._timers: List[Tuple[float, int, _Message]] = []
+        self._timer_numbers = itertools.count()
+        self._environment = Environment(self.game, random.Random(plan.seed))
+        self._lock = threading.Lock()
+        self._states: Dict[str, Tuple[AgentState, float]] = {}
+        self._thread = threading.Thread(target=self._run, name="executor", daemon=True)
+        self._crash: Optional[BaseException] = None
+
+    # -- for other threads -------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Start the run. :raises UsageError: it was started before."""
+        if self._thread.ident is not None:
+            raise UsageError("this run was started before", hint="make a new executor")
+        self._thread.start()
+
+    def stop(self, reason: str = "stopped by the operator") -> None:
+        """End the run; actions under way are asked to cancel."""
+        self.order(log.Stop(reason))
+
+    def order(self, entry: log.Entry) -> None:
+        """An order of the operator: Pause, Resume, Retry, SetPlace, Fire, Stop."""
+        self._queue.put(lambda: [entry])
+
+    def wait(self, timeout: Optional[float] = None) -> Optional[Ended]:
+        """Wait for the end, at most ``timeout`` seconds; how it ended, None if it did not.
+
+        :raises ExecutionError: the executor itself failed, or a listener did.
+        """
+        if self._thread.ident is not None:
+            self._thread.join(timeout)
+        if self._crash is not None:
+            raise ExecutionError("the run broke off: %r" % self._crash) from self._crash
+        return self.result
+
+    def agent_states(self) -> Dict[str, AgentState]:
+        """The state of every agent, those that became Void included."""
+        with self._lock:
+            return {name: state for name, (state, _) in self._states.items()}
+
+    def status(self) -> Dict[str, Any]:
+        """The run as a JSON object: ``marking`` and, for each agent, its place, state, visit, how
+        long it has been in that state (``seconds``), and why it waits."""
+        with self._lock:
+            now = self._clock()
+            agents = []
+            for robot in self.state.active():
+                state, since = self._states.get(robot.name, (AgentState.FREE, now))
+                agents.append(
+                    {
+                        "name": robot.name,
+                        "place": self.plan.net.places[robot.place].name,
+                        "state": state.value,
+                        "visit": robot.visit,
+                        "seconds": round(now - since, 3),
+                        "why": self.game.why_waiting(self.state, robot),
+                    }
+                )
+            return {
+                "marking": self.plan.net.named(self.state.marking),
+                "agents": agents,
+                "slots": self.state.next_slot,
+                "ended": self.state.ended,
+            }
+
+    # -- the executor's thread ---------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            self._reduce([self.game.start_entry()])
+            while self.result is None:
+                self._reduce(self._next_entries())
+        except BaseException as error:  # told by wait(); a thread has nobody else to tell
+            self._crash = error
+        finally:
+            for attempt in self._running.values():
+                attempt.cancellation.cancel()
+
+    def _next_entries(self) -> List[log.Entry]:
+        """Wait for the next message, timer, or transition of the environment."""
+        now = self._clock()
+        fire_at = self._environment.next_time(self.state, now)
+        times = [
+            t for t in (self._timers[0][0] if self._timers else None, fire_at) if t is not None
+        ]
+        timeout = max(0.0, min(times) - now) if times else None
+        try:
+            entries = self._queue.get(timeout=timeout)()
+        except queue.Empty:
+            entries = []
+        now = self._clock()
+        while self._timers and self._timers[0][0] <= now:
+            entries += heapq.heappop(self._timers)[2]()
+        transition = self._environment.due(self.state, now)
+        if transition is not None:
+            entries.append(log.Fire(transition))
+        return entries
+
+    def _reduce(self, entries: List[log.Entry]) -> None:
+        """One log slot: reduce the entries, tell the listener, carry out the commands."""
+        if not entries:
+            return
+        for entry in entries:
+            if isinstance(entry, log.Done):
+                self._set_agent(entry.robot, AgentState.DONE)
+        with self._lock:
+            slot = self.state.next_slot
+            step = self.game.reduce(self.state, slot, entries)
+        self._tell_states(step)
+        self._listener.on_step(slot, entries, step.firings, self.state)
+        for command in step.commands:
+            self._carry_out(command)
+
+    def _tell_states(self, step: Step) -> None:
+        for firing in step.firings:
+            for move in firing.moves:
+                if move.target is None:
+                    self._running.pop(move.robot, None)
+                    self._set_agent(move.robot, AgentState.VOID)
+                else:
+                    self._set_agent(move.robot, AgentState.FREE)
+        for name in self.state.waiting:
+            self._set_agent(name, AgentState.WAITING)
+        for robot in self.state.robots.values():
+            if robot.phase is Phase.INACTIVE:
+                self._set_agent(robot.name, AgentState.INACTIVE)
+            elif robot.phase is Phase.FAILED:
+                self._set_agent(robot.name, AgentState.WAITING)
+
+    def _set_agent(self, name: str, state: AgentState) -> None:
+        known = self._states.get(name)
+        if known is not None and known[0] is state:
+            return
+        with self._lock:
+            self._states[name] = (state, self._clock())
+        self._listener.on_agent_state(name, state)
+
+    def _carry_out(self, command: Command) -> None:
+        if isinstance(command, StartAction):
+            if command.attempt == 1:
+                self._set_agent(command.robot, AgentState.FREE)
+            if command.delay > 0:
+                self._at(self._clock() + command.delay, lambda: self._start_action(command))
+            else:
+                self._start_action(command)
+        elif isinstance(command, CancelAction):
+            attempt = self._running.pop(command.robot, None)
+            if attempt is not None:
+                attempt.cancellation.cancel()
+        elif isinstance(command, Fault):
+            self._listener.on_fault(command.robot, command.message)
+        elif isinstance(command, Ended):
+            self.result = command
+            self._listener.on_end(command.reason, command.finished)
+
+    def _at(self, when: float, message: _Message) -> None:
+        heapq.heappush(self._timers, (when, next(self._timer_numbers), message))
+
+    # -- actions -----------------------------------------------------------------------------------
+
+    def _start_action(self, command: StartAction) -> List[log.Entry]:
+        robot = self.state.robots.get(command.robot)
+        if robot is None or (robot.visit, robot.attempt) != (command.visit, command.attempt):
+            return []
+        attempt = _Attempt(command.visit, command.attempt, Cancellation())
+        self._running[command.robot] = attempt
+        timeout = self.plan.timeout(command.place)
+        if timeout is not None:
+            self._at(self._clock() + timeout, lambda: self._timed_out(command, timeout))
+        self._set_agent(command.robot, AgentState.OCCUPIED)
+        self._pool.submit(lambda: self._execute(command, attempt))
+        return []
+
+    def _execute(self, command: StartAction, attempt: _Attempt) -> None:
+        """On a thread of the pool: run the function, and put what came of it into the queue."""
+
+        def feedback(*progress: Any) -> None:
+            self._listener.on_feedback(command.robot, command.visit, progress)
+
+        context = ActionContext(
+            command.place,
+            command.robot,
+            feedback,
+            attempt.cancellation,
+            command.visit,
+            command.attempt,
+        )
+        entry: log.Entry
+        try:
+            action = self._actions.get(command.robot) or self._actions[""]
+            result = action[command.place](context)
+            entry = log.Done(command.robot, command.incarnation, command.visit, result)
+        except ActionFailed as error:
+            entry = self._failed(command, "aborted", str(error))
+        except BaseException as error:  # whatever a user's function raises, SystemExit too
+            entry = self._failed(command, "aborted", "%s: %s" % (type(error).__name__, error))
+        self._queue.put(lambda: self._finished(command, attempt, entry))
+
+    def _finished(
+        self, command: StartAction, attempt: _Attempt, entry: log.Entry
+    ) -> List[log.Entry]:
+        if self._running.get(command.robot) is not attempt:
+            return []  # timed out or cancelled in the meantime
+        del self._running[command.robot]
+        return [entry]
+
+    def _timed_out(self, command: StartAction, timeout: float) -> List[log.Entry]:
+        attempt = self._running.get(command.robot)
+        if attempt is None or attempt[:2] != (command.visit, command.attempt):
+            return []
+        attempt.cancellation.cancel()
+        del self._running[command.robot]
+        return [self._failed(command, "timeout", "no result within %g s" % timeout)]
+
+    def _failed(self, command: StartAction, reason: str, detail: str) -> log.Failed:
+        return log.Failed(
+            command.robot,
+            command.incarnation,
+            command.visit,
+            command.attempt,
+            reason,
+            detail[:500],
+        )
+
+
+def _load_functions(plan: Plan) -> Dict[str, Dict[str, Callable[[ActionContext], str]]]:
+    """The functions by agent and place; "" stands for the agents without actions of their own, and
+    for those that will be created."""
+    bound = list(plan.actions.items()) + [i for r in plan.robots for i in r.actions.items()]
+    for place, action in bound:
+        if isinstance(action, ServerAction):
+            raise PlanError(
+                "it is bound to the action server '%s', and there are none without ROS"
+                % action.server,
+                file=plan.file,
+                element="place '%s'" % place,
+                hint="run the plan with roslaunch, or bind the place to a function",
+            )
+    own = [r.name for r in plan.robots if r.actions]
+    return {name: dict(load_actions(plan, name)) for name in ["", *own]}
