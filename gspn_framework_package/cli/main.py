@@ -27,7 +27,9 @@ EXIT_BROKEN_PIPE = 141  # 128 + SIGPIPE
 
 #: Verb -> (its module in this package, its HELP: one line, repeated here so that ``--help`` need
 #: not import the module; a test holds the two together).
-VERBS: Dict[str, Tuple[str, str]] = {}
+VERBS: Dict[str, Tuple[str, str]] = {
+    "check": ("check", "check whether a plan may run, before any robot moves"),
+}
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:

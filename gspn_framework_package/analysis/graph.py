@@ -1,0 +1,121 @@
+"""Graph algorithms on state spaces: components, what can be reached, shortest ways."""
+
+from __future__ import annotations
+
+from typing import Any, List, NamedTuple, Optional, Tuple
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+
+
+class Components(NamedTuple):
+    """Strongly connected components: ``count``; ``of`` (int array: the component of each node); ``bottom``
+    (boolean array: no arc leaves the component)."""
+
+    count: int
+    of: Any
+    bottom: Any
+
+
+def adjacency(nodes: int, sources: Any, targets: Any) -> Any:
+    """The sparse matrix with an entry for every arc."""
+    ones = np.ones(len(targets), dtype=np.int8)
+    return sparse.csr_matrix((ones, (sources, targets)), shape=(nodes, nodes))
+
+
+def components(nodes: int, sources: Any, targets: Any) -> Components:
+    """The strongly connected components of the graph with these arcs."""
+    count, of = csgraph.connected_components(adjacency(nodes, sources, targets), connection="strong")
+    bottom = np.ones(count, dtype=bool)
+    leaving = of[sources] != of[targets]
+    bottom[of[sources[leaving]]] = False
+    return Components(int(count), of, bottom)
+
+
+def reachable_from(nodes: int, sources: Any, targets: Any, start: Any) -> Any:
+    """Boolean array: which nodes can be reached from those of ``start`` (numbers, or a boolean array), themselves
+    included."""
+    seen = np.zeros(nodes, dtype=bool)
+    seen[start] = True
+    frontier = np.flatnonzero(seen)
+    if not len(frontier):
+        return seen
+    matrix = sparse.csr_matrix(
+        (np.ones(len(targets), dtype=bool), (sources, targets)), shape=(nodes, nodes))
+    while len(frontier):
+        reached = matrix.indices[_ranges(matrix.indptr[frontier], matrix.indptr[frontier + 1])]
+        reached = np.unique(reached[~seen[reached]])
+        seen[reached] = True
+        frontier = reached
+    return seen
+
+
+def can_reach(nodes: int, sources: Any, targets: Any, goal: Any) -> Any:
+    """Boolean array: from which nodes those of ``goal`` can be reached, themselves included."""
+    return reachable_from(nodes, targets, sources, goal)
+
+
+class ShortestWays:
+    """Shortest ways from node 0 along the arcs that are ``allowed``; arcs are sorted by source."""
+
+    def __init__(self, nodes: int, sources: Any, targets: Any, allowed: Optional[Any] = None) -> None:
+        arcs = np.arange(len(targets)) if allowed is None else np.flatnonzero(allowed)
+        self._sources, self._targets = sources, targets
+        self._parent = np.full(nodes, -1, dtype=np.int64)
+        self.reached = np.zeros(nodes, dtype=bool)
+        """Boolean array: which nodes there is a way to."""
+        self.reached[0] = True
+        offsets = np.searchsorted(sources[arcs], np.arange(nodes + 1))
+        frontier = np.zeros(1, dtype=np.int64)
+        while len(frontier):
+            leaving = arcs[_ranges(offsets[frontier], offsets[frontier + 1])]
+            leaving = leaving[~self.reached[targets[leaving]]]
+            reached, first = np.unique(targets[leaving], return_index=True)
+            self._parent[reached] = leaving[first]
+            self.reached[reached] = True
+            frontier = reached
+
+    def way_to(self, node: int) -> List[int]:
+        """The arcs of a shortest way to ``node``, which is reached."""
+        arcs = []
+        while node:
+            arc = int(self._parent[node])
+            arcs.append(arc)
+            node = int(self._sources[arc])
+        return arcs[::-1]
+
+
+def _ranges(begins: Any, ends: Any) -> Any:
+    """The numbers of all the ranges ``begins[i]:ends[i]``, one after another."""
+    lengths = ends - begins
+    total = int(lengths.sum())
+    if not total:
+        return np.zeros(0, dtype=np.int64)
+    filled = lengths > 0
+    begins, lengths = begins[filled], lengths[filled]
+    steps = np.ones(total, dtype=np.int64)
+    steps[0] = begins[0]
+    at = np.cumsum(lengths)[:-1]
+    steps[at] = begins[1:] - begins[:-1] - lengths[:-1] + 1
+    return np.cumsum(steps)
+
+
+def longest_levels(nodes: int, sources: Any, targets: Any) -> Tuple[Any, bool]:
+    """For an acyclic graph the length of the longest way from each node, and True; with a cycle, False."""
+    waiting = np.bincount(sources, minlength=nodes)
+    level = np.zeros(nodes, dtype=np.int64)
+    backward = sparse.csr_matrix((np.ones(len(sources), np.int8), (targets, np.arange(len(sources)))),
+                                 shape=(nodes, max(len(sources), 1)))
+    frontier = np.flatnonzero(waiting == 0)
+    done = len(frontier)
+    depth = 0
+    while len(frontier):
+        depth += 1
+        arcs = backward.indices[_ranges(backward.indptr[frontier], backward.indptr[frontier + 1])]
+        before = sources[arcs]
+        np.subtract.at(waiting, before, 1)
+        frontier = np.unique(before[waiting[before] == 0])
+        level[frontier] = depth
+        done += len(frontier)
+    return level, done == nodes

@@ -1,0 +1,77 @@
+"""The report of the check before any robot moves: items for people, and the same as JSON for programs."""
+
+from __future__ import annotations
+
+import enum
+from typing import Any, Dict, Mapping, NamedTuple, Tuple
+
+
+class Severity(enum.Enum):
+    """How bad an item is."""
+
+    OK = "ok"
+    """Nothing to do."""
+    WARNING = "warning"
+    """The plan may run; somebody should look."""
+    REFUSED = "refused"
+    """The plan must not run."""
+
+
+class CheckItem(NamedTuple):
+    """One question and its answer: ``check`` names the question, ``text`` is for people, ``details`` for programs
+    (plain JSON values)."""
+
+    check: str
+    severity: Severity
+    text: str
+    details: Mapping[str, Any] = {}
+
+
+class PreflightReport(NamedTuple):
+    """The answers of :func:`gspn_framework_package.analysis.preflight.check`.
+
+    :ivar states: how many markings were visited; 0 when structure decided everything.
+    :ivar complete: whether those were all.
+    :ivar seconds: how long the check took.
+    """
+
+    plan: str
+    items: Tuple[CheckItem, ...]
+    states: int
+    complete: bool
+    seconds: float
+
+    @property
+    def refused(self) -> bool:
+        """Whether the plan must not run."""
+        return any(item.severity is Severity.REFUSED for item in self.items)
+
+    @property
+    def exit_code(self) -> int:
+        """0: may run (perhaps with warnings); 1: refused."""
+        return int(self.refused)
+
+    def of(self, check: str) -> Tuple[CheckItem, ...]:
+        """The items of one question."""
+        return tuple(item for item in self.items if item.check == check)
+
+    def to_json(self) -> Dict[str, Any]:
+        """Everything, as plain JSON values."""
+        return {
+            "plan": self.plan,
+            "accepted": not self.refused,
+            "exit_code": self.exit_code,
+            "warnings": sum(item.severity is Severity.WARNING for item in self.items),
+            "states": self.states,
+            "complete": self.complete,
+            "seconds": round(self.seconds, 6),
+            "items": [{"check": item.check, "severity": item.severity.value, "text": item.text,
+                       **item.details} for item in self.items],
+        }
+
+    def __str__(self) -> str:
+        lines = ["%-8s %s: %s" % (item.severity.value, item.check, item.text) for item in self.items]
+        how = "by structure alone" if not self.states else "%d markings visited%s" % (
+            self.states, "" if self.complete else ", not all there are")
+        verdict = "refused" if self.refused else "may run"
+        return "\n".join(lines + ["%s %s (%s, %.3f s)" % (self.plan, verdict, how, self.seconds)])

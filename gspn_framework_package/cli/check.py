@@ -1,0 +1,43 @@
+"""``gspn check``: the check before any robot moves, on its own."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from gspn_framework_package.analysis.preflight import MARKING_LIMIT, check
+from gspn_framework_package.cli.progress import ProgressLine
+from gspn_framework_package.formats.plan_file import read_plan
+
+NAME = "check"
+HELP = "check whether a plan may run, before any robot moves"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
+    parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
+    parser.add_argument("--limit", type=int, default=MARKING_LIMIT, metavar="N",
+                        help="markings to visit at most where structure cannot decide (default %(default)s)")
+    parser.add_argument("--robots", type=int, metavar="N", help="check it for a team of N robots")
+    parser.add_argument("--standalone", action="store_true",
+                        help="check it for agents, which transitions may create and destroy")
+    parser.epilog = "Exit codes: 0 the plan may run (look at the warnings), 1 refused, 2 not a plan."
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check the plan and print the report."""
+    plan = read_plan(args.plan)
+    if args.robots is not None:
+        plan = plan.for_robots(args.robots)
+    with ProgressLine() as progress:
+        report = check(plan, limit=args.limit, standalone=args.standalone, progress=progress)
+    if args.json:
+        data = report.to_json()
+        data["notes"] = list(plan.notes)
+        print(json.dumps(data, indent=2))
+    else:
+        for note in plan.notes:
+            print("note     %s" % note)
+        print(report)
+    return report.exit_code
