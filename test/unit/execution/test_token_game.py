@@ -80,7 +80,7 @@ def check_invariants(game: TokenGame, state: TeamState) -> None:
     """Every robot is one token in its place, counts are never negative, and a snapshot is the same
     state."""
     counts = Counter(r.place for r in state.active())
-    for p, is_resource in enumerate(game._is_resource):
+    for p, is_resource in enumerate(game.is_resource):
         assert state.marking[p] >= 0
         if not is_resource:
             assert state.marking[p] == counts.get(p, 0)

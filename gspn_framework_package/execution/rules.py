@@ -1,0 +1,125 @@
+"""The rules of a plan, made ready for the token game, and the questions that they answer."""
+
+from __future__ import annotations
+
+from typing import List
+
+from gspn_framework_package.execution.team_state import POLICY, Phase, RobotState, TeamState
+from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.plan import Plan
+
+
+class Rules:
+    """The rules of one plan.
+
+    :param plan: a validated plan.
+    :param agents: standalone execution, where transitions may create and destroy agents (thesis
+        4.1.2).
+    """
+
+    def __init__(self, plan: Plan, *, agents: bool = False) -> None:
+        self.plan = plan
+        self.net = net = plan.net
+        self.agents = agents
+        self.policy = plan.policy.bind(net)
+        self.until = (
+            parse_condition(plan.until, [p.name for p in net.places]) if plan.until else None
+        )
+        self.is_resource = [p.name in plan.resource_places for p in net.places]
+        self.has_robots = [any(not self.is_resource[p] for p, _ in arcs) for arcs in net.inputs]
+        self.makes_robots = [any(not self.is_resource[p] for p, _ in arcs) for arcs in net.outputs]
+        self.spontaneous = [
+            t
+            for t, transition in enumerate(net.transitions)
+            if not transition.timed
+            and not self.has_robots[t]
+            and (agents or not self.makes_robots[t])
+        ]
+        self.environment_transitions = tuple(
+            t
+            for t, transition in enumerate(net.transitions)
+            if transition.timed and not self.has_robots[t] and (agents or not self.makes_robots[t])
+        )
+        self.immediate = [
+            tuple(t for t in leaving if not net.transitions[t].timed) for leaving in net.consumers
+        ]
+        self.urgency = [-1 if t.timed else t.priority for t in net.transitions]
+        self.top_urgency = max(self.urgency, default=0)
+        self.routing = {
+            net.transition_number(t): {
+                net.place_number(a): net.place_number(b) for a, b in routes.items()
+            }
+            for t, routes in plan.routing.items()
+        }
+
+    # -- questions ---------------------------------------------------------------------------------
+
+    def may_fire(self, state: TeamState, t: int) -> bool:
+        """Whether ``t`` can fire now: enabled in the marking, with enough robots that are done and
+        free for it."""
+        if not self.net.is_enabled(state.marking, t):
+            return False
+        return all(
+            self._has_free(state, p, t, weight)
+            for p, weight in self.net.inputs[t]
+            if not self.is_resource[p]
+        )
+
+    def free_robots(self, state: TeamState, p: int, t: int) -> List[RobotState]:
+        """The robots that are done in place ``p`` and free for ``t``, the one done first first.
+
+        One that named a transition is free for that one only: what an action found out is not
+        overridden by a partner. One that lets the policy decide is free for every immediate
+        transition.
+        """
+        robots = [state.robots[name] for name in state.done_in.get(p, ())]
+        return [r for r in robots if self._is_free(r, t)]
+
+    def _is_free(self, robot: RobotState, t: int) -> bool:
+        return not robot.paused and (
+            robot.request == t or (robot.request == POLICY and not self.net.transitions[t].timed)
+        )
+
+    def _has_free(self, state: TeamState, p: int, t: int, weight: int) -> bool:
+        for name in state.done_in.get(p, ()):
+            if self._is_free(state.robots[name], t):
+                weight -= 1
+                if weight == 0:
+                    return True
+        return False
+
+    def why_waiting(self, state: TeamState, robot: RobotState) -> str:
+        """Why a robot that is done does not move, for people; "" when it is not waiting."""
+        if robot.phase is Phase.FAILED:
+            return "its action failed (%s); waits for the operator" % robot.why
+        if robot.phase is not Phase.DONE:
+            return ""
+        if state.paused or robot.paused:
+            return "paused"
+        t = (
+            robot.request
+            if robot.request != POLICY
+            else (robot.drawn.transition if robot.drawn else None)
+        )
+        if t is None:
+            return robot.why or "no transition is enabled"
+        missing = self.net.why_disabled(state.marking, t)
+        for p, weight in self.net.inputs[t]:
+            if not self.is_resource[p]:
+                lacking = weight - len(self.free_robots(state, p, t))
+                if lacking > 0:
+                    missing.append(
+                        "needs %s in %s"
+                        % (
+                            "a robot" if lacking == 1 else "%d robots" % lacking,
+                            self.net.places[p].name,
+                        )
+                    )
+        return "wants %s: %s" % (
+            self.net.transitions[t].name,
+            "; ".join(missing) or "about to fire",
+        )
+
+    def is_inactive_place(self, p: int) -> bool:
+        """Whether no arc leaves the place: a robot that is done there stays."""
+        return not self.net.consumers[p]

@@ -1,0 +1,371 @@
+"""One turn of the token game: robots that finish, transitions that fire, until nothing is
+enabled."""
+
+from __future__ import annotations
+
+from typing import Dict, List, Optional, Sequence, Tuple
+
+from gspn_framework_package.execution.draw import choose, sample, uniform
+from gspn_framework_package.execution.firing import (
+    CancelAction,
+    Command,
+    Ended,
+    Fault,
+    Firing,
+    Move,
+    StartAction,
+)
+from gspn_framework_package.execution.rules import Rules
+from gspn_framework_package.execution.team_state import POLICY, Draw, Phase, RobotState, TeamState
+from gspn_framework_package.model.plan import FailureKind
+
+FIRINGS_PER_ENTRY = 10_000
+"""More firings than this after one entry are taken for a cycle without time, and cut off."""
+
+ASKS_POLICY = ("", "None", None)
+"""Results of an action that let the policy decide (thesis Algorithm 1)."""
+
+
+class Turn:
+    """The state while one log slot is reduced, the position in the log, and what came out so far.
+
+    After each entry (``docs/semantics.md``): first the immediate transitions with only resource
+    inputs, by priority and weight; then the robots that are done, the one done first first, where a
+    higher priority goes before; again from the start until nothing is enabled.
+    """
+
+    def __init__(self, rules: Rules, state: TeamState, slot: int) -> None:
+        self.rules, self.net, self.plan = rules, rules.net, rules.plan
+        self.state = state
+        self.slot = slot
+        self.firings: List[Firing] = []
+        self.commands: List[Command] = []
+
+    # -- settling ----------------------------------------------------------------------------------
+
+    def settle(self) -> None:
+        """Fire until nothing is enabled; then see whether the run is over."""
+        fired = 0
+        while self.state.ended is None and not self.state.paused:
+            if self._reached_until() or not (self._fire_spontaneous() or self._fire_requested()):
+                break
+            fired += 1
+            if fired >= FIRINGS_PER_ENTRY:
+                self._fault(
+                    None,
+                    "%d firings without an action between them: a cycle without time; cut off"
+                    % fired,
+                )
+                self._end("a cycle of immediate transitions", finished=False)
+        active = self.state.active()
+        if self.state.ended is None and active and all(r.phase is Phase.INACTIVE for r in active):
+            self._end("every robot is in a place without output arcs", finished=True)
+
+    def _reached_until(self) -> bool:
+        if (
+            self.rules.until is not None
+            and self.state.robots
+            and self.rules.until.holds(self.state.marking)
+        ):
+            self._end("until: %s" % self.plan.until, finished=True)
+            return True
+        return False
+
+    def _fire_spontaneous(self) -> bool:
+        enabled = [t for t in self.rules.spontaneous if self.net.is_enabled(self.state.marking, t)]
+        if not enabled:
+            return False
+        top = max(self.net.transitions[t].priority for t in enabled)
+        choices = [
+            (t, self.net.transitions[t].weight)
+            for t in enabled
+            if self.net.transitions[t].priority == top
+        ]
+        drawn = None
+        if len(choices) > 1 and any(weight > 0 for _, weight in choices):
+            t, drawn = choose(choices, self._uniform("")), self._position()
+        else:
+            t = choices[0][0]
+        self._fire(t, None, drawn)
+        return True
+
+    def _fire_requested(self) -> bool:
+        best: Optional[Tuple[int, RobotState]] = None
+        refused = set()
+        for name in self.state.waiting:
+            robot = self.state.robots[name]
+            if robot.paused:
+                continue
+            t = robot.request if robot.request != POLICY else self._policy_choice(robot)
+            if t is None or t in refused:
+                continue
+            if not self.rules.may_fire(self.state, t):
+                refused.add(t)
+                continue
+            if best is None or self.rules.urgency[t] > self.rules.urgency[best[0]]:
+                best = (t, robot)
+                if self.rules.urgency[t] == self.rules.top_urgency:
+                    break
+        if best is None:
+            return False
+        t, robot = best
+        held = robot.drawn if robot.request == POLICY else None
+        self._fire(t, robot, (held.slot, held.index) if held else None)
+        return True
+
+    def _policy_choice(self, robot: RobotState) -> Optional[int]:
+        """What the policy has ``robot`` ask for; it holds to a draw until the marking or its
+        candidates change."""
+        leaving = self.rules.immediate[robot.place]
+        distribution = self.rules.policy.distribution(self.state.marking, robot.place)
+        if distribution is not None:
+            choices = self._of_top_priority(distribution.choices)
+        elif self.rules.policy.matches(self.state.marking):
+            return self._nothing(
+                robot, "the policy says nothing about %s in this marking" % self._name(robot.place)
+            )
+        elif self.plan.strict:
+            return self._nothing(robot, "the policy has no row for this marking", fault=True)
+        else:
+            choices = self._of_top_priority(
+                [
+                    (t, self.net.transitions[t].weight)
+                    for t in leaving
+                    if self.rules.may_fire(self.state, t)
+                ]
+            )
+            if not any(weight > 0 for _, weight in choices):
+                return self._nothing(
+                    robot,
+                    "the policy has no row for this marking, and no weight decides"
+                    if choices
+                    else "no immediate transition is enabled",
+                )
+        candidates = tuple(t for t, _ in choices)
+        held = robot.drawn
+        if held is None or (held.version, held.candidates) != (self.state.version, candidates):
+            robot.why = ""
+            robot.drawn = Draw(
+                self.state.version,
+                candidates,
+                choose(choices, self._uniform(robot.name)),
+                *self._position(),
+            )
+        return robot.drawn.transition if robot.drawn else None
+
+    def _of_top_priority(self, choices: Sequence[Tuple[int, float]]) -> Sequence[Tuple[int, float]]:
+        """The choices without those that an enabled one of higher priority goes before."""
+        priorities = {self.net.transitions[t].priority for t, _ in choices}
+        if len(priorities) < 2:
+            return choices
+        enabled = [
+            self.net.transitions[t].priority
+            for t, _ in choices
+            if self.rules.may_fire(self.state, t)
+        ]
+        floor = max(enabled, default=0)
+        return [(t, p) for t, p in choices if self.net.transitions[t].priority >= floor]
+
+    def _nothing(self, robot: RobotState, why: str, fault: bool = False) -> Optional[int]:
+        robot.drawn = None
+        if robot.why != why:
+            robot.why = why
+            if fault:
+                self._fault(robot, why + "; it waits in %s" % self._name(robot.place))
+        return None
+
+    def _position(self) -> Tuple[int, int]:
+        return self.slot, len(self.firings)
+
+    def _uniform(self, who: str) -> float:
+        return uniform(self.state.seed, *self._position(), who)
+
+    # -- firing ------------------------------------------------------------------------------------
+
+    def _fire(
+        self, t: int, requester: Optional[RobotState], drawn: Optional[Tuple[int, int]]
+    ) -> None:
+        movers = self._bind(t, requester)
+        incarnation, visit = (requester.incarnation, requester.visit) if requester else (0, 0)
+        targets = self._targets(t, movers)
+        self.state.set_marking(self.net.fire(self.state.marking, t))
+        moves = []
+        arrived = []
+        for robot, target in zip(movers, targets):
+            source = self._name(robot.place)
+            self.state.remove_waiting(robot)
+            if target is None:
+                del self.state.robots[robot.name]
+                moves.append(Move(robot.name, source, None, robot.visit + 1))
+                continue
+            robot.place = target
+            robot.visit += 1
+            moves.append(Move(robot.name, source, self._name(target), robot.visit))
+            arrived.append(robot)
+        for target in targets[len(movers) :]:
+            assert target is not None
+            self.state.created += 1
+            robot = RobotState(str(self.state.created), target)
+            self.state.robots[robot.name] = robot
+            moves.append(Move(robot.name, None, self._name(target), robot.visit))
+            arrived.append(robot)
+        self.firings.append(
+            Firing(
+                self.slot,
+                len(self.firings),
+                self.net.transitions[t].name,
+                requester.name if requester else "",
+                incarnation,
+                visit,
+                tuple(moves),
+                self.state.marking,
+                drawn,
+            )
+        )
+        for robot in arrived:
+            self._enter(robot)
+
+    def _bind(self, t: int, requester: Optional[RobotState]) -> List[RobotState]:
+        """The robots that ``t`` takes, place by place in the order of the arcs; the one that asked
+        is among them."""
+        movers: List[RobotState] = []
+        for p, weight in self.net.inputs[t]:
+            if not self.rules.is_resource[p]:
+                free = self.rules.free_robots(self.state, p, t)
+                if requester in free[weight:]:
+                    free = free[: weight - 1] + [requester]
+                movers += free[:weight]
+        return movers
+
+    def _targets(self, t: int, movers: List[RobotState]) -> List[Optional[int]]:
+        """Where each mover goes (None: nowhere, it becomes Void), then where new agents appear."""
+        slots = [
+            p
+            for p, weight in self.net.outputs[t]
+            if not self.rules.is_resource[p]
+            for _ in range(weight)
+        ]
+        surplus = len(movers) - len(slots)
+        void = set()
+        if surplus > 0:
+            void = set(
+                sample(range(len(movers)), surplus, self.state.seed, *self._position(), "void")
+            )
+        routes = self.rules.routing.get(t, {})
+        targets: Dict[int, int] = {}
+        for i, robot in enumerate(movers):
+            wanted = routes.get(robot.place)
+            if i not in void and wanted in slots:
+                slots.remove(wanted)
+                targets[i] = wanted
+        for i in range(len(movers)):
+            if i not in void and i not in targets:
+                targets[i] = slots.pop(0)
+        return [targets.get(i) for i in range(len(movers))] + list(slots)
+
+    # -- results of actions ------------------------------------------------------------------------
+
+    def _done(self, robot: RobotState, result: Optional[str]) -> None:
+        leaving = self.net.consumers[robot.place]
+        if not leaving:
+            robot.phase = Phase.INACTIVE
+            return
+        if result not in ASKS_POLICY:
+            t = self.net.transition_index.get(str(result))
+            if t is None or t not in leaving:
+                self._failed(
+                    robot,
+                    "bad result",
+                    "'%.200s' does not leave %s" % (result, self._name(robot.place)),
+                )
+                return
+            self._ask(robot, t)
+        elif self.rules.immediate[robot.place]:
+            self._ask(robot, POLICY)
+        elif len(leaving) == 1:
+            self._ask(robot, leaving[0])
+        else:
+            self._failed(
+                robot,
+                "bad result",
+                "no transition was named, and %s has %d exponential ones"
+                % (self._name(robot.place), len(leaving)),
+            )
+
+    def _ask(self, robot: RobotState, request: int) -> None:
+        robot.request = request
+        robot.failures = 0
+        robot.why = ""
+        self.state.add_waiting(robot)
+
+    def _failed(self, robot: RobotState, reason: str, detail: str) -> None:
+        rule = self.plan.failure_rule(self._name(robot.place))
+        robot.why = reason + (": " + detail if detail else "")
+        what = "the action of %s failed (%s)" % (self._name(robot.place), robot.why)
+        if rule.kind is FailureKind.RETRY and robot.failures < rule.times:
+            robot.failures += 1
+            robot.attempt += 1
+            self._fault(robot, "%s; attempt %d follows" % (what, robot.attempt))
+            self._start_action(robot, rule.delay)
+            return
+        if rule.kind is FailureKind.FIRE:
+            t = self.net.transition_number(rule.transition)
+            if t in self.net.consumers[robot.place]:
+                self._fault(robot, "%s; goes on with %s" % (what, rule.transition))
+                self._ask(robot, t)
+                return
+        if rule.kind is FailureKind.STOP:
+            self._fault(robot, what)
+            self._end("%s: %s" % (robot.name, what), finished=False)
+            return
+        robot.phase = Phase.FAILED
+        self._fault(robot, "%s; waits for the operator" % what)
+
+    # -- robots ------------------------------------------------------------------------------------
+
+    def _name(self, p: int) -> str:
+        return self.net.places[p].name
+
+    def _add(self, robot: RobotState) -> None:
+        self.state.robots[robot.name] = robot
+        marking = list(self.state.marking)
+        marking[robot.place] += 1
+        self.state.set_marking(tuple(marking))
+
+    def _enter(self, robot: RobotState) -> None:
+        """A visit begins: the action of the place starts, or the robot is done at once where there
+        is none."""
+        robot.attempt = 1
+        robot.failures = 0
+        robot.why = ""
+        robot.phase = Phase.DOING
+        if self.plan.action(robot.name, self._name(robot.place)) is None:
+            self._done(robot, "")
+        else:
+            self._start_action(robot)
+
+    def _start_action(self, robot: RobotState, delay: float = 0.0) -> None:
+        self.commands.append(
+            StartAction(
+                robot.name,
+                self._name(robot.place),
+                robot.incarnation,
+                robot.visit,
+                robot.attempt,
+                delay,
+            )
+        )
+
+    def _cancel(self, robot: RobotState) -> None:
+        if robot.phase is Phase.DOING:
+            self.commands.append(CancelAction(robot.name, robot.visit))
+
+    def _fault(self, robot: Optional[RobotState], message: str) -> None:
+        self.commands.append(Fault(robot.name if robot else "", message))
+
+    def _end(self, reason: str, finished: bool) -> None:
+        if self.state.ended is None:
+            self.state.ended = reason
+            for robot in self.state.active():
+                self._cancel(robot)
+            self.commands.append(Ended(reason, finished))
