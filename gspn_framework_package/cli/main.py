@@ -29,6 +29,8 @@ EXIT_BROKEN_PIPE = 141  # 128 + SIGPIPE
 #: not import the module; a test holds the two together).
 VERBS: Dict[str, Tuple[str, str]] = {
     "check": ("check", "check whether a plan may run, before any robot moves"),
+    "convert": ("convert", "write a net in another format"),
+    "draw": ("draw", "draw a net, its coverability tree or its Markov chain"),
 }
 
 

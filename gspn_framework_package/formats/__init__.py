@@ -8,10 +8,21 @@
 from gspn_framework_package.formats.registry import (
     FORMATS,
     Format,
+    encode_net,
+    format_named,
     format_of_name,
     read_net,
     read_net_with_notes,
     write_net,
 )
 
-__all__ = ["FORMATS", "Format", "format_of_name", "read_net", "read_net_with_notes", "write_net"]
+__all__ = [
+    "FORMATS",
+    "Format",
+    "encode_net",
+    "format_named",
+    "format_of_name",
+    "read_net",
+    "read_net_with_notes",
+    "write_net",
+]

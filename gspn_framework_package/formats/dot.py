@@ -115,6 +115,11 @@ def net_graph(net: Net, marking: Optional[Sequence[int]] = None) -> Graph:
     return graph
 
 
+def to_bytes(net: Net) -> bytes:
+    """The net as DOT text."""
+    return net_graph(net).text().encode("utf-8")
+
+
 def _positions(net: Net) -> Dict[str, Position]:
     """Where the nodes are, if every one says so and they are not all in one spot."""
     found = {p.name: p.position for p in net.places if p.position is not None}

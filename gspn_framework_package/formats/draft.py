@@ -252,3 +252,10 @@ class NetDraft:
                 )
             )
         return names
+
+
+def capacity_losses(net: Net) -> List[str]:
+    """What to tell the user when a writer says capacities by inhibitor arcs."""
+    if any(place.capacity is not None for place in net.places):
+        return ["capacities are written as inhibitor arcs, which say the same"]
+    return []

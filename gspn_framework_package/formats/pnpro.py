@@ -17,7 +17,7 @@ from typing import Dict, List, Mapping, Optional, Tuple
 
 from lxml import etree
 
-from gspn_framework_package.formats.draft import NetDraft, ReadOptions
+from gspn_framework_package.formats.draft import NetDraft, ReadOptions, capacity_losses
 from gspn_framework_package.formats.xml_tree import (
     all_of,
     child,
@@ -30,6 +30,7 @@ from gspn_framework_package.formats.xml_tree import (
     tag,
     writing_names,
 )
+from gspn_framework_package.model.capacity import capacities_as_inhibitors
 from gspn_framework_package.model.errors import ExpressionError, NetError
 from gspn_framework_package.model.expression import resolve_constants, shorten
 from gspn_framework_package.model.net import Net, Position
@@ -235,22 +236,22 @@ def _from_editor(where: Optional[Position], kind: str) -> Optional[Position]:
 # -- writing -------------------------------------------------------------------------------------
 
 
-def to_bytes(net: Net) -> bytes:
-    """The net as a project file of one net.
+def losses(net: Net) -> List[str]:
+    """What the format says in other words, for the user to know."""
+    return capacity_losses(net)
 
-    :raises NetError: a place has a capacity, which GreatSPN has no word for.
+
+def to_bytes(net: Net) -> bytes:
+    """The net as a project file of one net; capacities become inhibitor arcs, which say the same.
+
+    :raises NetError: a name that XML cannot hold.
     """
+    net = capacities_as_inhibitors(net)
     root = etree.Element("project", name=net.name or "net", version="121")
     with writing_names(net):
         gspn = etree.SubElement(root, "gspn", name=net.name or "net")
         nodes, edges = etree.SubElement(gspn, "nodes"), etree.SubElement(gspn, "edges")
         for place in net.places:
-            if place.capacity is not None:
-                raise NetError(
-                    "PNPRO files have no capacities",
-                    element="place '%s'" % place.name,
-                    hint="replace it by a complementary place first (complement_capacities)",
-                )
             node = etree.SubElement(nodes, "place", name=place.name, marking=str(place.tokens))
             _write_position(node, place.position, "place")
         for transition in net.transitions:

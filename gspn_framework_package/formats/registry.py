@@ -8,7 +8,7 @@ from typing import Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple, U
 
 from lxml import etree
 
-from gspn_framework_package.formats import pipe, pnml, pnpro, tina
+from gspn_framework_package.formats import dot, jani, pipe, pnml, pnpro, prism, tina
 from gspn_framework_package.formats.draft import NO_CONSTANTS, ReadOptions
 from gspn_framework_package.formats.source import read_bytes, write_bytes
 from gspn_framework_package.formats.xml_tree import line_of, parse_xml, tag
@@ -29,44 +29,40 @@ class Format(NamedTuple):
     :ivar extensions: how its files end; the first is the usual one.
     :ivar from_xml: the reader, of an XML format.
     :ivar from_text: the reader, of a text format.
-    :ivar to_bytes: the writer, if there is one.
-    :ivar losses: what writing a net would leave out, in sentences.
+    :ivar to_bytes: the writer.
+    :ivar losses: what writing a net leaves out or says in other words, in sentences.
     """
 
     name: str
     title: str
     extensions: Tuple[str, ...]
+    to_bytes: Callable[[Net], bytes]
     from_xml: Optional[_XmlReader] = None
     from_text: Optional[_TextReader] = None
-    to_bytes: Optional[Callable[[Net], bytes]] = None
     losses: Callable[[Net], List[str]] = lambda net: []
 
+    @property
+    def is_read(self) -> bool:
+        """Whether there is a reader."""
+        return self.from_xml is not None or self.from_text is not None
 
-FORMATS: Mapping[str, Format] = {
-    f.name: f
-    for f in (
-        Format("pipe", "PIPE XML", (".xml",), from_xml=pipe.from_xml, to_bytes=pipe.to_bytes),
-        Format(
-            "pnml", "ISO 15909-2 PNML", (".pnml",), from_xml=pnml.from_xml, to_bytes=pnml.to_bytes
-        ),
-        Format(
-            "pnpro",
-            "PNPRO (GreatSPN)",
-            (".pnpro",),
-            from_xml=pnpro.from_xml,
-            to_bytes=pnpro.to_bytes,
-        ),
-        Format(
-            "tina",
-            "TINA .net",
-            (".net",),
-            from_text=tina.from_text,
-            to_bytes=tina.to_bytes,
-            losses=tina.losses,
-        ),
-    )
-}
+
+_TABLE = (
+    Format("pipe", "PIPE XML", (".xml",), pipe.to_bytes, from_xml=pipe.from_xml),
+    Format("pnml", "ISO 15909-2 PNML", (".pnml",), pnml.to_bytes, from_xml=pnml.from_xml),
+    Format("pnpro", "PNPRO (GreatSPN)", (".pnpro",), pnpro.to_bytes, from_xml=pnpro.from_xml,
+           losses=pnpro.losses),
+    Format("tina", "TINA .net", (".net",), tina.to_bytes, from_text=tina.from_text,
+           losses=tina.losses),
+    Format("jani", "JANI", (".jani",), jani.to_bytes),
+    Format("prism", "PRISM", (".prism", ".sm"), prism.to_bytes),
+    Format("dot", "Graphviz DOT", (".dot", ".gv"), dot.to_bytes),
+)  # fmt: skip
+
+FORMATS: Mapping[str, Format] = {f.name: f for f in _TABLE}
 """Format name -> format."""
+
+_READ = "read are %s" % ", ".join(f.title for f in FORMATS.values() if f.is_read)
 
 
 def read_net(
@@ -110,7 +106,9 @@ def read_net_with_notes(
 ) -> Tuple[Net, List[str]]:
     """As :func:`read_net`, and notes on what had to be assumed or was left out."""
     options = ReadOptions(net, constants, infinite_servers, missing_weight)
-    wanted = _format(format) if format is not None else None
+    wanted = format_named(format) if format is not None else None
+    if wanted is not None and not wanted.is_read:
+        raise UsageError("%s is written, not read" % wanted.title, hint=_READ)
     file = str(path)
     data = read_bytes(file)
     try:
@@ -123,15 +121,22 @@ def write_net(net: Net, path: PathLike, format: Optional[str] = None) -> List[st
     """Write a net; the format is told by the name of the file unless given.
 
     :returns: what the format could not hold, in sentences.
-    :raises UsageError: the format is not known or is not written.
+    :raises UsageError: the format is not known.
     :raises NetError: the net has something that the format cannot say.
     :raises InputError: the file cannot be written.
     """
-    chosen = _format(format) if format is not None else format_of_name(path)
-    if chosen.to_bytes is None:
-        raise UsageError("%s is not written" % chosen.title)
-    write_bytes(str(path), chosen.to_bytes(net))
-    return chosen.losses(net)
+    chosen = format_named(format) if format is not None else format_of_name(path)
+    data, losses = encode_net(net, chosen)
+    write_bytes(str(path), data)
+    return losses
+
+
+def encode_net(net: Net, format: Format) -> Tuple[bytes, List[str]]:
+    """The content of a file, and what the format could not hold, in sentences.
+
+    :raises NetError: the net has something that the format cannot say.
+    """
+    return format.to_bytes(net), format.losses(net)
 
 
 def format_of_name(path: PathLike) -> Format:
@@ -149,7 +154,8 @@ def format_of_name(path: PathLike) -> Format:
     )
 
 
-def _format(name: str) -> Format:
+def format_named(name: str) -> Format:
+    """The format of that name. :raises UsageError: there is none."""
     try:
         return FORMATS[name.lower()]
     except KeyError:
@@ -189,7 +195,7 @@ def _read(
     raise InputError(
         "not a net in any format that is known",
         file=file,
-        hint="known: %s" % ", ".join(f.title for f in FORMATS.values()),
+        hint=_READ,
     )
 
 
@@ -208,7 +214,7 @@ def _decode(data: bytes, file: str) -> str:
         raise InputError(
             "neither XML nor text: not a net in any format that is known",
             file=file,
-            hint="known: %s" % ", ".join(f.title for f in FORMATS.values()),
+            hint=_READ,
         ) from None
     if "\0" in text:
         raise InputError("neither XML nor text: not a net in any format that is known", file=file)
@@ -246,7 +252,7 @@ def _format_of_xml(root: etree._Element, file: str) -> Format:
             "the root element is <%s>, which is no net format that is known" % shorten(name),
             file=file,
             line=line_of(root),
-            hint="known: %s" % ", ".join(f.title for f in FORMATS.values()),
+            hint=_READ,
         )
     for element in root.iter():
         kind = tag(element)

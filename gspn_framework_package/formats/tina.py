@@ -17,7 +17,8 @@ from __future__ import annotations
 import re
 from typing import Dict, List, NamedTuple, NoReturn, Optional, Tuple
 
-from gspn_framework_package.formats.draft import NetDraft, ReadOptions
+from gspn_framework_package.formats.draft import NetDraft, ReadOptions, capacity_losses
+from gspn_framework_package.model.capacity import capacities_as_inhibitors
 from gspn_framework_package.model.errors import NetError
 from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.net import Net
@@ -235,24 +236,22 @@ class _Reader:
 
 def losses(net: Net) -> List[str]:
     """What the format cannot hold of this net, for the user to know."""
+    found = capacity_losses(net)
     if net.transitions:
-        return ["TINA's format has no rates, weights, priorities and numbers of servers: left out"]
-    return []
+        found.append(
+            "rates, weights, priorities and numbers of servers are left out: TINA has none"
+        )
+    return found
 
 
 def to_bytes(net: Net) -> bytes:
-    """The net as TINA reads it.
+    """The net as TINA reads it; capacities become inhibitor arcs, which say the same.
 
-    :raises NetError: a place has a capacity, or a name has a line break.
+    :raises NetError: a name has a line break.
     """
+    net = capacities_as_inhibitors(net)
     lines = ["net %s" % _quote(net.name or "net")]
     for place in net.places:
-        if place.capacity is not None:
-            raise NetError(
-                "TINA's format has no capacities",
-                element="place '%s'" % place.name,
-                hint="replace it by a complementary place first (complement_capacities)",
-            )
         lines.append("pl %s (%d)" % (_quote(place.name), place.tokens))
     inputs: Dict[str, List[str]] = {t.name: [] for t in net.transitions}
     outputs: Dict[str, List[str]] = {t.name: [] for t in net.transitions}

@@ -1,0 +1,78 @@
+"""``gspn draw``: a picture of a net, of its coverability tree or of its Markov chain."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import List, Tuple
+
+from gspn_framework_package.cli.net_input import add_net_arguments, print_notes, read_net_argument
+from gspn_framework_package.formats.dot import IMAGE_FORMATS, Graph, net_graph, render
+from gspn_framework_package.formats.source import write_bytes
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.net import Net
+
+NAME = "draw"
+HELP = "draw a net, its coverability tree or its Markov chain"
+
+DEFAULT_LIMIT = 500
+"""Most nodes of a tree or chain that are drawn: more is no picture any more."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    add_net_arguments(parser)
+    parser.add_argument(
+        "-o",
+        "--output",
+        required=True,
+        metavar="OUT",
+        help="the picture to write: .%s, or .dot for Graphviz" % ", .".join(IMAGE_FORMATS),
+    )
+    parser.add_argument(
+        "--what",
+        choices=("net", "coverability", "chain"),
+        default="net",
+        help="what to draw (default: net)",
+    )
+    parser.add_argument(
+        "--limit",
+        type=int,
+        default=DEFAULT_LIMIT,
+        metavar="N",
+        help="most markings to draw (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--timeout",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help="longest time for Graphviz, in seconds (default: %(default)g)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Draw the picture."""
+    image = Path(args.output).suffix.lower().lstrip(".")
+    if image not in (*IMAGE_FORMATS, "dot", "gv"):
+        raise UsageError(
+            "cannot tell the kind of picture from the name '%s'" % args.output,
+            hint="end it in .%s or .dot" % ", .".join(IMAGE_FORMATS),
+        )
+    if args.limit < 1:
+        raise UsageError("--limit must be at least 1")
+    net, notes = read_net_argument(args)
+    graph, more = _graph(net, args.what, args.limit)
+    text = graph.text()
+    if image in ("dot", "gv"):
+        write_bytes(args.output, text.encode("utf-8"))
+    else:
+        write_bytes(args.output, render(text, image, args.timeout))
+    print_notes(notes + more)
+    return 0
+
+
+def _graph(net: Net, what: str, limit: int) -> Tuple[Graph, List[str]]:
+    if what == "net":
+        return net_graph(net), []
+    raise UsageError("drawing the %s is not there yet" % what)

@@ -1,0 +1,88 @@
+"""How the verbs that work on a net are told which net, and how it is to be read."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Dict, List, Tuple
+
+from gspn_framework_package.formats import FORMATS, read_net_with_notes
+from gspn_framework_package.formats.plan_file import is_plan, read_plan
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.net import Net
+
+
+def add_net_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the net and the options of reading it."""
+    parser.add_argument(
+        "net_file",
+        metavar="NET",
+        help="a net (%s), or a plan, whose net is taken"
+        % ", ".join(f.title for f in FORMATS.values() if f.from_xml or f.from_text),
+    )
+    reading = parser.add_argument_group("reading the net")
+    reading.add_argument(
+        "--from",
+        dest="source_format",
+        metavar="FORMAT",
+        help="the format of NET, when it should not be told by the content",
+    )
+    reading.add_argument("--net", metavar="NAME", help="the net to take from a file of several")
+    reading.add_argument(
+        "--const",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="give a constant of the file its value (may be repeated)",
+    )
+    reading.add_argument(
+        "--servers",
+        choices=("single", "infinite"),
+        help="servers of exponential transitions whose file does not say "
+        "(default: infinite for PNPRO, single for others)",
+    )
+    reading.add_argument(
+        "--controllable",
+        action="store_true",
+        help="immediate transitions whose file gives no weight are controllable (weight 0)",
+    )
+
+
+def read_net_argument(args: argparse.Namespace) -> Tuple[Net, List[str]]:
+    """The net that the arguments name, and the reader's notes.
+
+    :raises GspnError: it cannot be read, or the arguments make no sense.
+    """
+    constants = _constants(args.const)
+    if args.source_format is None and is_plan(args.net_file):
+        if constants or args.net is not None:
+            raise UsageError("--net and --const are for nets; a plan says them itself")
+        plan = read_plan(args.net_file)
+        return plan.net, list(plan.notes)
+    return read_net_with_notes(
+        args.net_file,
+        format=args.source_format,
+        net=args.net,
+        constants=constants,
+        infinite_servers=None if args.servers is None else args.servers == "infinite",
+        missing_weight=0.0 if args.controllable else 1.0,
+    )
+
+
+def print_notes(notes: List[str]) -> None:
+    """Tell the notes of a reader or writer on standard error."""
+    for note in notes:
+        print("gspn: note: %s" % note, file=sys.stderr)
+
+
+def _constants(words: List[str]) -> Dict[str, float]:
+    constants = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        try:
+            constants[name.strip()] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals or not name.strip():
+            raise UsageError("--const %s: NAME=NUMBER was expected" % word)
+    return constants

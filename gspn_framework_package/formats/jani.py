@@ -1,0 +1,173 @@
+"""JANI, the language of probabilistic model checkers (jani-spec.org): write.
+
+A net becomes a Markov automaton, a net without immediate transitions a Markov chain, with one
+integer variable for each place. Properties in CSL or LTL then go to Storm (``storm --jani net.jani
+--prop ...``) or any other tool that reads JANI. Everything in a net is said: weights of immediate
+transitions that are enabled together are normalised, priorities, inhibitor arcs, capacities and
+servers are in the guards and rates. A transition of weight 0 is a nondeterministic choice, as it is
+in the model. Exponential transitions are guarded against markings that enable immediate ones, so
+that the result does not depend on whether the tool assumes maximal progress."""
+
+from __future__ import annotations
+
+import json
+from functools import reduce
+from typing import Any, Dict, List, Mapping, Sequence
+
+from gspn_framework_package.formats.symbolic import (
+    concession,
+    identifiers,
+    priority_levels,
+    upper_bounds,
+)
+from gspn_framework_package.model.net import Net
+
+_Term = Any  # a JANI expression: a number, a name, or a dictionary with "op"
+
+
+def to_bytes(net: Net, bounds: Mapping[str, int] = {}) -> bytes:
+    """The net as a JANI document.
+
+    :param bounds: the most tokens that places can hold, where known; symbolic engines need it.
+    """
+    document = _Writer(net, bounds).document()
+    return (json.dumps(document, indent=1, ensure_ascii=False) + "\n").encode("utf-8")
+
+
+class _Writer:
+    def __init__(self, net: Net, bounds: Mapping[str, int]) -> None:
+        self.net = net
+        self.bounds = upper_bounds(net, bounds)
+        names = [p.name for p in net.places]
+        self.names = list(identifiers(names)[0].values())
+        self.levels = priority_levels(net)
+        self.enabled = [self._enabled(t) for t in range(len(net.transitions))]
+
+    def document(self) -> Dict[str, Any]:
+        return {
+            "jani-version": 1,
+            "name": self.net.name or "net",
+            "type": "ma" if self.levels else "ctmc",
+            "features": ["derived-operators"],
+            "variables": [self._variable(p) for p in range(len(self.net.places))],
+            "properties": [],
+            "automata": [
+                {
+                    "name": "net",
+                    "locations": [{"name": "marking"}],
+                    "initial-locations": ["marking"],
+                    "edges": self._edges(),
+                }
+            ],
+            "system": {"elements": [{"automaton": "net"}]},
+        }
+
+    def _variable(self, p: int) -> Dict[str, Any]:
+        place, bound = self.net.places[p], self.bounds[p]
+        kind: Any = "int"
+        if bound is not None:
+            kind = {
+                "kind": "bounded",
+                "base": "int",
+                "lower-bound": 0,
+                "upper-bound": max(bound, place.tokens),
+            }
+        found = {"name": self.names[p], "type": kind, "initial-value": place.tokens}
+        if self.names[p] != place.name:
+            found["comment"] = "place %s" % place.name
+        return found
+
+    def _edges(self) -> List[Dict[str, Any]]:
+        net = self.net
+        edges = []
+        higher: List[_Term] = []  # what is enabled on the levels above
+        for level in self.levels:
+            weighted = [t for t in level if net.transitions[t].weight > 0]
+            if weighted:
+                edges.append(self._weighted(weighted, higher))
+            for t in level:
+                if net.transitions[t].weight == 0:
+                    guard = _all([self.enabled[t]] + _none(higher))
+                    edges.append(_edge(net.transitions[t].name, guard, [self._target(t)]))
+            higher += [self.enabled[t] for t in level]
+        for t, transition in enumerate(net.transitions):
+            if transition.timed:
+                guard = _all([self.enabled[t]] + _none(higher))
+                edge = _edge(transition.name, guard, [self._target(t)])
+                edge["rate"] = {"exp": self._rate(t)}
+                edges.append(edge)
+        return edges
+
+    def _weighted(self, level: Sequence[int], higher: Sequence[_Term]) -> Dict[str, Any]:
+        """One edge for the transitions of one priority: which of them, their weights decide."""
+        names = ", ".join(self.net.transitions[t].name for t in level)
+        guard = _all([_any([self.enabled[t] for t in level])] + _none(higher))
+        if len(level) == 1:
+            return _edge(names, guard, [self._target(level[0])])
+        shares = [
+            {"op": "ite", "if": self.enabled[t], "then": self.net.transitions[t].weight, "else": 0}
+            for t in level
+        ]
+        total = reduce(lambda a, b: _operation("+", a, b), shares)
+        targets = []
+        for t, share in zip(level, shares):
+            target = self._target(t)
+            target["probability"] = {"exp": _operation("/", share, total)}
+            targets.append(target)
+        return _edge(names, guard, targets)
+
+    def _enabled(self, t: int) -> _Term:
+        tests = []
+        for place, operator, bound in concession(self.net, t):
+            name = self.names[place]
+            sign = {">=": "≥", "<": "<", "<=": "≤"}[operator]
+            tests.append(_operation(sign, name, bound))
+        return _all(tests)
+
+    def _target(self, t: int) -> Dict[str, Any]:
+        assignments = []
+        for p, change in self.net.effect(t):
+            sign = "+" if change > 0 else "-"
+            value = _operation(sign, self.names[p], abs(change))
+            assignments.append({"ref": self.names[p], "value": value})
+        return {"location": "marking", "assignments": assignments}
+
+    def _rate(self, t: int) -> _Term:
+        transition = self.net.transitions[t]
+        if transition.servers == 1 or not self.net.inputs[t]:
+            return transition.rate
+        degrees: List[_Term] = []
+        for p, weight in self.net.inputs[t]:
+            name: _Term = self.names[p]
+            if weight > 1:
+                name = {"op": "floor", "exp": _operation("/", name, weight)}
+            degrees.append(name)
+        if transition.servers is not None:
+            degrees.append(transition.servers)
+        degree = reduce(lambda a, b: _operation("min", a, b), degrees)
+        return _operation("*", transition.rate, degree)
+
+
+def _edge(comment: str, guard: _Term, destinations: List[Dict[str, Any]]) -> Dict[str, Any]:
+    return {
+        "location": "marking",
+        "guard": {"exp": guard},
+        "destinations": destinations,
+        "comment": comment,
+    }
+
+
+def _operation(operator: str, left: _Term, right: _Term) -> _Term:
+    return {"op": operator, "left": left, "right": right}
+
+
+def _all(terms: Sequence[_Term]) -> _Term:
+    return reduce(lambda a, b: _operation("∧", a, b), terms) if terms else True
+
+
+def _any(terms: Sequence[_Term]) -> _Term:
+    return reduce(lambda a, b: _operation("∨", a, b), terms)
+
+
+def _none(terms: Sequence[_Term]) -> List[_Term]:
+    return [{"op": "¬", "exp": _any(terms)}] if terms else []

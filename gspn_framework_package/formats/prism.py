@@ -1,0 +1,116 @@
+"""The language of the PRISM model checker, which Storm reads too: write.
+
+A net becomes a Markov chain with one integer variable for each place and one command for each
+transition, and a reward structure ``throughput_T`` for each transition T, so that
+``R{"throughput_T"}=? [S]`` is its throughput. PRISM knows no immediate transitions: a net that has
+some is refused here and goes out as JANI, or as the chain that is left when its vanishing markings
+have been eliminated (:func:`chain_files`)."""
+
+from __future__ import annotations
+
+from typing import Dict, Iterable, List, Mapping, Sequence, Tuple
+
+from gspn_framework_package.formats.symbolic import concession, identifiers, upper_bounds
+from gspn_framework_package.model.errors import NetError
+from gspn_framework_package.model.net import Net
+
+
+def to_bytes(net: Net, bounds: Mapping[str, int] = {}) -> bytes:
+    """The net as a PRISM model.
+
+    :param bounds: the most tokens that places can hold, where known; PRISM's symbolic engines need
+        it.
+    :raises NetError: the net has immediate transitions.
+    """
+    immediate = [t.name for t in net.transitions if not t.timed]
+    if immediate:
+        raise NetError(
+            "PRISM has no immediate transitions",
+            element="transition '%s'" % immediate[0],
+            hint="write JANI, which Storm reads, or the chain without vanishing markings",
+        )
+    places, transitions = identifiers(
+        [p.name for p in net.places], [t.name for t in net.transitions]
+    )
+    names = list(places.values())
+    lines = ["ctmc", ""]
+    lines += ["// place %s is %s" % (" ".join(k.split()), v) for k, v in places.items() if k != v]
+    lines += ["module net"]
+    for place, limit in zip(net.places, upper_bounds(net, bounds)):
+        kind = "int" if limit is None else "[0..%d]" % max(limit, place.tokens)
+        lines.append("  %s : %s init %d;" % (places[place.name], kind, place.tokens))
+    for t in range(len(net.transitions)):
+        guard, rate, update = _guard(net, t, names), _rate(net, t, names), _update(net, t, names)
+        lines.append("  [] %s -> %s : %s;" % (guard, rate, update))
+    lines += ["endmodule", ""]
+    for t, name in enumerate(transitions.values()):
+        reward = "%s : %s;" % (_guard(net, t, names), _rate(net, t, names))
+        lines.append('rewards "throughput_%s" %s endrewards' % (name, reward))
+    return ("\n".join(lines) + "\n").encode("utf-8")
+
+
+def _guard(net: Net, t: int, names: Sequence[str]) -> str:
+    tests = ["%s%s%d" % (names[p], operator, n) for p, operator, n in concession(net, t)]
+    return " & ".join(tests) or "true"
+
+
+def _update(net: Net, t: int, names: Sequence[str]) -> str:
+    changes = ["(%s'=%s%+d)" % (names[p], names[p], change) for p, change in net.effect(t)]
+    return " & ".join(changes) or "true"
+
+
+def _rate(net: Net, t: int, names: Sequence[str]) -> str:
+    transition = net.transitions[t]
+    rate = repr(float(transition.rate))
+    if transition.servers == 1 or not net.inputs[t]:
+        return rate
+    degrees = [
+        names[p] if weight == 1 else "floor(%s/%d)" % (names[p], weight)
+        for p, weight in net.inputs[t]
+    ]
+    if transition.servers is not None:
+        degrees.append(str(transition.servers))
+    return "%s*%s" % (rate, degrees[0] if len(degrees) == 1 else "min(%s)" % ", ".join(degrees))
+
+
+def chain_files(
+    places: Sequence[str],
+    states: Sequence[Sequence[int]],
+    rates: Iterable[Tuple[int, int, float]],
+    initial: int,
+    labels: Mapping[str, Iterable[int]] = {},
+) -> Dict[str, bytes]:
+    """A Markov chain as PRISM's explicit files (``prism -importmodel net.all -ctmc``).
+
+    :param places: names of the places, in the order of the states' counts.
+    :param states: the markings, by number.
+    :param rates: triples (from state, to state, rate).
+    :param initial: number of the initial state.
+    :param labels: label -> numbers of the states that have it.
+    :returns: extension (``sta``, ``tra``, ``lab``) -> content.
+    """
+    names = identifiers(places)[0].values()
+    state_lines = ["(%s)" % ",".join(names)]
+    for number, state in enumerate(states):
+        state_lines.append("%d:(%s)" % (number, ",".join(str(int(n)) for n in state)))
+    moves = sorted((int(a), int(b), float(rate)) for a, b, rate in rates)
+    move_lines = ["%d %d" % (len(states), len(moves))]
+    move_lines += ["%d %d %r" % move for move in moves]
+    busy = {a for a, _, _ in moves}
+    members: Dict[str, Iterable[int]] = {
+        "init": [initial],
+        "deadlock": [n for n in range(len(states)) if n not in busy],
+        **labels,
+    }
+    label_lines = [" ".join('%d="%s"' % (i, name) for i, name in enumerate(members))]
+    labels_of: Dict[int, List[int]] = {}
+    for label, numbers in enumerate(members.values()):
+        for number in numbers:
+            labels_of.setdefault(int(number), []).append(label)
+    for number, found in sorted(labels_of.items()):
+        label_lines.append("%d: %s" % (number, " ".join(map(str, found))))
+    return {
+        "sta": ("\n".join(state_lines) + "\n").encode("utf-8"),
+        "tra": ("\n".join(move_lines) + "\n").encode("utf-8"),
+        "lab": ("\n".join(label_lines) + "\n").encode("utf-8"),
+    }

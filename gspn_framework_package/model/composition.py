@@ -1,0 +1,128 @@
+"""Hierarchical composition: a place of one net becomes a whole net."""
+
+from __future__ import annotations
+
+from typing import Dict, List, Optional
+
+from gspn_framework_package.model.errors import NetError
+from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
+
+
+def expand_place(
+    net: Net, place: str, subnet: Net, entry: str, exit: str, prefix: Optional[str] = None
+) -> Net:
+    """The net with ``place`` replaced by ``subnet``: what was one activity becomes a procedure.
+
+    What put a token on the place puts it on the subnet's ``entry``; what took one from the place
+    takes it from the subnet's ``exit``. Tokens of the place in the initial marking begin at the
+    entry. The nodes of the subnet are renamed to ``prefix + name``; their order, like that of the
+    arcs, is kept: the subnet's places stand where the place stood, its transitions and arcs come
+    last.
+
+    If the subnet keeps the number of tokens (every transition moves as many as it takes), the
+    tokens in it, added up, behave as the tokens of the place did, only that one must have reached
+    the exit before it can leave. Places of the subnet that are marked to begin with are its own
+    resources (a tool that the procedure needs): they are not part of that count.
+
+    An inhibitor arc of weight 1 from the place ("while it is occupied") becomes one from every
+    place of the subnet that is not such a resource. One of a larger weight counts tokens of a
+    place, which no arc can do over several places, and is refused; so is a capacity of the place.
+
+    :param place: name of the place to replace.
+    :param subnet: what replaces it.
+    :param entry: name of the place of the subnet where tokens come in.
+    :param exit: name of the place of the subnet where tokens go out; may be the entry.
+    :param prefix: what the names of the subnet's nodes begin with; by default ``place`` and a dot.
+    :raises NetError: no such place, entry or exit; a name that is taken; an inhibitor arc or a
+        capacity that cannot be carried over.
+
+    >>> from gspn_framework_package.model.builder import NetBuilder
+    >>> outer = (NetBuilder().place("Idle", 1).place("Inspect")
+    ...          .immediate("start", inputs="Idle", outputs="Inspect")
+    ...          .exponential("done", inputs="Inspect", outputs="Idle").build())
+    >>> inner = (NetBuilder().place("Approach").place("Look")
+    ...          .exponential("arrive", inputs="Approach", outputs="Look").build())
+    >>> expanded = expand_place(outer, "Inspect", inner, entry="Approach", exit="Look")
+    >>> [p.name for p in expanded.places]
+    ['Idle', 'Inspect.Approach', 'Inspect.Look']
+    """
+    replaced = net.place(place)
+    _check(net, replaced, subnet, entry, exit)
+    start = place + "." if prefix is None else prefix
+    inner_names: Dict[str, str] = {n.name: start + n.name for n in subnet.places}
+    inner_names.update((n.name, start + n.name) for n in subnet.transitions)
+    shift = _shift(replaced.position, subnet.place(entry).position)
+
+    inner_places = []
+    for inner in subnet.places:
+        tokens = inner.tokens + (replaced.tokens if inner.name == entry else 0)
+        inner_places.append(
+            inner._replace(
+                name=inner_names[inner.name], tokens=tokens, position=_moved(inner.position, shift)
+            )
+        )
+    places: List[Place] = []
+    for outer in net.places:
+        places += inner_places if outer.name == place else [outer]
+
+    transitions: List[Transition] = list(net.transitions)
+    for transition in subnet.transitions:
+        name = inner_names[transition.name]
+        transitions.append(
+            transition._replace(name=name, position=_moved(transition.position, shift))
+        )
+
+    occupied = [inner_names[p.name] for p in subnet.places if p.tokens == 0]
+    arcs: List[Arc] = []
+    for arc in net.arcs:
+        if arc.inhibitor and arc.source == place:
+            arcs += [arc._replace(source=name) for name in occupied]
+        elif arc.source == place:
+            arcs.append(arc._replace(source=inner_names[exit]))
+        elif arc.target == place:
+            arcs.append(arc._replace(target=inner_names[entry]))
+        else:
+            arcs.append(arc)
+    for arc in subnet.arcs:
+        arcs.append(arc._replace(source=inner_names[arc.source], target=inner_names[arc.target]))
+    return Net(places, transitions, arcs, net.name)
+
+
+def _check(net: Net, replaced: Place, subnet: Net, entry: str, exit: str) -> None:
+    element = "place '%s'" % replaced.name
+    for end in (entry, exit):
+        if end not in subnet.place_index:
+            raise NetError("the net to put in its place has no place '%s'" % end, element=element)
+    if subnet.place(entry).tokens or subnet.place(exit).tokens:
+        raise NetError(
+            "the net to put in its place has tokens on its entry or exit",
+            element=element,
+            hint="only its own resources may be marked; tokens come in from outside",
+        )
+    if replaced.capacity is not None:
+        raise NetError(
+            "it has a capacity, which a whole net cannot have",
+            element=element,
+            hint="let a resource place count the free slots",
+        )
+    for arc in net.arcs:
+        if arc.inhibitor and arc.source == replaced.name and arc.weight > 1:
+            raise NetError(
+                "its inhibitor arc to '%s' counts %d tokens, which no arc does over several places"
+                % (arc.target, arc.weight),
+                element=element,
+                hint="only inhibitor arcs of weight 1 can be carried over",
+            )
+
+
+def _shift(to: Optional[Position], origin: Optional[Position]) -> Optional[Position]:
+    if to is None or origin is None:
+        return None
+    return to[0] - origin[0], to[1] - origin[1]
+
+
+def _moved(where: Optional[Position], shift: Optional[Position]) -> Optional[Position]:
+    """The position in the drawing of the outer net, where the entry stands on the place."""
+    if where is None or shift is None:
+        return None
+    return where[0] + shift[0], where[1] + shift[1]
