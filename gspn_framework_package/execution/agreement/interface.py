@@ -1,0 +1,202 @@
+"""What goes into a replica and what comes out of it: the border between the agreement core and
+whoever carries its messages.
+
+The core is :class:`~gspn_framework_package.execution.agreement.replica.Replica`::
+
+    replica = Replica(plan, robot, run, log_id, records)  # records: its own log read back, or []
+    carry_out(replica.start(now))
+    ...
+    carry_out(replica.step(some_input, now))              # on one thread, one input after the other
+
+``now`` is a monotonic clock in seconds. ``step`` returns a list of effects, **to be carried out in
+order**: above all a :class:`Persist` must be in the file before anything after it leaves the
+process. Nothing in the core blocks, sleeps, or looks at a clock.
+
+Whoever hosts a replica
+
+- gives it a :class:`Tick` at the time of the last :class:`WakeAt` (earlier or more often does no
+  harm);
+- gives it every protocol message it receives as a :class:`Received`. Loss, duplication, reordering
+  and messages that are not for this robot are harmless; messages of its own are ignored;
+- carries out :class:`Send`: in full synchronisation on the one topic (``to`` a name: that robot;
+  ``to`` "": everybody; one message to several robots may be published once, to everybody). In
+  partial synchronisation a message of kind ``hello`` goes on the topic; any other is the request of
+  a service call to that robot, of the service that :data:`SERVICE_OF_MESSAGE` says, whose reply
+  comes back as another :class:`Received`. A call that fails or times out is simply a loss;
+- serves such calls: the request becomes a :class:`Received` with a ``request_id`` of the host's
+  making; the step that takes it returns exactly one :class:`Reply` of that id (its message may be
+  empty, ``{}``: nothing to say; do not feed an empty reply back in);
+- starts and cancels actions for :class:`StartAction` and :class:`CancelAction`, which are only ever
+  for this robot, and reports each attempt's end once, with :class:`ActionDone` or
+  :class:`ActionFailed`. A cancelled action need not be reported.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, NamedTuple, Union
+
+from gspn_framework_package.execution.entries import Entry
+from gspn_framework_package.execution.firing import (
+    CancelAction,
+    Ended,
+    Fault,
+    Firing,
+    StartAction,
+)
+
+Message = Dict[str, Any]
+"""A protocol message: a JSON object with its ``kind`` and ``from`` (the sender's name)."""
+
+SERVICE_OF_MESSAGE = {
+    "prepare": "get_state",
+    "pull": "get_state",
+    "event": "get_place",
+    "accept": "set_place",
+    "learn": "set_place",
+}
+"""Partial synchronisation: which of a robot's services a message is the request of."""
+
+EVERYBODY = ""
+"""``Send.to`` of a broadcast: also to those who are not in the team (yet)."""
+
+# -- inputs ----------------------------------------------------------------------------------------
+
+
+class Tick(NamedTuple):
+    """Time has passed."""
+
+
+class Received(NamedTuple):
+    """A protocol message came in, ``request_id`` "" for one that expects no reply of its own."""
+
+    message: Message
+    request_id: str = ""
+
+
+class ActionDone(NamedTuple):
+    """The action of (incarnation, visit, attempt) ended well; ``result`` names a transition, or is
+    "" (or "None") for "the policy decides"."""
+
+    incarnation: int
+    visit: int
+    attempt: int
+    result: str = ""
+
+
+class ActionFailed(NamedTuple):
+    """An attempt did not succeed; ``reason`` is one of
+    :data:`~gspn_framework_package.execution.entries.FAILURES`."""
+
+    incarnation: int
+    visit: int
+    attempt: int
+    reason: str
+    detail: str = ""
+
+
+class Order(NamedTuple):
+    """An operator's order, given to this robot: ``entry`` is a Retry, Fire, Leave, Evict, SetPlace,
+    Pause, Resume or Stop. Answered by an :class:`OrderResult` of the same ``order_id`` once it is
+    in the log (which may take for ever without a quorum: the caller has a deadline of its own). For
+    an Evict the incarnation may be -1: the present one."""
+
+    order_id: str
+    entry: Entry
+
+
+class ForceEvict(NamedTuple):
+    """The operator asserts that ``robot`` is switched off, so that the rest may go on without its
+    vote. If the assertion is wrong, or the robot alone knew of firings, what it knew is given up.
+    Answered by an :class:`OrderResult`."""
+
+    order_id: str
+    robot: str
+
+
+Input = Union[Tick, Received, ActionDone, ActionFailed, Order, ForceEvict]
+
+# -- effects ---------------------------------------------------------------------------------------
+
+
+class Persist(NamedTuple):
+    """Append this record to the robot's log before anything after it in the list is carried out
+    (see :mod:`~gspn_framework_package.execution.event_log`)."""
+
+    record: Dict[str, Any]
+
+
+class Send(NamedTuple):
+    """Send a message to a robot, or to :data:`EVERYBODY`."""
+
+    to: str
+    message: Message
+
+
+class Reply(NamedTuple):
+    """The answer to the :class:`Received` of that ``request_id``."""
+
+    request_id: str
+    message: Message
+
+
+class Fired(NamedTuple):
+    """A transition fired, as every replica learns.
+
+    ``publish``: this robot decided it, and is the one that tells ``fired_transitions``.
+    ``private``: a move that this robot made on its own (partial synchronisation): its position is
+    (robot, visit), slot and index say nothing, and ``firing.marking`` is the marking that this
+    robot knows. Such a move appears a second time with its position in the agreed log
+    (``private`` and ``publish`` false) once it is in there.
+    ``hash`` is the value of the hash chain after the slot of the firing.
+    """
+
+    firing: Firing
+    publish: bool
+    hash: str
+    private: bool = False
+
+
+class OrderResult(NamedTuple):
+    """What became of an :class:`Order` or :class:`ForceEvict`."""
+
+    order_id: str
+    ok: bool
+    text: str
+
+
+class StatusChanged(NamedTuple):
+    """What :meth:`Replica.status` tells has changed in a way that people should hear of; ``text``
+    is one line for the robot's own log on the screen."""
+
+    text: str
+
+
+class Halted(NamedTuple):
+    """This replica must not go on (another plan, a diverging log, another process of the same name,
+    a successor): it takes no part any more; its actions have been cancelled. The host ends with
+    exit code 1 and tells ``reason``."""
+
+    reason: str
+
+
+class WakeAt(NamedTuple):
+    """Give a :class:`Tick` at that time (of ``now``'s clock) at the latest; replaces the one
+    before."""
+
+    time: float
+
+
+Effect = Union[
+    Persist,
+    Send,
+    Reply,
+    Fired,
+    StartAction,
+    CancelAction,
+    Fault,
+    Ended,
+    OrderResult,
+    StatusChanged,
+    Halted,
+    WakeAt,
+]

@@ -1,0 +1,304 @@
+"""The event log of a run: one file of JSON lines that is the write-ahead log, the event log and the
+history at once.
+
+The first line is the *header*: format and version, run, robot, the id of this very log, and the
+plan, self-contained, so that a run can be replayed and verified from the log alone. Every other
+line is a *record*: a JSON object with its ``kind`` beside its fields, the wall clock (``wall``,
+seconds since 1970) and a monotonic clock (``mono``, seconds, comparable between the processes of
+one host). Kinds:
+
+==============  ====================================================================================
+``slot``        a slot of the agreed log: ``slot``, ``entries``, ``origins`` (who put each in:
+                robot, incarnation, sequence number; empty in a local log), the ``firings`` that
+                followed, ``hash`` (of the chain), ``ballot`` where a team agreed on it
+``snapshot``    the state after slot ``slot``, taken over from a peer or kept as a starting point:
+                ``state``, ``seen`` (origin -> newest entry), ``hash``; what was before is void
+``life``        the node started: ``incarnation``; ``joining`` where it was not in the first team
+``promised``    acceptor: no ballot below ``ballot`` will be accepted in ``slot`` or later
+``accepted``    acceptor: accepted ``batch`` under ``ballot`` in ``slot``
+``invoked``     a fact that this robot knows and wants in the log: ``entry``, ``origin``
+``acknowledged``  an ``invoked`` fact is in the log, at ``slot``
+``void``        an ``invoked`` fact can no longer take effect (``why``)
+``private``     partial synchronisation: a move that this robot made on its own: ``entry``,
+                ``origin``, ``firing``
+``goal``        the goal of an action goes out: ``place``, ``incarnation``, ``visit``, ``attempt``
+``cancel``      the goals of visits up to ``visit`` are void
+``peer``        first contact with a robot: ``robot``, ``log`` (the id of its log)
+``forced``      the operator asserts that ``robots`` are off, for ``slot``
+``ended``       the run is over: ``reason``, ``finished``
+==============  ====================================================================================
+
+``kill -9`` may cut the last line: nothing that depends on it has left the process, so a reader
+drops it, and a writer that takes the file up again removes it first.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from typing import Any, BinaryIO, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.firing import Firing, firing_from_json
+from gspn_framework_package.execution.team_state import TeamState
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
+from gspn_framework_package.model.errors import GspnError, LogError
+from gspn_framework_package.model.plan import Plan
+
+FORMAT = "gspn event log"
+VERSION = 1
+
+Record = Dict[str, Any]
+
+
+def header(plan: Plan, run: str, robot: str, log_id: str, *, agents: bool = False) -> Record:
+    """The first line of a log.
+
+    :param run: name of the run.
+    :param robot: whose log it is ("" for a standalone run).
+    :param log_id: unlike that of any other log, e.g. a random hex string: it tells a robot that
+        comes back with its memory from one that lost it.
+    :param agents: standalone execution, where transitions may create and destroy tokens.
+    """
+    return {
+        "kind": "header",
+        "format": FORMAT,
+        "version": VERSION,
+        "run": run,
+        "robot": robot,
+        "log": log_id,
+        "agents": agents,
+        "plan_hash": plan.hash(),
+        "plan": plan_to_json(plan),
+    }
+
+
+def first_hash(plan: Plan) -> str:
+    """What the hash chain of a run begins with."""
+    return plan.hash()
+
+
+def next_hash(
+    previous: str, entries: Sequence[Record], origins: Sequence[Any], firings: Sequence[Record]
+) -> str:
+    """The next link of the hash chain: over the link before, and a slot's entries, their origins
+    and the firings that followed, all as they stand in the log."""
+    text = json.dumps([previous, entries, origins, firings], sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+class EventLogWriter:
+    """Appends records to a log; every record has reached the operating system when
+    :meth:`append` returns, so that it outlives the process.
+
+    :param path: the file; its folder is made. A file that is there is taken up again: a line that
+        was cut is removed, and the header must be of the same run, robot and plan.
+    :param first: the header for a new file (see :func:`header`).
+    :param fsync: wait until the disk has it, so that it outlives the power supply too.
+    :raises LogError: the file belongs to another run, robot or plan, or cannot be written.
+    """
+
+    def __init__(self, path: str, first: Record, *, fsync: bool = False) -> None:
+        self.path = path
+        self._fsync = fsync
+        try:
+            os.makedirs(os.path.dirname(os.path.abspath(path)), exist_ok=True)
+            known = _repair(path)
+            if known is not None:
+                for key in ("run", "robot", "plan_hash"):
+                    if known.get(key) != first[key]:
+                        raise LogError(
+                            "the log is of %s '%s', not '%s'" % (key, known.get(key), first[key]),
+                            file=path,
+                            hint="give the run another name, or move the file away",
+                        )
+            self._file: BinaryIO = open(path, "ab", buffering=0)  # noqa: SIM115
+        except OSError as error:
+            raise LogError("cannot be written (%s)" % error.strerror, file=path) from None
+        if known is None:
+            self.append(first)
+
+    def append(self, *records: Record) -> None:
+        """Write the records, each with the time of now."""
+        clocks = {"wall": round(time.time(), 6), "mono": round(time.monotonic(), 6)}
+        lines = [json.dumps({**r, **clocks}, separators=(",", ":")) + "\n" for r in records]
+        data = "".join(lines).encode()
+        try:
+            while data:
+                data = data[self._file.write(data) :]
+            if self._fsync:
+                os.fsync(self._file.fileno())
+        except OSError as error:
+            raise LogError("cannot be written (%s)" % error.strerror, file=self.path) from None
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def _repair(path: str) -> Optional[Record]:
+    """The header of the file, None if there is no file or no whole line in it; a last line that was
+    cut is removed."""
+    if not os.path.exists(path):
+        return None
+    with open(path, "rb+") as file:
+        end = file.seek(0, os.SEEK_END)
+        keep = end
+        while keep > 0:
+            start = max(0, keep - 65536)
+            file.seek(start)
+            at = file.read(keep - start).rfind(b"\n")
+            if at >= 0:
+                keep = start + at + 1
+                break
+            keep = start
+        if keep < end:
+            file.truncate(keep)
+        if keep == 0:
+            return None
+        file.seek(0)
+        return _header(file.readline(), path)
+
+
+class EventLog:
+    """A log that was read.
+
+    :ivar header: its first line.
+    :ivar records: all others, in order.
+    :ivar cut: whether a cut last line was dropped.
+    """
+
+    def __init__(self, path: str, header: Record, records: List[Record], cut: bool) -> None:
+        self.path = path
+        self.header = header
+        self.records = records
+        self.cut = cut
+        self._plan: Optional[Plan] = None
+
+    @property
+    def plan(self) -> Plan:
+        """The plan that the log carries. :raises LogError: it is not one, or not of that hash."""
+        if self._plan is None:
+            try:
+                plan = plan_from_json(self.header["plan"])
+            except (GspnError, KeyError) as error:
+                raise LogError("holds no plan (%s)" % error, file=self.path, line=1) from None
+            if plan.hash() != self.header["plan_hash"]:
+                raise LogError("its plan has another hash than it says", file=self.path, line=1)
+            self._plan = plan
+        return self._plan
+
+    @property
+    def robot(self) -> str:
+        """Whose log it is."""
+        return str(self.header["robot"])
+
+
+def read_log(path: str) -> EventLog:
+    """Read a log.
+
+    A last line that was cut is dropped (``EventLog.cut``).
+
+    :raises LogError: it cannot be read, is not a log of a version that is known, or has a line that
+        is not a record; the message says which.
+    """
+    records: List[Record] = []
+    try:
+        with open(path, "rb") as file:
+            first = file.readline()
+            cut = not first.endswith(b"\n")
+            head = _header(first, path)
+            for number, line in enumerate(file, 2):
+                if not line.endswith(b"\n"):
+                    cut = True
+                    break
+                records.append(_record(line, path, number))
+    except OSError as error:
+        raise LogError("cannot be read (%s)" % error.strerror, file=path) from None
+    return EventLog(path, head, records, cut)
+
+
+def _record(line: bytes, path: str, number: int) -> Record:
+    try:
+        record = json.loads(line.decode())
+    except ValueError:
+        raise LogError("is not JSON: %.80r" % line, file=path, line=number) from None
+    if not isinstance(record, dict) or not isinstance(record.get("kind"), str):
+        raise LogError("is not a record: %.80r" % line, file=path, line=number)
+    return record
+
+
+def _header(line: bytes, path: str) -> Record:
+    hint = "the first line of an event log is its header"
+    if not line.strip():
+        raise LogError("is empty, not an event log", file=path, hint=hint)
+    try:
+        head = json.loads(line.decode())
+    except ValueError:
+        raise LogError("is not an event log", file=path, line=1, hint=hint) from None
+    if not isinstance(head, dict) or head.get("format") != FORMAT:
+        raise LogError("is not an event log", file=path, line=1, hint=hint)
+    if head.get("version") != VERSION:
+        raise LogError(
+            "is of version %r; this program reads version %d" % (head.get("version"), VERSION),
+            file=path,
+            line=1,
+        )
+    for key in ("run", "robot", "log", "plan_hash", "plan"):
+        if key not in head:
+            raise LogError("the header lacks '%s'" % key, file=path, line=1)
+    return head
+
+
+class Replayed(NamedTuple):
+    """A slot of a log that was replayed; ``state`` is after it, and is changed by the next one.
+
+    ``entries`` is empty and ``snapshot`` true where the log took over a snapshot instead.
+    """
+
+    slot: int
+    entries: Tuple[log.Entry, ...]
+    firings: List[Firing]
+    state: TeamState
+    record: Record
+    snapshot: bool = False
+
+
+def replay(event_log: EventLog) -> Iterator[Replayed]:
+    """Reduce the slots of a log again, one by one, with the token game.
+
+    :raises LogError: a slot is missing, does not hold entries, or leads to other firings than those
+        it recorded.
+    """
+    plan = event_log.plan
+    game = TokenGame(plan, agents=bool(event_log.header.get("agents")))
+    state = game.new_state()
+    for number, record in enumerate(event_log.records, 2):
+        try:
+            if record["kind"] == "snapshot":
+                if record["slot"] != state.next_slot - 1:  # one kept as a starting point is no news
+                    state = TeamState.from_json(record["state"], plan.net)
+                    yield Replayed(record["slot"], (), [], state, record, True)
+            elif record["kind"] == "slot":
+                yield _replay_slot(game, state, record)
+        except (KeyError, TypeError) as error:
+            raise LogError(
+                "the record is damaged (%r)" % error, file=event_log.path, line=number
+            ) from None
+        except LogError as error:
+            raise error.located(file=event_log.path, line=number) from None
+
+
+def _replay_slot(game: TokenGame, state: TeamState, record: Record) -> Replayed:
+    slot = record["slot"]
+    if slot != state.next_slot:
+        raise LogError("slot %s follows where slot %d should" % (slot, state.next_slot))
+    batch = tuple(log.from_json(e) for e in record["entries"])
+    firings = game.reduce(state, slot, batch).firings
+    recorded = [firing_from_json(f, game.net) for f in record["firings"]]
+    if firings != recorded:
+        raise LogError("slot %d leads to other firings than it recorded" % slot)
+    return Replayed(slot, batch, firings, state, record)

@@ -1,0 +1,137 @@
+"""The log so far and what it comes to: the state of the team and the end of the hash chain.
+
+A *ledger* turns batches of entries into ``slot`` records (see
+:mod:`~gspn_framework_package.execution.event_log`) and goes on from records. The standalone
+executor's recorder and each replica of a team keep one.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.event_log import Record, first_hash, next_hash
+from gspn_framework_package.execution.firing import firing_to_json
+from gspn_framework_package.execution.team_state import TeamState
+from gspn_framework_package.execution.token_game import Step, TokenGame
+from gspn_framework_package.model.errors import LogError
+
+
+class Origin(NamedTuple):
+    """Who put an entry into the log: a robot, its incarnation, and a number that it counts up. Of
+    one origin only an entry newer than all before has an effect: that makes repeats harmless."""
+
+    robot: str
+    incarnation: int
+    number: int
+
+
+class Item(NamedTuple):
+    """An entry and its origin, on the way into the log."""
+
+    entry: log.Entry
+    origin: Origin
+
+    def to_json(self) -> List[Any]:
+        """The item as a JSON value."""
+        return [log.to_json(self.entry), list(self.origin)]
+
+    @classmethod
+    def from_json(cls, data: Any) -> Item:
+        """The item of a JSON value. :raises LogError: not one."""
+        try:
+            entry, (robot, incarnation, number) = data
+            return cls(log.from_json(entry), Origin(str(robot), int(incarnation), int(number)))
+        except (TypeError, ValueError) as error:
+            raise LogError("not an entry with its origin: %.200r (%s)" % (data, error)) from None
+
+
+class Ledger:
+    """The state after a prefix of the log.
+
+    :param game: the rules; shared between ledgers.
+
+    :ivar state: the team after ``length`` slots; changed in place.
+    :ivar hash: the end of the hash chain.
+    :ivar seen: robot -> (incarnation, number) of its newest entry in the log.
+    """
+
+    def __init__(self, game: TokenGame) -> None:
+        self.game = game
+        self.state = game.new_state()
+        self.hash = first_hash(game.plan)
+        self.seen: Dict[str, Tuple[int, int]] = {}
+
+    @property
+    def length(self) -> int:
+        """The number of the next slot."""
+        return self.state.next_slot
+
+    def is_news(self, origin: Origin) -> bool:
+        """Whether an entry of that origin would have an effect (an entry without a robot has
+        one)."""
+        known = self.seen.get(origin.robot)
+        return known is None or (origin.incarnation, origin.number) > known
+
+    def append(
+        self, items: Sequence[Item], ballot: Optional[Sequence[Any]] = None
+    ) -> Tuple[Record, Step]:
+        """Put a batch into the next slot: the ``slot`` record, and what it brought about. Repeated
+        items are left out."""
+        fresh: List[Item] = []
+        for item in items:
+            if self.is_news(item.origin):
+                self.seen[item.origin.robot] = item.origin[1:]
+                fresh.append(item)
+        return self._append([i.entry for i in fresh], [list(i.origin) for i in fresh], ballot)
+
+    def append_local(self, entries: Sequence[log.Entry]) -> Tuple[Record, Step]:
+        """The same for entries of a local log, which have no origin."""
+        return self._append(entries, [], None)
+
+    def _append(
+        self, entries: Sequence[log.Entry], origins: List[Any], ballot: Optional[Sequence[Any]]
+    ) -> Tuple[Record, Step]:
+        slot = self.length
+        step = self.game.reduce(self.state, slot, entries)
+        record = self.record(slot, entries, origins, step)
+        if ballot is not None:
+            record["ballot"] = list(ballot)
+        return record, step
+
+    def record(
+        self, slot: int, entries: Sequence[log.Entry], origins: List[Any], step: Step
+    ) -> Record:
+        """The ``slot`` record of a step that was made already; the chain goes on with it."""
+        written = [log.to_json(e) for e in entries]
+        firings = [firing_to_json(f, self.game.net) for f in step.firings]
+        self.hash = next_hash(self.hash, written, origins, firings)
+        return {
+            "kind": "slot",
+            "slot": slot,
+            "entries": written,
+            "origins": origins,
+            "firings": firings,
+            "hash": self.hash,
+        }
+
+    # -- snapshots ---------------------------------------------------------------------------------
+
+    def snapshot(self) -> Record:
+        """All there is to know, as a ``snapshot`` record."""
+        return {
+            "kind": "snapshot",
+            "slot": self.length - 1,
+            "state": self.state.to_json(self.game.net),
+            "seen": {robot: list(newest) for robot, newest in self.seen.items()},
+            "hash": self.hash,
+        }
+
+    def restore(self, record: Record) -> None:
+        """Take over a ``snapshot`` record. :raises LogError: not one, or not of this plan."""
+        try:
+            self.state = TeamState.from_json(record["state"], self.game.net)
+            self.hash = str(record["hash"])
+            self.seen = {r: (int(i), int(n)) for r, (i, n) in record["seen"].items()}
+        except (KeyError, TypeError, ValueError) as error:
+            raise LogError("not a snapshot (%r)" % error) from None
