@@ -1,0 +1,179 @@
+"""Plan files: read, written, and refused with one clear message."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Dict
+
+import pytest
+
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json, schema
+from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.model.plan import (
+    FailureKind,
+    FailureRule,
+    FunctionAction,
+    LostKind,
+    ServerAction,
+    Synchronisation,
+)
+
+PLANS = Path(__file__).resolve().parents[3] / "plans"
+NET = {
+    "places": [{"name": "P", "tokens": 1}, {"name": "Q"}, {"name": "count"}],
+    "transitions": [
+        {"name": "T", "timed": True, "rate": 2.0, "servers": None},
+        {"name": "back", "priority": 2, "weight": 0.5},
+        {"name": "stay"},
+    ],
+    "arcs": [
+        {"from": "P", "to": "T"}, {"from": "T", "to": "Q"}, {"from": "T", "to": "count", "weight": 2},
+        {"from": "Q", "to": "back"}, {"from": "back", "to": "P"},
+        {"from": "Q", "to": "stay"}, {"from": "stay", "to": "Q"},
+    ],
+}  # fmt: skip
+FULL: Dict[str, Any] = {
+    "plan": "everything",
+    "net": NET,
+    "policy": {"places": ["P", "Q"], "rows": [{"marking": ["-", 1], "choose": {"back": 1}}]},
+    "actions": {
+        "P": "work.go",
+        "Q": {"type": "move_base_msgs/MoveBaseAction", "server": "move_base",
+              "goal": {"target_pose": {"header": {"frame_id": "map"}}}, "outcomes": {"aborted": "stay"}},
+    },
+    "resource_places": ["count"],
+    "synchronisation": "partial",
+    "robots": [{"name": "red", "place": "P", "actions": {"Q": None}}, {"name": "blue", "place": "P"}],
+    "spawn": ["P", "Q"],
+    "seed": 7,
+    "strict": True,
+    "on_failure": {"P": {"retry": 2, "delay": 0.5}, "Q": "fire stay", "*": "stop"},
+    "timeout": {"*": 10},
+    "routing": {"T": {"P": "Q"}},
+    "environment": "simulate",
+    "on_lost": "fire T",
+    "on_evict": {"P": {"count": 1}},
+    "until": "count >= 10",
+    "agreement": {"evict_after": 5, "fence_after": 2, "fsync": True, "witnesses": ["w"]},
+}  # fmt: skip
+
+
+def changed(**changes: Any) -> Dict[str, Any]:
+    data = json.loads(json.dumps(FULL))
+    data.update(changes)
+    return data
+
+
+def write(folder: Path, data: Any) -> str:
+    path = folder / "plan.json"
+    path.write_text(data if isinstance(data, str) else json.dumps(data))
+    return str(path)
+
+
+def test_everything_that_a_plan_can_say_is_read(tmp_path: Path) -> None:
+    write(tmp_path, FULL)
+    plan = read_plan(str(tmp_path))
+    assert plan.action("blue", "P") == FunctionAction("work.go", "P")
+    move_base = plan.action("blue", "Q")
+    assert isinstance(move_base, ServerAction) and move_base.outcomes == {"aborted": "stay"}
+    assert plan.action("red", "Q") is None
+    assert plan.synchronisation is Synchronisation.PARTIAL
+    assert plan.failure_rule("P") == FailureRule(FailureKind.RETRY, 2, 0.5)
+    assert plan.failure_rule("count").kind is FailureKind.STOP
+    assert plan.timeout("Q") == 10
+    assert (plan.on_lost.kind, plan.on_lost.transition) == (LostKind.FIRE, "T")
+    assert (plan.timing.evict_after, plan.timing.fence_after, plan.fsync) == (5, 2, True)
+    assert (
+        plan.simulate_environment and plan.strict and plan.seed == 7 and plan.until == "count >= 10"
+    )
+    assert plan.folder == str(tmp_path)
+
+
+def test_a_plan_is_written_self_contained_and_is_the_same_plan() -> None:
+    plan = plan_from_json(changed())
+    again = plan_from_json(json.loads(json.dumps(plan_to_json(plan))))
+    assert again == plan
+    assert again.hash() == plan.hash()
+    assert plan_from_json(changed(seed=8)).hash() != plan.hash()
+
+
+@pytest.mark.parametrize("name", ["patrol", "measure", "rendezvous", "tokens", "fork_join"])
+def test_the_example_plans_are_plans(name: str) -> None:
+    plan = read_plan(str(PLANS / name))
+    assert plan_from_json(plan_to_json(plan)).hash() == plan.hash()
+
+
+def test_a_team_of_another_size(tmp_path: Path) -> None:
+    plan = plan_from_json(changed())
+    two = plan.for_robots(2)
+    assert [r.name for r in two.robots] == ["red", "blue"]
+    assert two.net.named(two.net.initial_marking, zeros=False) == {"P": 2}
+    five = plan.for_robots(5)
+    assert [(r.name, r.place) for r in five.robots][2:] == [
+        ("robot_3", "P"), ("robot_4", "Q"), ("robot_5", "P")]  # fmt: skip
+    assert five.net.named(five.net.initial_marking, zeros=False) == {"P": 4, "Q": 1}
+
+
+def test_robots_are_dealt_where_a_plan_names_none() -> None:
+    data = changed()
+    del data["robots"]
+    plan = plan_from_json(data)
+    assert [(r.name, r.place) for r in plan.robots] == [("robot_1", "P")]
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ('{"net": ', "plan.json:1: it is not JSON"),
+        ('{"net": "a", "net": "b"}', "the key 'net' stands twice"),
+        ("[1]", "a plan is a JSON object, not a list"),
+        ("[" * 100000, "nested too deeply"),
+        ({"actions": {}}, "'net' is a required property"),
+        (changed(colour="red"), "'colour' was unexpected.*known here: .*synchronisation"),
+        (changed(synchronisation="some"), "synchronisation: 'some' is not one of"),
+        (changed(net="gone.xml"), "gone.xml: cannot read it"),
+        (changed(policy="gone.json"), "gone.json: cannot read it"),
+        (changed(actions={"P": 3}), "actions.P: "),
+        (changed(actions={"Z": None}), "actions: the net has no place 'Z'"),
+        (changed(resource_places=["Z"]), "resource_places: the net has no place 'Z'"),
+        (changed(robots={"r": "Z"}), "robot 'r': the net has no place 'Z'"),
+        (changed(robots={"r": "count"}), "'count' is a resource place"),
+        (changed(robots=[{"name": "r", "place": "P"}] * 2), "two robots are named 'r'"),
+        (changed(on_failure={"P": "fire back"}), "on_failure of 'P': 'back' does not leave that place"),
+        (changed(on_failure={"P": "fire X"}), "the net has no transition 'X'"),
+        (changed(on_failure={"P": "panic"}), "on_failure.P: "),
+        (changed(timeout={"P": 0}), "timeout.P: "),
+        (changed(routing={"T": {"P": "P"}}), "routing: 'T' does not lead from 'P' to 'P'"),
+        (changed(on_evict={"P": {"Q": 1}}), "on_evict: 'Q' is not a resource place"),
+        (changed(until="count >="), "until: "),
+        (changed(until="__import__('os')"), "until: "),
+        (changed(policy={"places": ["P"], "rows": [{"marking": [1], "choose": {"back": 1.2}}]}),
+         "policy row 1: probability 1.2"),
+        (changed(policy={"places": ["P"], "rows": [{"marking": [1], "choose": {"nope": 1}}]}),
+         "policy row 1: the net has no transition 'nope'"),
+        (changed(net={**NET, "arcs": [{"from": "P", "to": "nowhere"}]}), "no place or transition 'nowhere'"),
+        (changed(net={**NET, "arcs": [{"from": "P", "to": "T", "weight": -1}]}), "weight: -1"),
+    ],
+)  # fmt: skip
+def test_what_is_not_a_plan_is_refused_with_file_and_element(
+    tmp_path: Path, data: Any, message: str
+) -> None:
+    with pytest.raises(GspnError, match=message) as caught:
+        read_plan(write(tmp_path, data))
+    assert caught.value.exit_code == 2
+    assert caught.value.file
+
+
+def test_a_folder_without_a_plan_and_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(GspnError, match="there is no plan.json in that folder"):
+        read_plan(str(tmp_path))
+    with pytest.raises(GspnError, match="cannot read it"):
+        read_plan(str(tmp_path / "gone.json"))
+
+
+def test_the_schema_describes_itself() -> None:
+    import jsonschema
+
+    jsonschema.Draft7Validator.check_schema(schema())
