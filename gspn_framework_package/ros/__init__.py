@@ -1,0 +1,1 @@
+"""The ROS edge: thin adapters between messages and the core. Callbacks only enqueue."""

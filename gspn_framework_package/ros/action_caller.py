@@ -1,0 +1,336 @@
+"""Has the actions of a robot executed: sends goals, and waits for none without a deadline."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections import OrderedDict
+from typing import Any, Callable, Dict, Mapping, NamedTuple, Optional, Set, Tuple
+
+import rospy
+
+from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.ros.action_connection import ActionConnection
+from gspn_framework_package.ros.action_targets import ActionTarget
+from gspn_framework_package.ros.goal_id import GoalIdentity, new_tag
+
+CONNECT_POLL = 0.01
+"""Seconds between two looks at whether a server's topics are connected."""
+
+
+class Patience(NamedTuple):
+    """How long each step of an action may take, in seconds."""
+
+    server: float = 10.0
+    """Until the server's topics are connected."""
+    acknowledgement: float = 3.0
+    """Until the server's status lists the goal; the goal is sent again every third of it."""
+    status: float = 5.0
+    """Between two statuses of the server while the goal is under way."""
+    result: float = 1.0
+    """Until the result of a goal comes that has ended, or that the server no longer knows."""
+
+
+DEFAULT_PATIENCE = Patience()
+
+
+class ActionEnded(NamedTuple):
+    """How an attempt ended: ``reason`` "" for a success with ``result`` (a transition, or "" for
+    "the policy decides"), else one of ``entries.FAILURES``."""
+
+    identity: GoalIdentity
+    result: str = ""
+    reason: str = ""
+    detail: str = ""
+
+
+class _Goal:
+    def __init__(self, identity: GoalIdentity, target: ActionTarget, start_at: float) -> None:
+        self.identity, self.target = identity, target
+        self.id = str(identity)
+        self.start_at = start_at
+        self.doing = ""
+        self.connect_by = 0.0
+        self.connection: Optional[ActionConnection] = None
+        self.message: Any = None
+        self.sent_at = 0.0
+        self.send_again_at = 0.0
+        self.acknowledged_by: Optional[str] = None
+        self.ended: Optional[Tuple[str, str]] = None
+        self.result_by: Optional[float] = None
+        self.cut_off_at: Optional[float] = None
+
+
+class ActionCaller:
+    """Executes one action at a time for a robot. All methods belong to the node's worker thread.
+
+    Connections to servers are made when a place is first needed (the others follow in the
+    background), kept, and closed again when there are more than ``limit``, the one that was used
+    longest ago first. What touches the master is done by a thread of its own: without a master
+    rospy's registrations block for as long as it is gone.
+
+    :param robot: name of the robot.
+    :param targets: its actions by place.
+    :param timeout: place -> seconds that its action may take, or None.
+    :param enqueue: has the worker thread call ``function(*arguments)`` soon.
+    :param ended: told how each attempt ended, once.
+    :param feedback: told (identity, feedback message) while an action goes on.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        targets: Mapping[str, ActionTarget],
+        timeout: Callable[[str], Optional[float]],
+        enqueue: Callable[..., None],
+        ended: Callable[[ActionEnded], None],
+        feedback: Callable[[GoalIdentity, Any], None] = lambda identity, message: None,
+        patience: Patience = DEFAULT_PATIENCE,
+        limit: int = 32,
+    ) -> None:
+        self.robot = robot
+        self.tag = new_tag()
+        self._targets, self._timeout = targets, timeout
+        self._enqueue, self._ended, self._feedback = enqueue, ended, feedback
+        self._patience = patience
+        self._limit = max(1, limit)
+        self._goal: Optional[_Goal] = None
+        self._connections: OrderedDict[str, ActionConnection] = OrderedDict()
+        self._opening: Set[str] = set()
+        self._spare = list(targets.values())
+        self._background: queue.SimpleQueue[Optional[Callable[[], None]]] = queue.SimpleQueue()
+        self._closed = False
+        threading.Thread(target=self._work, name="connections", daemon=True).start()
+
+    # -- the worker thread: orders -----------------------------------------------------------------
+
+    def start(self, command: StartAction, now: float) -> None:
+        """Start an action, in the place of whatever went on before."""
+        self.cancel()
+        identity = GoalIdentity(
+            self.robot, command.incarnation, command.visit, command.attempt, self.tag
+        )
+        self._goal = goal = _Goal(identity, self._targets[command.place], now + command.delay)
+        goal.connect_by = goal.start_at + self._patience.server
+        goal.doing = "waits before attempt %d" % command.attempt
+        if command.delay <= 0:
+            self._connect(goal)
+        self.poll(now)
+
+    def cancel(self) -> None:
+        """Cancel what goes on, if anything; no more is told of it."""
+        goal, self._goal = self._goal, None
+        if goal is not None and goal.connection is not None:
+            goal.connection.forget()
+            if goal.message is not None:
+                goal.connection.cancel(goal.id)
+
+    def close(self) -> None:
+        """Cancel what goes on, and close all connections (left to the end of the process)."""
+        self.cancel()
+        self._closed = True
+        self._background.put(None)
+
+    def doing(self) -> str:
+        """What the action under way waits for, for people; "" when there is none."""
+        return self._goal.doing if self._goal else ""
+
+    @property
+    def connections(self) -> int:
+        """How many connections to servers are open."""
+        return len(self._connections)
+
+    # -- the worker thread: time -------------------------------------------------------------------
+
+    def poll(self, now: float) -> Optional[float]:
+        """Do what is due; when to be called next (monotonic seconds), None: at no certain time."""
+        goal = self._goal
+        if goal is None:
+            return None
+        if now < goal.start_at:
+            return goal.start_at
+        if goal.message is None:
+            return self._poll_connecting(goal, now)
+        if goal.result_by is not None:
+            if now >= goal.result_by:
+                return self._poll_ended(goal, now)
+            return goal.result_by
+        if goal.cut_off_at is not None and now >= goal.cut_off_at:
+            seconds = self._timeout(goal.target.place)
+            self._fail(goal, "timeout", "it took longer than %g s" % (seconds or 0), cancel=True)
+            return None
+        if goal.acknowledged_by is None:
+            return self._poll_unacknowledged(goal, now)
+        return self._poll_active(goal, now)
+
+    def _poll_connecting(self, goal: _Goal, now: float) -> Optional[float]:
+        connection = self._connections.get(goal.target.server)
+        if connection is None:
+            self._connect(goal)
+        elif connection.ready_server() is not None:
+            self._send(goal, connection, now)
+            return self.poll(now)
+        if now >= goal.connect_by:
+            others = len(connection.last_status) if connection else 0
+            detail = "%s did not answer within %g s" % (goal.target.server, self._patience.server)
+            self._fail(goal, "no server", detail + (" (half connected)" if others else ""))
+            return None
+        return min(now + CONNECT_POLL, goal.connect_by)
+
+    def _send(self, goal: _Goal, connection: ActionConnection, now: float) -> None:
+        self._connections.move_to_end(goal.target.server)
+        goal.connection = connection
+        goal.message = goal.target.new_goal()
+        goal.doing = "waits for %s to take the goal" % goal.target.server
+        goal.sent_at = now
+        goal.send_again_at = now + self._patience.acknowledgement / 3
+        seconds = self._timeout(goal.target.place)
+        goal.cut_off_at = None if seconds is None else now + seconds
+        connection.send(goal.id, goal.message)
+        self._open_spare()
+
+    def _poll_unacknowledged(self, goal: _Goal, now: float) -> Optional[float]:
+        give_up = goal.sent_at + self._patience.acknowledgement
+        if now >= give_up:
+            detail = "%s did not take the goal within %g s" % (
+                goal.target.server, self._patience.acknowledgement)  # fmt: skip
+            self._fail(goal, "lost", detail, cancel=True)
+            return None
+        if now >= goal.send_again_at and goal.connection is not None:
+            goal.send_again_at = now + self._patience.acknowledgement / 3
+            goal.connection.send(goal.id, goal.message)
+        return min(give_up, goal.send_again_at, goal.cut_off_at or give_up)
+
+    def _poll_active(self, goal: _Goal, now: float) -> Optional[float]:
+        assert goal.connection is not None and goal.acknowledged_by is not None
+        last = goal.connection.last_status.get(goal.acknowledged_by, goal.sent_at)
+        if not goal.connection.is_connected(goal.acknowledged_by):
+            # connected again within the time for a result, or else it is gone
+            goal.result_by = now + self._patience.result
+            return goal.result_by
+        silent_at = last + self._patience.status
+        if now >= silent_at:
+            detail = "%s has been silent for %.1f s" % (goal.target.server, now - last)
+            self._fail(goal, "server died", detail, cancel=True)
+            return None
+        return min(silent_at, now + 0.5, goal.cut_off_at or silent_at)
+
+    def _poll_ended(self, goal: _Goal, now: float) -> Optional[float]:
+        """No result came of a goal that has ended, or of which the server does not know."""
+        assert goal.connection is not None and goal.acknowledged_by is not None
+        if goal.ended is None and goal.connection.is_connected(goal.acknowledged_by):
+            goal.result_by = None
+            return self.poll(now)
+        outcome, detail = goal.ended or (
+            "server died", "%s closed its connections" % goal.target.server
+        )  # fmt: skip
+        if outcome in ("server died", "lost"):
+            self._fail(goal, outcome, detail)
+        elif outcome == "succeeded" and goal.target.transition_of(outcome, None) == "":
+            self._fail(goal, "lost", "%s sent no result" % goal.target.server)
+        else:
+            self._finish(goal, outcome, detail, None)
+        return None
+
+    # -- the worker thread: what servers say -------------------------------------------------------
+
+    def _heard(self, connection: ActionConnection, what: str, goal_id: str, value: Any) -> None:
+        goal = self._goal
+        if goal is None or goal.id != goal_id or goal.connection is not connection:
+            return
+        if what == "acknowledged":
+            goal.acknowledged_by = value
+            goal.doing = ""
+            callers = [c for c in connection.last_status if connection.is_connected(c)]
+            if len(callers) > 1:
+                rospy.logwarn(
+                    "there are %d servers %s: %s", len(callers), connection.server, callers
+                )
+        elif what == "result":
+            self._finish(goal, *value)
+        elif what == "feedback":
+            self._feedback(goal.identity, value)
+        elif goal.result_by is None:  # it has ended, or the server does not know it any more
+            goal.result_by = time.monotonic() + self._patience.result
+            goal.ended = value or (
+                "server died", "%s does not know the goal any more" % connection.server
+            )  # fmt: skip
+
+    def _finish(self, goal: _Goal, outcome: str, text: str, result: Any) -> None:
+        transition = None if outcome == "lost" else goal.target.transition_of(outcome, result)
+        if transition is None:
+            self._fail(goal, outcome, text)
+        else:
+            self._end(goal, ActionEnded(goal.identity, transition))
+
+    def _fail(self, goal: _Goal, reason: str, detail: str, cancel: bool = False) -> None:
+        if cancel and goal.connection is not None:
+            goal.connection.cancel(goal.id)
+        self._end(goal, ActionEnded(goal.identity, "", reason, detail))
+
+    def _end(self, goal: _Goal, ended: ActionEnded) -> None:
+        if goal.connection is not None:
+            goal.connection.forget()
+        self._goal = None
+        self._ended(ended)
+
+    # -- connections -------------------------------------------------------------------------------
+
+    def _connect(self, goal: _Goal) -> None:
+        goal.doing = "waits for the action server %s" % goal.target.server
+        if goal.target.server not in self._connections:
+            self._open(goal.target)
+
+    def _open_spare(self) -> None:
+        """Connect to one more server of the plan, while there is room."""
+        while self._spare and len(self._connections) + len(self._opening) < self._limit:
+            target = self._spare.pop(0)
+            if target.server not in self._connections and target.server not in self._opening:
+                self._open(target)
+                return
+
+    def _open(self, target: ActionTarget) -> None:
+        if target.server in self._opening:
+            return
+        self._opening.add(target.server)
+
+        def open_it() -> None:
+            connection = ActionConnection(
+                target.server, target.action_type, self.robot, self.tag, self._hand_on
+            )
+            self._enqueue(self._opened, connection)
+
+        self._background.put(open_it)
+
+    def _hand_on(self, connection: ActionConnection, what: str, goal_id: str, value: Any) -> None:
+        self._enqueue(self._heard, connection, what, goal_id, value)
+
+    def _opened(self, connection: ActionConnection) -> None:
+        self._opening.discard(connection.server)
+        self._connections[connection.server] = connection
+        in_use = self._goal.target.server if self._goal else ""
+        for server in list(self._connections):
+            if len(self._connections) <= self._limit:
+                break
+            if server not in (in_use, connection.server):
+                self._background.put(self._connections.pop(server).close)
+        if self._goal is not None and self._goal.message is not None:
+            self._open_spare()
+        self.poll(time.monotonic())
+
+    def _work(self) -> None:
+        while True:
+            task = self._background.get()
+            if task is None or rospy.is_shutdown():
+                return
+            try:
+                task()
+            except Exception as error:
+                if not rospy.is_shutdown() and not self._closed:
+                    rospy.logerr("connections of %s: %s", self.robot, error)
+
+
+def servers_of(targets: Mapping[str, ActionTarget]) -> Dict[str, ActionTarget]:
+    """The servers that a robot's actions need, by absolute name."""
+    return {target.server: target for target in targets.values()}

@@ -1,0 +1,168 @@
+"""The topics between an execution node and one action server."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Callable, Dict, Optional
+
+import rospy
+from actionlib_msgs.msg import GoalID, GoalStatus, GoalStatusArray
+
+from gspn_framework_package.ros.goal_id import parse_goal_id
+
+ENDED = {
+    GoalStatus.SUCCEEDED: "succeeded",
+    GoalStatus.ABORTED: "aborted",
+    GoalStatus.REJECTED: "rejected",
+    GoalStatus.PREEMPTED: "preempted",
+    GoalStatus.RECALLED: "preempted",
+    GoalStatus.LOST: "lost",
+}
+"""The status of a goal that has ended -> the name of its outcome."""
+
+
+class ActionConnection:
+    """The client's side of the action protocol, for one goal at a time.
+
+    It follows the protocol's messages itself, goal id by goal id, and leaves out the state machine
+    of ``actionlib.ActionClient``: that one makes its own goal ids (they collide), takes a status
+    from a second server of the same name for the loss of the goal, and drops a result that comes
+    after such a loss.
+
+    Publishes ``SERVER/goal`` and ``SERVER/cancel``, subscribes to ``SERVER/status``, ``/result``
+    and ``/feedback``. Its callbacks run on rospy's threads and only hand on what concerns the goal
+    that is watched.
+
+    :param server: absolute name of the server.
+    :param action_type: class of the action.
+    :param robot: name of the robot that asks.
+    :param tag: tag of this start of the node; an unfinished goal of the robot with another tag is
+        left over from a node that died, and is cancelled.
+    :param hand_on: called as ``hand_on(connection, what, goal_id, value)``, where ``what`` is
+
+        - ``acknowledged``: the server knows the goal; value: caller id of the server,
+        - ``unknown``: the server that acknowledged the goal does not know it any more,
+        - ``ended``: the goal has ended; value: (outcome, text); its result may still come,
+        - ``result``: value: (outcome, text, result message),
+        - ``feedback``: value: the feedback message.
+    """
+
+    def __init__(
+        self,
+        server: str,
+        action_type: Any,
+        robot: str,
+        tag: str,
+        hand_on: Callable[[ActionConnection, str, str, Any], None],
+    ) -> None:
+        spec = action_type()
+        self.server = server
+        self._robot, self._tag, self._hand_on = robot, tag, hand_on
+        self._goal_type = type(spec.action_goal)
+        self._watched = ""
+        self._acknowledged_by: Optional[str] = None
+        self._told_end = False
+        self._cancelled: Dict[str, bool] = {}
+        self.last_status: Dict[str, float] = {}
+        """Caller id of each server of this name -> monotonic time of its last status."""
+        subscribe = rospy.Subscriber
+        self._goal = rospy.Publisher(server + "/goal", self._goal_type, queue_size=10)
+        self._cancel = rospy.Publisher(server + "/cancel", GoalID, queue_size=10)
+        self._result = subscribe(
+            server + "/result", type(spec.action_result), self._on_result, tcp_nodelay=True
+        )
+        self._feedback = subscribe(
+            server + "/feedback", type(spec.action_feedback), self._on_feedback, tcp_nodelay=True
+        )
+        self._status = subscribe(
+            server + "/status", GoalStatusArray, self._on_status, tcp_nodelay=True
+        )
+
+    def close(self) -> None:
+        """Unregister from all topics."""
+        for topic in (self._status, self._feedback, self._result, self._cancel, self._goal):
+            topic.unregister()
+
+    # -- called by the node's worker thread --------------------------------------------------------
+
+    def ready_server(self) -> Optional[str]:
+        """The caller id of a server to which every topic is connected, both ways; None if there is
+        none yet. (A goal that is published before would be lost in silence.)"""
+        for caller in sorted(self.last_status, key=self.last_status.__getitem__, reverse=True):
+            if self.is_connected(caller):
+                return caller
+        return None
+
+    def is_connected(self, caller: str) -> bool:
+        """Whether goals reach the server with that caller id, and results come back."""
+        return (
+            self._goal.impl.has_connection(caller)
+            and self._cancel.impl.has_connection(caller)
+            and all(
+                any(c.callerid_pub == caller for c in topic.impl.connections)
+                for topic in (self._result, self._feedback, self._status)
+            )
+        )
+
+    def send(self, goal_id: str, goal: Any) -> None:
+        """Send a goal and watch it; sending the same one again does no harm.
+
+        Its stamp is empty: the server puts its own time there, so that no skew of clocks makes an
+        older "cancel everything before" apply to it.
+        """
+        if self._watched != goal_id:
+            self._acknowledged_by = None
+            self._told_end = False
+            self._watched = goal_id
+        message = self._goal_type()
+        message.header.stamp = rospy.get_rostime()
+        message.goal_id.id = goal_id
+        message.goal = goal
+        self._goal.publish(message)
+
+    def forget(self) -> None:
+        """Watch no goal."""
+        self._watched = ""
+
+    def cancel(self, goal_id: str) -> None:
+        """Have the server cancel a goal."""
+        self._cancel.publish(GoalID(id=goal_id))
+
+    # -- rospy's threads ---------------------------------------------------------------------------
+
+    def _on_status(self, message: GoalStatusArray) -> None:
+        caller = message._connection_header.get("callerid", "")
+        self.last_status[caller] = time.monotonic()
+        watched, known = self._watched, False
+        for status in message.status_list:
+            goal_id = status.goal_id.id
+            if goal_id == watched:
+                known = True
+                if self._acknowledged_by is None:
+                    self._acknowledged_by = caller
+                    self._hand_on(self, "acknowledged", watched, caller)
+                if status.status in ENDED and not self._told_end:
+                    self._told_end = True
+                    self._hand_on(self, "ended", watched, (ENDED[status.status], status.text))
+            elif status.status not in ENDED and not goal_id.endswith(self._tag):
+                self._cancel_leftover(goal_id)
+        if watched and not known and self._acknowledged_by == caller:
+            self._hand_on(self, "unknown", watched, None)
+
+    def _cancel_leftover(self, goal_id: str) -> None:
+        identity = parse_goal_id(goal_id)
+        if identity is not None and identity.robot == self._robot and identity.tag != self._tag:
+            if not self._cancelled.get(goal_id):
+                self._cancelled[goal_id] = True
+                rospy.logwarn("%s: cancels the goal %s of an earlier start", self.server, goal_id)
+            self.cancel(goal_id)
+
+    def _on_result(self, message: Any) -> None:
+        status = message.status
+        if status.goal_id.id == self._watched and status.status in ENDED:
+            value = (ENDED[status.status], status.text, message.result)
+            self._hand_on(self, "result", status.goal_id.id, value)
+
+    def _on_feedback(self, message: Any) -> None:
+        if message.status.goal_id.id == self._watched:
+            self._hand_on(self, "feedback", self._watched, message.feedback)

@@ -1,0 +1,107 @@
+"""What a plan's actions are in ROS: for each place the action server, its type, and the goal."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, Mapping, NamedTuple, Optional
+
+import genpy
+import rosgraph.names
+import roslib.message
+import rospy
+
+from gspn_framework_package.formats.plan_json import EXEC_GSPN
+from gspn_framework_package.model.errors import PlanError
+from gspn_framework_package.model.plan import FunctionAction, Plan, ServerAction
+
+
+class ActionTarget(NamedTuple):
+    """An action server, and the goal that a place sends to it."""
+
+    place: str
+    server: str
+    """Absolute name."""
+    action_type: Any
+    """The class of the action, e.g. MoveBaseAction."""
+    goal: Mapping[str, Any]
+    outcomes: Mapping[str, str]
+    """Outcome -> transition, for actions that do not name one themselves."""
+    foreign: bool
+    """Whether the server is somebody else's: not one of the plan's Python functions."""
+
+    def new_goal(self) -> Any:
+        """A goal message. Empty time stamps of headers stay empty ("the latest"); the word ``now``
+        in the place of a stamp is the time of sending.
+
+        :raises PlanError: the plan's fields are not those of the goal.
+        """
+        goal = type(self.action_type().action_goal.goal)()
+        try:
+            if self.goal:
+                genpy.message.fill_message_args(
+                    goal, [dict(self.goal)], keys={"now": rospy.get_rostime()}
+                )
+                goal._check_types()
+        except (genpy.MessageException, genpy.SerializationError, TypeError, ValueError) as error:
+            raise PlanError(
+                "its goal does not fit %s: %s" % (goal._type, error),
+                element="action of '%s'" % self.place,
+            ) from None
+        return goal
+
+    def transition_of(self, outcome: str, result: Any) -> Optional[str]:
+        """The transition that an outcome stands for, "" for "the policy decides"; None: a failure.
+
+        :param outcome: the value of an ``Outcome``.
+        :param result: the result message, if any came.
+        """
+        if outcome == "succeeded" and not self.outcomes and hasattr(result, "transition"):
+            return str(result.transition)
+        return self.outcomes.get(outcome, "" if outcome == "succeeded" else None)
+
+
+def action_targets(plan: Plan, robot: str, namespace: str) -> Dict[str, ActionTarget]:
+    """The targets of a robot by place; places without an action are left out.
+
+    :param namespace: absolute namespace of the robot, in which the plan's server names are.
+    :raises PlanError: an action type that does not exist, or a goal that does not fit it.
+    """
+    targets = {}
+    for place in plan.action_places:
+        action = plan.action(robot, place)
+        if action is None:
+            continue
+        try:
+            targets[place] = _target(place, action, namespace)
+        except PlanError as error:
+            raise error.located(file=plan.file) from None
+    return targets
+
+
+def _target(place: str, action: Any, namespace: str) -> ActionTarget:
+    name = rospy.names.ns_join(namespace, action.server)
+    if not rosgraph.names.is_legal_name(name):
+        raise PlanError(
+            "'%s' is not a legal name in ROS" % action.server, element="action of '%s'" % place
+        )
+    foreign = isinstance(action, ServerAction)
+    type_name = EXEC_GSPN if isinstance(action, FunctionAction) else action.type
+    if type_name == EXEC_GSPN:
+        from gspn_framework_package.msg import ExecGSPNAction
+
+        outcomes = action.outcomes if foreign else {}
+        return ActionTarget(place, name, ExecGSPNAction, {"place": place}, outcomes, foreign)
+    try:
+        action_type = roslib.message.get_message_class(type_name)
+    except Exception as error:  # whatever importing somebody's messages raises
+        raise PlanError(
+            "cannot load the action type '%s': %s" % (type_name, error),
+            element="action of '%s'" % place,
+        ) from None
+    if action_type is None or not hasattr(action_type(), "action_goal"):
+        raise PlanError(
+            "there is no action type '%s'" % type_name, element="action of '%s'" % place,
+            hint="write package/NameAction; is the package in this workspace?",
+        )  # fmt: skip
+    target = ActionTarget(place, name, action_type, action.goal or {}, action.outcomes, True)
+    target.new_goal()
+    return target

@@ -1,0 +1,271 @@
+"""The place servers of one robot: one action server for each place that has a Python action."""
+
+from __future__ import annotations
+
+import threading
+import traceback
+from typing import Any, Dict, List, Optional
+
+import rospy
+from actionlib import ActionServer
+from actionlib.server_goal_handle import ServerGoalHandle
+from actionlib_msgs.msg import GoalID, GoalStatus, GoalStatusArray
+
+from gspn_framework_package.execution.actions import (
+    ActionContext,
+    ActionFailed,
+    Cancellation,
+    PythonAction,
+    load_actions,
+)
+from gspn_framework_package.execution.worker_pool import WorkerPool
+from gspn_framework_package.model.plan import FunctionAction, Plan
+from gspn_framework_package.msg import ExecGSPNAction, ExecGSPNFeedback, ExecGSPNResult
+from gspn_framework_package.ros.goal_id import GoalIdentity, parse_goal_id
+
+KEPT_ENDED = 10
+"""Goals that ended of which a server's status still tells, at most (they go after 5 s in any case).
+Without this bound a server that answers 600 goals a second would list 3,000 in every status."""
+
+
+class PlaceServers:
+    """Serves the Python actions of a plan for one robot: all of them in this process, each as a
+    plain action server of its own name, with one pool of threads and one timer for all.
+
+    A robot does one thing at a time: a newer goal of it (a later incarnation, visit or attempt)
+    cancels its older ones, on whichever of these servers they run. So does the death of the node
+    that sent the goal.
+
+    Serves ``NAMESPACE/SERVER`` (gspn_framework_package/ExecGSPN action) for each server that the
+    plan names. Reads the parameter ``actionlib_status_frequency`` (found by ``search_param``;
+    1 Hz).
+
+    :param plan: the plan; its functions are loaded from its folder.
+    :param robot: name of the robot.
+    :param namespace: absolute namespace of the robot.
+    :raises PlanError: a function that is not there or is no action.
+    """
+
+    def __init__(
+        self, plan: Plan, robot: str, namespace: str, pool: Optional[WorkerPool] = None
+    ) -> None:
+        self.robot = robot
+        self._pool = pool or WorkerPool("action")
+        self._lock = threading.Lock()
+        self._running: Dict[str, _RunningGoal] = {}
+        actions: Dict[str, Dict[str, PythonAction]] = {}
+        for place, action in load_actions(plan, robot).items():
+            bound = plan.action(robot, place)
+            assert isinstance(bound, FunctionAction)
+            actions.setdefault(bound.server, {})[place] = action
+        self._servers = [
+            _PlaceServer(self, rospy.names.ns_join(namespace, name), by_place)
+            for name, by_place in actions.items()
+        ]
+        self._timer: Optional[threading.Thread] = None
+        self._stopping = threading.Event()
+
+    @property
+    def names(self) -> List[str]:
+        """The names of the servers."""
+        return [server.ns for server in self._servers]
+
+    def start(self) -> None:
+        """Register the servers and take goals."""
+        for server in self._servers:
+            server.start()
+        self._timer = threading.Thread(target=self._tell_status, name="status", daemon=True)
+        self._timer.start()
+
+    def stop(self) -> None:
+        """Cancel what runs, and take no more goals."""
+        self._stopping.set()
+        with self._lock:
+            running = list(self._running.values())
+        for goal in running:
+            goal.cancellation.cancel()
+        for server in self._servers:
+            server.stop()
+
+    # -- goals -------------------------------------------------------------------------------------
+
+    def accept(self, server: _PlaceServer, handle: ServerGoalHandle, caller: str) -> None:
+        """A goal came in for ``server``, from the node ``caller``."""
+        place = handle.get_goal().place
+        goal_id = handle.get_goal_id().id
+        action = server.action(place)
+        if action is None:
+            handle.set_rejected(text="%s does not serve place '%s'" % (server.ns, place))
+            return
+        identity = parse_goal_id(goal_id)
+        goal = _RunningGoal(server, handle, action, place, identity, caller)
+        with self._lock:
+            older = [other for other in self._running.values() if goal.replaces(other)]
+            self._running[goal_id] = goal
+        for other in older:
+            other.cancellation.cancel()
+        handle.set_accepted()
+        self._pool.submit(lambda: self._run(goal_id, goal))
+
+    def cancel(self, handle: ServerGoalHandle) -> None:
+        """Somebody wants a goal to end."""
+        with self._lock:
+            goal = self._running.get(handle.get_goal_id().id)
+        if goal is not None:
+            goal.cancellation.cancel()
+
+    def _run(self, goal_id: str, goal: _RunningGoal) -> None:
+        identity = goal.identity
+        context = ActionContext(
+            goal.place,
+            identity.robot if identity else self.robot,
+            goal.tell,
+            goal.cancellation,
+            identity.visit if identity else 0,
+            identity.attempt if identity else 1,
+        )
+        result, failure = "", None
+        try:
+            result = goal.action(context)
+        except ActionFailed as error:
+            failure = str(error) or "the action failed"
+        except BaseException as error:  # even sys.exit() in an action ends only the action
+            failure = "%s: %s" % (type(error).__name__, error)
+            if not goal.cancellation():
+                rospy.logerr("%s in %s: %s", goal.action.name, goal.place, traceback.format_exc())
+        finally:
+            with self._lock:
+                self._running.pop(goal_id, None)
+        if goal.cancellation():
+            goal.handle.set_canceled(ExecGSPNResult(result), failure or "cancelled")
+        elif failure is not None:
+            goal.handle.set_aborted(ExecGSPNResult(), failure)
+        else:
+            goal.handle.set_succeeded(ExecGSPNResult(result))
+
+    # -- status ------------------------------------------------------------------------------------
+
+    def _tell_status(self) -> None:
+        name = rospy.search_param("actionlib_status_frequency")
+        period = 1.0 / max(float(rospy.get_param(name, 1.0)) if name else 1.0, 0.1)
+        while not self._stopping.wait(period) and not rospy.is_shutdown():
+            for server in self._servers:
+                server.publish_status_async(None)
+            with self._lock:
+                running = list(self._running.values())
+            for goal in running:
+                if goal.is_orphan():
+                    rospy.logwarn("%s: %s is gone; its goal is cancelled", goal.place, goal.caller)
+                    goal.cancellation.cancel()
+
+
+class _RunningGoal:
+    def __init__(
+        self,
+        server: _PlaceServer,
+        handle: ServerGoalHandle,
+        action: PythonAction,
+        place: str,
+        identity: Optional[GoalIdentity],
+        caller: str,
+    ) -> None:
+        self.server, self.handle, self.action = server, handle, action
+        self.place, self.identity, self.caller = place, identity, caller
+        self.cancellation = Cancellation()
+        self._was_there = False
+
+    def replaces(self, other: _RunningGoal) -> bool:
+        mine, others = self.identity, other.identity
+        return (
+            mine is not None
+            and others is not None
+            and mine.robot == others.robot
+            and (mine.tag != others.tag or mine.age > others.age)
+        )
+
+    def is_orphan(self) -> bool:
+        """Whether the node that sent the goal listened to this server, and does not any more."""
+        there = self.server.status_pub.impl.has_connection(self.caller)
+        self._was_there = self._was_there or there
+        return self._was_there and not there
+
+    def tell(self, *progress: Any) -> None:
+        """The ``feedback`` of the action: whole numbers, or one list of them."""
+        if len(progress) == 1 and hasattr(progress[0], "__iter__"):
+            progress = progress[0]
+        self.handle.publish_feedback(ExecGSPNFeedback([int(value) for value in progress]))
+
+
+class _PlaceServer(ActionServer):  # type: ignore[misc]
+    """An action server without a thread of its own and without questions to the master.
+
+    The library's ``initialize`` asks the master six times for each server, and starts a timer for
+    each: with 13 robots of 7 places that is what a start takes its time for.
+    """
+
+    def __init__(self, owner: PlaceServers, name: str, actions: Dict[str, PythonAction]) -> None:
+        super().__init__(name, ExecGSPNAction, self._goal, owner.cancel, auto_start=False)
+        self._owner = owner
+        self._actions = actions
+        self._caller = ""
+
+    def action(self, place: str) -> Optional[PythonAction]:
+        """What is done for ``place``; a server of one action does not look at the place."""
+        if len(self._actions) == 1:
+            return next(iter(self._actions.values()))
+        return self._actions.get(place)
+
+    def initialize(self) -> None:
+        self.status_list_timeout = rospy.Duration(5.0)
+        topic = self.ns + "/"
+        self.status_pub = rospy.Publisher(
+            topic + "status", GoalStatusArray, latch=True, queue_size=50
+        )
+        self.result_pub = rospy.Publisher(topic + "result", self.ActionResult, queue_size=50)
+        self.feedback_pub = rospy.Publisher(topic + "feedback", self.ActionFeedback, queue_size=50)
+        self.goal_sub = rospy.Subscriber(
+            topic + "goal", self.ActionGoal, self.internal_goal_callback, tcp_nodelay=True
+        )
+        self.cancel_sub = rospy.Subscriber(
+            topic + "cancel", GoalID, self.internal_cancel_callback, tcp_nodelay=True
+        )
+
+    def stop(self) -> None:
+        with self.lock:
+            if not self.started:
+                return
+            self.started = False
+        for topic in (
+            self.goal_sub, self.cancel_sub, self.status_pub, self.feedback_pub, self.result_pub
+        ):  # fmt: skip
+            topic.unregister()
+
+    def internal_goal_callback(self, goal: Any) -> None:
+        with self.lock:
+            self._caller = goal._connection_header.get("callerid", "")
+            super().internal_goal_callback(goal)
+
+    def _goal(self, handle: ServerGoalHandle) -> None:
+        self._owner.accept(self, handle, self._caller)
+
+    def publish_status(self) -> None:
+        with self.lock:
+            surplus = len(self.status_list) - KEPT_ENDED
+            if surplus > 0:
+                kept = []
+                for tracker in self.status_list:
+                    if surplus > 0 and tracker.status.status in _ENDED:
+                        surplus -= 1
+                    else:
+                        kept.append(tracker)
+                self.status_list = kept
+            super().publish_status()
+
+
+_ENDED = (
+    GoalStatus.PREEMPTED,
+    GoalStatus.SUCCEEDED,
+    GoalStatus.ABORTED,
+    GoalStatus.REJECTED,
+    GoalStatus.RECALLED,
+)
