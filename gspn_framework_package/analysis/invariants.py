@@ -52,6 +52,18 @@ def transition_invariants(net: Net, limit: int = INVARIANT_LIMIT) -> List[Invari
     return [Invariant({names[t]: w for t, w in row}) for row in _semiflows(columns, limit)]
 
 
+def transition_surpluses(net: Net, limit: int = INVARIANT_LIMIT) -> List[Dict[str, int]]:
+    """The minimal firing counts (transition -> times) that lose no token, and may win some.
+
+    :raises LimitError: the search held more than ``limit`` candidates.
+    """
+    names = [t.name for t in net.transitions]
+    columns: List[Dict[int, int]] = [dict(net.effect(t)) for t in range(len(names))]
+    columns += [{p: -1} for p in range(len(net.places))]  # what a place wins is thrown away
+    rows = _semiflows(columns, limit)
+    return [{names[t]: w for t, w in row if t < len(names)} for row in rows]
+
+
 def invariant_bounds(net: Net, limit: int = INVARIANT_LIMIT) -> Tuple[Optional[int], ...]:
     """For each place the bound that the P-invariants and its capacity give, or None. When there are too many
     invariants the capacities alone speak."""

@@ -1,0 +1,173 @@
+"""The coverability tree and graph of Karp and Miller (1969): what an unbounded net can reach, with ``OMEGA`` for
+"as many as you like".
+
+It is exact for nets without inhibitor arcs, capacities and priorities. For the others a growing sequence is only
+believed where what grows cannot disturb it; otherwise the answer is "not decided", since the question has no
+general answer with inhibitor arcs.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Deque, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple, Union
+
+from gspn_framework_package.analysis.exploration import Cancel, Progress, Watch
+from gspn_framework_package.model.errors import LimitError
+from gspn_framework_package.model.net import Net
+
+OMEGA = 1 << 62
+"""Stands for "any number of tokens" in a marking of the tree."""
+
+TREE_LIMIT = 50_000
+"""Nodes that a tree may have when nothing else is said."""
+
+
+class Node(NamedTuple):
+    """A node of the tree: its ``marking`` (counts, or OMEGA), the number of its ``parent`` and of the transition
+    that leads here from it (-1 at the root), and of the first node with the same marking (``same``; itself, where
+    it is the first: only that one has children)."""
+
+    marking: Tuple[int, ...]
+    parent: int
+    transition: int
+    same: int
+
+
+class CoverabilityTree:
+    """The tree of a net.
+
+    :param net: the net.
+    :param untimed: immediate transitions have no precedence (plain Petri net rule).
+    :param limit: nodes to build at most.
+    :raises LimitError: the limit was met, or a growth could not be judged.
+    """
+
+    def __init__(self, net: Net, *, untimed: bool = False, limit: int = TREE_LIMIT,
+                 progress: Optional[Progress] = None, cancel: Optional[Cancel] = None) -> None:
+        self.net = net
+        self.untimed = untimed
+        self.nodes: List[Node] = []
+        self._exact = _Monotone(net, untimed)
+        self._build(limit, Watch(progress, cancel))
+
+    def _build(self, limit: int, watch: Watch) -> None:
+        first: Dict[Tuple[int, ...], int] = {self.net.initial_marking: 0}
+        self.nodes.append(Node(self.net.initial_marking, -1, -1, 0))
+        waiting: Deque[int] = deque([0])
+        while waiting:
+            number = waiting.popleft()
+            marking = self.nodes[number].marking
+            for t in self.net.enabled(marking, by_priority=not self.untimed):
+                after = self._accelerate(number, t, _fire(self.net, marking, t))
+                same = first.setdefault(after, len(self.nodes))
+                if same == len(self.nodes):
+                    waiting.append(same)
+                self.nodes.append(Node(after, number, t, same))
+                if len(self.nodes) > limit:
+                    raise LimitError("the coverability tree has more than %d nodes" % limit)
+            watch.step("nodes", len(self.nodes))
+
+    def _accelerate(self, number: int, t: int, after: Tuple[int, ...]) -> Tuple[int, ...]:
+        """``after`` with OMEGA where the way from an ancestor to here can be gone again and again."""
+        fired = {t}
+        counts = list(after)
+        while number >= 0:
+            node = self.nodes[number]
+            if all(a <= b for a, b in zip(node.marking, counts)):
+                growing = [p for p, (a, b) in enumerate(zip(node.marking, counts)) if a < b < OMEGA]
+                if growing:
+                    self._exact.require(growing, fired)
+                    for p in growing:
+                        counts[p] = OMEGA
+            fired.add(node.transition)
+            number = node.parent
+        return tuple(counts)
+
+    # -- answers ----------------------------------------------------------------------------------------
+
+    @property
+    def bounded(self) -> bool:
+        """Whether there is no OMEGA."""
+        return not self.unbounded_places
+
+    @property
+    def unbounded_places(self) -> List[str]:
+        """The places that can hold any number of tokens."""
+        return [place.name for p, place in enumerate(self.net.places)
+                if any(node.marking[p] == OMEGA for node in self.nodes)]
+
+    @property
+    def bounds(self) -> Dict[str, Optional[int]]:
+        """The most tokens that each place can hold; None where there is no bound."""
+        largest = [max(node.marking[p] for node in self.nodes) for p in range(len(self.net.places))]
+        return {place.name: None if n == OMEGA else n for place, n in zip(self.net.places, largest)}
+
+    @property
+    def dead_transitions(self) -> List[str]:
+        """Transitions that can never fire."""
+        fired = {node.transition for node in self.nodes}
+        return [t.name for i, t in enumerate(self.net.transitions) if i not in fired]
+
+    def covers(self, marking: Union[Sequence[int], Mapping[str, int]]) -> Optional[List[str]]:
+        """The transitions on the way to a node that covers ``marking`` (at least as many tokens everywhere; places
+        that a map leaves out: any number), or None: it cannot be covered. Where the node has OMEGA the way tells
+        the order of things, and its loops must be gone often enough."""
+        wanted = self.net.marking(marking) if isinstance(marking, Mapping) else tuple(marking)
+        for number, node in enumerate(self.nodes):
+            if all(n <= have for n, have in zip(wanted, node.marking)):
+                return self.path_to(number)
+        return None
+
+    def path_to(self, number: int) -> List[str]:
+        """Names of the transitions from the root to a node."""
+        names = []
+        while self.nodes[number].transition >= 0:
+            names.append(self.net.transitions[self.nodes[number].transition].name)
+            number = self.nodes[number].parent
+        return names[::-1]
+
+    def graph(self) -> Tuple[List[Tuple[int, ...]], List[Tuple[int, int, int]]]:
+        """The coverability graph: its markings, and its arcs (from, transition, to; numbers of markings)."""
+        index: Dict[int, int] = {}
+        for number, node in enumerate(self.nodes):
+            if node.same == number:
+                index[number] = len(index)
+        markings = [self.nodes[number].marking for number in index]
+        arcs = [(index[self.nodes[node.parent].same], node.transition, index[node.same])
+                for node in self.nodes if node.transition >= 0]
+        return markings, arcs
+
+    def text(self, marking: Sequence[int]) -> str:
+        """A marking for people: ``2 a, w b`` with the Greek letter for OMEGA, without the empty places."""
+        parts = ["%s %s" % ("ω" if n == OMEGA else n, place.name)
+                 for place, n in zip(self.net.places, marking) if n]
+        return ", ".join(parts) or "empty"
+
+
+class _Monotone:
+    """Judges whether more tokens on some places leave a firing sequence possible."""
+
+    def __init__(self, net: Net, untimed: bool) -> None:
+        self._net = net
+        inhibiting = {p for arcs in net.inhibitors for p, _ in arcs}
+        limited = {p for p, place in enumerate(net.places) if place.capacity is not None}
+        self._disturbing: Set[int] = inhibiting | limited
+        self._urgency = [0 if untimed else (t.priority + 1 if not t.timed else 0) for t in net.transitions]
+
+    def require(self, growing: Sequence[int], fired: Set[int]) -> None:
+        """:raises LimitError: tokens on ``growing`` might prevent the transitions ``fired``."""
+        lowest = min(self._urgency[t] for t in fired)
+        for p in growing:
+            urgent = any(self._urgency[t] > lowest for t in self._net.consumers[p])
+            if p in self._disturbing or urgent:
+                why = "an immediate transition of higher priority" if urgent else "an inhibitor arc or a capacity"
+                raise LimitError("whether place '%s' grows without bound depends on %s, which the coverability "
+                                 "tree cannot judge" % (self._net.places[p].name, why))
+
+
+def _fire(net: Net, marking: Sequence[int], t: int) -> Tuple[int, ...]:
+    after = list(marking)
+    for p, change in net.effect(t):
+        if after[p] != OMEGA:
+            after[p] += change
+    return tuple(after)
