@@ -163,17 +163,19 @@ use_workspace() {
 session_processes() {
     local marked id
     mapfile -t marked < <(grep -lszE "^GSPN_SESSION=.*/$SESSION(/|$)" /proc/[0-9]*/environ)
+    wait $!  # grep has found itself too: let it be gone
     for id in "${marked[@]}"; do
         id=${id//[!0-9]/}
-        # grep has found itself too, and is gone by now
         ! [ -e "/proc/$id" ] || printf '%s ' "$id"
     done
 }
 
+GRACE=5  # seconds that processes are given to end by themselves after each signal
+
 end_session() {
     local signal deadline ids
     for signal in INT TERM KILL; do
-        deadline=$((SECONDS + 5))
+        deadline=$((SECONDS + GRACE))
         ids=$(session_processes)
         # shellcheck disable=SC2086  # a list of words
         [ -z "$ids" ] || kill -s $signal $ids 2>/dev/null
