@@ -30,6 +30,7 @@ EXIT_BROKEN_PIPE = 141  # 128 + SIGPIPE
 VERBS: Dict[str, Tuple[str, str]] = {
     "check": ("check", "check whether a plan may run, before any robot moves"),
     "convert": ("convert", "write a net in another format"),
+    "run": ("run", "execute a plan without ROS, its agents on threads"),
     "draw": ("draw", "draw a net, its coverability tree or its Markov chain"),
 }
 

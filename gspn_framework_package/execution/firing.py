@@ -28,7 +28,7 @@ class Firing(NamedTuple):
     """
 
     slot: int
-    index: int  # type: ignore[assignment]  # hides tuple.index, which nobody needs
+    index: int  # type: ignore[assignment]  # hides tuple.index, unused
     transition: str
     robot: str
     incarnation: int

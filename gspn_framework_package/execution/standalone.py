@@ -25,6 +25,7 @@ from gspn_framework_package.execution.actions import (
     load_actions,
 )
 from gspn_framework_package.execution.environment import Environment
+from gspn_framework_package.execution.event_log import EventLogWriter, Record
 from gspn_framework_package.execution.firing import (
     CancelAction,
     Command,
@@ -33,6 +34,7 @@ from gspn_framework_package.execution.firing import (
     Firing,
     StartAction,
 )
+from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.team_state import Phase, TeamState
 from gspn_framework_package.execution.token_game import Step, TokenGame
 from gspn_framework_package.execution.worker_pool import WorkerPool
@@ -96,6 +98,7 @@ class StandaloneExecutor:
 
     :param plan: a validated plan whose actions are Python functions (or null).
     :param listener: told what happens.
+    :param event_log: where the run is recorded (its header is written by whoever made it).
     :param time_source: monotonic seconds.
     :raises PlanError: a place is bound to an action server; a function is missing or broken.
 
@@ -107,15 +110,18 @@ class StandaloneExecutor:
         self,
         plan: Plan,
         listener: Optional[Listener] = None,
+        event_log: Optional[EventLogWriter] = None,
         time_source: Callable[[], float] = time.monotonic,
     ) -> None:
         self.plan = plan
         self.game = TokenGame(plan, agents=True)
-        self.state = self.game.new_state()
+        self._ledger = Ledger(self.game)
+        self.state = self._ledger.state
         """Changed on the executor's thread only; others use :meth:`status`."""
         self.result: Optional[Ended] = None
         """How the run ended; None while it goes on."""
         self._listener = listener or Listener()
+        self._event_log = event_log
         self._clock = time_source
         self._actions = _load_functions(plan)
         self._pool = WorkerPool("agent")
@@ -227,12 +233,18 @@ class StandaloneExecutor:
             if isinstance(entry, log.Done):
                 self._set_agent(entry.robot, AgentState.DONE)
         with self._lock:
-            slot = self.state.next_slot
+            slot = self._ledger.length
             step = self.game.reduce(self.state, slot, entries)
+        if self._event_log is not None:  # before anything that follows from it leaves the process
+            self._record(self._ledger.record(slot, entries, [], step))
         self._tell_states(step)
         self._listener.on_step(slot, entries, step.firings, self.state)
         for command in step.commands:
             self._carry_out(command)
+
+    def _record(self, *records: Record) -> None:
+        if self._event_log is not None:
+            self._event_log.append(*records)
 
     def _tell_states(self, step: Step) -> None:
         for firing in step.firings:
@@ -274,6 +286,7 @@ class StandaloneExecutor:
             self._listener.on_fault(command.robot, command.message)
         elif isinstance(command, Ended):
             self.result = command
+            self._record({"kind": "ended", "reason": command.reason, "finished": command.finished})
             self._listener.on_end(command.reason, command.finished)
 
     def _at(self, when: float, message: _Message) -> None:

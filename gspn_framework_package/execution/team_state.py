@@ -48,7 +48,7 @@ class Draw(NamedTuple):
     candidates: Tuple[int, ...]
     transition: int
     slot: int
-    index: int  # type: ignore[assignment]  # hides tuple.index, which nobody needs
+    index: int  # type: ignore[assignment]  # hides tuple.index, unused
 
 
 @dataclass

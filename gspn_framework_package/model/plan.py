@@ -249,6 +249,10 @@ class Plan:
             counts[robot.place] = counts.get(robot.place, 0) + 1
         return replace(self, robots=tuple(robots), net=self.net.with_marking(counts))
 
+    def with_seed(self, seed: int) -> Plan:
+        """The plan with another seed for the policy's draws."""
+        return replace(self, seed=seed)
+
     def with_notes(self, notes: Iterable[str]) -> Plan:
         """The plan with more notes of its reader for people."""
         return replace(self, notes=self.notes + tuple(notes))

@@ -1,0 +1,174 @@
+"""``gspn run``: execute a plan without ROS, its agents on threads, and show what happens."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import threading
+import time
+import uuid
+from typing import Any, Dict, List, Optional, Sequence
+
+from gspn_framework_package.analysis.preflight import check
+from gspn_framework_package.execution.entries import Entry
+from gspn_framework_package.execution.event_log import EventLogWriter, header
+from gspn_framework_package.execution.firing import Firing
+from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
+from gspn_framework_package.execution.team_state import TeamState
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.errors import RefusedError, UsageError
+from gspn_framework_package.model.plan import Plan
+
+NAME = "run"
+HELP = "execute a plan without ROS, its agents on threads"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
+    parser.add_argument("--agents", type=int, metavar="N", help="run it with N agents")
+    parser.add_argument("--seconds", type=float, metavar="S", help="stop after S seconds")
+    parser.add_argument("--firings", type=int, metavar="N", help="stop after N firings")
+    parser.add_argument("--seed", type=int, help="seed of the policy's draws, for the plan's own")
+    parser.add_argument("--log", metavar="FILE", help="record the run as an event log (a new file)")
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object a line: firings, faults, the end"
+    )
+    parser.add_argument("--quiet", action="store_true", help="print only faults and the end")
+    parser.epilog = (
+        "Exit codes: 0 the run came to its end or to the limit that was set, 1 the plan was "
+        "refused or the run was stopped by a failure, 2 not a plan, 130 interrupted."
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check the plan, execute it, and tell how it ended."""
+    for option in ("seconds", "firings"):
+        value = getattr(args, option)
+        if value is not None and value <= 0:
+            raise UsageError("--%s must be above 0, not %g" % (option, value))
+    plan = _plan(args)
+    event_log = _event_log(args.log, plan)
+    printer = _Printer(plan, args.json, args.quiet, args.firings)
+    executor = StandaloneExecutor(plan, printer, event_log)
+    started = time.monotonic()
+    deadline = started + args.seconds if args.seconds is not None else None
+    executor.start()
+    try:
+        limited = printer.enough.wait(_left(deadline))
+        if executor.result is None:
+            executor.stop("the limit of %s" % ("firings" if limited else "seconds"))
+    except KeyboardInterrupt:
+        executor.stop("interrupted")
+        executor.wait(5.0)
+        raise
+    ended = executor.wait()
+    assert ended is not None
+    printer.tell_end(ended.reason, executor.status()["marking"], time.monotonic() - started)
+    by_limit = ended.reason.startswith("the limit of ")
+    return 0 if ended.finished or by_limit else 1
+
+
+def _left(deadline: Optional[float]) -> Optional[float]:
+    return None if deadline is None else max(0.0, deadline - time.monotonic())
+
+
+def _plan(args: argparse.Namespace) -> Plan:
+    plan = read_plan(args.plan)
+    if args.seed is not None:
+        plan = plan.with_seed(args.seed)
+    if args.agents is not None:
+        plan = plan.for_robots(args.agents)
+    for note in plan.notes:
+        print("note: %s" % note, file=sys.stderr)
+    report = check(plan, standalone=True)
+    if report.refused:
+        print(report, file=sys.stderr)
+        raise RefusedError("the plan was refused", file=plan.file, hint="see the report above")
+    return plan
+
+
+def _event_log(path: Optional[str], plan: Plan) -> Optional[EventLogWriter]:
+    if path is None:
+        return None
+    if os.path.exists(path):
+        raise UsageError("it exists already", file=path, hint="give --log the name of a new file")
+    first = header(plan, plan.name, "", uuid.uuid4().hex, agents=True)
+    return EventLogWriter(path, first, fsync=plan.fsync)
+
+
+class _Printer(Listener):
+    """Prints what happens; ``enough`` is set when the run is over or has fired often enough."""
+
+    def __init__(self, plan: Plan, as_json: bool, quiet: bool, limit: Optional[int]) -> None:
+        self.enough = threading.Event()
+        self._plan = plan
+        self._json = as_json
+        self._quiet = quiet
+        self._limit = limit
+        self._count = 0
+
+    def on_step(
+        self, slot: int, entries: Sequence[Entry], firings: Sequence[Firing], state: TeamState
+    ) -> None:
+        for firing in firings:
+            self._count += 1
+            if self._json:
+                self._print(
+                    {
+                        "event": "firing",
+                        "slot": firing.slot,
+                        "index": firing.index,
+                        "transition": firing.transition,
+                        "agent": firing.robot,
+                        "moves": [list(m[:3]) for m in firing.moves],
+                        "marking": self._plan.net.named(firing.marking, zeros=False),
+                    }
+                )
+            elif not self._quiet:
+                print("%6d  %s  %s" % (self._count, firing.transition, _moves(firing)), flush=True)
+        if self._limit is not None and self._count >= self._limit:
+            self.enough.set()
+
+    def on_fault(self, agent: str, message: str) -> None:
+        if self._json:
+            self._print({"event": "fault", "agent": agent, "message": message})
+        else:
+            who = "agent %s: " % agent if agent else ""
+            print("fault: %s%s" % (who, message), file=sys.stderr, flush=True)
+
+    def on_end(self, reason: str, finished: bool) -> None:
+        self.enough.set()
+
+    def tell_end(self, reason: str, marking: Dict[str, int], seconds: float) -> None:
+        """Print how the run ended."""
+        if self._json:
+            self._print(
+                {
+                    "event": "end",
+                    "reason": reason,
+                    "firings": self._count,
+                    "seconds": round(seconds, 3),
+                    "marking": marking,
+                }
+            )
+            return
+        there = ", ".join("%s: %d" % item for item in marking.items() if item[1])
+        print("ended: %s; %d firings in %.1f s; %s" % (reason, self._count, seconds, there))
+
+    def _print(self, data: Dict[str, Any]) -> None:
+        print(json.dumps(data), flush=True)
+
+
+def _moves(firing: Firing) -> str:
+    parts: List[str] = []
+    for move in firing.moves:
+        if move.source is None:
+            parts.append("%s appears in %s" % (move.robot, move.target))
+        elif move.target is None:
+            parts.append("%s ends in %s" % (move.robot, move.source))
+        else:
+            parts.append("%s: %s -> %s" % (move.robot, move.source, move.target))
+    return ", ".join(parts)
