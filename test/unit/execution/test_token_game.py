@@ -6,11 +6,12 @@ from collections import Counter
 from typing import Any, List
 
 import pytest
+from game_driver import Run, make_plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, Firing, StartAction
+from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
 from gspn_framework_package.execution.team_state import Phase, TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.builder import NetBuilder
@@ -18,74 +19,10 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import (
     FailureKind,
     FailureRule,
-    FunctionAction,
     LostKind,
     LostRule,
-    Plan,
-    RobotSpec,
 )
 from gspn_framework_package.model.policy import Policy
-
-
-def make_plan(
-    net: Net, robots: List[str], resources: Any = (), idle: Any = (), **fields: Any
-) -> Plan:
-    """A plan whose robots a, b, c ... start in the given places."""
-    actions = {
-        p.name: None if p.name in idle else FunctionAction("f", p.name)
-        for p in net.places
-        if p.name not in resources
-    }
-    plan = Plan(net=net, actions=actions, resource_places=frozenset(resources), **fields)
-    return plan.with_robots([RobotSpec("abcdefgh"[i], p) for i, p in enumerate(robots)]).validate()
-
-
-class Run:
-    """A token game with its state, driven entry by entry."""
-
-    def __init__(self, plan: Plan, agents: bool = False) -> None:
-        self.game = TokenGame(plan, agents=agents)
-        self.state = self.game.new_state()
-        self.firings: List[Firing] = []
-        self.commands: List[Any] = []
-        self.feed(self.game.start_entry())
-
-    def feed(self, *entries: Any) -> List[str]:
-        """Apply the entries as one slot; the transitions that fired."""
-        step = self.game.reduce(self.state, self.state.next_slot, entries)
-        self.firings += step.firings
-        self.commands += step.commands
-        check_invariants(self.game, self.state)
-        return [f.transition for f in step.firings]
-
-    def done(self, robot: str, result: str = "") -> List[str]:
-        state = self.state.robots[robot]
-        return self.feed(log.Done(robot, state.incarnation, state.visit, result))
-
-    def fail(self, robot: str, reason: str = "aborted") -> List[str]:
-        state = self.state.robots[robot]
-        return self.feed(log.Failed(robot, state.incarnation, state.visit, state.attempt, reason))
-
-    def place(self, robot: str) -> str:
-        return self.game.net.places[self.state.robots[robot].place].name
-
-    def marking(self) -> Any:
-        return self.game.net.named(self.state.marking, zeros=False)
-
-    def why(self, robot: str) -> str:
-        return self.game.why_waiting(self.state, self.state.robots[robot])
-
-
-def check_invariants(game: TokenGame, state: TeamState) -> None:
-    """Every robot is one token in its place, counts are never negative, and a snapshot is the same
-    state."""
-    counts = Counter(r.place for r in state.active())
-    for p, is_resource in enumerate(game.is_resource):
-        assert state.marking[p] >= 0
-        if not is_resource:
-            assert state.marking[p] == counts.get(p, 0)
-    again = TeamState.from_json(state.to_json(game.net), game.net)
-    assert again == state
 
 
 def line() -> Net:
