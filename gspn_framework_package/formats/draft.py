@@ -13,6 +13,8 @@ from gspn_framework_package.model.errors import ExpressionError, GspnError, NetE
 from gspn_framework_package.model.expression import evaluate, shorten, whole
 from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
 
+_MAX_DIGITS = 300  # of a whole number that is taken exactly; longer ones are no number of tokens
+
 NO_CONSTANTS: Mapping[str, float] = {}
 
 
@@ -36,6 +38,11 @@ class ReadOptions(NamedTuple):
         if self.infinite_servers is None:
             return format_default
         return None if self.infinite_servers else 1
+
+
+def one_line(text: Optional[str]) -> str:
+    """A name or id without line breaks and the space around it."""
+    return " ".join(part.strip() for part in (text or "").splitlines()).strip()
 
 
 class _Node(NamedTuple):
@@ -133,7 +140,8 @@ class NetDraft:
         line: Optional[int] = None,
     ) -> None:
         """Add an arc; its ends are ids or names, and may come later in the file."""
-        element = "arc '%s'" % identifier if identifier else "arc"
+        element = "arc '%s'" % shorten(identifier) if identifier else "arc"
+        source, target = one_line(source), one_line(target)
         if not source or not target:
             self.fail("it has no %s" % ("target" if source else "source"), element, line)
         self._arcs.append(_ArcLine(identifier or "", source, target, weight, inhibitor, line))
@@ -146,6 +154,7 @@ class NetDraft:
         line: Optional[int],
     ) -> None:
         kind = "place" if isinstance(item, Place) else "transition"
+        identifier, name = one_line(identifier), one_line(name)
         key = identifier or name
         if not key:
             self.fail("a %s has neither an id nor a name" % kind, line=line)
@@ -159,7 +168,7 @@ class NetDraft:
                 line,
                 "ids of places and transitions must differ",
             )
-        self._nodes[key] = _Node(key, name or "", line, item)
+        self._nodes[key] = _Node(key, name, line, item)
 
     # -- numbers ---------------------------------------------------------------------------------
 
@@ -178,7 +187,7 @@ class NetDraft:
 
     def count(self, text: str, what: str, element: str, line: Optional[int]) -> int:
         """The value of a whole number or an expression with a whole result; it may be negative."""
-        if text.isascii() and text.isdigit() and len(text) < 16:
+        if text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS:
             return int(text)
         value = whole(self.number(text, what, element, line))
         if value is None:

@@ -9,6 +9,7 @@ from typing import Any, Iterator, List, Optional, Sequence, cast
 from lxml import etree
 
 from gspn_framework_package.model.errors import InputError, NetError
+from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.net import Net, Position
 
 
@@ -36,7 +37,7 @@ def parse_xml(data: bytes, file: Optional[str] = None) -> etree._Element:
         if b"<!ENTITY" in data or "<!ENTITY".encode("utf-16-le") in data:
             raise _entities(file) from None
         line = error.lineno or None
-        text = (error.msg or "the document is empty").split(", line ")[0]
+        text = shorten((error.msg or "the document is empty").split(", line ")[0], 200)
         raise InputError(
             "not well-formed XML: %s" % text,
             file=file,
@@ -44,7 +45,7 @@ def parse_xml(data: bytes, file: Optional[str] = None) -> etree._Element:
             hint="the file may be cut off or damaged",
         ) from None
     except ValueError as error:
-        raise InputError("not well-formed XML: %s" % error, file=file) from None
+        raise InputError("not well-formed XML: %s" % shorten(str(error), 200), file=file) from None
     if root is None:
         raise InputError("not well-formed XML: the document is empty", file=file)
     dtd: Any = root.getroottree().docinfo.internalDTD
@@ -98,7 +99,7 @@ def line_of(element: etree._Element) -> int:
 def name_of(element: etree._Element, kind: str) -> str:
     """What to call the element in a message: ``place 'p1'``."""
     identifier = element.get("id") or element.get("name")
-    return "%s '%s'" % (kind, identifier) if identifier else kind
+    return "%s '%s'" % (kind, shorten(identifier)) if identifier else kind
 
 
 def position(element: etree._Element) -> Optional[Position]:

@@ -1,0 +1,52 @@
+"""Random nets, with every feature and hostile names, for tests of formats."""
+
+from hypothesis import strategies as st
+
+from gspn_framework_package.model.net import Arc, Net, Place, Transition
+
+AWKWARD = "ab1_ .:<>&\"'{}\\#[]()äλ∞|-*?/\t"
+NAMES = (
+    st.text(AWKWARD, min_size=1, max_size=8)
+    .map(lambda text: " ".join(text.split()))
+    .filter(bool)
+)  # fmt: skip
+POSITIONS = st.one_of(
+    st.none(),
+    st.tuples(*[st.integers(-(10**6), 10**6).map(lambda n: n / 64)] * 2),
+)
+RATES = st.floats(min_value=1e-300, max_value=1e300, allow_nan=False)
+WEIGHTS = st.one_of(st.just(0.0), RATES)
+COUNTS = st.one_of(st.integers(0, 5), st.integers(0, 2**53))
+
+
+@st.composite
+def nets(draw, capacities=True, servers=(1, None, 3)):
+    """A net of up to 5 places and 5 transitions."""
+    names = draw(st.lists(NAMES, min_size=2, max_size=10, unique=True))
+    split = draw(st.integers(1, len(names) - 1))
+    places = []
+    for name in names[:split][:5]:
+        tokens = draw(COUNTS)
+        capacity = None
+        if capacities and draw(st.booleans()):
+            capacity = max(1, tokens + draw(st.integers(0, 3)))
+        places.append(Place(name, tokens, capacity, draw(POSITIONS)))
+    transitions = []
+    for name in names[split:][:5]:
+        if draw(st.booleans()):
+            timed = (True, draw(RATES), 1.0, 1, draw(st.sampled_from(servers)))
+        else:
+            timed = (False, 1.0, draw(WEIGHTS), draw(st.integers(0, 4)), 1)
+        transitions.append(Transition(name, *timed, draw(POSITIONS)))
+    arcs = []
+    for _ in range(draw(st.integers(0, 8))):
+        place = draw(st.sampled_from(places)).name
+        transition = draw(st.sampled_from(transitions)).name
+        weight = draw(st.integers(1, 4))
+        kind = draw(st.sampled_from(["input", "output", "inhibitor"]))
+        if kind == "output":
+            arcs.append(Arc(transition, place, weight))
+        else:
+            arcs.append(Arc(place, transition, weight, kind == "inhibitor"))
+    name = draw(st.one_of(st.just("net"), NAMES))
+    return Net(places, transitions, arcs, name)
