@@ -72,15 +72,12 @@ def tag(element: etree._Element) -> str:
 
 def child(element: etree._Element, name: str) -> Optional[etree._Element]:
     """The first child with that tag, whatever its namespace."""
-    for node in element:
-        if tag(node) == name:
-            return node
-    return None
+    return next(element.iterchildren("{*}" + name), None)
 
 
 def all_of(element: etree._Element, name: str) -> List[etree._Element]:
     """All children with that tag, whatever their namespace."""
-    return [node for node in element if tag(node) == name]
+    return list(element.iterchildren("{*}" + name))
 
 
 def label(element: etree._Element, name: str, part: str) -> Optional[str]:
