@@ -44,7 +44,7 @@ def reachable_from(nodes: int, sources: Any, targets: Any, start: Any) -> Any:
     matrix = sparse.csr_matrix(
         (np.ones(len(targets), dtype=bool), (sources, targets)), shape=(nodes, nodes))
     while len(frontier):
-        reached = matrix.indices[_ranges(matrix.indptr[frontier], matrix.indptr[frontier + 1])]
+        reached = matrix.indices[flat_ranges(matrix.indptr[frontier], matrix.indptr[frontier + 1])]
         reached = np.unique(reached[~seen[reached]])
         seen[reached] = True
         frontier = reached
@@ -69,7 +69,7 @@ class ShortestWays:
         offsets = np.searchsorted(sources[arcs], np.arange(nodes + 1))
         frontier = np.zeros(1, dtype=np.int64)
         while len(frontier):
-            leaving = arcs[_ranges(offsets[frontier], offsets[frontier + 1])]
+            leaving = arcs[flat_ranges(offsets[frontier], offsets[frontier + 1])]
             leaving = leaving[~self.reached[targets[leaving]]]
             reached, first = np.unique(targets[leaving], return_index=True)
             self._parent[reached] = leaving[first]
@@ -86,7 +86,7 @@ class ShortestWays:
         return arcs[::-1]
 
 
-def _ranges(begins: Any, ends: Any) -> Any:
+def flat_ranges(begins: Any, ends: Any) -> Any:
     """The numbers of all the ranges ``begins[i]:ends[i]``, one after another."""
     lengths = ends - begins
     total = int(lengths.sum())
@@ -112,7 +112,7 @@ def longest_levels(nodes: int, sources: Any, targets: Any) -> Tuple[Any, bool]:
     depth = 0
     while len(frontier):
         depth += 1
-        arcs = backward.indices[_ranges(backward.indptr[frontier], backward.indptr[frontier + 1])]
+        arcs = backward.indices[flat_ranges(backward.indptr[frontier], backward.indptr[frontier + 1])]
         before = sources[arcs]
         np.subtract.at(waiting, before, 1)
         frontier = np.unique(before[waiting[before] == 0])

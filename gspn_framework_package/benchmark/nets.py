@@ -10,7 +10,7 @@ def kanban(n: int) -> Net:
     """The Kanban manufacturing system of Ciardo and Tilgner (1996) with ``n`` cards in each of its four cells, all
     transitions exponential: 160, 4600, 58400, 454475, 2546432 ... markings.
 
-    Rates in 1/h: machines 1.2, 1.4, 1.3, 1.1; 30 % of the parts are reworked at 1.0.
+    Rates in 1/h: machines 1.2, 1.4, 1.3, 1.1; 30 % of the parts are reworked at 0.3.
     """
     net = NetBuilder("kanban_%d" % n)
     for cell in "1234":
@@ -22,7 +22,7 @@ def kanban(n: int) -> Net:
         machine, rework, out = "machine" + cell, "rework" + cell, "out" + cell
         net.exponential("fail" + cell, rate=0.3 * rate, inputs=machine, outputs=rework)
         net.exponential("good" + cell, rate=0.7 * rate, inputs=machine, outputs=out)
-        net.exponential("back" + cell, rate=1.0, inputs=rework, outputs=machine)
+        net.exponential("back" + cell, rate=0.3, inputs=rework, outputs=machine)
     net.exponential("enter", rate=1.0, inputs="free1", outputs="machine1")
     net.exponential("split", rate=0.4, inputs=["out1", "free2", "free3"],
                     outputs=["free1", "machine2", "machine3"])

@@ -1,0 +1,91 @@
+"""The continuous-time Markov chain of a net: its tangible states, the rates between them, where it starts."""
+
+from __future__ import annotations
+
+from typing import Any, List, NamedTuple, Optional
+
+import numpy as np
+from scipy import sparse
+
+from gspn_framework_package.analysis.graph import components
+from gspn_framework_package.analysis.rated_graph import RatedGraph, rate
+from gspn_framework_package.analysis.state_space import StateSpace
+from gspn_framework_package.analysis.vanishing import Elimination, eliminate
+
+
+class Chain:
+    """A continuous-time Markov chain.
+
+    :ivar graph: the graph that it was made from.
+    :ivar states: int array: the state of the graph that each state of the chain is.
+    :ivar rates: sparse matrix (CSR): rates (1/s) from row to column, none from a state to itself.
+    :ivar exit_rates: float array: the sum of each row.
+    :ivar initial: float array: the distribution at time 0.
+    """
+
+    def __init__(self, graph: RatedGraph, absorbing: Optional[Any] = None) -> None:
+        """:param absorbing: boolean array over the states of the graph: states that are not left any more, vanishing
+        ones included.
+
+        :raises RefusedError: there is a timeless trap.
+        """
+        self.graph = graph
+        kept, self.elimination = eliminate(graph, absorbing)
+        self.states = np.flatnonzero(kept)
+        ends = self.elimination.ends
+        leaving = kept[graph.sources]
+        if absorbing is not None:
+            leaving &= ~absorbing[graph.sources]
+        arcs = np.flatnonzero(leaving)
+        number = np.cumsum(kept) - 1
+        nodes = len(self.states)
+        sources, targets = number[graph.sources[arcs]], graph.targets[arcs]
+        values = graph.values[arcs]
+        direct = kept[targets]
+        if direct.all():
+            rates = sparse.coo_matrix((values, (sources, number[targets])), shape=(nodes, nodes))
+        else:
+            step = sparse.csr_matrix((values, (sources, targets)), shape=(nodes, len(graph)))
+            rates = (step @ ends).tocoo()
+        other = rates.row != rates.col
+        self.rates = sparse.csr_matrix((rates.data[other], (rates.row[other], rates.col[other])),
+                                       shape=(nodes, nodes))
+        self.exit_rates = np.asarray(self.rates.sum(axis=1)).reshape(-1)
+        self.initial = np.asarray(ends[0].todense()).reshape(-1)
+
+    @classmethod
+    def of(cls, space: StateSpace) -> "Chain":
+        """The chain of a net's state space. :raises GspnError: see :func:`~.rated_graph.rate`."""
+        return cls(rate(space))
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    def column(self, place: int) -> Any:
+        """Token counts of place number ``place`` in the states of the chain."""
+        return self.graph.column(place)[self.states]
+
+    def bottom_components(self) -> List[Any]:
+        """The recurrent classes: for each an int array of states, by their first state."""
+        sources = np.repeat(np.arange(len(self)), np.diff(self.rates.indptr))
+        found = components(len(self), sources, self.rates.indices)
+        order = np.argsort(found.of, kind="stable")
+        ends = np.cumsum(np.bincount(found.of, minlength=found.count))
+        classes = [order[ends[c - 1] if c else 0:ends[c]] for c in np.flatnonzero(found.bottom)]
+        return sorted(classes, key=lambda states: int(states[0]))
+
+    def __repr__(self) -> str:
+        return "<Chain of %s: %d states, %d rates>" % (
+            self.graph.net.name or "a net", len(self), self.rates.nnz)
+
+
+class Component(NamedTuple):
+    """A recurrent class of a chain: its ``states`` (int array), the probability to end up in it, and the
+    stationary distribution over ``states``."""
+
+    states: Any
+    probability: float
+    distribution: Any
+
+
+__all__ = ["Chain", "Component", "Elimination"]

@@ -1,0 +1,19 @@
+"""Gauss-Seidel sweeps compiled by numba; the import fails where numba is not installed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def sweep(offsets: Any, columns: Any, data: Any, constant: Any, values: Any, backward: Any) -> None:
+    """One sweep of ``values = constant + matrix @ values``, in place; the matrix in CSR form."""
+    size = len(values)
+    for i in range(size):
+        row = size - 1 - i if backward else i
+        total = constant[row]
+        for k in range(offsets[row], offsets[row + 1]):
+            total += data[k] * values[columns[k]]
+        values[row] = total
