@@ -72,11 +72,12 @@ class Join(NamedTuple):
     """A robot joins, or comes back with a higher incarnation. ``place`` counts for one that was
     never here; one that was lost or had left returns to its last place with the next visit; one
     that only restarted keeps place and visit, and its action is started again as the next
-    attempt."""
+    attempt. ``log`` is the id of the log that it now keeps."""
 
     robot: str
     incarnation: int
     place: str = ""
+    log: str = ""
 
 
 class Leave(NamedTuple):
@@ -86,10 +87,12 @@ class Leave(NamedTuple):
 
 
 class Evict(NamedTuple):
-    """A robot is taken to be lost; its token goes to the account of the lost."""
+    """A robot is taken to be lost; its token goes to the account of the lost. ``forced``: the
+    operator asserted that it is off, and its vote was not asked for."""
 
     robot: str
     incarnation: int
+    forced: bool = False
 
 
 class SetPlace(NamedTuple):
