@@ -11,14 +11,11 @@ from __future__ import annotations
 from typing import Dict, Generator, Optional, Protocol, Sequence
 
 
+from gspn_framework_package.execution.actions import ActionFailed
 from gspn_framework_package.world.room import Location, Pose, Room
 
 Action = Generator[str, None, Optional[str]]
 """Yields feedback; returns a transition or None."""
-
-
-class ActionFailed(Exception):
-    """The action cannot be done; the message says why."""
 
 
 class Robot(Protocol):
@@ -46,6 +43,9 @@ class Robot(Protocol):
 
     def trouble(self) -> str:
         """Why the last goal was not reached."""
+
+    def stop(self) -> None:
+        """Drop the goal."""
 
 
 def occupant(location: Location, robots: Dict[str, Pose], radius: float) -> Optional[str]:
@@ -105,18 +105,16 @@ def check_temperature(
     return high if hottest > threshold else low
 
 
-def alarm(
-    robot: Robot, room: Room, location: str, seconds: float, transition: str
-) -> Action:
-    """Stand in the location and sound the alarm for some seconds; then ask for ``transition``."""
+def alarm(robot: Robot, location: str, seconds: float) -> Action:
+    """Stand in the location and sound the alarm for some seconds."""
     start = robot.now()
     while robot.now() - start < seconds:
         yield "ALARM in %s: %.1f degrees" % (location, robot.temperature())
-    return transition
+    return None
 
 
 def wait(
-    robot: Robot, room: Room, location: str, seconds: float, transition: str, first_slot: int = 0
+    robot: Robot, room: Room, location: str, seconds: float, first_slot: int = 0
 ) -> Action:
     """Go to a free slot of the bay after a location and wait there for some seconds.
 
@@ -128,7 +126,7 @@ def wait(
     start = robot.now()
     while robot.now() - start < seconds:
         yield "waiting after %s" % location
-    return transition
+    return None
 
 
 def _park(robot: Robot, bay: Sequence[Pose], first: int, radius: float) -> Generator[str, None, None]:

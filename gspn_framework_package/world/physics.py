@@ -6,9 +6,13 @@ nothing here ever sets a pose after the start. Stepping is by a fixed time step,
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import math
+import os
+import sys
 from dataclasses import dataclass, field
-from typing import Dict, List, Optional, Sequence, Set, Tuple
+from typing import Dict, Iterator, List, Optional, Sequence, Set, Tuple
 
 import pybullet
 from pybullet_utils.bullet_client import BulletClient
@@ -27,6 +31,22 @@ _FLOOR_COLOR = (0.86, 0.88, 0.90, 1.0)
 _BODY_HEIGHT = 0.15
 _BODY_BOTTOM = 0.012
 _SCANNER_HEIGHT = 0.172
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep PyBullet's own chatter off standard output, which belongs to results."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 1)
+        yield
+    finally:
+        # the C library keeps its own buffer, which would come out later
+        ctypes.CDLL(None).fflush(None)
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 def rgba(color: str) -> Tuple[float, float, float, float]:
@@ -60,6 +80,7 @@ class _Body:
     target_speed: float = 0.0
     target_turn_rate: float = 0.0
     driven: bool = False
+    rests: bool = True
     wheels: Tuple[float, float] = (0.0, 0.0)
     odometry: Pose = Pose(0.0, 0.0, 0.0)
 
@@ -89,9 +110,8 @@ class Physics:
         self.contacts = Contacts()
         self._steps = 0
         self._touching: Set[Tuple[str, str]] = set()
-        self._client = BulletClient(
-            connection_mode=pybullet.GUI if gui else pybullet.DIRECT
-        )
+        with _quiet():
+            self._client = BulletClient(connection_mode=pybullet.GUI if gui else pybullet.DIRECT)
         self._client.setGravity(0, 0, -9.81)
         self._client.setTimeStep(TIME_STEP)
         self._floor = self._make_floor()
@@ -104,6 +124,7 @@ class Physics:
         self._names = {body.unique_id: name for name, body in self._bodies.items()}
         # let the bodies settle on their wheels, so that the first measured second is like the others
         for body in self._bodies.values():
+            self._let_sleep(body)
             self._turn_wheels(body)
         for _ in range(20):
             self._client.stepSimulation()
@@ -246,6 +267,26 @@ class Physics:
         kind, body = self.room.robot, self._bodies[robot]
         body.target_speed = min(max(speed, -kind.max_speed), kind.max_speed)
         body.target_turn_rate = min(max(turn_rate, -kind.max_turn_rate), kind.max_turn_rate)
+        rests = body.target_speed == 0.0 and body.target_turn_rate == 0.0
+        if rests != body.rests:
+            body.rests = rests
+            self._let_sleep(body)
+
+    def _let_sleep(self, body: _Body) -> None:
+        """Let a body that stands fall asleep, as static friction does; wake one that is driven.
+
+        Awake, Bullet's contacts creep by a millimetre in a few seconds.
+        """
+        modes = (
+            [pybullet.ACTIVATION_STATE_ENABLE_SLEEPING]
+            if body.rests
+            else [
+                pybullet.ACTIVATION_STATE_WAKE_UP,
+                pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+            ]
+        )
+        for mode in modes:
+            self._client.changeDynamics(body.unique_id, -1, activationState=mode)
 
     def step(self) -> None:
         """Advance by :data:`TIME_STEP`."""

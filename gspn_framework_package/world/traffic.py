@@ -9,6 +9,7 @@ from __future__ import annotations
 import random
 from typing import Dict, List, Optional, Sequence
 
+from gspn_framework_package.execution.actions import ActionFailed
 from gspn_framework_package.world import patrol
 from gspn_framework_package.world.navigation import Status
 from gspn_framework_package.world.referee import Referee
@@ -54,6 +55,10 @@ class SimulatedRobot:
         """Why the last goal was not reached."""
         return self._navigator.reason
 
+    def stop(self) -> None:
+        """Drop the goal."""
+        self._navigator.cancel()
+
 
 class _Patroller:
     def __init__(self, robot: SimulatedRobot, slot: int, at: str) -> None:
@@ -73,8 +78,9 @@ class Patrol:
     :param seed: of everything that is drawn.
     :param threshold: degrees Celsius above which a location is too hot.
     :param wait_seconds: mean time that a robot waits before it decides again.
-    :param spread: start with the robots spread over the bays; otherwise all start at ``room.spawn``, in the
-        bay of the last location.
+    :param gui: open PyBullet's window.
+
+    As in plans/patrol, the first robots start with a check, one in each location, the others wait.
     """
 
     def __init__(
@@ -84,24 +90,22 @@ class Patrol:
         seed: int = 0,
         threshold: float = 30.0,
         wait_seconds: float = 4.0,
-        spread: bool = False,
         gui: bool = False,
     ) -> None:
         self._random = random.Random(seed)
         self._ring = list(room.locations)
-        starts = [self._ring[index % len(self._ring) if spread else -1] for index in range(len(robots))]
-        poses: Optional[List[Pose]] = None
-        if spread:
-            poses = [room.locations[at].bay[index] for index, at in enumerate(starts)]
-        self.team = Team(room, robots, poses, gui)
+        self.team = Team(room, robots, gui=gui)
         self.referee = Referee(self.team)
         self.failures: List[str] = []
         self._threshold = threshold
         self._wait_seconds = wait_seconds
         self._members = [
-            _Patroller(SimulatedRobot(self.team, name), index, at)
-            for index, (name, at) in enumerate(zip(robots, starts))
+            _Patroller(SimulatedRobot(self.team, name), index, self._ring[index % len(self._ring)])
+            for index, name in enumerate(robots)
         ]
+        for member in self._members[: len(self._ring)]:
+            member.state = "check"
+            self.referee.grant(member.robot.name, member.at)
         self._dead: Dict[str, _Patroller] = {}
 
     def step(self) -> None:
@@ -148,7 +152,7 @@ class Patrol:
         except StopIteration as done:
             member.action = None
             self._decide(member, done.value)
-        except patrol.ActionFailed as error:
+        except ActionFailed as error:
             self.failures.append("%s at %.1f s: %s" % (member.robot.name, self.team.time, error))
             member.action = None
 
@@ -171,7 +175,7 @@ class Patrol:
                 robot, room, member.at, self._threshold, "high", "low"
             )
         elif member.state == "alarm":
-            member.action = patrol.alarm(robot, room, member.at, 5.0, "off")
+            member.action = patrol.alarm(robot, member.at, 5.0)
         else:
             seconds = self._wait_seconds * self._random.uniform(0.5, 1.5)
-            member.action = patrol.wait(robot, room, member.at, seconds, "done", member.slot)
+            member.action = patrol.wait(robot, room, member.at, seconds, member.slot)

@@ -1,0 +1,201 @@
+"""A robot as its own actions see it over ROS: ``move_base``, ``amcl_pose``, ``temperature``; simulated or real.
+
+All names are relative: they are resolved in the namespace of the node that runs the actions.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any, Dict, Optional
+
+import actionlib
+import rospy
+from actionlib import CommState
+from actionlib_msgs.msg import GoalStatus, GoalStatusArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from move_base_msgs.msg import MoveBaseAction, MoveBaseGoal
+from sensor_msgs.msg import Temperature
+
+from gspn_framework_package.execution.actions import ActionFailed
+from gspn_framework_package.world.messages import pose_from, pose_message
+from gspn_framework_package.world.room import Pose
+
+POSE_TYPE = "geometry_msgs/PoseWithCovarianceStamped"
+DISCOVERY_PERIOD = 2.0
+"""Seconds of wall time between two looks for other robots."""
+
+SILENCE_DEADLINE = 15.0
+"""Seconds of wall time without a word from ``move_base`` after which a goal is given up.
+
+A server that dies leaves its client waiting for ever (``actionlib`` never says that a server is lost).
+"""
+
+
+class BaseClient:
+    """One robot; follows :class:`.patrol.Robot`.
+
+    Subscribes to ``amcl_pose`` and ``temperature``, and to every ``/*/amcl_pose`` there is (the other robots); a client
+    of ``move_base``.
+
+    :param name: of the robot.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._news = threading.Condition()
+        self._pose: Optional[Pose] = None
+        self._temperature: Optional[float] = None
+        self._others: Dict[str, Pose] = {}
+        self._subscribers: Dict[str, Any] = {}
+        self._own_topic = rospy.resolve_name("amcl_pose")
+        self._handle: Any = None
+        self._goal_number = 0
+        self._arrived: Optional[bool] = False
+        self._trouble = "no goal yet"
+        rospy.Subscriber("amcl_pose", PoseWithCovarianceStamped, self._on_pose, queue_size=1)
+        rospy.Subscriber("temperature", Temperature, self._on_temperature, queue_size=1)
+        self._client = actionlib.ActionClient("move_base", MoveBaseAction)
+        self._discovered = -DISCOVERY_PERIOD
+        self._heard = time.monotonic()
+        rospy.Subscriber("move_base/status", GoalStatusArray, self._on_status, queue_size=1)
+
+    # ---- news, from ROS threads --------------------------------------------------------------
+
+    def _on_status(self, message: Any) -> None:
+        with self._news:
+            self._heard = time.monotonic()
+
+    def _on_pose(self, message: Any) -> None:
+        with self._news:
+            self._pose = pose_from(message.pose.pose)
+            self._news.notify_all()
+
+    def _on_temperature(self, message: Any) -> None:
+        with self._news:
+            self._temperature = float(message.temperature)
+            self._news.notify_all()
+
+    def _on_other(self, message: Any, topic: str) -> None:
+        with self._news:
+            self._others[topic.strip("/").rpartition("/")[0]] = pose_from(message.pose.pose)
+
+    def _on_transition(self, handle: Any, number: int) -> None:
+        if handle.get_comm_state() != CommState.DONE:
+            return
+        status = handle.get_terminal_state()
+        with self._news:
+            if number == self._goal_number:
+                self._arrived = status == GoalStatus.SUCCEEDED
+                self._trouble = handle.get_goal_status_text() or GoalStatus.to_string(status)
+                self._news.notify_all()
+
+    # ---- connecting --------------------------------------------------------------------------
+
+    def connect(self, seconds: float = 30.0) -> None:
+        """Wait until the robot is there.
+
+        :param seconds: of wall time.
+        :raises ActionFailed: no ``move_base``, pose or thermometer within that time.
+        """
+        deadline = time.monotonic() + seconds
+        while not rospy.is_shutdown():
+            missing = [
+                name
+                for name, value in (("amcl_pose", self._pose), ("temperature", self._temperature))
+                if value is None
+            ]
+            if not self._client.wait_for_server(rospy.Duration(0.01)):
+                missing.append("move_base")
+            if not missing:
+                self._discover()
+                return
+            if time.monotonic() > deadline:
+                break
+            self.await_news(0.1)
+        raise ActionFailed(
+            "%s: nothing from %s in %g s"
+            % (self.name, ", ".join(rospy.resolve_name(name) for name in missing), seconds)
+        )
+
+    def _discover(self) -> None:
+        """Listen to the poses of robots that have appeared."""
+        self._discovered = time.monotonic()
+        for topic, kind in rospy.get_published_topics():
+            if (
+                kind == POSE_TYPE
+                and topic.endswith("/amcl_pose")
+                and topic != self._own_topic
+                and topic not in self._subscribers
+            ):
+                self._subscribers[topic] = rospy.Subscriber(
+                    topic, PoseWithCovarianceStamped, self._on_other, topic, queue_size=1
+                )
+
+    # ---- what the actions ask ----------------------------------------------------------------
+
+    def await_news(self, seconds: float) -> None:
+        """Sleep until something is heard from the robot, at most ``seconds`` of wall time."""
+        with self._news:
+            self._news.wait(seconds)
+
+    def now(self) -> float:
+        """ROS time, seconds."""
+        return float(rospy.get_time())
+
+    def pose(self) -> Pose:
+        """Where it is."""
+        with self._news:
+            assert self._pose is not None, "connect() first"
+            return self._pose
+
+    def others(self) -> Dict[str, Pose]:
+        """Where the others are or were last seen."""
+        if time.monotonic() - self._discovered > DISCOVERY_PERIOD:
+            self._discover()
+        with self._news:
+            return dict(self._others)
+
+    def temperature(self) -> float:
+        """Degrees Celsius."""
+        with self._news:
+            assert self._temperature is not None, "connect() first"
+            return self._temperature
+
+    def go(self, goal: Pose) -> None:
+        """Start driving."""
+        message = MoveBaseGoal()
+        message.target_pose.header.frame_id = "map"
+        message.target_pose.header.stamp = rospy.Time.now()
+        message.target_pose.pose = pose_message(goal)
+        with self._news:
+            self._goal_number += 1
+            number = self._goal_number
+            self._arrived, self._trouble = None, ""
+            self._heard = time.monotonic()
+        # the client holds the handle weakly
+        self._handle = self._client.send_goal(
+            message, transition_cb=lambda handle: self._on_transition(handle, number)
+        )
+
+    def arrived(self) -> Optional[bool]:
+        """None on the way; then whether the last goal was reached."""
+        with self._news:
+            silent = time.monotonic() - self._heard
+            if self._arrived is None and silent > SILENCE_DEADLINE:
+                self._arrived = False
+                self._trouble = "move_base has been silent for %d s" % silent
+            return self._arrived
+
+    def trouble(self) -> str:
+        """Why the last goal was not reached."""
+        with self._news:
+            return self._trouble
+
+    def stop(self) -> None:
+        """Drop the goal."""
+        with self._news:
+            under_way, self._goal_number = self._arrived is None, self._goal_number + 1
+            self._arrived, self._trouble = False, "cancelled"
+        if under_way and self._handle is not None:
+            self._handle.cancel()

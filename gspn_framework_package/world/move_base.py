@@ -1,0 +1,102 @@
+"""``move_base`` of a simulated robot: an action server in front of its navigator.
+
+It answers as move_base does (a new goal preempts the old one; blocked and unreachable goals are aborted and say why),
+so that plan actions need not know whether the robot is real.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Callable, Optional
+
+import actionlib
+from geometry_msgs.msg import PoseStamped
+from move_base_msgs.msg import MoveBaseAction, MoveBaseFeedback
+
+from gspn_framework_package.world.messages import pose_from, pose_message, stamp_of
+from gspn_framework_package.world.navigation import Status
+from gspn_framework_package.world.room import Pose
+from gspn_framework_package.world.team import Team
+
+MAP_FRAME = "map"
+"""The frame of all goals."""
+
+FEEDBACK_PERIOD = 0.5
+"""Seconds of world time between two feedbacks."""
+
+
+class MoveBase:
+    """Serves the action ``ROBOT/move_base`` (move_base_msgs/MoveBaseAction).
+
+    Callbacks of ROS only hand off; goals and cancellations are taken up by :meth:`update`, in the thread that steps
+    the world.
+
+    :param robot: name of the robot, which is its namespace.
+    :param team: the team that it drives in.
+    :param hand_off: called from ROS threads with a function to run in the world's thread.
+    """
+
+    def __init__(
+        self, robot: str, team: Team, hand_off: Callable[[Callable[[], None]], None]
+    ) -> None:
+        self._robot = robot
+        self._team = team
+        self._navigator = team.navigators[robot]
+        self._current: Optional[Any] = None
+        self._target = Pose(0.0, 0.0)
+        self._feedback_time = -math.inf
+        self._server = actionlib.ActionServer(
+            "/%s/move_base" % robot,
+            MoveBaseAction,
+            goal_cb=lambda handle: hand_off(lambda: self._take(handle)),
+            cancel_cb=lambda handle: hand_off(lambda: self._drop(handle)),
+            auto_start=False,
+        )
+        self._server.start()
+
+    @property
+    def target(self) -> Optional[Pose]:
+        """The pose that the robot is sent to, if it is."""
+        return self._target if self._current is not None else None
+
+    def _take(self, handle: Any) -> None:
+        stamped = handle.get_goal().target_pose
+        frame = stamped.header.frame_id.lstrip("/")
+        try:
+            goal = pose_from(stamped.pose)
+            if frame not in ("", MAP_FRAME):
+                raise ValueError("goals are in the frame '%s', not '%s'" % (MAP_FRAME, frame))
+        except ValueError as error:
+            handle.set_rejected(text=str(error))
+            return
+        if self._current is not None:
+            self._current.set_canceled(text="preempted by a newer goal")
+        handle.set_accepted()
+        self._current, self._target = handle, goal
+        self._navigator.go(goal, self._team.time)
+
+    def _drop(self, handle: Any) -> None:
+        if self._current is not None and handle.get_goal_id().id == self._current.get_goal_id().id:
+            self._navigator.cancel()
+            self._current.set_canceled(text="cancelled")
+            self._current = None
+
+    def update(self) -> None:
+        """Tell the client how far the robot is; call it after each step of the world."""
+        handle = self._current
+        if handle is None:
+            return
+        if self._navigator.active:
+            if self._team.time - self._feedback_time >= FEEDBACK_PERIOD:
+                self._feedback_time = self._team.time
+                pose = pose_message(self._team.physics.pose(self._robot))
+                base = PoseStamped(pose=pose)
+                base.header.frame_id = MAP_FRAME
+                base.header.stamp = stamp_of(self._team.time)
+                handle.publish_feedback(MoveBaseFeedback(base_position=base))
+            return
+        self._current = None
+        if self._navigator.status is Status.REACHED:
+            handle.set_succeeded(text="reached")
+        else:
+            handle.set_aborted(text=self._navigator.reason)

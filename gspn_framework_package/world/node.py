@@ -1,0 +1,258 @@
+"""The world as a ROS node: one process that plays the room and the robots' bodies, sensors and navigation.
+
+For each robot, in its namespace, what a real one has:
+
+- serves ``move_base`` (move_base_msgs/MoveBaseAction);
+- publishes ``odom`` (nav_msgs/Odometry), ``amcl_pose`` (geometry_msgs/PoseWithCovarianceStamped, latched, in the frame
+  ``map``), ``temperature`` (sensor_msgs/Temperature), ``scan`` (sensor_msgs/LaserScan, while anyone listens);
+- subscribes to ``cmd_vel`` (geometry_msgs/Twist), which drives the robot while it has no goal.
+
+For all: ``/clock``, ``/tf`` (map -> ROBOT/odom -> ROBOT/base_footprint), ``/map`` (latched), and for the page
+``/world/room`` (std_msgs/String, JSON, latched), ``/world/state`` (JSON, ten a second of wall time at most) and
+``/world/referee`` (JSON, what the referee has counted, once a second).
+
+Private parameters: ``room`` (file), ``robots`` (names, a list or separated by commas), ``real_time_factor`` (1 is real
+time, 0 as fast as it goes), ``gui``, ``duration`` (seconds of world time, 0 without end).
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import sys
+import time
+from typing import Any, Callable, Dict, List, Union
+
+import rospy
+from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
+from nav_msgs.msg import OccupancyGrid, Odometry
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import LaserScan, Temperature
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+
+from gspn_framework_package.model.errors import GspnError, InputError
+from gspn_framework_package.world import messages
+from gspn_framework_package.world.move_base import MAP_FRAME, MoveBase
+from gspn_framework_package.world.physics import PALETTE
+from gspn_framework_package.world.referee import Referee
+from gspn_framework_package.world.room import Room
+from gspn_framework_package.world.room_file import load_room
+from gspn_framework_package.world.team import CONTROL_PERIOD, Team
+
+STATE_PERIOD = 0.1
+"""Seconds of wall time between two ``/world/state``."""
+
+SCAN_EVERY = 2
+"""Control periods between two scans."""
+
+
+class _Robot:
+    """The ROS side of one robot."""
+
+    def __init__(
+        self, name: str, team: Team, hand_off: Callable[[Callable[[], None]], None]
+    ) -> None:
+        self.name = name
+        self._team = team
+        self.base = MoveBase(name, team, hand_off)
+        self._odometry = self._publisher("odom", Odometry)
+        self._pose = self._publisher("amcl_pose", PoseWithCovarianceStamped, latch=True)
+        self._temperature = self._publisher("temperature", Temperature)
+        self._scan = self._publisher("scan", LaserScan)
+        rospy.Subscriber(
+            "/%s/cmd_vel" % name,
+            Twist,
+            lambda twist: hand_off(
+                lambda: team.teleoperate(name, twist.linear.x, twist.angular.z)
+            ),
+            queue_size=5,
+        )
+
+    def _publisher(self, topic: str, kind: Any, latch: bool = False) -> Any:
+        return rospy.Publisher("/%s/%s" % (self.name, topic), kind, queue_size=5, latch=latch)
+
+    def publish(self, stamp: rospy.Time, scan: bool) -> List[Any]:
+        """Publish what the robot senses; the transforms of its frames."""
+        physics, name = self._team.physics, self.name
+        pose, odometry = physics.pose(name), physics.odometry(name)
+        odom, base = name + "/odom", name + "/base_footprint"
+        self._odometry.publish(messages.odometry_message(odometry, stamp, odom, base))
+        self._pose.publish(messages.stamped_pose(pose, stamp, MAP_FRAME))
+        self._temperature.publish(
+            messages.temperature_message(physics.temperature(name), stamp, base)
+        )
+        if scan and self._scan.get_num_connections():
+            self._scan.publish(
+                messages.scan_message(physics.scan(name), self._team.room.robot, stamp, base)
+            )
+        return [
+            messages.transform(
+                messages.correction(pose, odometry[0]), stamp, MAP_FRAME, odom
+            ),
+            messages.transform(odometry[0], stamp, odom, base),
+        ]
+
+    def state(self) -> Dict[str, Any]:
+        """What the page draws of the robot."""
+        pose = self._team.physics.pose(self.name)
+        navigator, goal = self._team.navigators[self.name], self.base.target
+        return {
+            "pose": [round(pose.x, 3), round(pose.y, 3), round(pose.yaw, 3)],
+            "goal": [round(goal.x, 3), round(goal.y, 3), round(goal.yaw, 3)] if goal else None,
+            "path": [[round(x, 2), round(y, 2)] for x, y in navigator.path],
+            "status": navigator.status.value,
+            "reason": navigator.reason,
+            "temperature": round(self._team.physics.temperature(self.name), 2),
+        }
+
+
+class WorldNode:
+    """Steps the world and speaks ROS; see the module.
+
+    :param room: the room.
+    :param robots: names of the robots, which are their namespaces.
+    :param real_time_factor: seconds of world time for a second of wall time; 0: as fast as it goes.
+    :param gui: open PyBullet's window.
+    """
+
+    def __init__(
+        self, room: Room, robots: List[str], real_time_factor: float = 1.0, gui: bool = False
+    ) -> None:
+        self._factor = real_time_factor
+        self.team = Team(room, robots, gui=gui)
+        self.referee = Referee(self.team)
+        self._inbox: "queue.SimpleQueue[Callable[[], None]]" = queue.SimpleQueue()
+        self._clock = rospy.Publisher("/clock", Clock, queue_size=1)
+        self._tf = rospy.Publisher("/tf", TFMessage, queue_size=5)
+        self._map = rospy.Publisher("/map", OccupancyGrid, queue_size=1, latch=True)
+        self._room = rospy.Publisher("/world/room", String, queue_size=1, latch=True)
+        self._state = rospy.Publisher("/world/state", String, queue_size=2)
+        self._report = rospy.Publisher("/world/referee", String, queue_size=1, latch=True)
+        self._robots = [_Robot(name, self.team, self._inbox.put) for name in robots]
+        self._map.publish(messages.map_message(self.team.grid, MAP_FRAME))
+        description = room.as_json()
+        description["colors"] = {
+            name: PALETTE[index % len(PALETTE)] for index, name in enumerate(robots)
+        }
+        self._room.publish(json.dumps(description))
+        self._steps = 0
+        self._reported = 0.0
+        self._state_time = 0.0
+        self.real_time_factor = 0.0
+
+    def step(self) -> None:
+        """Take up what ROS has handed over, advance one control period, tell what has changed."""
+        while True:
+            try:
+                self._inbox.get_nowait()()
+            except queue.Empty:
+                break
+        self.team.step()
+        self.referee.watch()
+        self._steps += 1
+        stamp = messages.stamp_of(self.team.time)
+        self._clock.publish(Clock(stamp))
+        transforms: List[Any] = []
+        for robot in self._robots:
+            robot.base.update()
+            transforms += robot.publish(stamp, self._steps % SCAN_EVERY == 0)
+        self._tf.publish(TFMessage(transforms))
+        wall = time.monotonic()
+        if wall - self._state_time >= STATE_PERIOD:
+            self._state_time = wall
+            self._state.publish(json.dumps(self.state()))
+        if wall - self._reported >= 1.0:
+            self._reported = wall
+            self._report.publish(json.dumps(self.referee.report()))
+
+    def state(self) -> Dict[str, Any]:
+        """What the page draws now."""
+        heat = self.team.room.temperature
+        return {
+            "time": round(self.team.time, 3),
+            "real_time_factor": round(self.real_time_factor, 2),
+            "robots": {robot.name: robot.state() for robot in self._robots},
+            "hot_spots": [
+                {"at": spot.at(self.team.time), "radius": spot.radius, "excess": spot.excess}
+                for spot in heat.hot_spots
+                if spot.burns(self.team.time)
+            ],
+        }
+
+    def spin(self, duration: float = 0.0) -> None:
+        """Step until shutdown, or for ``duration`` seconds of world time."""
+        self._clock.publish(Clock(messages.stamp_of(self.team.time)))
+        due = time.monotonic()
+        window, window_time = due, self.team.time
+        while not rospy.is_shutdown() and (duration <= 0.0 or self.team.time < duration):
+            self.step()
+            wall = time.monotonic()
+            if wall - window >= 1.0:
+                self.real_time_factor = (self.team.time - window_time) / (wall - window)
+                window, window_time = wall, self.team.time
+            if self._factor > 0.0:
+                due += CONTROL_PERIOD / self._factor
+                if due > wall:
+                    time.sleep(due - wall)
+                elif wall - due > 0.5:
+                    # too slow for what was asked; do not race to catch up later
+                    due = wall
+        self._report.publish(json.dumps(self.referee.report()))
+
+
+def robot_names(value: Union[str, List[str]]) -> List[str]:
+    """The names of the robots from a parameter: a list, or one text with commas.
+
+    :raises InputError: none, or one twice.
+    """
+    names = value.replace(",", " ").split() if isinstance(value, str) else [str(v) for v in value]
+    names = [name.strip("/") for name in names]
+    if not names or len(set(names)) != len(names):
+        raise InputError(
+            "no robots, or one twice: %r" % (value,),
+            element="parameter ~robots",
+            hint="give their names, e.g. robot_1,robot_2",
+        )
+    return names
+
+
+def main() -> int:
+    """Run the node; the exit code."""
+    rospy.init_node("world")
+    try:
+        room_file = rospy.get_param("~room", "")
+        if not room_file:
+            raise InputError("no room file", element="parameter ~room")
+        room = load_room(room_file)
+        robots = robot_names(rospy.get_param("~robots", "robot_1"))
+        if len(robots) > len(room.spawn):
+            raise InputError(
+                "%d robots, but %d places to start in" % (len(robots), len(room.spawn)),
+                file=room_file,
+                element="spawn",
+                hint="add poses, or start fewer robots",
+            )
+        node = WorldNode(
+            room,
+            robots,
+            float(rospy.get_param("~real_time_factor", 1.0)),
+            bool(rospy.get_param("~gui", False)),
+        )
+        rospy.loginfo(
+            "world: '%s' with %d robots, real-time factor %s",
+            room.name,
+            len(robots),
+            rospy.get_param("~real_time_factor", 1.0) or "as fast as it goes",
+        )
+        node.spin(float(rospy.get_param("~duration", 0.0)))
+    except GspnError as error:
+        rospy.logfatal("world: %s", error)
+        return error.exit_code
+    except rospy.ROSInterruptException:
+        pass
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

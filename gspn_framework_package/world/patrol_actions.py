@@ -1,0 +1,137 @@
+"""The patrol's actions on a robot in ROS: what plans/patrol runs in its action places.
+
+They talk to ``move_base``, ``amcl_pose`` and ``temperature`` in the robot's namespace only, so that simulated and real
+robots are the same to them. All waiting is on news from the robot and in ROS time (``use_sim_time``).
+
+Parameters, searched upwards from the node: ``room`` (the room file), ``patrol/threshold`` (degrees Celsius above which a
+location is too hot, 30), ``patrol/alarm_seconds`` (5), ``patrol/wait_seconds`` (4).
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+import zlib
+from typing import Any, Callable, Dict, Optional, Tuple
+
+import rospy
+
+from gspn_framework_package.execution.actions import ActionFailed
+from gspn_framework_package.world import patrol
+from gspn_framework_package.world.base_client import BaseClient
+from gspn_framework_package.world.room import Room
+from gspn_framework_package.world.room_file import load_room
+
+Feedback = Callable[..., None]
+IsCancelled = Callable[[], bool]
+
+_PLACE = re.compile(r"^p(\d+):(?P<what>Check_Temperature|Alarm|Decide|Wait)_(?P<location>\w+)$")
+
+_lock = threading.Lock()
+_clients: Dict[str, BaseClient] = {}
+_rooms: Dict[str, Room] = {}
+
+
+def check_temperature(
+    place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled
+) -> Optional[str]:
+    """Sweep the place's location; ask for ``Temperature_High`` or ``Temperature_Low`` of it."""
+    number, location = _read(place)
+    client, room = _connect(robot)
+    threshold = float(_parameter("patrol/threshold", 30.0))
+    # the net numbers six transitions for each location (thesis 6.2.2): t1 to t6, t7 to t12, ...
+    first = (number - 1) // 4 * 6 + 1
+    high = "t%d:Temperature_High_%s" % (first, location)
+    low = "t%d:Temperature_Low_%s" % (first + 2, location)
+    steps = patrol.check_temperature(client, room, location, threshold, high, low)
+    return _run(steps, client, place, feedback, is_cancelled)
+
+
+def alarm(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled) -> Optional[str]:
+    """Stand in the location and sound the alarm; the place's only transition follows."""
+    _, location = _read(place)
+    client, _ = _connect(robot)
+    seconds = float(_parameter("patrol/alarm_seconds", 5.0))
+    steps = patrol.alarm(client, location, seconds)
+    return _run(steps, client, place, feedback, is_cancelled)
+
+
+def decide(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled) -> Optional[str]:
+    """Nothing to do: the policy decides."""
+    _read(place)
+    return None
+
+
+def wait(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled) -> Optional[str]:
+    """Wait in a free slot of the bay after the location; the place's only transition follows."""
+    _, location = _read(place)
+    client, room = _connect(robot)
+    seconds = float(_parameter("patrol/wait_seconds", 4.0))
+    bay = room.locations[location].bay
+    # a different slot for each robot, the same one each time, whatever the robots are called
+    slot = zlib.crc32(robot.encode()) % max(len(bay), 1)
+    steps = patrol.wait(client, room, location, seconds, slot)
+    return _run(steps, client, place, feedback, is_cancelled)
+
+
+def _read(place: str) -> Tuple[int, str]:
+    """The number and the location in the name of a place.
+
+    :raises ActionFailed: no place of the patrol.
+    """
+    match = _PLACE.match(place)
+    if match is None:
+        raise ActionFailed("'%s' is no place of the patrol, such as p1:Check_Temperature_L1" % place)
+    return int(match.group(1)), match.group("location")
+
+
+def _parameter(name: str, default: Any) -> Any:
+    found = rospy.search_param(name)
+    return default if found is None else rospy.get_param(found, default)
+
+
+def _connect(robot: str) -> Tuple[BaseClient, Room]:
+    """The robot and the room, made once in each process.
+
+    :raises ActionFailed: no room is told, or the robot is not there.
+    """
+    file = _parameter("room", "")
+    if not file:
+        raise ActionFailed("no parameter 'room': the room file says where the locations are")
+    with _lock:
+        if file not in _rooms:
+            _rooms[file] = load_room(file)
+        if robot not in _clients:
+            _clients[robot] = BaseClient(robot)
+        client, room = _clients[robot], _rooms[file]
+    client.connect()
+    return client, room
+
+
+def _run(
+    steps: patrol.Action,
+    client: BaseClient,
+    place: str,
+    feedback: Feedback,
+    is_cancelled: IsCancelled,
+) -> Optional[str]:
+    """Take the steps of an action until it ends or is cancelled; feedback is seconds so far."""
+    start, told, said = client.now(), -1, ""
+    while not rospy.is_shutdown():
+        if is_cancelled():
+            break
+        try:
+            text = next(steps)
+        except StopIteration as done:
+            return done.value
+        seconds = int(client.now() - start)
+        if seconds != told:
+            told = seconds
+            feedback(seconds)
+        if text.partition(",")[0] != said.partition(",")[0]:
+            said = text
+            rospy.logdebug("%s in %s: %s", client.name, place, text)
+        client.await_news(0.2)
+    steps.close()
+    client.stop()
+    return None
