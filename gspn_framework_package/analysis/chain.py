@@ -8,6 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from gspn_framework_package.analysis.graph import components
+from gspn_framework_package.analysis.plan_analysis import PlanSpace
 from gspn_framework_package.analysis.rated_graph import RatedGraph, rate
 from gspn_framework_package.analysis.state_space import StateSpace
 from gspn_framework_package.analysis.vanishing import Elimination, eliminate
@@ -55,8 +56,8 @@ class Chain:
 
     @classmethod
     def of(cls, space: StateSpace) -> "Chain":
-        """The chain of a net's state space. :raises GspnError: see :func:`~.rated_graph.rate`."""
-        return cls(rate(space))
+        """The chain of a net's or a plan's state space. :raises GspnError: see :func:`~.rated_graph.rate`."""
+        return cls(space.rated() if isinstance(space, PlanSpace) else rate(space))
 
     def __len__(self) -> int:
         return len(self.states)
@@ -87,5 +88,3 @@ class Component(NamedTuple):
     probability: float
     distribution: Any
 
-
-__all__ = ["Chain", "Component", "Elimination"]

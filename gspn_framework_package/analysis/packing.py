@@ -92,6 +92,13 @@ class PackedNet:
             words[self.word_of[p]] |= int(count) << self.shift_of[p]
         return np.array(words, dtype=np.uint64)
 
+    def pack_all(self, markings: Any) -> Any:
+        """Many markings (int array, one row each) packed, of shape ``(n, words)``."""
+        states = np.zeros((len(markings), self.words), dtype=np.uint64)
+        for p in range(len(self.widths)):
+            states[:, self.word_of[p]] |= markings[:, p].astype(np.uint64) << np.uint64(self.shift_of[p])
+        return states
+
     def fits(self, marking: Sequence[int]) -> bool:
         """Whether every count of ``marking`` fits its field."""
         return all(0 <= count >> width == 0 for count, width in zip(marking, self.widths))

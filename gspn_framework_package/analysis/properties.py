@@ -104,7 +104,7 @@ class Properties:
     def liveness(self) -> Dict[str, Liveness]:
         """The level of every transition."""
         space, found = self.space, self.components
-        count = len(space.net.transitions)
+        count = len(space.net.transitions) + 1  # the last: a plan's robots wait, see plan_analysis
         level = np.zeros(count, dtype=np.int64)
         level[np.unique(space.transitions)] = Liveness.L1
         sources = space.sources

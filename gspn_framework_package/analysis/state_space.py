@@ -182,16 +182,20 @@ class StateSpace:
     def successors(self, state: int) -> List[Tuple[str, int]]:
         """Pairs (transition, state) of one state."""
         part = slice(self.offsets[state], self.offsets[state + 1])
-        return [(self.net.transitions[t].name, int(s))
+        return [(self.transition_name(t), int(s))
                 for t, s in zip(self.transitions[part], self.targets[part])]
+
+    def transition_name(self, transition: int) -> str:
+        """The name of transition number ``transition``."""
+        return self.net.transitions[transition].name
 
     def path_to(self, state: int) -> List[str]:
         """Names of the transitions of a shortest firing sequence from the initial marking to ``state``."""
-        return [self.net.transitions[t].name for t, _ in self._way_to(state)]
+        return [self.transition_name(t) for t, _ in self._way_to(state)]
 
     def witness(self, state: int) -> List[Step]:
         """The same with the marking after each firing."""
-        return [Step(self.net.transitions[t].name, self.named(s)) for t, s in self._way_to(state)]
+        return [Step(self.transition_name(t), self.named(s)) for t, s in self._way_to(state)]
 
     def _way_to(self, state: int) -> List[Tuple[int, int]]:
         if self._parents is None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from gspn_framework_package.analysis.chain import Chain, Component
 from gspn_framework_package.analysis.exploration import Cancel, Progress, Watch
-from gspn_framework_package.analysis.linear import Solution, residual, solve
+from gspn_framework_package.analysis.linear import Solution, solve
 
 
 class SteadyState(NamedTuple):
@@ -81,5 +81,3 @@ def _absorption(chain: Chain, classes: List[Any], watch: Watch) -> Solution:
     values = np.array([inflow[states].sum() for states in classes])
     return Solution(values / values.sum(), worst, method)
 
-
-__all__ = ["SteadyState", "residual", "stationary", "steady_state"]

@@ -28,6 +28,10 @@ EXIT_BROKEN_PIPE = 141  # 128 + SIGPIPE
 #: Verb -> (its module in this package, its HELP: one line, repeated here so that ``--help`` need
 #: not import the module; a test holds the two together).
 VERBS: Dict[str, Tuple[str, str]] = {
+    "analyse": (
+        "analyse",
+        "analyse a net, or a plan under its policy: structure, state space, time",
+    ),
     "check": ("check", "check whether a plan may run, before any robot moves"),
     "convert": ("convert", "write a net in another format"),
     "run": ("run", "execute a plan without ROS, its agents on threads"),

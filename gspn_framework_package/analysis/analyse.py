@@ -1,0 +1,315 @@
+"""All analyses of one net or plan behind one object; each part is computed when it is asked for first.
+
+>>> from gspn_framework_package.model.builder import NetBuilder
+>>> net = (NetBuilder("machine").place("up", tokens=1).place("down")
+...        .exponential("fail", rate=1.0, inputs="up", outputs="down")
+...        .exponential("repair", rate=3.0, inputs="down", outputs="up").build())
+>>> analysis = Analysis(net)
+>>> len(analysis.space), analysis.properties.live, round(analysis.measures.mean_tokens["down"], 12)
+(2, True, 0.25)
+>>> round(analysis.first_passage("down == 1").mean_time, 12)
+1.0
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+
+import numpy as np
+
+from gspn_framework_package.analysis.chain import Chain
+from gspn_framework_package.analysis.coverability import TREE_LIMIT, CoverabilityTree
+from gspn_framework_package.analysis.exploration import Cancel, Progress
+from gspn_framework_package.analysis.invariants import invariant_bounds
+from gspn_framework_package.analysis.measures import Measures
+from gspn_framework_package.analysis.passage import Passage, first_passage
+from gspn_framework_package.analysis.plan_analysis import PlanSpace, explore_plan
+from gspn_framework_package.analysis.properties import Liveness, Properties
+from gspn_framework_package.analysis.state_space import STATE_LIMIT, StateSpace, Step, explore
+from gspn_framework_package.analysis.steady_state import SteadyState, steady_state
+from gspn_framework_package.analysis.structure import Structure
+from gspn_framework_package.analysis.transient import time_to_steady_state, transient
+from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.errors import LimitError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
+
+_FIRST_TREE = 5_000
+"""Nodes of the first coverability tree that is tried, before markings are visited."""
+
+
+class Reachability(NamedTuple):
+    """Whether a condition can come to hold: ``reachable`` (None: not decided), in how many of the markings that
+    were visited, and a shortest way to one of them."""
+
+    reachable: Optional[bool]
+    count: int
+    witness: Optional[List[Step]]
+
+
+class Boundedness(NamedTuple):
+    """Whether the net is bounded (None: not decided), and the bound of each place (None: there is none)."""
+
+    bounded: Optional[bool]
+    bounds: Dict[str, Optional[int]]
+    reason: str = ""
+
+
+class Analysis:
+    """The analysis of a net, or of a plan under its policy.
+
+    :param subject: a net or a validated plan.
+    :param limit: markings to visit at most.
+    :param engine: see :func:`~gspn_framework_package.analysis.state_space.explore`.
+    :param progress: told how far long work is.
+    :param cancel: asked now and then whether to stop.
+
+    Every part raises LimitError where it was not decided within the limit, and RefusedError where the net has no
+    such thing, as a Markov chain where nobody decides a choice.
+    """
+
+    def __init__(self, subject: Union[Net, Plan], *, limit: int = STATE_LIMIT, engine: str = "auto",
+                 progress: Optional[Progress] = None, cancel: Optional[Cancel] = None) -> None:
+        self.plan = subject if isinstance(subject, Plan) else None
+        self.net: Net = subject.net if isinstance(subject, Plan) else subject
+        self.limit = limit
+        self._engine = engine
+        self._progress, self._cancel = progress, cancel
+        self._known: Dict[str, Any] = {}
+
+    # -- structure and state space ----------------------------------------------------------------------
+
+    @property
+    def structure(self) -> Structure:
+        """What the structure of the net alone says."""
+        return self._once("structure", lambda: Structure(self.net))
+
+    @property
+    def space(self) -> StateSpace:
+        """The markings that were visited: of a plan, those its policy allows; without the places ``left_out``.
+        Not complete where the limit was met."""
+        return self._once("space", self._explore)
+
+    @property
+    def left_out(self) -> Tuple[str, ...]:
+        """Places that nothing reads and that may grow without bound: they were left out of the state space, since
+        they cannot change what happens."""
+        if isinstance(self.space, PlanSpace):
+            return self.space.counters
+        left_out: Tuple[str, ...] = self._known.get("left_out", ())
+        return left_out
+
+    @property
+    def tree(self) -> CoverabilityTree:
+        """The coverability tree. :raises LimitError: it is too large, or cannot be judged."""
+        return self._once("tree", lambda: CoverabilityTree(
+            self.net, limit=min(TREE_LIMIT, self.limit), progress=self._progress, cancel=self._cancel))
+
+    @property
+    def properties(self) -> Properties:
+        """Deadlocks, liveness and the like. :raises LimitError: the state space is not complete."""
+        return self._once("properties", lambda: Properties(self.space))
+
+    @property
+    def boundedness(self) -> Boundedness:
+        """Whether the net is bounded, and the bounds of its places."""
+        return self._once("boundedness", self._boundedness)
+
+    @property
+    def reversible(self) -> bool:
+        """Whether the initial marking can always be reached again."""
+        if any(self._counts_up(place) != 0 for place in self.left_out):
+            return False
+        return self.properties.reversible
+
+    def _explore(self) -> StateSpace:
+        if self.plan is not None:
+            return explore_plan(self.plan, limit=self.limit, progress=self._progress, cancel=self._cancel)
+        bounds = self._invariant_bounds
+        counters = [name for name, bound in bounds.items() if bound is None and self._is_counter(name)]
+        unbounded: Optional[List[str]] = []
+        if None in bounds.values():
+            unbounded = self._unbounded_places()
+        if unbounded is None:  # not decided: visit markings, and see
+            space = self._visit(self.net)
+            if space.complete or not counters:
+                return space
+            return self._without(counters)
+        if unbounded and set(unbounded) <= set(counters):
+            return self._without(counters)
+        return self._visit(self.net)
+
+    def _without(self, counters: Sequence[str]) -> StateSpace:
+        self._known["left_out"] = tuple(counters)
+        return self._visit(self.net.without_places(counters))
+
+    def _visit(self, net: Net) -> StateSpace:
+        return explore(net, limit=self.limit, engine=self._engine, progress=self._progress,
+                       cancel=self._cancel)
+
+    @property
+    def _invariant_bounds(self) -> Dict[str, Optional[int]]:
+        return self._once("invariant_bounds", lambda: dict(zip(
+            (p.name for p in self.net.places), invariant_bounds(self.net))))
+
+    def _unbounded_places(self) -> Optional[List[str]]:
+        """The places that grow without bound, by a small coverability tree; None: not decided."""
+        try:
+            tree = CoverabilityTree(self.net, limit=min(_FIRST_TREE, self.limit), cancel=self._cancel)
+        except LimitError as error:
+            self._known["growth_reason"] = str(error)
+            return None
+        self._known["tree"] = tree
+        return tree.unbounded_places
+
+    def _is_counter(self, name: str) -> bool:
+        p = self.net.place_number(name)
+        return (not self.net.consumers[p] and self.net.places[p].capacity is None
+                and not any(q == p for arcs in self.net.inhibitors for q, _ in arcs))
+
+    def _boundedness(self) -> Boundedness:
+        space = self.space
+        bounds: Dict[str, Optional[int]] = dict(self._invariant_bounds)
+        if self.plan is None and "tree" in self._known:
+            tree: CoverabilityTree = self._known["tree"]
+            return Boundedness(tree.bounded, tree.bounds)
+        if not space.complete:
+            if None not in bounds.values():
+                return Boundedness(True, bounds, "the bounds are those of the P-invariants, within %d states" %
+                                   len(space))
+            return Boundedness(None, bounds, self._known.get(
+                "growth_reason", "not decided within %d states" % len(space)))
+        bounds = {place: bound for place, bound in self.properties.bounds.items()}
+        grows: List[bool] = []
+        for place in self.left_out:
+            most = self._counts_up(place)
+            bounds[place] = most
+            grows.append(most is None)
+        ordered = {p.name: bounds[p.name] for p in self.net.places}
+        return Boundedness(not any(grows), ordered)
+
+    def _counts_up(self, place: str) -> Optional[int]:
+        """The most tokens of a counter that was left out; None where it grows without bound."""
+        feeding = {self.net.transitions[t].name for t in self.net.producers[self.net.place_number(place)]}
+        liveness = self.properties.liveness
+        if any(liveness[t] >= Liveness.L3 for t in feeding):
+            return None
+        return self.net.place(place).tokens + self._most_gained(place)
+
+    def _most_gained(self, place: str) -> int:
+        """The most tokens that a firing sequence can put into a counter that is fed only outside cycles."""
+        space = self.space
+        gain = np.zeros(len(self.net.transitions) + 1, dtype=np.int64)
+        p = self.net.place_number(place)
+        for t in range(len(self.net.transitions)):
+            gain[t] = sum(w for q, w in self.net.outputs[t] if q == p)
+        found = self.properties.components
+        sources, gains = found.of[space.sources], gain[space.transitions]
+        targets = found.of[space.targets]
+        across = sources != targets
+        sources, targets, gains = sources[across], targets[across], gains[across]
+        most = np.zeros(found.count, dtype=np.int64)
+        while True:  # longest ways in an acyclic graph, by as many rounds as the longest has arcs
+            better = most.copy()
+            np.maximum.at(better, targets, most[sources] + gains)
+            if (better == most).all():
+                return int(most.max())
+            most = better
+
+    # -- conditions -------------------------------------------------------------------------------------
+
+    def reach(self, condition: str) -> Reachability:
+        """Whether a condition can come to hold.
+
+        :raises ExpressionError: it cannot be read, or names an unknown place.
+        """
+        space = self.space
+        if self._looks_at_counters(condition):
+            space = self._once("full_space", lambda: self._visit(self.net))
+        holds = space.holds(condition)
+        found = np.flatnonzero(holds)
+        if len(found):
+            return Reachability(True, len(found), space.witness(int(found[0])))
+        return Reachability(False if space.complete else None, 0, None)
+
+    def cover(self, marking: Mapping[str, int]) -> Reachability:
+        """Whether at least these many tokens can be in these places at once."""
+        wanted = self.net.marking(marking)
+        if self.plan is None and not self.left_out and self.space.complete:
+            holds = np.ones(len(self.space), dtype=bool)
+            for p, count in enumerate(wanted):
+                if count:
+                    holds &= self.space.column(p) >= count
+            found = np.flatnonzero(holds)
+            way = self.space.witness(int(found[0])) if len(found) else None
+            return Reachability(bool(len(found)), len(found), way)
+        try:
+            path = self.tree.covers(wanted)
+        except LimitError:
+            return self.reach(" and ".join("'%s' >= %d" % item for item in marking.items()) or "true")
+        return Reachability(path is not None, 0, None if path is None else [Step(t, {}) for t in path])
+
+    def _looks_at_counters(self, condition: str) -> bool:
+        """Whether the condition is about places that were left out."""
+        if not self.left_out:
+            return False
+        parsed = parse_condition(condition, [p.name for p in self.net.places], ["deadlock"])
+        return bool(set(parsed.places) & set(self.left_out))
+
+    # -- time -------------------------------------------------------------------------------------------
+
+    @property
+    def chain(self) -> Chain:
+        """The Markov chain. :raises RefusedError: nobody decides a choice, or there is a timeless trap."""
+        return self._once("chain", lambda: Chain.of(self.space))
+
+    @property
+    def steady(self) -> SteadyState:
+        """The steady state."""
+        return self._once("steady", lambda: steady_state(self.chain, progress=self._progress,
+                                                         cancel=self._cancel))
+
+    @property
+    def measures(self) -> Measures:
+        """Tokens and throughput in the steady state."""
+        return self._once("measures", lambda: Measures(self.chain, self.steady.distribution))
+
+    def at(self, times: Sequence[float]) -> List[Tuple[float, Measures]]:
+        """Tokens and throughput at given times (s)."""
+        return [(found.time, Measures(self.chain, found.distribution)) for found in transient(
+            self.chain, times, progress=self._progress, cancel=self._cancel)]
+
+    def first_passage(self, condition: str, times: Sequence[float] = ()) -> Passage:
+        """When a condition holds for the first time; the probabilities within ``times`` (s).
+
+        :raises ExpressionError: the condition cannot be read, or names an unknown place.
+        :raises LimitError: there are too many markings before it holds, or a linear system was not solved.
+        """
+        if self._looks_at_counters(condition):
+            space = self._until(condition)
+            graph = space.rated()
+        else:
+            space, graph = self.space, self.chain.graph
+        return first_passage(graph, space.holds(condition), times, progress=self._progress,
+                             cancel=self._cancel)
+
+    def _until(self, condition: str) -> PlanSpace:
+        """The markings up to where a condition on counters holds: with the counters, and yet not without end."""
+        plan = self.plan
+        if plan is None:  # a plan without robots follows the rules of its net
+            plan = Plan(net=self.net, resource_places=frozenset(p.name for p in self.net.places),
+                        until=condition)
+        else:
+            plan = replace(plan, until="(%s) or (%s)" % (plan.until, condition) if plan.until else condition)
+        return explore_plan(plan, limit=self.limit, progress=self._progress, cancel=self._cancel)
+
+    def time_to_steady_state(self, tolerance: float = 1e-3) -> float:
+        """The time (s) from which on the distribution stays within ``tolerance`` of the steady state."""
+        return time_to_steady_state(self.chain, tolerance, steady=self.steady, progress=self._progress,
+                                    cancel=self._cancel)
+
+    def _once(self, key: str, compute: Callable[[], Any]) -> Any:
+        if key not in self._known:
+            self._known[key] = compute()
+        return self._known[key]

@@ -1,0 +1,313 @@
+"""The report of ``gspn analyse``: answers as plain JSON values, and the same as text for people.
+
+A question that could not be decided has the answer ``null``, and its reason stands under ``undecided``. What is
+infinite is the string ``"infinite"``: JSON has no number for it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Tuple
+
+from gspn_framework_package.analysis.analyse import Analysis, Reachability
+from gspn_framework_package.analysis.measures import Measures
+from gspn_framework_package.model.errors import CancelledError, InputError, RefusedError
+
+INFINITE = "infinite"
+
+
+class Questions(NamedTuple):
+    """What is asked beyond the usual.
+
+    :ivar at: times (s) at which tokens and throughput are wanted; also of ``mean_time_to``, to be there within.
+    :ivar reach: conditions that may be reachable.
+    :ivar cover: markings (place -> count) that may be coverable.
+    :ivar mean_time_to: conditions whose first passage is wanted.
+    :ivar rewards: name of a place or transition -> reward per token and second, or per firing.
+    :ivar settling: tolerance of the time to steady state; None: not asked for.
+    :ivar structure: whether invariants, siphons and traps are wanted.
+    :ivar timing: whether the steady state is wanted.
+    """
+
+    at: Tuple[float, ...] = ()
+    reach: Tuple[str, ...] = ()
+    cover: Tuple[Mapping[str, int], ...] = ()
+    mean_time_to: Tuple[str, ...] = ()
+    rewards: Mapping[str, float] = {}
+    settling: Optional[float] = None
+    structure: bool = True
+    timing: bool = True
+
+
+def report(analysis: Analysis, questions: Questions = Questions()) -> Dict[str, Any]:
+    """The answers as plain JSON values; see ``docs/analysis.md`` for the keys.
+
+    :raises InputError: a condition cannot be read, or a name is unknown.
+    :raises CancelledError: the work was cancelled.
+    """
+    work = _Report(analysis)
+    work.basics()
+    if questions.structure:
+        work.structure()
+    work.behaviour()
+    for condition in questions.reach:
+        work.reach(condition)
+    for marking in questions.cover:
+        work.cover(marking)
+    if questions.timing:
+        work.steady_state(questions.rewards)
+    if questions.settling is not None:
+        tolerance = questions.settling
+        work.answer("time_to_steady_state", lambda: analysis.time_to_steady_state(tolerance))
+    if questions.at:
+        work.at(questions)
+    for condition in questions.mean_time_to:
+        work.mean_time_to(condition, questions.at)
+    work.finish()
+    return work.data
+
+
+class _Report:
+    def __init__(self, analysis: Analysis) -> None:
+        self.analysis = analysis
+        self.data: Dict[str, Any] = {}
+        self.undecided: Dict[str, str] = {}
+
+    def answer(self, key: str, compute: Callable[[], Any]) -> Any:
+        """Put the answer under ``key``; null, with its reason, where there is none."""
+        self.data[key] = self._try(key, compute)
+        return self.data[key]
+
+    def _try(self, key: str, compute: Callable[[], Any]) -> Any:
+        try:
+            return _plain(compute())
+        except CancelledError:
+            raise
+        except RefusedError as error:
+            self.undecided[key] = str(error)
+            return None
+
+    def basics(self) -> None:
+        net, plan = self.analysis.net, self.analysis.plan
+        self.data["name"] = plan.name if plan else net.name
+        self.data["kind"] = "plan" if plan else "net"
+        self.data["places"] = len(net.places)
+        self.data["transitions"] = len(net.transitions)
+        self.data["arcs"] = len(net.arcs)
+        self.data["inhibitor_arcs"] = sum(arc.inhibitor for arc in net.arcs)
+        self.data["tokens"] = sum(net.initial_marking)
+
+    def structure(self) -> None:
+        structure = self.analysis.structure
+        self.answer("place_invariants", lambda: [
+            {"weights": i.weights, "value": i.value} for i in structure.place_invariants])
+        self.answer("transition_invariants", lambda: [
+            {"weights": i.weights} for i in structure.transition_invariants])
+        self.answer("conservative", lambda: structure.conservative)
+        self.answer("strictly_conservative", lambda: structure.strictly_conservative)
+        self.answer("consistent", lambda: structure.consistent)
+        self.answer("repetitive", lambda: structure.repetitive)
+        self.answer("siphons", lambda: [s._asdict() for s in structure.siphons])
+        self.answer("traps", lambda: [s._asdict() for s in structure.traps])
+        self.answer("classes", lambda: dict(structure.classes._asdict()))
+        self.answer("conflict_sets", lambda: structure.conflict_sets)
+
+    def behaviour(self) -> None:
+        analysis = self.analysis
+        space = analysis.space
+        whole = space.complete
+        if whole:
+            vanishing = int(space.is_vanishing.sum())
+            self.data["states"] = {"total": len(space), "tangible": len(space) - vanishing,
+                                   "vanishing": vanishing, "arcs": space.arcs}
+        else:
+            self.data["states"] = None
+            self.undecided["states"] = ("the net is unbounded" if analysis.boundedness.bounded is False
+                                        else "not decided within %d states" % len(space))
+        self.data["left_out"] = list(analysis.left_out)
+        self.data["engine"] = space.engine
+        self.data["memory_bytes"] = space.memory
+        found = analysis.boundedness
+        self.data["bounded"] = found.bounded
+        self.data["bounds"] = {place: INFINITE if bound is None and found.bounded is False else bound
+                               for place, bound in found.bounds.items()}
+        if found.bounded is None:
+            self.undecided["bounded"] = found.reason
+        if None in self.data["bounds"].values():
+            self.undecided["bounds"] = found.reason
+        self.answer("k_safe", lambda: None if found.bounded is None else max(
+            (math.inf if b is None else b for b in found.bounds.values()), default=0))
+        self._deadlocks()
+        self.answer("live", lambda: analysis.properties.live)
+        self.answer("liveness", lambda: {
+            name: level.name for name, level in analysis.properties.liveness.items()})
+        self.answer("dead_transitions", lambda: analysis.properties.dead_transitions)
+        self.answer("reversible", lambda: analysis.reversible)
+        self.answer("home_states", lambda: self._home())
+        self._by_tree()
+
+    def _deadlocks(self) -> None:
+        space = self.analysis.space
+        dead = space.deadlocks
+        if space.complete or len(dead):
+            data: Dict[str, Any] = {"count": len(dead) if space.complete else None,
+                                    "witness": None, "marking": None}
+            if len(dead):
+                data["witness"] = space.path_to(int(dead[0]))
+                data["marking"] = space.named(int(dead[0]))
+            if not space.complete:
+                self.undecided["deadlocks.count"] = "%d found within %d states" % (len(dead), len(space))
+            self.data["deadlocks"] = data
+        else:
+            self.data["deadlocks"] = None
+            self.undecided["deadlocks"] = "none found within %d states, which are not all" % len(space)
+
+    def _home(self) -> Dict[str, Any]:
+        analysis = self.analysis
+        states = analysis.properties.home_states
+        return {"count": len(states), "example": analysis.space.named(int(states[0])) if len(states) else None}
+
+    def _by_tree(self) -> None:
+        """What the coverability tree knows of an unbounded net."""
+        if self.analysis.boundedness.bounded is False and self.analysis.plan is None:
+            def dead_transitions() -> List[str]:
+                return self.analysis.tree.dead_transitions
+
+            if self.data["dead_transitions"] is None:
+                self.undecided.pop("dead_transitions", None)
+                self.answer("dead_transitions", dead_transitions)
+            dead = self.data["dead_transitions"]
+            if dead and self.data["live"] is None:
+                self.data["live"] = False
+                self.undecided.pop("live", None)
+
+    def reach(self, condition: str) -> None:
+        def compute() -> Dict[str, Any]:
+            found = self.analysis.reach(condition)
+            if found.reachable is None:
+                self.undecided["reach.%s" % condition] = "not found within %d states, which are not all" % len(
+                    self.analysis.space)
+            return _reachability(condition, found)
+
+        self.data.setdefault("reach", []).append(self._try("reach.%s" % condition, compute))
+
+    def cover(self, marking: Mapping[str, int]) -> None:
+        text = ",".join("%s=%d" % item for item in marking.items())
+
+        def compute() -> Dict[str, Any]:
+            found = self.analysis.cover(marking)
+            if found.reachable is None:
+                self.undecided["cover.%s" % text] = "not found within %d states, which are not all" % len(
+                    self.analysis.space)
+            data = _reachability(text, found)
+            data["coverable"] = data.pop("reachable")
+            return data
+
+        self.data.setdefault("cover", []).append(self._try("cover.%s" % text, compute))
+
+    def steady_state(self, rewards: Mapping[str, float]) -> None:
+        def compute() -> Dict[str, Any]:
+            steady, measures = self.analysis.steady, self.analysis.measures
+            data = _measures(measures)
+            data["mean_waiting_time"] = measures.mean_waiting_time
+            data["residual"] = steady.residual
+            data["method"] = steady.method
+            data["components"] = []
+            for component in steady.components:
+                part: Dict[str, Any] = {"states": len(component.states), "probability": component.probability}
+                if len(steady.components) > 1:
+                    whole = steady.distribution * 0.0
+                    whole[component.states] = component.distribution
+                    part.update(_measures(Measures(self.analysis.chain, whole)))
+                data["components"].append(part)
+            for place in self.analysis.left_out:
+                self.undecided["steady_state.mean_tokens.%s" % place] = "only written; it was left out"
+            if rewards:
+                data["reward"] = self._reward(measures, rewards)
+            return data
+
+        self.answer("steady_state", compute)
+
+    def _reward(self, measures: Measures, rewards: Mapping[str, float]) -> float:
+        net = self.analysis.net
+        for name in rewards:
+            if name not in net.place_index:
+                net.transition_number(name)  # says that there is no such thing
+        return measures.reward({n: v for n, v in rewards.items() if n in net.place_index},
+                               {n: v for n, v in rewards.items() if n in net.transition_index})
+
+    def at(self, questions: Questions) -> None:
+        def compute() -> List[Dict[str, Any]]:
+            found = []
+            for time, measures in self.analysis.at(questions.at):
+                data = {"time": time, **_measures(measures)}
+                if questions.rewards:
+                    data["reward"] = self._reward(measures, questions.rewards)
+                found.append(data)
+            return found
+
+        self.answer("transient", compute)
+
+    def mean_time_to(self, condition: str, times: Tuple[float, ...]) -> None:
+        def compute() -> Dict[str, Any]:
+            found = self.analysis.first_passage(condition, times)
+            return {"condition": condition, "mean_time": found.mean_time, "probability": found.probability,
+                    "within": [{"time": t, "probability": p} for t, p in zip(times, found.within)],
+                    "residual": found.residual}
+
+        self.data.setdefault("mean_time_to", []).append(self._try("mean_time_to.%s" % condition, compute))
+
+    def finish(self) -> None:
+        self.data["undecided"] = self.undecided
+
+
+def _measures(measures: Measures) -> Dict[str, Any]:
+    return {"mean_tokens": measures.mean_tokens, "throughput": measures.throughput,
+            "token_distribution": {place: {str(n): v for n, v in counts.items()}
+                                   for place, counts in measures.token_distribution.items()}}
+
+
+def _reachability(what: str, found: Reachability) -> Dict[str, Any]:
+    way = found.witness
+    return {"condition": what, "reachable": found.reachable, "count": found.count,
+            "witness": None if way is None else [step.transition for step in way],
+            "marking": way[-1].marking if way and way[-1].marking else None}
+
+
+def _plain(value: Any) -> Any:
+    """``value`` with nothing in it that JSON has no form for."""
+    if isinstance(value, float):
+        if math.isinf(value):
+            return INFINITE
+        return None if math.isnan(value) else value
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(inner) for inner in value]
+    return value
+
+
+def rows(data: Mapping[str, Any]) -> Iterator[Tuple[str, str, Any]]:
+    """The numbers of a report as rows (measure, name, value), for CSV."""
+    for key in ("places", "transitions", "arcs", "bounded", "k_safe", "live", "reversible", "conservative"):
+        yield key, "", data.get(key)
+    for name, value in (data.get("states") or {}).items():
+        yield "states", name, value
+    for name, value in (data.get("bounds") or {}).items():
+        yield "bounds", name, value
+    for name, value in (data.get("liveness") or {}).items():
+        yield "liveness", name, value
+    parts = [("steady_state", data.get("steady_state") or {})]
+    parts += [("transient at %g" % entry["time"], entry) for entry in data.get("transient") or ()]
+    for title, part in parts:
+        for measure in ("mean_tokens", "throughput", "mean_waiting_time"):
+            for name, value in (part.get(measure) or {}).items():
+                yield "%s %s" % (title, measure), name, value
+        for place, counts in (part.get("token_distribution") or {}).items():
+            for count, value in counts.items():
+                yield "%s probability of %s tokens" % (title, count), place, value
+    for entry in data.get("mean_time_to") or ():
+        if entry:
+            yield "mean_time_to", entry["condition"], entry["mean_time"]
+            for within in entry["within"]:
+                yield "probability within %g s" % within["time"], entry["condition"], within["probability"]

@@ -1,0 +1,233 @@
+"""``gspn analyse``: what a net, or a plan under its policy, can do, and how fast."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any, Dict, Iterator, List, Mapping, Tuple, Union
+
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.report import Questions, report, rows
+from gspn_framework_package.analysis.state_space import ENGINES, STATE_LIMIT
+from gspn_framework_package.cli.net_input import add_net_arguments, print_notes, read_net_argument
+from gspn_framework_package.cli.progress import ProgressLine
+from gspn_framework_package.formats.plan_file import is_plan, read_plan
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
+
+NAME = "analyse"
+HELP = "analyse a net, or a plan under its policy: structure, state space, time"
+
+SHOWN = 12
+"""Entries of a list that the text shows; --json has them all."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    add_net_arguments(parser)
+    parser.add_argument("--json", action="store_true", help="print all answers as one JSON object")
+    parser.add_argument("--csv", metavar="FILE", help="write the numbers to FILE as rows: measure, name, value")
+    asking = parser.add_argument_group("questions")
+    asking.add_argument("--at", action="append", nargs="+", default=[], type=float, metavar="T",
+                        help="tokens and throughput at these times (s)")
+    asking.add_argument("--reach", action="append", default=[], metavar="CONDITION",
+                        help="can this come to hold, e.g. \"p3 >= 1 and 'p1:Check L1' == 0\" or deadlock")
+    asking.add_argument("--cover", action="append", default=[], metavar="P=N,...",
+                        help="can at least these many tokens be there at once")
+    asking.add_argument("--mean-time-to", action="append", default=[], metavar="CONDITION",
+                        help="mean time until this holds, and with --at the probability within those times")
+    asking.add_argument("--reward", action="append", default=[], metavar="NAME=VALUE",
+                        help="reward per token and second in a place, or per firing of a transition")
+    asking.add_argument("--time-to-steady-state", type=float, nargs="?", const=1e-3, metavar="TOLERANCE",
+                        help="time until the distribution stays this close to the steady state (1e-3)")
+    asking.add_argument("--no-structure", action="store_true", help="leave out invariants, siphons and traps")
+    asking.add_argument("--no-time", action="store_true", help="leave out the steady state")
+    effort = parser.add_argument_group("effort")
+    effort.add_argument("--limit", type=int, default=STATE_LIMIT, metavar="N",
+                        help="markings to visit at most (default %(default)s)")
+    effort.add_argument("--engine", choices=ENGINES, default="auto", help="who explores (default: auto)")
+    effort.add_argument("--only-net", action="store_true",
+                        help="of a plan, analyse the net by its weights instead of the policy")
+    parser.epilog = "Exit codes: 0 answered (what was not decided is said), 2 wrong input or usage."
+
+
+def run(args: argparse.Namespace) -> int:
+    """Analyse, and print the answers."""
+    subject, notes = _subject(args)
+    questions = Questions(
+        at=tuple(t for group in args.at for t in group), reach=tuple(args.reach),
+        cover=tuple(_marking(text) for text in args.cover), mean_time_to=tuple(args.mean_time_to),
+        rewards=dict(_pair(text, "--reward") for text in args.reward),
+        settling=args.time_to_steady_state, structure=not args.no_structure, timing=not args.no_time)
+    if any(not (t >= 0 and math.isfinite(t)) for t in questions.at):
+        raise UsageError("--at: a time is a number of seconds, at least 0")
+    with ProgressLine() as progress:
+        analysis = Analysis(subject, limit=args.limit, engine=args.engine, progress=progress)
+        data = report(analysis, questions)
+    data["notes"] = notes
+    if args.csv:
+        with Path(args.csv).open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(("measure", "name", "value"))
+            writer.writerows(rows(data))
+    if args.json:
+        json.dump(data, sys.stdout, indent=2, allow_nan=False, ensure_ascii=False)
+        print()
+    else:
+        print_notes(notes)
+        print("\n".join(_text(data)))
+    return 0
+
+
+def _subject(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]:
+    if args.source_format is None and not args.only_net and is_plan(args.net_file):
+        if args.const or args.net is not None:
+            raise UsageError("--net and --const are for nets; a plan says them itself")
+        plan = read_plan(args.net_file)
+        return plan, list(plan.notes)
+    return read_net_argument(args)
+
+
+def _marking(text: str) -> Dict[str, int]:
+    marking = {}
+    for part in text.split(","):
+        name, value = _pair(part, "--cover")
+        if value != int(value) or value < 0:
+            raise UsageError("--cover %s: a number of tokens is whole and not negative" % text)
+        marking[name] = int(value)
+    return marking
+
+
+def _pair(text: str, option: str) -> Tuple[str, float]:
+    name, equals, value = text.rpartition("=")
+    try:
+        number = float(value)
+    except ValueError:
+        equals = ""
+        number = math.nan
+    if not equals or not name.strip() or not math.isfinite(number):
+        raise UsageError("%s %s: NAME=NUMBER was expected" % (option, text))
+    return name.strip(), number
+
+
+# -- text ---------------------------------------------------------------------------------------------------
+
+
+def _text(data: Mapping[str, Any]) -> Iterator[str]:
+    yield "%s %s: %d places, %d transitions, %d arcs, %d tokens" % (
+        data["kind"], data["name"] or "without a name", data["places"], data["transitions"], data["arcs"],
+        data["tokens"])
+    if "conservative" in data:
+        yield from _structure_text(data)
+    yield from _behaviour_text(data)
+    for entry in data.get("reach") or ():
+        yield from _reach_text(entry, "reachable")
+    for entry in data.get("cover") or ():
+        yield from _reach_text(entry, "coverable")
+    if data.get("steady_state"):
+        yield from _steady_text(data["steady_state"])
+    if data.get("time_to_steady_state") is not None:
+        yield "time to steady state: %s s" % _number(data["time_to_steady_state"])
+    for entry in data.get("transient") or ():
+        yield "at %g s: mean tokens %s" % (entry["time"], _map(entry["mean_tokens"]))
+        yield "    throughput (1/s) %s" % _map(entry["throughput"])
+    for entry in data.get("mean_time_to") or ():
+        if entry:
+            yield "mean time to %s: %s s, probability %s" % (
+                entry["condition"], _number(entry["mean_time"]), _number(entry["probability"]))
+            for within in entry["within"]:
+                yield "    within %g s with probability %s" % (within["time"], _number(within["probability"]))
+    for key, reason in data["undecided"].items():
+        yield "not decided: %s: %s" % (key, reason)
+
+
+def _structure_text(data: Mapping[str, Any]) -> Iterator[str]:
+    words = ("conservative", "strictly_conservative", "consistent", "repetitive")
+    yield ", ".join("%s %s" % (word.replace("_", " "), _answer(data[word])) for word in words)
+    classes = [name.replace("_", " ") for name, holds in (data["classes"] or {}).items() if holds]
+    yield "classes: %s" % (", ".join(classes) or "none")
+    for key, title in (("place_invariants", "P-invariants"), ("transition_invariants", "T-invariants")):
+        found = data[key]
+        yield "%s: %s" % (title, "not decided" if found is None else len(found))
+        for invariant in (found or [])[:SHOWN]:
+            terms = ["%s%s" % ("" if w == 1 else "%d*" % w, n) for n, w in invariant["weights"].items()]
+            value = "" if invariant.get("value") is None else " = %d" % invariant["value"]
+            yield "    %s%s" % (" + ".join(terms), value)
+        yield from _more(found)
+    for key in ("siphons", "traps"):
+        found = data[key]
+        yield "minimal %s: %s" % (key, "not decided" if found is None else len(found))
+        for entry in (found or [])[:SHOWN]:
+            yield "    %s%s" % (", ".join(entry["places"]), "" if entry["marked"] else " (unmarked)")
+        yield from _more(found)
+
+
+def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
+    states = data["states"]
+    if states:
+        yield "states: %s (%s tangible, %s vanishing), %s arcs, %.1f MB (%s)" % (
+            *(format(states[k], ",") for k in ("total", "tangible", "vanishing", "arcs")),
+            data["memory_bytes"] / 1e6, data["engine"])
+    if data["left_out"]:
+        yield "left out, because only written: %s" % ", ".join(data["left_out"])
+    yield "bounded: %s; bounds: %s" % (_answer(data["bounded"]), _map(data["bounds"]))
+    dead = data["deadlocks"]
+    if dead and dead["witness"] is not None:
+        yield "deadlocks: %s, e.g. (%s), reached by %s" % (
+            dead["count"] if dead["count"] is not None else "some", _map(dead["marking"]),
+            ", ".join(dead["witness"]) or "nothing: at the start")
+    elif dead:
+        yield "deadlocks: none"
+    yield "live: %s, reversible: %s" % (_answer(data["live"]), _answer(data["reversible"]))
+    if data["liveness"] and not data["live"]:
+        yield "liveness: %s" % _map(data["liveness"])
+    if data["home_states"]:
+        yield "home states: %d" % data["home_states"]["count"]
+
+
+def _reach_text(entry: Any, word: str) -> Iterator[str]:
+    if entry:
+        way = "" if entry["witness"] is None else ", by %s" % (
+            ", ".join(entry["witness"]) or "nothing: at the start")
+        yield "%s: %s %s%s" % (entry["condition"], word, _answer(entry[word]), way)
+
+
+def _steady_text(steady: Mapping[str, Any]) -> Iterator[str]:
+    yield "steady state (%s, residual %.1e):" % (steady["method"], steady["residual"])
+    if len(steady["components"]) > 1:
+        for part in steady["components"]:
+            yield "    a recurrent class of %d states, reached with probability %s" % (
+                part["states"], _number(part["probability"]))
+    yield "    %-32s %14s %14s" % ("place", "mean tokens", "mean wait (s)")
+    for place, mean in steady["mean_tokens"].items():
+        yield "    %-32s %14s %14s" % (place, _number(mean), _number(steady["mean_waiting_time"][place]))
+    yield "    %-32s %14s" % ("transition", "throughput 1/s")
+    for transition, value in steady["throughput"].items():
+        yield "    %-32s %14s" % (transition, _number(value))
+    if "reward" in steady:
+        yield "    reward per second: %s" % _number(steady["reward"])
+
+
+def _answer(value: Any) -> str:
+    return "not decided" if value is None else ("yes" if value else "no")
+
+
+def _number(value: Any) -> str:
+    if value is None:
+        return "-"
+    return value if isinstance(value, str) else "%.8g" % value
+
+
+def _map(values: Mapping[str, Any]) -> str:
+    shown = ["%s %s" % (name, _number(v)) for name, v in list(values.items())[:SHOWN]]
+    return ", ".join(shown) + (", ... (%d in all)" % len(values) if len(values) > SHOWN else "")
+
+
+def _more(found: Any) -> Iterator[str]:
+    if found and len(found) > SHOWN:
+        yield "    ... (%d in all)" % len(found)
