@@ -108,9 +108,7 @@ class ActionCaller:
     def start(self, command: StartAction, now: float) -> None:
         """Start an action, in the place of whatever went on before."""
         self.cancel()
-        identity = GoalIdentity(
-            self.robot, command.incarnation, command.visit, command.attempt, self.tag
-        )
+        identity = GoalIdentity(self.robot, command.incarnation, command.visit, command.attempt, self.tag)
         self._goal = goal = _Goal(identity, self._targets[command.place], now + command.delay)
         goal.connect_by = goal.start_at + self._patience.server
         goal.doing = "waits before attempt %d" % command.attempt
@@ -187,7 +185,7 @@ class ActionCaller:
         goal.send_again_at = now + self._patience.acknowledgement / 3
         seconds = self._timeout(goal.target.place)
         goal.cut_off_at = None if seconds is None else now + seconds
-        connection.send(goal.id, goal.message)
+        connection.send(goal.id, goal.message, goal.identity.incarnation)
         self._open_spare()
 
     def _poll_unacknowledged(self, goal: _Goal, now: float) -> Optional[float]:
@@ -199,7 +197,7 @@ class ActionCaller:
             return None
         if now >= goal.send_again_at and goal.connection is not None:
             goal.send_again_at = now + self._patience.acknowledgement / 3
-            goal.connection.send(goal.id, goal.message)
+            goal.connection.send(goal.id, goal.message, goal.identity.incarnation)
         return min(give_up, goal.send_again_at, goal.cut_off_at or give_up)
 
     def _poll_active(self, goal: _Goal, now: float) -> Optional[float]:
@@ -244,9 +242,7 @@ class ActionCaller:
             goal.doing = ""
             callers = [c for c in connection.last_status if connection.is_connected(c)]
             if len(callers) > 1:
-                rospy.logwarn(
-                    "there are %d servers %s: %s", len(callers), connection.server, callers
-                )
+                rospy.logwarn("there are %d servers %s: %s", len(callers), connection.server, callers)
         elif what == "result":
             self._finish(goal, *value)
         elif what == "feedback":
@@ -296,9 +292,7 @@ class ActionCaller:
         self._opening.add(target.server)
 
         def open_it() -> None:
-            connection = ActionConnection(
-                target.server, target.action_type, self.robot, self.tag, self._hand_on
-            )
+            connection = ActionConnection(target.server, target.action_type, self.robot, self.tag, self._hand_on)
             self._enqueue(self._opened, connection)
 
         self._background.put(open_it)

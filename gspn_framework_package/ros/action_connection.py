@@ -36,8 +36,9 @@ class ActionConnection:
     :param server: absolute name of the server.
     :param action_type: class of the action.
     :param robot: name of the robot that asks.
-    :param tag: tag of this start of the node; an unfinished goal of the robot with another tag is
-        left over from a node that died, and is cancelled.
+    :param tag: tag of this start of the node. An unfinished goal of the robot with another tag is
+        left over from a node that died, if it is there when this one connects or is of an earlier
+        incarnation: it is cancelled.
     :param hand_on: called as ``hand_on(connection, what, goal_id, value)``, where ``what`` is
 
         - ``acknowledged``: the server knows the goal; value: caller id of the server,
@@ -62,21 +63,18 @@ class ActionConnection:
         self._watched = ""
         self._acknowledged_by: Optional[str] = None
         self._told_end = False
+        self._incarnation = 0
         self._cancelled: Dict[str, bool] = {}
         self.last_status: Dict[str, float] = {}
         """Caller id of each server of this name -> monotonic time of its last status."""
         subscribe = rospy.Subscriber
         self._goal = rospy.Publisher(server + "/goal", self._goal_type, queue_size=10)
         self._cancel = rospy.Publisher(server + "/cancel", GoalID, queue_size=10)
-        self._result = subscribe(
-            server + "/result", type(spec.action_result), self._on_result, tcp_nodelay=True
-        )
+        self._result = subscribe(server + "/result", type(spec.action_result), self._on_result, tcp_nodelay=True)
         self._feedback = subscribe(
             server + "/feedback", type(spec.action_feedback), self._on_feedback, tcp_nodelay=True
         )
-        self._status = subscribe(
-            server + "/status", GoalStatusArray, self._on_status, tcp_nodelay=True
-        )
+        self._status = subscribe(server + "/status", GoalStatusArray, self._on_status, tcp_nodelay=True)
 
     def close(self) -> None:
         """Unregister from all topics."""
@@ -104,7 +102,7 @@ class ActionConnection:
             )
         )
 
-    def send(self, goal_id: str, goal: Any) -> None:
+    def send(self, goal_id: str, goal: Any, incarnation: int) -> None:
         """Send a goal and watch it; sending the same one again does no harm.
 
         Its stamp is empty: the server puts its own time there, so that no skew of clocks makes an
@@ -114,6 +112,7 @@ class ActionConnection:
             self._acknowledged_by = None
             self._told_end = False
             self._watched = goal_id
+        self._incarnation = incarnation
         message = self._goal_type()
         message.header.stamp = rospy.get_rostime()
         message.goal_id.id = goal_id
@@ -132,6 +131,7 @@ class ActionConnection:
 
     def _on_status(self, message: GoalStatusArray) -> None:
         caller = message._connection_header.get("callerid", "")
+        first = caller not in self.last_status
         self.last_status[caller] = time.monotonic()
         watched, known = self._watched, False
         for status in message.status_list:
@@ -145,13 +145,15 @@ class ActionConnection:
                     self._told_end = True
                     self._hand_on(self, "ended", watched, (ENDED[status.status], status.text))
             elif status.status not in ENDED and not goal_id.endswith(self._tag):
-                self._cancel_leftover(goal_id)
+                self._cancel_leftover(goal_id, first)
         if watched and not known and self._acknowledged_by == caller:
             self._hand_on(self, "unknown", watched, None)
 
-    def _cancel_leftover(self, goal_id: str) -> None:
+    def _cancel_leftover(self, goal_id: str, first: bool) -> None:
         identity = parse_goal_id(goal_id)
-        if identity is not None and identity.robot == self._robot and identity.tag != self._tag:
+        if identity is None or identity.robot != self._robot or identity.tag == self._tag:
+            return
+        if first or goal_id in self._cancelled or identity.incarnation < self._incarnation:
             if not self._cancelled.get(goal_id):
                 self._cancelled[goal_id] = True
                 rospy.logwarn("%s: cancels the goal %s of an earlier start", self.server, goal_id)

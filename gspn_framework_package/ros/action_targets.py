@@ -37,9 +37,7 @@ class ActionTarget(NamedTuple):
         goal = type(self.action_type().action_goal.goal)()
         try:
             if self.goal:
-                genpy.message.fill_message_args(
-                    goal, [dict(self.goal)], keys={"now": rospy.get_rostime()}
-                )
+                genpy.message.fill_message_args(goal, [dict(self.goal)], keys={"now": rospy.get_rostime()})
                 goal._check_types()
         except (genpy.MessageException, genpy.SerializationError, TypeError, ValueError) as error:
             raise PlanError(
@@ -80,9 +78,7 @@ def action_targets(plan: Plan, robot: str, namespace: str) -> Dict[str, ActionTa
 def _target(place: str, action: Any, namespace: str) -> ActionTarget:
     name = rospy.names.ns_join(namespace, action.server)
     if not rosgraph.names.is_legal_name(name):
-        raise PlanError(
-            "'%s' is not a legal name in ROS" % action.server, element="action of '%s'" % place
-        )
+        raise PlanError("'%s' is not a legal name in ROS" % action.server, element="action of '%s'" % place)
     foreign = isinstance(action, ServerAction)
     type_name = EXEC_GSPN if isinstance(action, FunctionAction) else action.type
     if type_name == EXEC_GSPN:

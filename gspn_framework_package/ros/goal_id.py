@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from typing import NamedTuple, Optional
+from typing import NamedTuple, Optional, Tuple
 
 
 class GoalIdentity(NamedTuple):
@@ -23,7 +23,7 @@ class GoalIdentity(NamedTuple):
         return "%s-%d-%d-%d-%s" % self
 
     @property
-    def age(self) -> tuple:  # type: ignore[type-arg]
+    def age(self) -> Tuple[int, int, int]:
         """Sorts the goals of one robot in one run from old to new."""
         return self.incarnation, self.visit, self.attempt
 

@@ -46,9 +46,7 @@ class PlaceServers:
     :raises PlanError: a function that is not there or is no action.
     """
 
-    def __init__(
-        self, plan: Plan, robot: str, namespace: str, pool: Optional[WorkerPool] = None
-    ) -> None:
+    def __init__(self, plan: Plan, robot: str, namespace: str, pool: Optional[WorkerPool] = None) -> None:
         self.robot = robot
         self._pool = pool or WorkerPool("action")
         self._lock = threading.Lock()
@@ -59,8 +57,7 @@ class PlaceServers:
             assert isinstance(bound, FunctionAction)
             actions.setdefault(bound.server, {})[place] = action
         self._servers = [
-            _PlaceServer(self, rospy.names.ns_join(namespace, name), by_place)
-            for name, by_place in actions.items()
+            _PlaceServer(self, rospy.names.ns_join(namespace, name), by_place) for name, by_place in actions.items()
         ]
         self._timer: Optional[threading.Thread] = None
         self._stopping = threading.Event()
@@ -176,12 +173,11 @@ class _RunningGoal:
 
     def replaces(self, other: _RunningGoal) -> bool:
         mine, others = self.identity, other.identity
-        return (
-            mine is not None
-            and others is not None
-            and mine.robot == others.robot
-            and (mine.tag != others.tag or mine.age > others.age)
-        )
+        if mine is None or others is None or mine.robot != others.robot:
+            return False
+        if mine.tag == others.tag:
+            return mine.age > others.age
+        return mine.incarnation >= others.incarnation
 
     def is_orphan(self) -> bool:
         """Whether the node that sent the goal listened to this server, and does not any more."""
@@ -196,7 +192,7 @@ class _RunningGoal:
         self.handle.publish_feedback(ExecGSPNFeedback([int(value) for value in progress]))
 
 
-class _PlaceServer(ActionServer):  # type: ignore[misc]
+class _PlaceServer(ActionServer):
     """An action server without a thread of its own and without questions to the master.
 
     The library's ``initialize`` asks the master six times for each server, and starts a timer for
@@ -209,6 +205,9 @@ class _PlaceServer(ActionServer):  # type: ignore[misc]
         self._actions = actions
         self._caller = ""
 
+    started: bool
+    status_list: List[Any]
+
     def action(self, place: str) -> Optional[PythonAction]:
         """What is done for ``place``; a server of one action does not look at the place."""
         if len(self._actions) == 1:
@@ -218,17 +217,11 @@ class _PlaceServer(ActionServer):  # type: ignore[misc]
     def initialize(self) -> None:
         self.status_list_timeout = rospy.Duration(5.0)
         topic = self.ns + "/"
-        self.status_pub = rospy.Publisher(
-            topic + "status", GoalStatusArray, latch=True, queue_size=50
-        )
+        self.status_pub = rospy.Publisher(topic + "status", GoalStatusArray, latch=True, queue_size=50)
         self.result_pub = rospy.Publisher(topic + "result", self.ActionResult, queue_size=50)
         self.feedback_pub = rospy.Publisher(topic + "feedback", self.ActionFeedback, queue_size=50)
-        self.goal_sub = rospy.Subscriber(
-            topic + "goal", self.ActionGoal, self.internal_goal_callback, tcp_nodelay=True
-        )
-        self.cancel_sub = rospy.Subscriber(
-            topic + "cancel", GoalID, self.internal_cancel_callback, tcp_nodelay=True
-        )
+        self.goal_sub = rospy.Subscriber(topic + "goal", self.ActionGoal, self.internal_goal_callback, tcp_nodelay=True)
+        self.cancel_sub = rospy.Subscriber(topic + "cancel", GoalID, self.internal_cancel_callback, tcp_nodelay=True)
 
     def stop(self) -> None:
         with self.lock:

@@ -1,0 +1,347 @@
+"""The execution node of one robot: a replica of the team's log between ROS on one side and the
+robot's actions on the other (thesis 4.3, Algorithm 1)."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import queue
+import threading
+import time
+import uuid
+from typing import Any, Callable, Dict, List, Optional
+
+import rospy
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement import interface as agreement
+from gspn_framework_package.execution.agreement.replica import Replica
+from gspn_framework_package.execution.event_log import EventLogWriter, Record, header, read_log
+from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
+from gspn_framework_package.model.errors import GspnError, LogError
+from gspn_framework_package.model.plan import Plan, Synchronisation
+from gspn_framework_package.msg import FiredTransition
+from gspn_framework_package.ros.action_caller import ActionCaller, ActionEnded
+from gspn_framework_package.ros.action_targets import action_targets
+from gspn_framework_package.ros.goal_id import GoalIdentity
+from gspn_framework_package.ros.links import ServiceLink, TopicLink
+from gspn_framework_package.ros.messages import fired_message, state_name
+from gspn_framework_package.ros.narrator import Narrator, level_of
+from gspn_framework_package.ros.node_services import NodeServices, View, Worker
+from gspn_framework_package.ros.options import NodeOptions
+from gspn_framework_package.ros.place_servers import PlaceServers
+
+FIRED_TOPIC = "/fired_transitions"
+
+FAREWELL = 2.0
+"""Seconds for which a node goes on after the end of the run, so that the others hear of it."""
+
+
+class ExecutionNode(Worker):
+    """Executes a plan for one robot, until the run is over.
+
+    One thread, the *worker*, owns all state: ROS callbacks only put calls into its queue, and it
+    takes one after the other.
+
+    Publishes ``/fired_transitions`` (gspn_framework_package/FiredTransition), and see
+    :class:`TopicLink`, :class:`NodeServices`, :class:`Narrator`, :class:`PlaceServers` and
+    :class:`ActionCaller` for everything else in the node's interface.
+
+    :param plan: the checked plan, with the team that begins the run.
+    :param robot: name of the robot.
+    :param namespace: absolute namespace of the robot.
+    :param options: see there.
+    :raises GspnError: the log or the actions cannot be used.
+
+    :ivar exit_code: None while the run goes on; then 0 where the run came to its own end, 1 where
+        it was stopped or this replica had to halt.
+    """
+
+    def __init__(self, plan: Plan, robot: str, namespace: str, options: NodeOptions) -> None:
+        self.plan, self.robot, self.namespace, self.options = plan, robot, namespace, options
+        self.exit_code: Optional[int] = None
+        self.reason = ""
+        self._tasks: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._numbers = itertools.count(1)
+        self._answers: Dict[str, Callable[[Any], None]] = {}
+        self._wake_at = 0.0
+        self._leave_at: Optional[float] = None
+        self._running = True
+        self._progress: List[int] = []
+        self._attempt = 0
+        self._plan_hash = plan.hash()
+        self._narrator = Narrator(robot, namespace)
+        self._fired = rospy.Publisher(FIRED_TOPIC, FiredTransition, queue_size=1000)
+        self._open_log()
+        targets = action_targets(plan, robot, namespace)
+        self._servers = PlaceServers(plan, robot, namespace) if options.place_servers else None
+        self._caller = ActionCaller(
+            robot,
+            targets,
+            plan.timeout,
+            self._enqueue,
+            self._action_ended,
+            self._action_progress,
+            options.patience,
+            options.max_connections,
+        )
+        self._services = NodeServices(self, namespace)
+        full = plan.synchronisation is Synchronisation.FULL
+        link = TopicLink if full else ServiceLink
+        self._link = link(robot, options.run, namespace, self._received)
+        self._link.serve_at(self._services.uri)
+        self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
+
+    def _open_log(self) -> None:
+        path = self.options.log_file(self.robot)
+        log_id, records = uuid.uuid4().hex, []
+        if os.path.exists(path) and os.path.getsize(path):
+            try:
+                known = read_log(path)
+                log_id, records = str(known.header["log"]), known.records
+            except LogError:
+                with open(path, "rb") as file:
+                    if b"\n" in file.readline():  # else: killed while it wrote the very first line
+                        raise
+        first = header(self.plan, self.options.run, self.robot, log_id)
+        self._log = EventLogWriter(path, first, fsync=self.plan.fsync)
+        self._replica = Replica(self.plan, self.robot, self.options.run, log_id, records)
+
+    # -- from any thread ---------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Serve the places, and begin."""
+        if self._servers is not None:
+            self._servers.start()
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End soon, without leaving the team: the action under way is cancelled."""
+        self._enqueue(self._end)
+
+    def join(self, timeout: Optional[float] = None) -> bool:
+        """Wait until the node has ended; whether it has."""
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    def _enqueue(self, function: Callable[..., Any], *arguments: Any) -> None:
+        self._tasks.put((function, arguments))
+
+    def ask(self, question: Callable[[], Any], timeout: float) -> Any:
+        """See :class:`Worker`."""
+        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._enqueue(lambda: answers.put(question()))
+        return answers.get(timeout=timeout)
+
+    def _received(self, message: agreement.Message) -> None:
+        self._enqueue(self._step, agreement.Received(message))
+
+    # -- the worker --------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        try:
+            self._carry_out(self._replica.start(time.monotonic()))
+            while self._running:
+                self._turn()
+        except Exception as error:
+            self.exit_code, self.reason = 1, "%s: %s" % (type(error).__name__, error)
+            if isinstance(error, GspnError):
+                rospy.logerr("%s: %s", self.robot, error)
+            else:
+                rospy.logfatal("%s: the node fails", self.robot, exc_info=True)
+        finally:
+            self._close()
+
+    def _turn(self) -> None:
+        now = time.monotonic()
+        if now >= self._wake_at:
+            self._wake_at = now + 1.0
+            self._step(agreement.Tick())
+        if self._leave_at is not None and now >= self._leave_at:
+            self._end()
+            return
+        due = min(self._wake_at, self._narrator.poll(now, self._activity, self._diagnosis))
+        action_due = self._caller.poll(now)
+        if action_due is not None:
+            due = min(due, action_due)
+        try:
+            function, arguments = self._tasks.get(timeout=max(0.0, due - time.monotonic()))
+        except queue.Empty:
+            return
+        function(*arguments)
+
+    def _end(self) -> None:
+        self._running = False
+
+    def _close(self) -> None:
+        self._caller.close()
+        self._link.close()
+        self._services.close()
+        if self._servers is not None:
+            self._servers.stop()
+        self._log.close()
+
+    def _step(self, given: agreement.Input) -> None:
+        self._carry_out(self._replica.step(given, time.monotonic()))
+
+    # -- what the replica wants --------------------------------------------------------------------
+
+    def _carry_out(self, effects: List[agreement.Effect]) -> None:
+        """In order; what is to be persisted is in the file before anything after it goes out."""
+        records: List[Record] = []
+        sends: List[agreement.Send] = []
+        for effect in effects:
+            if isinstance(effect, agreement.Persist):
+                if sends:
+                    self._link.send(sends)
+                    sends = []
+                records.append(effect.record)
+                continue
+            if records:
+                self._log.append(*records)
+                records = []
+            if isinstance(effect, agreement.Send):
+                sends.append(effect)
+            else:
+                self._effects[type(effect)](self, effect)
+        if records:
+            self._log.append(*records)
+        if sends:
+            self._link.send(sends)
+
+    def _reply(self, effect: agreement.Reply) -> None:
+        answer = self._answers.pop(effect.request_id, None)
+        if answer is not None:
+            answer(effect.message)
+
+    def _order_result(self, effect: agreement.OrderResult) -> None:
+        answer = self._answers.pop(effect.order_id, None)
+        if answer is not None:
+            answer(effect)
+
+    def _on_fired(self, effect: agreement.Fired) -> None:
+        if effect.publish or effect.private:
+            self._fired.publish(fired_message(effect, self.plan.net, self._plan_hash, self.options.run))
+        for move in effect.firing.moves:
+            if move.robot == self.robot and (effect.private or not self._was_told(move.visit)):
+                self._told_visit = move.visit
+                self._narrator.say("%s fires, %s -> %s" % (effect.firing.transition, move.source, move.target))
+
+    _told_visit = 0
+
+    def _was_told(self, visit: int) -> bool:
+        return visit <= self._told_visit
+
+    def _start_action(self, command: StartAction) -> None:
+        again = " again, attempt %d" % command.attempt if command.attempt > 1 else ""
+        self._narrator.say("does %s%s (visit %d)" % (command.place, again, command.visit))
+        self._progress, self._attempt = [], command.attempt
+        self._caller.start(command, time.monotonic())
+
+    def _cancel_action(self, command: CancelAction) -> None:
+        self._caller.cancel()
+
+    def _fault(self, fault: Fault) -> None:
+        if fault.robot in ("", self.robot):
+            self._narrator.warn(fault.message)
+
+    def _status_changed(self, effect: agreement.StatusChanged) -> None:
+        self._narrator.say(effect.text)
+
+    def _ended(self, effect: Ended) -> None:
+        self.exit_code, self.reason = (0 if effect.finished else 1), effect.reason
+        self._caller.cancel()
+        self._narrator.warn("the run is over: %s" % effect.reason)
+        if not self.options.stay:
+            self._leave_at = time.monotonic() + FAREWELL
+
+    def _halted(self, effect: agreement.Halted) -> None:
+        self.exit_code, self.reason = 1, effect.reason
+        rospy.logerr("%s: halted: %s", self.robot, effect.reason)
+        self._caller.cancel()
+        self._end()
+
+    def _wake(self, effect: agreement.WakeAt) -> None:
+        self._wake_at = effect.time
+
+    _effects: Dict[type, Callable[[ExecutionNode, Any], None]] = {
+        agreement.Reply: _reply,
+        agreement.OrderResult: _order_result,
+        agreement.Fired: _on_fired,
+        agreement.StatusChanged: _status_changed,
+        agreement.Halted: _halted,
+        agreement.WakeAt: _wake,
+        StartAction: _start_action,
+        CancelAction: _cancel_action,
+        Fault: _fault,
+        Ended: _ended,
+    }
+
+    # -- what the action side says -----------------------------------------------------------------
+
+    def _action_ended(self, ended: ActionEnded) -> None:
+        attempt = ended.identity[1:4]
+        if ended.reason:
+            self._step(agreement.ActionFailed(*attempt, ended.reason, ended.detail))
+        else:
+            self._step(agreement.ActionDone(*attempt, ended.result))
+
+    def _action_progress(self, identity: GoalIdentity, feedback: Any) -> None:
+        self._progress = list(getattr(feedback, "time_passed", ()))
+
+    # -- questions (see Worker) --------------------------------------------------------------------
+
+    def view(self) -> View:
+        """See :class:`Worker`."""
+        ledger = self._replica.ledger
+        return View(ledger.state, self.plan.net, ledger.length, ledger.hash)
+
+    def status(self) -> Dict[str, Any]:
+        """See :class:`Worker`."""
+        status = dict(self._replica.status(time.monotonic()))
+        status["log_file"] = self._log.path
+        action = self._caller.doing()
+        if action:
+            status["waits_for"] = action
+        return status
+
+    def request(self, message: agreement.Message, answer: Callable[[agreement.Message], None]) -> None:
+        """See :class:`Worker`."""
+        number = "request %d" % next(self._numbers)
+        self._answers[number] = answer
+        self._step(agreement.Received(message, number))
+
+    def order(self, entry: Optional[log.Entry], force_evict: str, answer: Callable[[Any], None]) -> None:
+        """See :class:`Worker`."""
+        number = "order %d" % next(self._numbers)
+        self._answers[number] = answer
+        if entry is None:
+            self._step(agreement.ForceEvict(number, force_evict))
+        else:
+            self._step(agreement.Order(number, entry))
+
+    def _activity(self) -> Dict[str, Any]:
+        view = self.view()
+        robot = view.state.robots.get(self.robot)
+        told: Dict[str, Any] = {"robot": self.robot}
+        if robot is not None:
+            told.update(
+                place=view.net.places[robot.place].name,
+                state=state_name(view.state, robot),
+                visit=robot.visit,
+                attempt=robot.attempt,
+                waits_for=self._waits_for(),
+                feedback=self._progress,
+            )
+        return told
+
+    def _waits_for(self) -> str:
+        return self._caller.doing() or str(self.status().get("waits_for", ""))
+
+    def _diagnosis(self) -> Any:
+        status = self.status()
+        state, waits_for = str(status.get("state", "")), str(status.get("waits_for", ""))
+        message = "%s in %s" % (state or "not in the team", status.get("place", "no place"))
+        if waits_for:
+            message += ", waits for: " + waits_for
+        return level_of(state, waits_for), message, status

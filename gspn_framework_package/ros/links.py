@@ -1,0 +1,161 @@
+"""How protocol messages get from robot to robot: on the topic, and in partial synchronisation
+through services."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Callable, Dict, List, NamedTuple, Tuple
+
+import rospy
+
+from gspn_framework_package.execution.agreement.interface import (
+    EVERYBODY,
+    SERVICE_OF_MESSAGE,
+    Message,
+    Send,
+)
+from gspn_framework_package.msg import Agreement
+from gspn_framework_package.ros.service_calls import ServiceCalls
+from gspn_framework_package.srv import (
+    GetPlace,
+    GetPlaceRequest,
+    GetState,
+    GetStateRequest,
+    SetPlace,
+    SetPlaceRequest,
+)
+
+TOPIC = "/gspn_agreement"
+
+_SERVICES: Dict[str, Tuple[Any, Callable[[str, str], Any]]] = {
+    "get_place": (GetPlace, lambda me, body: GetPlaceRequest(from_robot=me, agreement=body)),
+    "get_state": (GetState, lambda me, body: GetStateRequest(from_robot=me, agreement=body)),
+    "set_place": (SetPlace, lambda me, body: SetPlaceRequest(agreement=body)),
+}
+
+
+class _Peer(NamedTuple):
+    namespace: str
+    service_uri: str
+
+
+class TopicLink:
+    """Sends and receives everything on the agreement topic (full synchronisation).
+
+    Publishes and subscribes to ``/gspn_agreement`` (gspn_framework_package/Agreement).
+
+    :param received: told each message of another robot that is meant for this one; called on
+        rospy's threads.
+    """
+
+    def __init__(self, robot: str, run: str, namespace: str, received: Callable[[Message], None]) -> None:
+        self.robot, self.run = robot, run
+        self._namespace = namespace
+        self._received = received
+        self._node = rospy.get_name()
+        self._service_uri = ""
+        self._peers: Dict[str, _Peer] = {}
+        self._publisher = rospy.Publisher(TOPIC, Agreement, queue_size=1000)
+        self._subscriber = rospy.Subscriber(TOPIC, Agreement, self._on_message, tcp_nodelay=True)
+
+    def serve_at(self, service_uri: str) -> None:
+        """Tell peers that this robot's services are at that address."""
+        self._service_uri = service_uri
+
+    @property
+    def connections(self) -> int:
+        """How many others listen to what this robot sends."""
+        return int(self._publisher.get_num_connections())
+
+    def send(self, sends: List[Send]) -> None:
+        """Send messages; the same one to several robots goes out once, to everybody."""
+        while sends:
+            to, message = sends[0]
+            same = [s for s in sends if s.message is message or s.message == message]
+            sends = [s for s in sends if s not in same]
+            self._publish(to if len(same) == 1 else EVERYBODY, message)
+
+    def close(self) -> None:
+        """Unregister from the topic."""
+        self._subscriber.unregister()
+        self._publisher.unregister()
+
+    def _publish(self, to: str, message: Message) -> None:
+        news = Agreement(
+            run=self.run,
+            sender=self.robot,
+            namespace=self._namespace,
+            service_uri=self._service_uri,
+            to=to,
+            body=json.dumps(message, separators=(",", ":")),
+        )
+        news.header.stamp = rospy.get_rostime()
+        self._publisher.publish(news)
+
+    def _on_message(self, news: Agreement) -> None:
+        if news.run != self.run or news.to not in ("", self.robot):
+            return
+        if news.sender == self.robot and news._connection_header.get("callerid") == self._node:
+            return  # our own, come back
+        if news.sender != self.robot:
+            self._peers[news.sender] = _Peer(news.namespace, news.service_uri)
+        message = parse_body(news.body)
+        if message is not None:
+            self._received(message)
+
+
+class ServiceLink(TopicLink):
+    """Sends through the services of the robots that are meant; only what is for everybody goes on
+    the topic (partial synchronisation).
+
+    Calls ``get_place``, ``get_state`` and ``set_place`` in the namespaces of the other robots,
+    which it learns from their messages on the topic.
+    """
+
+    def __init__(self, robot: str, run: str, namespace: str, received: Callable[[Message], None]) -> None:
+        super().__init__(robot, run, namespace, received)
+        self._calls = ServiceCalls()
+
+    def send(self, sends: List[Send]) -> None:
+        """Call the service that each message is the request of."""
+        for to, message in sends:
+            service = SERVICE_OF_MESSAGE.get(message.get("kind", ""))
+            if service is None:
+                self._publish(to, message)
+                continue
+            body = json.dumps(message, separators=(",", ":"))
+            for name in [to] if to else list(self._peers):
+                self._call(name, service, body)
+
+    def _call(self, name: str, service: str, body: str) -> None:
+        peer = self._peers.get(name)
+        if peer is None or not peer.service_uri:
+            return  # never heard of: as good as a message that was lost
+        service_class, request = _SERVICES[service]
+        self._calls.call(
+            name,
+            peer.service_uri,
+            rospy.names.ns_join(peer.namespace, service),
+            service_class,
+            request(self.robot, body),
+            self._answered,
+        )
+
+    def _answered(self, response: Any) -> None:
+        message = parse_body(response.agreement)
+        if message:
+            self._received(message)
+
+    def close(self) -> None:
+        """End the calls, and unregister from the topic."""
+        self._calls.close()
+        super().close()
+
+
+def parse_body(body: str) -> Any:
+    """The protocol message in a field of a ROS message; None where there is none."""
+    try:
+        message = json.loads(body) if body else None
+    except ValueError:
+        return None
+    return message if isinstance(message, dict) else None

@@ -1,0 +1,57 @@
+"""What the core knows, as ROS messages."""
+
+from __future__ import annotations
+
+from typing import Dict, List, Tuple
+
+import rospy
+
+from gspn_framework_package.execution.agreement.interface import Fired
+from gspn_framework_package.execution.team_state import Phase, RobotState, TeamState
+from gspn_framework_package.model.net import Marking, Net
+from gspn_framework_package.msg import FiredTransition
+
+
+def fired_message(fired: Fired, net: Net, plan_hash: str, run: str) -> FiredTransition:
+    """The news of a firing, for ``fired_transitions``."""
+    firing = fired.firing
+    message = FiredTransition()
+    message.header.stamp = rospy.get_rostime()
+    message.plan, message.run = plan_hash, run
+    message.transition = firing.transition
+    message.robot, message.incarnation, message.visit = (
+        firing.robot,
+        firing.incarnation,
+        firing.visit,
+    )
+    moved = [move for move in firing.moves if move.target is not None]
+    message.robots = [move.robot for move in moved]
+    message.robot_places = [str(move.target) for move in moved]
+    message.places, message.counts = marking_fields(firing.marking, net)
+    message.slot, message.index = firing.slot, firing.index
+    message.private_move = fired.private
+    message.hash = fired.hash
+    return message
+
+
+def marking_fields(marking: Marking, net: Net) -> Tuple[List[str], List[int]]:
+    """A marking as places and counts, every place of the net."""
+    return [place.name for place in net.places], list(marking)
+
+
+def state_name(state: TeamState, robot: RobotState) -> str:
+    """The state of a robot as ``GetState`` tells it (thesis 4.3.3 and ``docs/semantics.md``)."""
+    if robot.phase in (Phase.LOST, Phase.LEFT):
+        return "Lost"
+    if state.paused or robot.paused:
+        return "Paused"
+    if robot.phase is Phase.DONE:
+        return "Waiting" if robot.drawn is not None or robot.why else "Done"
+    return _STATES[robot.phase]
+
+
+_STATES: Dict[Phase, str] = {
+    Phase.DOING: "Doing",
+    Phase.FAILED: "Waiting",
+    Phase.INACTIVE: "Inactive",
+}

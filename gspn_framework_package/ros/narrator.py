@@ -1,0 +1,98 @@
+"""Tells people what a robot does: on the screen, on ``activity`` and on ``/diagnostics``."""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Any, Dict, Mapping
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from std_msgs.msg import String
+
+LINES_PER_SECOND = 10
+"""Lines on the screen; what is more is counted instead."""
+
+ACTIVITY_PERIOD = 0.1
+"""Seconds between two messages on ``activity``, at least."""
+
+DIAGNOSTICS_PERIOD = 1.0
+
+
+class Narrator:
+    """All methods belong to the node's worker thread.
+
+    Publishes ``NAMESPACE/activity`` (std_msgs/String, JSON: robot, place, state, visit, attempt,
+    waits_for, feedback; at most ten a second, the last one latched) and ``/diagnostics``
+    (diagnostic_msgs/DiagnosticArray, once a second).
+    """
+
+    def __init__(self, robot: str, namespace: str) -> None:
+        self._robot = robot
+        self._activity = rospy.Publisher(rospy.names.ns_join(namespace, "activity"), String, latch=True, queue_size=10)
+        self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
+        self._told: Dict[str, Any] = {}
+        self._activity_at = 0.0
+        self._diagnostics_at = 0.0
+        self._second = 0
+        self._lines = 0
+
+    def say(self, text: str) -> None:
+        """A line about what goes on; not every one is shown when there are very many."""
+        second = int(time.monotonic())
+        if second != self._second:
+            if self._lines > LINES_PER_SECOND:
+                self._log("and %d lines more" % (self._lines - LINES_PER_SECOND))
+            self._second, self._lines = second, 0
+        self._lines += 1
+        if self._lines <= LINES_PER_SECOND:
+            self._log(text)
+
+    def _log(self, text: str) -> None:
+        rospy.loginfo("%s: %s", self._robot, text)
+
+    def warn(self, text: str) -> None:
+        """A line about something that a person should know."""
+        rospy.logwarn("%s: %s", self._robot, text)
+
+    def poll(self, now: float, activity: Any, status: Any) -> float:
+        """Publish what is due; when to be called next.
+
+        :param activity: called for what the robot does, a JSON object.
+        :param status: called for what ``/diagnostics`` shows, (level, message, values).
+        """
+        if now >= self._activity_at:
+            self._activity_at = now + ACTIVITY_PERIOD
+            told = activity()
+            if told != self._told:
+                self._told = told
+                self._activity.publish(json.dumps(told))
+        if now >= self._diagnostics_at:
+            self._diagnostics_at = now + DIAGNOSTICS_PERIOD
+            if self._diagnostics.get_num_connections():
+                self._publish_diagnostics(*status())
+        return min(self._activity_at, self._diagnostics_at)
+
+    def _publish_diagnostics(self, level: int, message: str, values: Mapping[str, Any]) -> None:
+        array = DiagnosticArray()
+        array.header.stamp = rospy.get_rostime()
+        array.status = [
+            DiagnosticStatus(
+                level=bytes([level]) if isinstance(DiagnosticStatus.OK, bytes) else level,
+                name="gspn: " + self._robot,
+                message=message,
+                hardware_id=self._robot,
+                values=[
+                    KeyValue(key, value if isinstance(value, str) else json.dumps(value))
+                    for key, value in values.items()
+                ],
+            )
+        ]
+        self._diagnostics.publish(array)
+
+
+def level_of(state: str, waits_for: str) -> int:
+    """The level of ``/diagnostics``: 0 fine, 1 waits for somebody, 2 needs the operator."""
+    if state == "Lost" or "operator" in waits_for:
+        return 2
+    return 1 if waits_for else 0

@@ -1,0 +1,214 @@
+"""The services of an execution node."""
+
+from __future__ import annotations
+
+import json
+import queue
+from typing import Any, Callable, Dict, NamedTuple, Optional
+
+import rospy
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement.interface import Message
+from gspn_framework_package.execution.team_state import TeamState
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.ros.links import parse_body
+from gspn_framework_package.ros.messages import marking_fields, state_name
+from gspn_framework_package.srv import (
+    Command,
+    CommandResponse,
+    GetPlace,
+    GetPlaceResponse,
+    GetState,
+    GetStateResponse,
+    SetPlace,
+    SetPlaceResponse,
+)
+
+ANSWER_TIME = 2.0
+"""Seconds within which the node's worker must answer a plain question."""
+
+ORDER_TIME = 5.0
+"""Seconds that an operator's order waits for its place in the log."""
+
+
+class View(NamedTuple):
+    """What a node knows of the team: read by its worker thread, and by nobody else meanwhile."""
+
+    state: TeamState
+    net: Net
+    slot: int
+    hash: str
+
+
+class Worker:
+    """What the services need of the node; all of it may be called from any thread."""
+
+    robot: str
+
+    def ask(self, question: Callable[[], Any], timeout: float) -> Any:
+        """The answer of ``question()``, called on the worker thread. :raises queue.Empty: late."""
+        raise NotImplementedError
+
+    def view(self) -> View:
+        """The team as this node knows it; to be called on the worker thread."""
+        raise NotImplementedError
+
+    def status(self) -> Dict[str, Any]:
+        """What this node knows, for people and programs; to be called on the worker thread."""
+        raise NotImplementedError
+
+    def request(self, message: Message, answer: Callable[[Message], None]) -> None:
+        """Hand a peer's protocol message to the replica; on the worker thread."""
+        raise NotImplementedError
+
+    def order(self, entry: Optional[log.Entry], force_evict: str, answer: Callable[[Any], None]) -> None:
+        """Give an operator's order to the replica; on the worker thread."""
+        raise NotImplementedError
+
+
+class NodeServices:
+    """Serves, in the robot's namespace:
+
+    - ``get_place`` (gspn_framework_package/GetPlace): where is this robot,
+    - ``get_state`` (GetState): what is it doing, and the marking it knows,
+    - ``set_place`` (SetPlace): by hand an operator's order,
+    - ``command`` (Command): an operator's other orders, and ``status``.
+
+    The first three carry the protocol of partial synchronisation when a peer calls them.
+    """
+
+    def __init__(self, worker: Worker, namespace: str) -> None:
+        self._worker = worker
+        self._services = [
+            rospy.Service(rospy.names.ns_join(namespace, name), service, handler)
+            for name, service, handler in (
+                ("get_place", GetPlace, self._get_place),
+                ("get_state", GetState, self._get_state),
+                ("set_place", SetPlace, self._set_place),
+                ("command", Command, self._command),
+            )
+        ]
+
+    @property
+    def uri(self) -> str:
+        """Where the services are, for those who have no master."""
+        return str(self._services[0].uri)
+
+    def close(self) -> None:
+        """Serve no more."""
+        for service in self._services:
+            service.shutdown()
+
+    # -- the handlers, on rospy's threads ----------------------------------------------------------
+
+    def _get_place(self, request: Any) -> GetPlaceResponse:
+        if request.agreement:
+            return GetPlaceResponse(agreement=self._protocol(request.agreement))
+        state = self._get_state_now()
+        return GetPlaceResponse(state.robot, state.place, state.incarnation, state.visit, "")
+
+    def _get_state(self, request: Any) -> GetStateResponse:
+        if request.agreement:
+            return GetStateResponse(agreement=self._protocol(request.agreement))
+        return self._get_state_now()
+
+    def _get_state_now(self) -> GetStateResponse:
+        try:
+            response: GetStateResponse = self._worker.ask(self._read_state, ANSWER_TIME)
+        except queue.Empty:
+            raise rospy.ServiceException("the node is busy; no answer in time") from None
+        return response
+
+    def _read_state(self) -> GetStateResponse:
+        """On the worker thread."""
+        view = self._worker.view()
+        response = GetStateResponse(robot=self._worker.robot, slot=view.slot, hash=view.hash)
+        response.places, response.counts = marking_fields(view.state.marking, view.net)
+        robot = view.state.robots.get(self._worker.robot)
+        if robot is None:
+            response.state = "Lost"
+            return response
+        response.state = state_name(view.state, robot)
+        if response.state != "Lost":
+            response.place = view.net.places[robot.place].name
+        response.incarnation, response.visit = robot.incarnation, robot.visit
+        return response
+
+    def _set_place(self, request: Any) -> SetPlaceResponse:
+        if request.agreement:
+            return SetPlaceResponse(True, "", self._protocol(request.agreement))
+        if not request.place:
+            robot = request.robot or self._worker.robot
+            return SetPlaceResponse(False, "nothing to do: no place was given for %s" % robot, "")
+        entry = log.SetPlace(request.robot or self._worker.robot, request.place)
+        ok, text = self._order(entry)
+        return SetPlaceResponse(ok, text, "")
+
+    def _command(self, request: Any) -> CommandResponse:
+        if request.command == "status":
+            try:
+                status = self._worker.ask(self._worker.status, ANSWER_TIME)
+            except queue.Empty:
+                raise rospy.ServiceException("the node is busy; no answer in time") from None
+            return CommandResponse(True, json.dumps(status))
+        robot = request.robot or self._worker.robot
+        if request.command == "force_evict":
+            return CommandResponse(*self._order(None, robot))
+        entry = order_entry(request.command, request.robot, robot, request.argument)
+        if entry is None:
+            return CommandResponse(False, "there is no command '%s'; there are: %s" % (request.command, _COMMANDS))
+        return CommandResponse(*self._order(entry))
+
+    # -- through the worker ------------------------------------------------------------------------
+
+    def _protocol(self, body: str) -> str:
+        message = parse_body(body)
+        if message is None:
+            return ""
+        answers: queue.SimpleQueue[Message] = queue.SimpleQueue()
+        try:
+            self._worker.ask(lambda: self._worker.request(message, answers.put), ANSWER_TIME)
+            answer = answers.get(timeout=ANSWER_TIME)
+        except queue.Empty:
+            raise rospy.ServiceException("no answer in time") from None
+        return json.dumps(answer, separators=(",", ":")) if answer else ""
+
+    def _order(self, entry: Optional[log.Entry], force_evict: str = "") -> Any:
+        results: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        try:
+            self._worker.ask(lambda: self._worker.order(entry, force_evict, results.put), ANSWER_TIME)
+            result = results.get(timeout=ORDER_TIME)
+        except queue.Empty:
+            text = "not in the log after %g s; it may still get there (see status)" % ORDER_TIME
+            return False, text
+        return result.ok, result.text
+
+
+_COMMANDS = "pause, resume, evict, force_evict, set_place, retry, fire, leave, stop, status"
+
+
+def order_entry(command: str, given: str, robot: str, argument: str) -> Optional[log.Entry]:
+    """The log entry of an operator's command; None for an unknown one.
+
+    :param given: the robot that was named, "" for the whole team where a command allows that.
+    :param robot: the same, or the robot that serves the call.
+    :param argument: of ``set_place``: the place; of ``fire``: the transition.
+    """
+    if command == "pause":
+        return log.Pause(given)
+    if command == "resume":
+        return log.Resume(given)
+    if command == "evict":
+        return log.Evict(robot, -1)
+    if command == "leave":
+        return log.Leave(robot)
+    if command == "set_place":
+        return log.SetPlace(robot, argument)
+    if command == "retry":
+        return log.Retry(robot)
+    if command == "fire":
+        return log.Fire(argument)
+    if command == "stop":
+        return log.Stop(argument or log.Stop().reason)
+    return None

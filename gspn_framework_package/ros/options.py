@@ -1,0 +1,98 @@
+"""What an execution node is told: its private parameters."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Dict, NamedTuple
+
+import rospy
+
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.ros.action_caller import DEFAULT_PATIENCE, Patience
+
+
+class NodeOptions(NamedTuple):
+    """The private parameters of an execution node, by their names."""
+
+    plan: str = ""
+    """The plan: its folder, or its file."""
+    robot: str = ""
+    """Name of the robot, as in the plan."""
+    number: int = 0
+    """Instead of ``robot``: the number of the robot in the plan, from 1."""
+    robots: int = 0
+    """Size of the team; 0: the plan's own."""
+    place: str = ""
+    """Where a robot that is not in the plan joins the running team."""
+    run: str = "run"
+    """Name of the run: the robots of one run agree among themselves, and a node that starts again
+    under the same name goes on where it was."""
+    log_dir: str = ""
+    """Folder of the logs, ``LOG_DIR/RUN/ROBOT.jsonl``; by default ``~/.ros/gspn``."""
+    place_servers: bool = True
+    """Whether this node serves the plan's Python actions itself."""
+    check: bool = True
+    """Whether the plan is checked before the robot moves."""
+    stay: bool = False
+    """Whether the node stays when the run is over, and still answers."""
+    max_connections: int = 32
+    """Action servers that are connected at the same time, at most."""
+    server_timeout: float = DEFAULT_PATIENCE.server
+    """Seconds until an action server that does not answer is reported."""
+    acknowledgement_timeout: float = DEFAULT_PATIENCE.acknowledgement
+    """Seconds until a goal that no server takes is reported."""
+    status_timeout: float = DEFAULT_PATIENCE.status
+    """Seconds of silence until an action server is taken for dead."""
+
+    @property
+    def patience(self) -> Patience:
+        """The times of the action side."""
+        return DEFAULT_PATIENCE._replace(
+            server=self.server_timeout,
+            acknowledgement=self.acknowledgement_timeout,
+            status=self.status_timeout,
+        )
+
+    def log_file(self, robot: str) -> str:
+        """Where the log of ``robot`` is."""
+        home = os.environ.get("ROS_HOME") or os.path.join(os.path.expanduser("~"), ".ros")
+        folder = os.path.expanduser(self.log_dir) or os.path.join(home, "gspn")
+        return os.path.join(folder, self.run, robot + ".jsonl")
+
+
+def read_options(name: str = "~") -> NodeOptions:
+    """The options of this node, read from the parameter server with one call.
+
+    :raises UsageError: an unknown parameter, or one of another type.
+    """
+    given: Dict[str, Any] = rospy.get_param(name, {})
+    if not isinstance(given, dict):
+        raise UsageError("the private parameters are no map", element=name)
+    return options_from(given)
+
+
+def options_from(given: Dict[str, Any]) -> NodeOptions:
+    """The options of a map of parameters. :raises UsageError: see :func:`read_options`."""
+    fields = {}
+    for key, value in given.items():
+        if key not in NodeOptions._fields:
+            raise UsageError(
+                "there is no such parameter", element="~" + key,
+                hint="there are: %s" % ", ".join(NodeOptions._fields),
+            )  # fmt: skip
+        wanted = type(NodeOptions._field_defaults[key])
+        if wanted is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if wanted is str and not isinstance(value, (str, bool)):
+            value = str(value)  # YAML makes a number of a run that is called 42
+        if not isinstance(value, wanted) or wanted is int and isinstance(value, bool):
+            raise UsageError(
+                "%r is not of type %s" % (value, wanted.__name__), element="~" + key
+            )  # fmt: skip
+        fields[key] = value
+    options = NodeOptions(**fields)
+    if not options.plan:
+        raise UsageError("no plan was given", element="~plan", hint="its folder, or its file")
+    if os.sep in options.run or options.run in ("", ".", ".."):
+        raise UsageError("'%s' cannot be the name of a run" % options.run, element="~run")
+    return options

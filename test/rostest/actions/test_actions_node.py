@@ -1,0 +1,451 @@
+#!/usr/bin/env python3
+"""Place servers, and how goals are sent to them and to servers of others."""
+
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+import unittest
+
+import actionlib
+import rospy
+from actionlib_msgs.msg import GoalStatus
+from move_base_msgs.msg import MoveBaseAction
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+sys.path[:0] = [HERE, os.path.join(os.path.dirname(HERE), "support")]
+
+from waiting import wait_for  # noqa: E402
+
+from gspn_framework_package.execution.firing import StartAction  # noqa: E402
+from gspn_framework_package.model.builder import NetBuilder  # noqa: E402
+from gspn_framework_package.model.plan import FunctionAction, Plan, ServerAction  # noqa: E402
+from gspn_framework_package.msg import ExecGSPNAction, ExecGSPNGoal, ExecGSPNResult  # noqa: E402
+from gspn_framework_package.ros.action_caller import ActionCaller, Patience  # noqa: E402
+from gspn_framework_package.ros.action_targets import action_targets  # noqa: E402
+from gspn_framework_package.ros.goal_id import parse_goal_id  # noqa: E402
+from gspn_framework_package.ros.place_servers import KEPT_ENDED, PlaceServers  # noqa: E402
+
+IMPATIENT = Patience(server=1.0, acknowledgement=0.9, status=1.0, result=0.3)
+MOVE_BASE = "move_base_msgs/MoveBaseAction"
+EXEC = "gspn_framework_package/ExecGSPNAction"
+
+
+def plan_of(actions, timeouts=None):
+    net = NetBuilder()
+    for place in actions:
+        net.place(place)
+    return Plan(net.build(), actions=actions, folder=HERE, timeouts=timeouts or {})
+
+
+class Robot:
+    """An action caller with a worker thread of its own, as the execution node has one."""
+
+    def __init__(self, plan, namespace, robot="robot_1", **options):
+        self.robot = robot
+        self.ended, self.feedback = queue.Queue(), []
+        self._tasks = queue.SimpleQueue()
+        options.setdefault("patience", IMPATIENT)
+        self.caller = ActionCaller(
+            robot,
+            action_targets(plan, robot, namespace),
+            plan.timeout,
+            lambda *task: self._tasks.put(task),
+            self.ended.put,
+            lambda identity, message: self.feedback.append(message),
+            **options,
+        )
+        self._visits = 0
+        threading.Thread(target=self._work, daemon=True).start()
+
+    def _work(self):
+        while True:
+            due = self.caller.poll(time.monotonic())
+            wait = None if due is None else max(0.0, due - time.monotonic())
+            try:
+                function, *arguments = self._tasks.get(timeout=wait)
+            except queue.Empty:
+                continue
+            if function is None:
+                return
+            function(*arguments)
+
+    def send(self, place, incarnation=1, attempt=1, visit=None):
+        self._visits += 1
+        command = StartAction(self.robot, place, incarnation, visit or self._visits, attempt)
+        self._tasks.put((self.caller.start, command, time.monotonic()))
+
+    def do(self, place, seconds=10.0, **options):
+        self.send(place, **options)
+        return self.ended.get(timeout=seconds)
+
+    def cancel(self):
+        self._tasks.put((self.caller.cancel,))
+
+    def is_under_way(self):
+        """Whether a server has taken the goal."""
+        goal = self.caller._goal
+        return goal is not None and goal.acknowledged_by is not None
+
+    def close(self):
+        self._tasks.put((self.caller.close,))
+        self._tasks.put((None,))
+
+
+class Server:
+    """A plain action server in this process; its goals wait until the test ends them."""
+
+    def __init__(self, name, action_type, on_goal=None):
+        self.goals = queue.Queue()
+        self.cancelled = []
+        self._on_goal = on_goal or self.goals.put
+        self.server = actionlib.ActionServer(name, action_type, self._on_goal, self.cancelled.append, auto_start=False)
+        self.server.start()
+
+    def next(self):
+        return self.goals.get(timeout=10)
+
+
+class ActionsTest(unittest.TestCase):
+    def setUp(self):
+        self.namespace = "/" + self._testMethodName
+        self._closing = []
+
+    def tearDown(self):
+        for close in reversed(self._closing):
+            close()
+
+    def serve(self, actions, robot="robot_1"):
+        """Place servers for Python actions, and a robot that uses them."""
+        plan = plan_of({p: FunctionAction("acts." + f, p) for p, f in actions.items()})
+        servers = PlaceServers(plan, robot, self.namespace)
+        servers.start()
+        self._closing.append(servers.stop)
+        return plan, servers
+
+    def robot(self, plan, **options):
+        robot = Robot(plan, self.namespace, **options)
+        self._closing.append(robot.close)
+        return robot
+
+    def acts(self):
+        """The module that the servers have loaded from this folder."""
+        name = next(n for n in sys.modules if n.startswith("gspn_plan_") and n.endswith("_acts"))
+        module = sys.modules[name]
+        del module.seen[:], module.ended[:]
+        return module
+
+    # -- place servers -----------------------------------------------------------------------------
+
+    def test_a_result_names_the_transition(self):
+        plan, _ = self.serve({"P1": "instant", "P2": "instant"})
+        robot = self.robot(plan)
+        self.assertEqual(robot.do("P1")[1:], ("T_P1", "", ""))
+        self.assertEqual(robot.do("P2")[1:], ("T_P2", "", ""))
+
+    def test_an_action_is_told_who_asks_and_tells_how_far_it_is(self):
+        plan, _ = self.serve({"P1": "tell"})
+        acts = self.acts()
+        robot = self.robot(plan)
+        self.assertEqual(robot.do("P1", visit=7, attempt=3)[1:], ("", "", ""))
+        self.assertEqual(acts.seen, [("P1", "robot_1", 7, 3)])
+        wait_for(lambda: len(robot.feedback) == 2, what="feedback")
+        self.assertEqual([f.time_passed for f in robot.feedback], [(1,), (2, 3)])
+
+    def test_an_exception_aborts_with_its_text(self):
+        plan, _ = self.serve({"P1": "breaks", "P2": "leaves", "P3": "bad_feedback"})
+        robot = self.robot(plan)
+        self.assertEqual(robot.do("P1")[1:], ("", "aborted", "ValueError: the arm is stuck"))
+        self.assertEqual(robot.do("P2")[1:], ("", "aborted", "SystemExit: 3"))
+        self.assertEqual(robot.do("P3")[2], "aborted")
+
+    def test_a_newer_goal_of_the_robot_cancels_its_older_ones(self):
+        plan, _ = self.serve({"P1": "until_cancelled", "P2": "instant"})
+        acts = self.acts()
+        robot = self.robot(plan)
+        robot.send("P1", visit=1)
+        wait_for(lambda: acts.seen == [1], what="the first action")
+        self.assertEqual(robot.do("P2", visit=2).result, "T_P2")
+        wait_for(lambda: acts.ended == [(1, True)], what="its end")
+
+    def test_goals_of_a_dead_node_are_cancelled_by_its_successor(self):
+        plan, _ = self.serve({"P1": "until_cancelled"})
+        acts = self.acts()
+        first = self.robot(plan)
+        first.send("P1", incarnation=1, visit=4)
+        wait_for(lambda: acts.seen == [4], what="the first action")
+        second = self.robot(plan)
+        second.send("P1", incarnation=2, visit=4, attempt=2)
+        wait_for(lambda: acts.ended == [(4, True)], what="its end")
+        wait_for(lambda: acts.seen == [4, 4], what="the second attempt")
+        second.cancel()
+        wait_for(lambda: len(acts.ended) == 2, what="the end of the second attempt")
+
+    def test_the_goal_of_a_node_that_died_is_cancelled(self):
+        plan, servers = self.serve({"P1": "until_cancelled"})
+        acts = self.acts()
+        code = (
+            "import rospy, actionlib, time\n"
+            "from gspn_framework_package.msg import ExecGSPNAction, ExecGSPNGoal\n"
+            "rospy.init_node('dies')\n"
+            "c = actionlib.ActionClient('%s/P1', ExecGSPNAction)\n"
+            "assert c.wait_for_server(rospy.Duration(10))\n"
+            "h = c.send_goal(ExecGSPNGoal('P1'))\n"
+            "time.sleep(60)\n" % self.namespace
+        )
+        process = subprocess.Popen([sys.executable, "-c", code])
+        self._closing.append(process.kill)
+        wait_for(lambda: acts.seen == [0], 20, "the action")
+        (goal,) = servers._running.values()
+        wait_for(lambda: goal._was_there, what="the servers to see that the node is there")
+        process.kill()
+        wait_for(lambda: acts.ended == [(0, True)], 10, "its end")
+
+    def test_a_place_that_is_not_served_is_rejected(self):
+        plan = plan_of({"P1": FunctionAction("acts.instant", "both"),
+                        "P2": FunctionAction("acts.instant", "both")})  # fmt: skip
+        servers = PlaceServers(plan, "robot_1", self.namespace)
+        servers.start()
+        self._closing.append(servers.stop)
+        self.assertEqual(servers.names, [self.namespace + "/both"])
+        robot = self.robot(plan)
+        self.assertEqual(robot.do("P1").result, "T_P1")
+        self.assertEqual(robot.do("P2").result, "T_P2")
+        other = self.robot(plan_of({"P3": ServerAction(EXEC, "both")}))
+        ended = other.do("P3")
+        self.assertEqual((ended.reason, "P3" in ended.detail), ("rejected", True))
+
+    def test_a_client_of_the_thesis_works_against_a_place_server(self):
+        self.serve({"P1": "instant"})
+        client = actionlib.SimpleActionClient(self.namespace + "/P1", ExecGSPNAction)
+        self.assertTrue(client.wait_for_server(rospy.Duration(10)))
+        self.assertEqual(
+            client.send_goal_and_wait(ExecGSPNGoal("P1"), rospy.Duration(10)),
+            GoalStatus.SUCCEEDED,
+        )
+        self.assertEqual(client.get_result().transition, "T_P1")
+
+    def test_an_action_that_never_returns_keeps_no_other_waiting(self):
+        plan, _ = self.serve({"P1": "hangs", "P2": "instant"})
+        acts = self.acts()
+        acts.release.clear()
+        self._closing.append(acts.release.set)
+        robot = self.robot(plan)
+        robot.send("P1")
+        self.assertEqual(robot.do("P2").result, "T_P2")
+        self.assertEqual(robot.do("P2").result, "T_P2")
+
+    # -- many goals --------------------------------------------------------------------------------
+
+    def test_a_thousand_goals_leave_threads_and_descriptors_bounded(self):
+        plan, servers = self.serve({"P%d" % i: "instant" for i in range(1, 6)})
+        robot = self.robot(plan)
+        places = ["P%d" % i for i in range(1, 6)]
+        for i in range(50):
+            self.assertEqual(robot.do(places[i % 5]).result, "T_" + places[i % 5])
+        wait_for(lambda: robot.caller.connections == 5, what="all connections")
+        threads, descriptors = threading.active_count(), len(os.listdir("/proc/self/fd"))
+        for i in range(1000):
+            self.assertEqual(robot.do(places[i % 5]).result, "T_" + places[i % 5])
+        self.assertLessEqual(threading.active_count(), threads + 3)
+        self.assertLessEqual(len(os.listdir("/proc/self/fd")), descriptors + 3)
+        self.assertLessEqual(max(len(s.status_list) for s in servers._servers), KEPT_ENDED + 2)
+
+    def test_connections_are_bounded(self):
+        plan, _ = self.serve({"P%d" % i: "instant" for i in range(1, 9)})
+        robot = self.robot(plan, limit=3)
+        for _ in range(2):
+            for i in range(1, 9):
+                self.assertEqual(robot.do("P%d" % i).result, "T_P%d" % i)
+                self.assertLessEqual(robot.caller.connections, 3)
+
+    # -- servers that misbehave --------------------------------------------------------------------
+
+    def test_a_missing_server_is_reported_with_its_name(self):
+        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "nobody")}))
+        robot.send("P1")
+        wait_for(lambda: "nobody" in robot.caller.doing(), what="what it waits for")
+        ended = robot.ended.get(timeout=5)
+        self.assertEqual(ended.reason, "no server")
+        self.assertIn(self.namespace + "/nobody", ended.detail)
+
+    def test_a_server_that_comes_late_gets_the_goal(self):
+        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "late")}),
+                           patience=IMPATIENT._replace(server=15))  # fmt: skip
+        robot.send("P1")
+        wait_for(lambda: robot.caller.connections == 1, what="the client's topics")
+        server = Server(self.namespace + "/late", ExecGSPNAction)
+        goal = server.next()
+        goal.set_accepted()
+        goal.set_succeeded(ExecGSPNResult("T1"))
+        self.assertEqual(robot.ended.get(timeout=10).result, "T1")
+
+    def test_a_server_that_dies_with_the_goal_is_noticed(self):
+        for how, signal in (("killed", "KILL"), ("stopped", "STOP")):
+            name = "%s/%s" % (self.namespace, how)
+            code = (
+                "import rospy, actionlib\n"
+                "from gspn_framework_package.msg import ExecGSPNAction\n"
+                "rospy.init_node('server_that_is_%s')\n"
+                "s = actionlib.ActionServer('%s', ExecGSPNAction, lambda g: g.set_accepted(),\n"
+                "                           auto_start=False)\n"
+                "s.start()\n"
+                "rospy.spin()\n" % (how, name)
+            )
+            process = subprocess.Popen([sys.executable, "-c", code])
+            self._closing.append(process.kill)
+            robot = self.robot(plan_of({"P1": ServerAction(EXEC, how)}),
+                               patience=IMPATIENT._replace(server=20))  # fmt: skip
+            robot.send("P1")
+            wait_for(robot.is_under_way, 20, "the server to take the goal")
+            subprocess.check_call(["kill", "-" + signal, str(process.pid)])
+            ended = robot.ended.get(timeout=5)
+            self.assertEqual(ended.reason, "server died", ended.detail)
+
+    def test_a_server_that_forgets_the_goal_is_noticed(self):
+        server = Server(self.namespace + "/forgets", ExecGSPNAction)
+        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "forgets")}))
+        robot.send("P1")
+        server.next().set_accepted()
+        wait_for(robot.is_under_way, what="the server to take the goal")
+        server.server.status_list = []  # as after a restart
+        ended = robot.ended.get(timeout=5)
+        self.assertEqual(ended.reason, "server died")
+        self.assertIn("does not know the goal", ended.detail)
+
+    def test_a_goal_that_no_server_takes_is_reported_after_it_was_sent_again(self):
+        # The topics of a server, and a status that never lists a goal.
+        name = self.namespace + "/deaf"
+        spec = ExecGSPNAction()
+        from actionlib_msgs.msg import GoalID, GoalStatusArray
+
+        goals = []
+        status = rospy.Publisher(name + "/status", GoalStatusArray, latch=True, queue_size=1)
+        rospy.Publisher(name + "/result", type(spec.action_result), queue_size=1)
+        rospy.Publisher(name + "/feedback", type(spec.action_feedback), queue_size=1)
+        rospy.Subscriber(name + "/goal", type(spec.action_goal), goals.append)
+        rospy.Subscriber(name + "/cancel", GoalID, lambda message: None)
+        status.publish(GoalStatusArray())
+        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "deaf")}),
+                           patience=IMPATIENT._replace(server=10))  # fmt: skip
+        ended = robot.do("P1")
+        self.assertEqual(ended.reason, "lost")
+        self.assertGreaterEqual(len(goals), 2)
+        self.assertEqual(len({goal.goal_id.id for goal in goals}), 1)
+        self.assertEqual(parse_goal_id(goals[0].goal_id.id).robot, "robot_1")
+
+    def test_a_second_server_of_the_name_does_not_lose_the_goal(self):
+        # Its statuses do not list the goal; actionlib's own client reports LOST at once.
+        server = Server(self.namespace + "/twice", ExecGSPNAction)
+        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "twice")}))
+        robot.send("P1")
+        goal = server.next()
+        goal.set_accepted()
+        wait_for(robot.is_under_way, what="the server to take the goal")
+        from actionlib_msgs.msg import GoalStatusArray
+
+        code = (
+            "import rospy\n"
+            "from actionlib_msgs.msg import GoalStatusArray\n"
+            "rospy.init_node('second')\n"
+            "p = rospy.Publisher('%s/twice/status', GoalStatusArray, queue_size=1)\n"
+            "while not rospy.is_shutdown():\n"
+            "    p.publish(GoalStatusArray())\n"
+            "    rospy.sleep(0.05)\n" % self.namespace
+        )
+        others = []
+        rospy.Subscriber(
+            self.namespace + "/twice/status",
+            GoalStatusArray,
+            lambda m: others.append(m._connection_header["callerid"]),
+        )
+        process = subprocess.Popen([sys.executable, "-c", code])
+        self._closing.append(process.kill)
+        wait_for(lambda: others.count("/second") > 10, 20, "statuses of the second server")
+        self.assertTrue(robot.ended.empty())
+        goal.set_succeeded(ExecGSPNResult("T1"))
+        self.assertEqual(robot.ended.get(timeout=5).result, "T1")
+
+    def test_an_action_that_takes_too_long_is_cancelled(self):
+        server = Server(self.namespace + "/slow", ExecGSPNAction)
+        plan = plan_of({"P1": ServerAction(EXEC, "slow")}, {"P1": 0.5})
+        robot = self.robot(plan)
+        robot.send("P1")
+        server.next().set_accepted()
+        ended = robot.ended.get(timeout=5)
+        self.assertEqual((ended.reason, ended.detail), ("timeout", "it took longer than 0.5 s"))
+        wait_for(lambda: server.cancelled, what="the cancel request")
+
+    def test_what_was_cancelled_is_not_told(self):
+        server = Server(self.namespace + "/cancels", ExecGSPNAction)
+        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "cancels")}))
+        robot.send("P1")
+        goal = server.next()
+        goal.set_accepted()
+        robot.cancel()
+        wait_for(lambda: server.cancelled, what="the cancel request")
+        goal.set_canceled()
+        robot.send("P1")
+        second = server.next()
+        second.set_accepted()
+        second.set_succeeded(ExecGSPNResult("T2"))
+        self.assertEqual(robot.ended.get(timeout=5).result, "T2")
+        self.assertTrue(robot.ended.empty())
+
+    # -- action types of others --------------------------------------------------------------------
+
+    def test_a_move_base_server_gets_the_goal_of_the_plan(self):
+        server = Server(self.namespace + "/move_base", MoveBaseAction)
+        pose = {"header": {"frame_id": "map", "stamp": "now"},
+                "pose": {"position": {"x": 2, "y": -1.5}, "orientation": {"w": 1}}}  # fmt: skip
+        outcomes = {"succeeded": "T_there", "aborted": "T_blocked"}
+        robot = self.robot(
+            plan_of({
+                "P1": ServerAction(MOVE_BASE, "move_base", {"target_pose": pose}, outcomes),
+                "P2": ServerAction(MOVE_BASE, "move_base", {"target_pose": pose}),
+            })
+        )  # fmt: skip
+        robot.send("P1")
+        goal = server.next()
+        target = goal.get_goal().target_pose
+        self.assertEqual((target.header.frame_id, target.pose.position.x), ("map", 2.0))
+        self.assertGreater(target.header.stamp.to_sec(), 0)
+        goal.set_accepted()
+        goal.set_succeeded()
+        self.assertEqual(robot.ended.get(timeout=5)[1:], ("T_there", "", ""))
+        for place, how, expected in (
+            ("P1", "set_aborted", ("T_blocked", "", "")),
+            ("P2", "set_succeeded", ("", "", "")),
+            ("P2", "set_aborted", ("", "aborted", "no way")),
+            ("P2", "set_canceled", ("", "preempted", "no way")),
+        ):
+            robot.send(place)
+            goal = server.next()
+            goal.set_accepted()
+            getattr(goal, how)(text="no way")
+            self.assertEqual(robot.ended.get(timeout=5)[1:], expected, (place, how))
+        robot.send("P2")
+        server.next().set_rejected(text="not now")
+        self.assertEqual(robot.ended.get(timeout=5)[1:], ("", "rejected", "not now"))
+
+    def test_a_goal_that_does_not_fit_is_refused_before_the_run(self):
+        from gspn_framework_package.model.errors import PlanError
+
+        for action, message in (
+            (ServerAction("no_such_msgs/XAction", "s"), "no action type|cannot load"),
+            (ServerAction("move_base_msgs/MoveBaseGoal", "s"), "no action type"),
+            (ServerAction(MOVE_BASE, "s", {"target": {}}), "does not fit"),
+            (ServerAction(MOVE_BASE, "s", {"target_pose": {"header": 3}}), "does not fit"),
+            (ServerAction(MOVE_BASE, "a b"), "not a legal name"),
+        ):
+            with self.assertRaisesRegex(PlanError, message):
+                action_targets(plan_of({"P1": action}), "robot_1", "/x")
+
+
+if __name__ == "__main__":
+    import rostest
+
+    rospy.init_node("test_actions")
+    rostest.rosrun("gspn_framework_package", "actions", ActionsTest)

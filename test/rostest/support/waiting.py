@@ -1,0 +1,15 @@
+"""Waiting for conditions: with a deadline, never for a fixed time."""
+
+import time
+
+
+def wait_for(condition, seconds=10.0, what="the condition"):
+    """Wait until ``condition()`` is true and return its value; an AssertionError after a deadline."""
+    deadline = time.monotonic() + seconds
+    while True:
+        value = condition()
+        if value:
+            return value
+        if time.monotonic() > deadline:
+            raise AssertionError("waited %g s for %s; last value: %r" % (seconds, what, value))
+        time.sleep(0.01)
