@@ -65,7 +65,8 @@ class Graph:
 
 def _quote(text: str) -> str:
     """A DOT string that shows ``text`` as it is."""
-    flat = text.replace("\0", "").replace("\\", "\\\\").replace('"', '\\"')
+    flat = text.replace("\0", "").replace("&", "&amp;")  # Graphviz knows the entities of HTML
+    flat = flat.replace("\\", "\\\\").replace('"', '\\"')
     return '"%s"' % "\\n".join(flat.splitlines() or [""])
 
 

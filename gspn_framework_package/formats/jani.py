@@ -41,6 +41,10 @@ class _Writer:
         names = [p.name for p in net.places]
         self.names = list(identifiers(names)[0].values())
         self.levels = priority_levels(net)
+        # Storm 1.9 to 2.0 takes a variable that no edge assigns for 0: such places are assigned to
+        # themselves.
+        changed = {p for t in range(len(net.transitions)) for p, _ in net.effect(t)}
+        self.unchanged = [p for p in range(len(net.places)) if p not in changed]
         self.enabled = [self._enabled(t) for t in range(len(net.transitions))]
 
     def document(self) -> Dict[str, Any]:
@@ -90,13 +94,25 @@ class _Writer:
                     guard = _all([self.enabled[t]] + _none(higher))
                     edges.append(_edge(net.transitions[t].name, guard, [self._target(t)]))
             higher += [self.enabled[t] for t in level]
-        for t, transition in enumerate(net.transitions):
-            if transition.timed:
-                guard = _all([self.enabled[t]] + _none(higher))
-                edge = _edge(transition.name, guard, [self._target(t)])
-                edge["rate"] = {"exp": self._rate(t)}
-                edges.append(edge)
+        for group in self._exponential_groups():
+            names = ", ".join(net.transitions[t].name for t in group)
+            guard = _all([_any([self.enabled[t] for t in group]), *_none(higher)])
+            edge = _edge(names, guard, [self._target(group[0])])
+            rates = [self._rate(t) for t in group]
+            if len(group) > 1:
+                rates = [_choice(self.enabled[t], rate) for t, rate in zip(group, rates)]
+            edge["rate"] = {"exp": reduce(lambda a, b: _operation("+", a, b), rates)}
+            edges.append(edge)
         return edges
+
+    def _exponential_groups(self) -> List[List[int]]:
+        """The exponential transitions, those of the same effect together: Storm 1.9 to 2.0 forgets
+        all but one of several Markovian edges of an automaton that lead to the same state."""
+        groups: Dict[Any, List[int]] = {}
+        for t, transition in enumerate(self.net.transitions):
+            if transition.timed:
+                groups.setdefault(frozenset(self.net.effect(t)), []).append(t)
+        return list(groups.values())
 
     def _weighted(self, level: Sequence[int], higher: Sequence[_Term]) -> Dict[str, Any]:
         """One edge for the transitions of one priority: which of them, their weights decide."""
@@ -104,10 +120,7 @@ class _Writer:
         guard = _all([_any([self.enabled[t] for t in level])] + _none(higher))
         if len(level) == 1:
             return _edge(names, guard, [self._target(level[0])])
-        shares = [
-            {"op": "ite", "if": self.enabled[t], "then": self.net.transitions[t].weight, "else": 0}
-            for t in level
-        ]
+        shares = [_choice(self.enabled[t], self.net.transitions[t].weight) for t in level]
         total = reduce(lambda a, b: _operation("+", a, b), shares)
         targets = []
         for t, share in zip(level, shares):
@@ -125,7 +138,7 @@ class _Writer:
         return _all(tests)
 
     def _target(self, t: int) -> Dict[str, Any]:
-        assignments = []
+        assignments: List[Dict[str, Any]] = [{"ref": self.names[p], "value": self.names[p]} for p in self.unchanged]
         for p, change in self.net.effect(t):
             sign = "+" if change > 0 else "-"
             value = _operation(sign, self.names[p], abs(change))
@@ -155,6 +168,11 @@ def _edge(comment: str, guard: _Term, destinations: List[Dict[str, Any]]) -> Dic
         "destinations": destinations,
         "comment": comment,
     }
+
+
+def _choice(condition: _Term, value: _Term) -> _Term:
+    """``value`` where ``condition`` holds, else 0."""
+    return {"op": "ite", "if": condition, "then": value, "else": 0}
 
 
 def _operation(operator: str, left: _Term, right: _Term) -> _Term:

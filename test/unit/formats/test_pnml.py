@@ -60,7 +60,7 @@ def test_stochastic_data_as_pm4py_writes_it():
 
 def test_prom_writes_means(tmp_path):
     text = (DATA / "process_mining.pnml").read_text()
-    prom = '<toolspecific tool="StochasticPetriNet" version="0.2"><property key="timeUnit">HOURS</property></toolspecific>'  # noqa: E501
+    prom = '<toolspecific tool="StochasticPetriNet" version="0.2"><property key="timeUnit">HOURS</property></toolspecific>'
     net, notes = read_text(tmp_path, text.replace('<page id="n0">', prom + '<page id="n0">'))
     assert net.transition("u1").rate == 0.25
     assert any("means, as ProM" in note for note in notes)

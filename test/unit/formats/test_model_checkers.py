@@ -1,0 +1,267 @@
+"""What is exported means the same to a model checker: Storm builds and solves it.
+
+The expected values come from the firing rule itself: markings are explored with ``Net.enabled`` and
+``Net.fire``, and long-run and reachability probabilities are the limit of the chain's powers.
+"""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, given, note, settings
+from hypothesis import strategies as st
+
+from gspn_framework_package.formats import jani, prism, write_net
+from gspn_framework_package.formats.symbolic import identifiers
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.errors import NetError
+from gspn_framework_package.model.net import Arc, Net, Place, Transition
+
+stormpy = pytest.importorskip("stormpy")
+
+MAX_MARKINGS = 60
+RELAXED = settings(
+    max_examples=50,
+    deadline=None,
+    suppress_health_check=[
+        HealthCheck.function_scoped_fixture, HealthCheck.filter_too_much, HealthCheck.too_slow
+    ],
+)  # fmt: skip
+NAMES = ["p", "p 1", "p:1", "min", "é", "1st"]
+
+
+@st.composite
+def small_nets(draw, immediate=True):
+    """Nets of few markings, most of them: transitions move one or two tokens."""
+    places = [
+        Place(name, draw(st.integers(0, 2)), draw(st.sampled_from([None, None, 3])))
+        for name in NAMES[: draw(st.integers(2, 4))]
+    ]
+    transitions, arcs = [], []
+    for number in range(draw(st.integers(1, 5))):
+        name = "t%d" % number
+        if immediate and draw(st.booleans()):
+            transitions.append(
+                Transition(name, weight=draw(st.sampled_from([0.5, 1.0, 3.0])),
+                           priority=draw(st.sampled_from([1, 1, 2])))
+            )  # fmt: skip
+        else:
+            transitions.append(
+                Transition(name, timed=True, rate=draw(st.sampled_from([0.25, 1.0, 2.0])),
+                           servers=draw(st.sampled_from([1, 2, None])))
+            )  # fmt: skip
+        weight = draw(st.sampled_from([1, 1, 1, 2]))
+        ends = draw(st.lists(st.sampled_from(places), min_size=2, max_size=2, unique=True))
+        arcs += [Arc(ends[0].name, name, weight), Arc(name, ends[1].name, weight)]
+        if draw(st.integers(0, 3)) == 0:
+            inhibiting = draw(st.sampled_from(places)).name
+            arcs.append(Arc(inhibiting, name, draw(st.integers(1, 3)), inhibitor=True))
+    return Net(places, transitions, arcs, "n")
+
+
+class Chain:
+    """The embedded jumps and the times of a net, from the firing rule."""
+
+    def __init__(self, net):
+        self.markings = [net.initial_marking]
+        index = {net.initial_marking: 0}
+        moves = []
+        for number, marking in enumerate(self.markings):
+            enabled = net.enabled(marking)
+            for t in enabled:
+                after = net.fire(marking, t)
+                if after not in index:
+                    assume(len(index) < MAX_MARKINGS)
+                    index[after] = len(self.markings)
+                    self.markings.append(after)
+                transition = net.transitions[t]
+                speed = net.effective_rate(marking, t) if transition.timed else transition.weight
+                moves.append((number, index[after], speed, transition.timed))
+        size = len(self.markings)
+        self.timed = [True] * size
+        speeds = np.zeros((size, size))
+        for source, target, speed, timed in moves:
+            speeds[source, target] += speed
+            self.timed[source] = timed
+        self.speeds = speeds
+
+    def tangible_generator(self):
+        """Rates between tangible markings after elimination, and how each marking gets to one."""
+        slow = [i for i, timed in enumerate(self.timed) if timed]
+        fast = [i for i, timed in enumerate(self.timed) if not timed]
+        jump = self.speeds[fast] / self.speeds[fast].sum(axis=1, keepdims=True)
+        inner = np.eye(len(fast)) - jump[:, fast]
+        assume(not fast or abs(np.linalg.det(inner)) > 1e-9)  # else a timeless trap
+        entry = np.zeros((len(self.markings), len(slow)))
+        entry[slow] = np.eye(len(slow))
+        if fast:
+            entry[fast] = np.linalg.solve(inner, jump[:, slow])
+        return self.speeds[slow] @ entry, entry, slow
+
+    def long_run(self):
+        """The long-run fraction of time in each marking."""
+        rates, entry, slow = self.tangible_generator()
+        fastest = 1.1 * max(rates.sum(axis=1).max(), 1e-3)
+        step = rates / fastest
+        step += np.diag(1 - step.sum(axis=1))
+        for _ in range(40):
+            step = step @ step
+            step /= step.sum(axis=1, keepdims=True)
+        found = np.zeros(len(self.markings))
+        found[slow] = entry[0] @ step
+        return found
+
+    def reach(self, goal):
+        """The probability of ever reaching a marking where ``goal`` is true."""
+        jump = self.speeds.copy()
+        for i, marking in enumerate(self.markings):
+            if goal(marking) or not jump[i].any():
+                jump[i] = 0
+                jump[i, i] = 1
+        jump /= jump.sum(axis=1, keepdims=True)
+        for _ in range(40):
+            jump = jump @ jump
+            jump /= jump.sum(axis=1, keepdims=True)
+        return sum(jump[0, i] for i, marking in enumerate(self.markings) if goal(marking))
+
+
+def build_jani(tmp_path, net, property_text=None):
+    write_net(net, tmp_path / "n.jani")
+    model, _ = stormpy.parse_jani_model(str(tmp_path / "n.jani"))
+    properties = stormpy.parse_properties(property_text, model) if property_text else None
+    return stormpy.build_model(model, properties), properties
+
+
+def build_prism(tmp_path, net, property_text):
+    write_net(net, tmp_path / "n.prism")
+    program = stormpy.parse_prism_program(str(tmp_path / "n.prism"), prism_compatibility=True)
+    properties = stormpy.parse_properties(property_text, program)
+    return stormpy.build_model(program, properties), properties
+
+
+def value(model, property_):
+    return stormpy.model_checking(model, property_).get_value(model.initial_states[0])
+
+
+def place_identifier(net, p):
+    return list(identifiers([place.name for place in net.places])[0].values())[p]
+
+
+@RELAXED
+@given(net=small_nets())
+def test_jani_has_the_markings_of_the_net(tmp_path, net):
+    chain = Chain(net)
+    model, _ = build_jani(tmp_path, net)
+    assert model.nr_states == len(chain.markings)
+
+
+@RELAXED
+@given(net=small_nets(), data=st.data())
+def test_jani_has_the_probabilities_of_the_net(tmp_path, net, data):
+    chain = Chain(net)
+    chain.tangible_generator()
+    p = data.draw(st.integers(0, len(net.places) - 1))
+    bound = data.draw(st.integers(0, 3))
+    goal = "%s >= %d" % (place_identifier(net, p), bound)
+    kind = "max" if any(not t.timed for t in net.transitions) else ""
+    model, properties = build_jani(tmp_path, net, "P%s=? [F %s]" % (kind, goal))
+    expected = chain.reach(lambda marking: marking[p] >= bound)
+    assert value(model, properties[0]) == pytest.approx(expected, abs=1e-6)
+
+
+@RELAXED
+@given(net=small_nets(), data=st.data())
+def test_jani_has_the_long_run_of_the_net(tmp_path, net, data):
+    note(repr((net.places, net.transitions, net.arcs)))
+    chain = Chain(net)
+    assume(all(row.any() for row in chain.speeds))  # Storm makes a deadlock of a net its own way
+    p = data.draw(st.integers(0, len(net.places) - 1))
+    goal = "%s >= 1" % place_identifier(net, p)
+    kind = "max" if any(not t.timed for t in net.transitions) else ""
+    model, properties = build_jani(tmp_path, net, "LRA%s=? [%s]" % (kind, goal))
+    long_run = chain.long_run()
+    expected = sum(share for share, marking in zip(long_run, chain.markings) if marking[p] >= 1)
+    assert value(model, properties[0]) == pytest.approx(expected, abs=1e-5)
+
+
+@RELAXED
+@given(net=small_nets(immediate=False), data=st.data())
+def test_prism_has_the_markings_probabilities_and_throughput_of_the_net(tmp_path, net, data):
+    chain = Chain(net)
+    p = data.draw(st.integers(0, len(net.places) - 1))
+    goal = "%s >= 2" % place_identifier(net, p)
+    model, properties = build_prism(
+        tmp_path, net, 'P=? [F %s]; R{"throughput_t0"}=? [LRA]' % goal
+    )
+    assert model.nr_states == len(chain.markings)
+    expected = chain.reach(lambda marking: marking[p] >= 2)
+    assert value(model, properties[0]) == pytest.approx(expected, abs=1e-6)
+    throughput = sum(
+        share * net.effective_rate(marking, 0)
+        for share, marking in zip(chain.long_run(), chain.markings)
+    )
+    assert value(model, properties[1]) == pytest.approx(throughput, abs=1e-5)
+
+
+def test_philosophers(tmp_path):
+    """Four philosophers: 34 markings, mean time to deadlock 550/101."""
+    builder = NetBuilder("philosophers")
+    for n in range(4):
+        builder.place("think%d" % n, 1).place("wait%d" % n).place("eat%d" % n).place("fork%d" % n, 1)
+    for n in range(4):
+        left, right = "fork%d" % n, "fork%d" % ((n + 1) % 4)
+        builder.exponential("take%d" % n, inputs=["think%d" % n, left], outputs="wait%d" % n)
+        builder.exponential("both%d" % n, inputs=["wait%d" % n, right], outputs="eat%d" % n)
+        builder.exponential("done%d" % n, inputs="eat%d" % n, outputs=["think%d" % n, left, right])
+    net = builder.build()
+    for build in (build_jani, build_prism):
+        model, properties = build(tmp_path, net, 'T=? [F "deadlock"]')
+        assert model.nr_states == 34
+        assert value(model, properties[0]) == pytest.approx(550 / 101, rel=1e-5)
+
+
+def test_weight_0_is_a_nondeterministic_choice(tmp_path):
+    net = (
+        NetBuilder("n").place("a", 1).place("b").place("c")
+        .immediate("left", weight=0, inputs="a", outputs="b")
+        .immediate("right", weight=0, inputs="a", outputs="c").build()
+    )  # fmt: skip
+    for kind, expected in (("max", 1), ("min", 0)):
+        model, properties = build_jani(tmp_path, net, "P%s=? [F b=1]" % kind)
+        assert value(model, properties[0]) == expected
+
+
+def test_the_bounds_that_are_known_are_said():
+    net = NetBuilder("n").place("a", 1).place("b", capacity=4).place("c").exponential("t").build()
+    document = json.loads(jani.to_bytes(net, {"a": 2}))
+    bounds = [v["type"] if v["type"] == "int" else v["type"]["upper-bound"]
+              for v in document["variables"]]  # fmt: skip
+    assert bounds == [2, 4, "int"]
+    text = prism.to_bytes(net, {"a": 2}).decode()
+    assert re.findall(r"^  (\w) : (.*) init", text, re.MULTILINE) == [
+        ("a", "[0..2]"), ("b", "[0..4]"), ("c", "int")
+    ]  # fmt: skip
+
+
+def test_prism_refuses_immediate_transitions():
+    net = NetBuilder("n").place("a", 1).immediate("t", inputs="a").build()
+    with pytest.raises(NetError, match="PRISM has no immediate transitions"):
+        prism.to_bytes(net)
+
+
+def test_names_become_different_identifiers():
+    places, transitions = identifiers(["a b", "a.b", "a_b", "min", "1"], ["a b", "T"])
+    assert list(places.values()) == ["a_b", "a_b_2", "a_b_3", "min_2", "_1"]
+    assert list(transitions.values()) == ["a_b_4", "T"]
+
+
+def test_the_files_of_a_chain():
+    files = prism.chain_files(
+        ["a", "b c"], [(0, 1), (1, 0), (2, 2)], [(1, 2, 0.1), (0, 1, 0.5), (1, 0, 2.0)], 0, {"x": [1]}
+    )
+    assert files["sta"].decode().splitlines() == ["(a,b_c)", "0:(0,1)", "1:(1,0)", "2:(2,2)"]
+    assert files["tra"].decode().splitlines() == ["3 3", "0 1 0.5", "1 0 2.0", "1 2 0.1"]
+    assert files["lab"].decode().splitlines() == [
+        '0="init" 1="deadlock" 2="x"', "0: 0", "1: 2", "2: 1"
+    ]  # fmt: skip
