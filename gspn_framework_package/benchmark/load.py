@@ -1,0 +1,24 @@
+"""The actions of the benchmarks: the load of the thesis's scaling experiments (6.1), and none at all."""
+
+from __future__ import annotations
+
+ROUNDS = 4
+"""Rounds of the loop in one action."""
+
+PAUSE = 0.2
+"""Seconds that each round sleeps (thesis 6.1.1)."""
+
+
+def loop(is_cancelled) -> str:  # type: ignore[no-untyped-def]
+    """A loop with an addition and a sleep (thesis 6.1.1)."""
+    total = 0
+    for number in range(ROUNDS):
+        total += number
+        if is_cancelled.wait(PAUSE):
+            break
+    return ""
+
+
+def instant() -> str:
+    """Return at once: what is left is the cost of the framework itself."""
+    return ""

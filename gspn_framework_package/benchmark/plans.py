@@ -1,0 +1,60 @@
+"""The plans that the benchmarks run: the net of thesis Figure 6.1, and rings of any size (Figure 6.3)."""
+
+from __future__ import annotations
+
+import os
+
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+
+LOOP = "gspn_framework_package.benchmark.load.loop"
+INSTANT = "gspn_framework_package.benchmark.load.instant"
+
+
+def plans_folder() -> str:
+    """The folder of the example plans: beside this package in a checkout, in its share folder once
+    it is installed.
+
+    :raises UsageError: there is none.
+    """
+    package = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    candidates = [os.path.join(os.path.dirname(package), "plans")]
+    try:
+        import rospkg
+
+        share = rospkg.RosPack().get_path("gspn_framework_package")
+        candidates.append(os.path.join(share, "plans"))
+    except Exception:  # no ROS, or a ROS that does not know the package: there is the checkout
+        pass
+    for candidate in candidates:
+        if os.path.isdir(candidate):
+            return candidate
+    raise UsageError("the example plans were not found", hint="looked in " + ", ".join(candidates))
+
+
+def tokens_plan(instant: bool = False) -> Plan:
+    """The plan of ``plans/tokens`` (thesis 6.1.1): seven places, six of them with an action."""
+    name = "instant.json" if instant else "plan.json"
+    return read_plan(os.path.join(plans_folder(), "tokens", name))
+
+
+def ring_plan(places: int, robots: int, instant: bool = False) -> Plan:
+    """A ring of ``places`` action places (thesis 6.1.2 and 6.1.3) with ``robots`` robots, dealt over
+    the places one after the other."""
+    names = ["p%d" % k for k in range(1, places + 1)]
+    net = NetBuilder("ring_%d" % places)
+    for k, name in enumerate(names):
+        net.place(name, tokens=len(range(k, robots, places)))
+    for k, name in enumerate(names):
+        following = names[(k + 1) % places]
+        net.exponential("t%d" % (k + 1), rate=1.25, servers=None, inputs=name, outputs=following)
+    function = INSTANT if instant else LOOP
+    return Plan(
+        net=net.build(),
+        name="ring_%d" % places,
+        actions={name: FunctionAction(function, name) for name in names},
+        robots=tuple(RobotSpec("robot_%d" % (k + 1), names[k % places]) for k in range(robots)),
+        spawn=tuple(names),
+    ).validate()
