@@ -40,11 +40,11 @@ _FIRST_TREE = 5_000
 
 
 class Reachability(NamedTuple):
-    """Whether a condition can come to hold: ``reachable`` (None: not decided), in how many of the markings that
-    were visited, and a shortest way to one of them."""
+    """Whether a condition can come to hold: ``reachable`` (None: not decided), in what ``number`` of the markings
+    that were visited, and a shortest way to one of them."""
 
     reachable: Optional[bool]
-    count: int
+    number: int
     witness: Optional[List[Step]]
 
 
@@ -69,8 +69,15 @@ class Analysis:
     such thing, as a Markov chain where nobody decides a choice.
     """
 
-    def __init__(self, subject: Union[Net, Plan], *, limit: int = STATE_LIMIT, engine: str = "auto",
-                 progress: Optional[Progress] = None, cancel: Optional[Cancel] = None) -> None:
+    def __init__(
+        self,
+        subject: Union[Net, Plan],
+        *,
+        limit: int = STATE_LIMIT,
+        engine: str = "auto",
+        progress: Optional[Progress] = None,
+        cancel: Optional[Cancel] = None,
+    ) -> None:
         self.plan = subject if isinstance(subject, Plan) else None
         self.net: Net = subject.net if isinstance(subject, Plan) else subject
         self.limit = limit
@@ -103,8 +110,12 @@ class Analysis:
     @property
     def tree(self) -> CoverabilityTree:
         """The coverability tree. :raises LimitError: it is too large, or cannot be judged."""
-        return self._once("tree", lambda: CoverabilityTree(
-            self.net, limit=min(TREE_LIMIT, self.limit), progress=self._progress, cancel=self._cancel))
+        return self._once(
+            "tree",
+            lambda: CoverabilityTree(
+                self.net, limit=min(TREE_LIMIT, self.limit), progress=self._progress, cancel=self._cancel
+            ),
+        )
 
     @property
     def properties(self) -> Properties:
@@ -145,13 +156,13 @@ class Analysis:
         return self._visit(self.net.without_places(counters))
 
     def _visit(self, net: Net) -> StateSpace:
-        return explore(net, limit=self.limit, engine=self._engine, progress=self._progress,
-                       cancel=self._cancel)
+        return explore(net, limit=self.limit, engine=self._engine, progress=self._progress, cancel=self._cancel)
 
     @property
     def _invariant_bounds(self) -> Dict[str, Optional[int]]:
-        return self._once("invariant_bounds", lambda: dict(zip(
-            (p.name for p in self.net.places), invariant_bounds(self.net))))
+        return self._once(
+            "invariant_bounds", lambda: dict(zip((p.name for p in self.net.places), invariant_bounds(self.net)))
+        )
 
     def _unbounded_places(self) -> Optional[List[str]]:
         """The places that grow without bound, by a small coverability tree; None: not decided."""
@@ -165,8 +176,11 @@ class Analysis:
 
     def _is_counter(self, name: str) -> bool:
         p = self.net.place_number(name)
-        return (not self.net.consumers[p] and self.net.places[p].capacity is None
-                and not any(q == p for arcs in self.net.inhibitors for q, _ in arcs))
+        return (
+            not self.net.consumers[p]
+            and self.net.places[p].capacity is None
+            and not any(q == p for arcs in self.net.inhibitors for q, _ in arcs)
+        )
 
     def _boundedness(self) -> Boundedness:
         space = self.space
@@ -176,11 +190,13 @@ class Analysis:
             return Boundedness(tree.bounded, tree.bounds)
         if not space.complete:
             if None not in bounds.values():
-                return Boundedness(True, bounds, "the bounds are those of the P-invariants, within %d states" %
-                                   len(space))
-            return Boundedness(None, bounds, self._known.get(
-                "growth_reason", "not decided within %d states" % len(space)))
-        bounds = {place: bound for place, bound in self.properties.bounds.items()}
+                return Boundedness(
+                    True, bounds, "the bounds are those of the P-invariants, within %d states" % len(space)
+                )
+            return Boundedness(
+                None, bounds, self._known.get("growth_reason", "not decided within %d states" % len(space))
+            )
+        bounds = dict(self.properties.bounds)
         grows: List[bool] = []
         for place in self.left_out:
             most = self._counts_up(place)
@@ -209,7 +225,7 @@ class Analysis:
         targets = found.of[space.targets]
         across = sources != targets
         sources, targets, gains = sources[across], targets[across], gains[across]
-        most = np.zeros(found.count, dtype=np.int64)
+        most = np.zeros(found.number, dtype=np.int64)
         while True:  # longest ways in an acyclic graph, by as many rounds as the longest has arcs
             better = most.copy()
             np.maximum.at(better, targets, most[sources] + gains)
@@ -236,19 +252,19 @@ class Analysis:
     def cover(self, marking: Mapping[str, int]) -> Reachability:
         """Whether at least these many tokens can be in these places at once."""
         wanted = self.net.marking(marking)
-        if self.plan is None and not self.left_out and self.space.complete:
-            holds = np.ones(len(self.space), dtype=bool)
-            for p, count in enumerate(wanted):
-                if count:
-                    holds &= self.space.column(p) >= count
-            found = np.flatnonzero(holds)
-            way = self.space.witness(int(found[0])) if len(found) else None
-            return Reachability(bool(len(found)), len(found), way)
+        condition = " and ".join("'%s' >= %d" % item for item in marking.items()) or "true"
+        if self.plan is not None or (self.space.complete and not self.left_out):
+            return self.reach(condition)
         try:
-            path = self.tree.covers(wanted)
+            coverable = self.tree.covers(wanted) is not None
         except LimitError:
-            return self.reach(" and ".join("'%s' >= %d" % item for item in marking.items()) or "true")
-        return Reachability(path is not None, 0, None if path is None else [Step(t, {}) for t in path])
+            return self.reach(condition)
+        if not coverable:
+            return Reachability(False, 0, None)
+        # The way in the tree leaves out how often its loops are gone; a real one is looked for.
+        space = self._once("full_space", lambda: self._visit(self.net))
+        found = np.flatnonzero(space.holds(condition))
+        return Reachability(True, len(found), space.witness(int(found[0])) if len(found) else None)
 
     def _looks_at_counters(self, condition: str) -> bool:
         """Whether the condition is about places that were left out."""
@@ -267,8 +283,7 @@ class Analysis:
     @property
     def steady(self) -> SteadyState:
         """The steady state."""
-        return self._once("steady", lambda: steady_state(self.chain, progress=self._progress,
-                                                         cancel=self._cancel))
+        return self._once("steady", lambda: steady_state(self.chain, progress=self._progress, cancel=self._cancel))
 
     @property
     def measures(self) -> Measures:
@@ -277,8 +292,10 @@ class Analysis:
 
     def at(self, times: Sequence[float]) -> List[Tuple[float, Measures]]:
         """Tokens and throughput at given times (s)."""
-        return [(found.time, Measures(self.chain, found.distribution)) for found in transient(
-            self.chain, times, progress=self._progress, cancel=self._cancel)]
+        return [
+            (found.time, Measures(self.chain, found.distribution))
+            for found in transient(self.chain, times, progress=self._progress, cancel=self._cancel)
+        ]
 
     def first_passage(self, condition: str, times: Sequence[float] = ()) -> Passage:
         """When a condition holds for the first time; the probabilities within ``times`` (s).
@@ -286,28 +303,28 @@ class Analysis:
         :raises ExpressionError: the condition cannot be read, or names an unknown place.
         :raises LimitError: there are too many markings before it holds, or a linear system was not solved.
         """
+        space: StateSpace
         if self._looks_at_counters(condition):
-            space = self._until(condition)
-            graph = space.rated()
+            until = self._until(condition)
+            space, graph = until, until.rated()
         else:
             space, graph = self.space, self.chain.graph
-        return first_passage(graph, space.holds(condition), times, progress=self._progress,
-                             cancel=self._cancel)
+        return first_passage(graph, space.holds(condition), times, progress=self._progress, cancel=self._cancel)
 
     def _until(self, condition: str) -> PlanSpace:
         """The markings up to where a condition on counters holds: with the counters, and yet not without end."""
         plan = self.plan
         if plan is None:  # a plan without robots follows the rules of its net
-            plan = Plan(net=self.net, resource_places=frozenset(p.name for p in self.net.places),
-                        until=condition)
+            plan = Plan(net=self.net, resource_places=frozenset(p.name for p in self.net.places), until=condition)
         else:
             plan = replace(plan, until="(%s) or (%s)" % (plan.until, condition) if plan.until else condition)
         return explore_plan(plan, limit=self.limit, progress=self._progress, cancel=self._cancel)
 
     def time_to_steady_state(self, tolerance: float = 1e-3) -> float:
         """The time (s) from which on the distribution stays within ``tolerance`` of the steady state."""
-        return time_to_steady_state(self.chain, tolerance, steady=self.steady, progress=self._progress,
-                                    cancel=self._cancel)
+        return time_to_steady_state(
+            self.chain, tolerance, steady=self.steady, progress=self._progress, cancel=self._cancel
+        )
 
     def _once(self, key: str, compute: Callable[[], Any]) -> Any:
         if key not in self._known:

@@ -11,7 +11,7 @@ from gspn_framework_package.analysis.graph import components
 from gspn_framework_package.analysis.plan_analysis import PlanSpace
 from gspn_framework_package.analysis.rated_graph import RatedGraph, rate
 from gspn_framework_package.analysis.state_space import StateSpace
-from gspn_framework_package.analysis.vanishing import Elimination, eliminate
+from gspn_framework_package.analysis.vanishing import eliminate
 
 
 class Chain:
@@ -49,13 +49,12 @@ class Chain:
             step = sparse.csr_matrix((values, (sources, targets)), shape=(nodes, len(graph)))
             rates = (step @ ends).tocoo()
         other = rates.row != rates.col
-        self.rates = sparse.csr_matrix((rates.data[other], (rates.row[other], rates.col[other])),
-                                       shape=(nodes, nodes))
+        self.rates = sparse.csr_matrix((rates.data[other], (rates.row[other], rates.col[other])), shape=(nodes, nodes))
         self.exit_rates = np.asarray(self.rates.sum(axis=1)).reshape(-1)
         self.initial = np.asarray(ends[0].todense()).reshape(-1)
 
     @classmethod
-    def of(cls, space: StateSpace) -> "Chain":
+    def of(cls, space: StateSpace) -> Chain:
         """The chain of a net's or a plan's state space. :raises GspnError: see :func:`~.rated_graph.rate`."""
         return cls(space.rated() if isinstance(space, PlanSpace) else rate(space))
 
@@ -71,13 +70,12 @@ class Chain:
         sources = np.repeat(np.arange(len(self)), np.diff(self.rates.indptr))
         found = components(len(self), sources, self.rates.indices)
         order = np.argsort(found.of, kind="stable")
-        ends = np.cumsum(np.bincount(found.of, minlength=found.count))
-        classes = [order[ends[c - 1] if c else 0:ends[c]] for c in np.flatnonzero(found.bottom)]
+        ends = np.cumsum(np.bincount(found.of, minlength=found.number))
+        classes = [order[ends[c - 1] if c else 0 : ends[c]] for c in np.flatnonzero(found.bottom)]
         return sorted(classes, key=lambda states: int(states[0]))
 
     def __repr__(self) -> str:
-        return "<Chain of %s: %d states, %d rates>" % (
-            self.graph.net.name or "a net", len(self), self.rates.nnz)
+        return "<Chain of %s: %d states, %d rates>" % (self.graph.net.name or "a net", len(self), self.rates.nnz)
 
 
 class Component(NamedTuple):
@@ -87,4 +85,3 @@ class Component(NamedTuple):
     states: Any
     probability: float
     distribution: Any
-

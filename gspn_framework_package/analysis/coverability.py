@@ -42,8 +42,15 @@ class CoverabilityTree:
     :raises LimitError: the limit was met, or a growth could not be judged.
     """
 
-    def __init__(self, net: Net, *, untimed: bool = False, limit: int = TREE_LIMIT,
-                 progress: Optional[Progress] = None, cancel: Optional[Cancel] = None) -> None:
+    def __init__(
+        self,
+        net: Net,
+        *,
+        untimed: bool = False,
+        limit: int = TREE_LIMIT,
+        progress: Optional[Progress] = None,
+        cancel: Optional[Cancel] = None,
+    ) -> None:
         self.net = net
         self.untimed = untimed
         self.nodes: List[Node] = []
@@ -93,8 +100,11 @@ class CoverabilityTree:
     @property
     def unbounded_places(self) -> List[str]:
         """The places that can hold any number of tokens."""
-        return [place.name for p, place in enumerate(self.net.places)
-                if any(node.marking[p] == OMEGA for node in self.nodes)]
+        return [
+            place.name
+            for p, place in enumerate(self.net.places)
+            if any(node.marking[p] == OMEGA for node in self.nodes)
+        ]
 
     @property
     def bounds(self) -> Dict[str, Optional[int]]:
@@ -133,14 +143,16 @@ class CoverabilityTree:
             if node.same == number:
                 index[number] = len(index)
         markings = [self.nodes[number].marking for number in index]
-        arcs = [(index[self.nodes[node.parent].same], node.transition, index[node.same])
-                for node in self.nodes if node.transition >= 0]
+        arcs = [
+            (index[self.nodes[node.parent].same], node.transition, index[node.same])
+            for node in self.nodes
+            if node.transition >= 0
+        ]
         return markings, arcs
 
     def text(self, marking: Sequence[int]) -> str:
         """A marking for people: ``2 a, w b`` with the Greek letter for OMEGA, without the empty places."""
-        parts = ["%s %s" % ("ω" if n == OMEGA else n, place.name)
-                 for place, n in zip(self.net.places, marking) if n]
+        parts = ["%s %s" % ("ω" if n == OMEGA else n, place.name) for place, n in zip(self.net.places, marking) if n]
         return ", ".join(parts) or "empty"
 
 
@@ -161,8 +173,10 @@ class _Monotone:
             urgent = any(self._urgency[t] > lowest for t in self._net.consumers[p])
             if p in self._disturbing or urgent:
                 why = "an immediate transition of higher priority" if urgent else "an inhibitor arc or a capacity"
-                raise LimitError("whether place '%s' grows without bound depends on %s, which the coverability "
-                                 "tree cannot judge" % (self._net.places[p].name, why))
+                raise LimitError(
+                    "whether place '%s' grows without bound depends on %s, which the coverability "
+                    "tree cannot judge" % (self._net.places[p].name, why)
+                )
 
 
 def _fire(net: Net, marking: Sequence[int], t: int) -> Tuple[int, ...]:

@@ -33,7 +33,7 @@ class RawGraph(NamedTuple):
     explored: int
 
 
-class FieldOverflow(Exception):
+class FieldOverflowError(Exception):
     """A count outgrew its field; ``bits`` are the guard bits that were hit, one int per word."""
 
     def __init__(self, bits: Tuple[int, ...]) -> None:
@@ -44,8 +44,9 @@ class FieldOverflow(Exception):
 class Watch:
     """Tells progress at most every ``interval`` seconds, and stops the work when it is cancelled."""
 
-    def __init__(self, progress: Optional[Progress] = None, cancel: Optional[Cancel] = None,
-                 interval: float = 0.5) -> None:
+    def __init__(
+        self, progress: Optional[Progress] = None, cancel: Optional[Cancel] = None, interval: float = 0.5
+    ) -> None:
         self._progress = progress
         self._cancel = cancel
         self._interval = interval
@@ -81,7 +82,7 @@ class Growing:
     def extend(self, rows: Any) -> None:
         """Append ``rows``."""
         self.reserve(self.used + len(rows))
-        self.array[self.used:self.used + len(rows)] = rows
+        self.array[self.used : self.used + len(rows)] = rows
         self.used += len(rows)
 
     def finished(self) -> Any:
@@ -97,4 +98,4 @@ class Growing:
 
 def label_type(transitions: int) -> Any:
     """The smallest integer type for transition numbers."""
-    return np.int16 if transitions < 2 ** 15 else np.int32
+    return np.int16 if transitions < 2**15 else np.int32

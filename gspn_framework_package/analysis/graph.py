@@ -10,10 +10,10 @@ from scipy.sparse import csgraph
 
 
 class Components(NamedTuple):
-    """Strongly connected components: ``count``; ``of`` (int array: the component of each node); ``bottom``
+    """Strongly connected components: ``number`` of them; ``of`` (int array: the component of each node); ``bottom``
     (boolean array: no arc leaves the component)."""
 
-    count: int
+    number: int
     of: Any
     bottom: Any
 
@@ -41,8 +41,7 @@ def reachable_from(nodes: int, sources: Any, targets: Any, start: Any) -> Any:
     frontier = np.flatnonzero(seen)
     if not len(frontier):
         return seen
-    matrix = sparse.csr_matrix(
-        (np.ones(len(targets), dtype=bool), (sources, targets)), shape=(nodes, nodes))
+    matrix = sparse.csr_matrix((np.ones(len(targets), dtype=bool), (sources, targets)), shape=(nodes, nodes))
     while len(frontier):
         reached = matrix.indices[flat_ranges(matrix.indptr[frontier], matrix.indptr[frontier + 1])]
         reached = np.unique(reached[~seen[reached]])
@@ -105,8 +104,9 @@ def longest_levels(nodes: int, sources: Any, targets: Any) -> Tuple[Any, bool]:
     """For an acyclic graph the length of the longest way from each node, and True; with a cycle, False."""
     waiting = np.bincount(sources, minlength=nodes)
     level = np.zeros(nodes, dtype=np.int64)
-    backward = sparse.csr_matrix((np.ones(len(sources), np.int8), (targets, np.arange(len(sources)))),
-                                 shape=(nodes, max(len(sources), 1)))
+    backward = sparse.csr_matrix(
+        (np.ones(len(sources), np.int8), (targets, np.arange(len(sources)))), shape=(nodes, max(len(sources), 1))
+    )
     frontier = np.flatnonzero(waiting == 0)
     done = len(frontier)
     depth = 0

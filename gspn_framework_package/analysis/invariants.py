@@ -38,8 +38,10 @@ def place_invariants(net: Net, limit: int = INVARIANT_LIMIT) -> List[Invariant]:
     :raises LimitError: the search held more than ``limit`` candidates.
     """
     names = [p.name for p in net.places]
-    return [Invariant({names[p]: w for p, w in row}, sum(w * net.initial_marking[p] for p, w in row))
-            for row in _place_semiflows(net, limit)]
+    return [
+        Invariant({names[p]: w for p, w in row}, sum(w * net.initial_marking[p] for p, w in row))
+        for row in _place_semiflows(net, limit)
+    ]
 
 
 def transition_invariants(net: Net, limit: int = INVARIANT_LIMIT) -> List[Invariant]:
@@ -74,8 +76,7 @@ def invariant_bounds(net: Net, limit: int = INVARIANT_LIMIT) -> Tuple[Optional[i
     return bounds_of(net, rows, net.initial_marking)
 
 
-def bounds_of(net: Net, rows: Sequence[Sequence[Tuple[int, int]]],
-              marking: Marking) -> Tuple[Optional[int], ...]:
+def bounds_of(net: Net, rows: Sequence[Sequence[Tuple[int, int]]], marking: Marking) -> Tuple[Optional[int], ...]:
     """The bounds that these invariants (pairs of place number and weight) give from ``marking``."""
     bounds: List[Optional[int]] = [place.capacity for place in net.places]
     for row in rows:
@@ -172,8 +173,7 @@ def _minimal(rows: Sequence[_Row], fresh: Sequence[_Row]) -> List[_Row]:
     everyone = sorted(list(rows) + list(fresh), key=lambda r: bin(r.support).count("1"))
     by_lowest: Dict[int, List[int]] = {}  # lowest item of a kept support -> those supports
     for row in everyone:
-        if any(other & ~row.support == 0
-               for i in _bits(row.support) for other in by_lowest.get(i, ())):
+        if any(other & ~row.support == 0 for i in _bits(row.support) for other in by_lowest.get(i, ())):
             continue
         kept.append(row)
         by_lowest.setdefault(row.support & -row.support, []).append(row.support)

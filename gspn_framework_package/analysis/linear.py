@@ -41,8 +41,15 @@ class Solution(NamedTuple):
     sweeps: int = 0
 
 
-def solve(matrix: Any, diagonal: Any, rhs: Optional[Any], *, backward: bool = False,
-          watch: Optional[Watch] = None, start: Optional[Any] = None) -> Solution:
+def solve(
+    matrix: Any,
+    diagonal: Any,
+    rhs: Optional[Any],
+    *,
+    backward: bool = False,
+    watch: Optional[Watch] = None,
+    start: Optional[Any] = None,
+) -> Solution:
     """Solve ``diagonal * x = rhs + matrix @ x``.
 
     :param matrix: sparse, non-negative, nothing on its diagonal.
@@ -64,8 +71,10 @@ def solve(matrix: Any, diagonal: Any, rhs: Optional[Any], *, backward: bool = Fa
     if not best.residual <= ACCEPTED and DIRECT_SIZE < size <= FALLBACK_SIZE:
         best = _better(best, _direct(matrix, diagonal, rhs))
     if not best.residual <= ACCEPTED:
-        raise LimitError("the linear system was not solved: %s came to a residual of %.1e after %d sweeps" % (
-            best.method, best.residual, best.sweeps))
+        raise LimitError(
+            "the linear system was not solved: %s came to a residual of %.1e after %d sweeps"
+            % (best.method, best.residual, best.sweeps)
+        )
     return best
 
 
@@ -106,8 +115,9 @@ def _direct(matrix: Any, diagonal: Any, rhs: Optional[Any]) -> Solution:
     return Solution(values, residual(matrix, diagonal, rhs, values), "LU")
 
 
-def _sweeps(matrix: Any, diagonal: Any, rhs: Optional[Any], backward: bool, watch: Watch,
-            start: Optional[Any]) -> Solution:
+def _sweeps(
+    matrix: Any, diagonal: Any, rhs: Optional[Any], backward: bool, watch: Watch, start: Optional[Any]
+) -> Solution:
     scaled = matrix.copy()
     scaled.data = matrix.data / np.repeat(diagonal, np.diff(matrix.indptr))
     constant = None if rhs is None else np.asarray(rhs, dtype=np.float64) / diagonal
@@ -160,8 +170,7 @@ def _scipy_sweeper(scaled: Any, constant: Optional[Any], backward: bool) -> Call
     lower, upper = sparse.tril(scaled, -1, format="csr"), sparse.triu(scaled, 1, format="csr")
     solved, known = (eye - upper, lower) if backward else (eye - lower, upper)
     # With the natural order and no pivoting the decomposition of a triangular matrix is that matrix.
-    factor = linalg.splu(solved.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0,
-                         options={"SymmetricMode": True})
+    factor = linalg.splu(solved.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
     def triangular(values: Any) -> Any:
         right = known @ values

@@ -43,8 +43,9 @@ class Measures:
     @property
     def mean_tokens(self) -> Dict[str, float]:
         """Mean number of tokens in each place."""
-        return {place.name: float(self.distribution @ self.chain.column(p))
-                for p, place in enumerate(self.graph.net.places)}
+        return {
+            place.name: float(self.distribution @ self.chain.column(p)) for p, place in enumerate(self.graph.net.places)
+        }
 
     @property
     def token_distribution(self) -> Dict[str, Dict[int, float]]:
@@ -78,8 +79,7 @@ class Measures:
     @property
     def throughput(self) -> Dict[str, float]:
         """How often (1/s) each transition fires, immediate ones included."""
-        totals = np.bincount(self.graph.transitions, weights=self.flows,
-                             minlength=len(self.graph.net.transitions))
+        totals = np.bincount(self.graph.transitions, weights=self.flows, minlength=len(self.graph.net.transitions))
         return {t.name: float(v) for t, v in zip(self.graph.net.transitions, totals)}
 
     @property
@@ -92,8 +92,10 @@ class Measures:
             for p, weight in net.outputs[t]:
                 arrivals[net.places[p].name] += weight * throughput[transition.name]
         means = self.mean_tokens
-        return {name: means[name] / rate if rate > 0 else (math.inf if means[name] > 0 else math.nan)
-                for name, rate in arrivals.items()}
+        return {
+            name: means[name] / rate if rate > 0 else (math.inf if means[name] > 0 else math.nan)
+            for name, rate in arrivals.items()
+        }
 
     @property
     def sojourn_times(self) -> Any:
@@ -101,8 +103,11 @@ class Measures:
         with np.errstate(divide="ignore"):
             return 1.0 / self.chain.exit_rates
 
-    def reward(self, rates: Union[Mapping[str, float], Callable[[Any], Any], None] = None,
-               impulses: Optional[Mapping[str, float]] = None) -> float:
+    def reward(
+        self,
+        rates: Union[Mapping[str, float], Callable[[Any], Any], None] = None,
+        impulses: Optional[Mapping[str, float]] = None,
+    ) -> float:
         """Reward per second.
 
         :param rates: place -> reward per token and second; or a function from markings (int array, one row a

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from gspn_framework_package.analysis.exploration import (
-    FieldOverflow,
+    FieldOverflowError,
     Growing,
     RawGraph,
     Watch,
@@ -42,7 +42,7 @@ def explore(packed: PackedNet, limit: int, watch: Watch) -> RawGraph:
     states.extend(packed.initial[None, :])
     offsets = Growing(np.int64)
     offsets.extend(np.zeros(1, dtype=np.int64))
-    targets = Growing(np.int32 if limit < 2 ** 31 - 2 ** 24 else np.int64)
+    targets = Growing(np.int32 if limit < 2**31 - 2**24 else np.int64)
     labels = Growing(label_type(transitions))
     table = _new_table(states, 1 << 12)
     overflow = np.zeros(packed.words, dtype=np.uint64)
@@ -59,13 +59,29 @@ def explore(packed: PackedNet, limit: int, watch: Watch) -> RawGraph:
         labels.reserve(len(targets.array))
         offsets.reserve(offsets.used + end - explored)
         explored, states.used, targets.used = _advance(
-            explored, end, states.array, states.used, states.used + room, table, offsets.array,
-            targets.array, labels.array, targets.used, packed.need, packed.need_guard, packed.inhibit,
-            packed.inhibit_guard, packed.change, packed.class_ends, packed.guard, overflow)
+            explored,
+            end,
+            states.array,
+            states.used,
+            states.used + room,
+            table,
+            offsets.array,
+            targets.array,
+            labels.array,
+            targets.used,
+            packed.need,
+            packed.need_guard,
+            packed.inhibit,
+            packed.inhibit_guard,
+            packed.change,
+            packed.class_ends,
+            packed.guard,
+            overflow,
+        )
         labels.used = targets.used
         offsets.used = explored + 1
         if overflow.any():
-            raise FieldOverflow(tuple(int(bits) for bits in overflow))
+            raise FieldOverflowError(tuple(int(bits) for bits in overflow))
         watch.step("states", states.used)
     rest = np.full(states.used - explored, offsets.array[explored], dtype=np.int64)
     offsets.extend(rest)
@@ -106,8 +122,26 @@ def _fill(table: Any, states: Any, count: int) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _advance(begin, end, states, known, most, table, offsets, targets, labels, arcs, need, need_guard,  # noqa: ANN
-             inhibit, inhibit_guard, change, class_ends, guard, overflow):
+def _advance(
+    begin: Any,
+    end: Any,
+    states: Any,
+    known: Any,
+    most: Any,
+    table: Any,
+    offsets: Any,
+    targets: Any,
+    labels: Any,
+    arcs: Any,
+    need: Any,
+    need_guard: Any,
+    inhibit: Any,
+    inhibit_guard: Any,
+    change: Any,
+    class_ends: Any,
+    guard: Any,
+    overflow: Any,
+) -> Any:
     """Explore the states ``begin`` to ``end``, or fewer when the arrays are full; returns the first state not
     explored, the number of states known and the number of arcs."""
     words = states.shape[1]

@@ -12,7 +12,7 @@ from typing import Any, Optional, Tuple
 import numpy as np
 
 from gspn_framework_package.analysis.exploration import (
-    FieldOverflow,
+    FieldOverflowError,
     Growing,
     RawGraph,
     Watch,
@@ -30,26 +30,26 @@ def explore(packed: PackedNet, limit: int, watch: Watch, chunk: int = 1 << 15) -
 
     :param limit: the exploration ends when more than this many states are known.
     :param chunk: states of one round.
-    :raises FieldOverflow: the fields are too narrow.
+    :raises FieldOverflowError: the fields are too narrow.
     """
     transitions = len(packed.order)
     states = Growing(np.uint64, packed.words)
     states.extend(packed.initial[None, :])
     offsets = Growing(np.int64)
     offsets.extend(np.zeros(1, dtype=np.int64))
-    targets = Growing(np.int32 if limit < 2 ** 31 - 2 ** 24 else np.int64)
+    targets = Growing(np.int32 if limit < 2**31 - 2**24 else np.int64)
     labels = Growing(label_type(transitions))
     table = _Table(states)
     explored = 0
     rows = max(1, min(chunk, (1 << 20) // max(transitions, 1)))
     while explored < states.used <= limit:
-        block = states.array[explored:min(explored + rows, states.used)]
+        block = states.array[explored : min(explored + rows, states.used)]
         sources, fired = _enabled(packed, block)
         successors = block[sources]
         successors += packed.change[fired]
         overflow = np.bitwise_or.reduce(successors, axis=0) & packed.guard if len(successors) else ()
         if np.any(overflow):
-            raise FieldOverflow(tuple(int(bits) for bits in overflow))
+            raise FieldOverflowError(tuple(int(bits) for bits in overflow))
         targets.extend(table.insert(successors, states))
         labels.extend(fired)
         counts = np.bincount(sources, minlength=len(block))
@@ -107,8 +107,10 @@ def _mask_by_transition(packed: PackedNet, block: Any) -> Any:
     for row in range(len(packed.order)):
         result: Optional[Any] = None
         for w in range(packed.words):
-            for weights, guards, enabled in ((packed.need, packed.need_guard, True),
-                                             (packed.inhibit, packed.inhibit_guard, False)):
+            for weights, guards, enabled in (
+                (packed.need, packed.need_guard, True),
+                (packed.inhibit, packed.inhibit_guard, False),
+            ):
                 guard = guards[row, w]
                 if not guard:
                     continue
@@ -138,7 +140,7 @@ class _Table:
         mask = len(slots) - 1
         numbers = np.empty(len(keys), dtype=slots.dtype)
         at = _hash(keys) & mask
-        open_keys = np.arange(len(keys), dtype=slots.dtype)
+        open_keys: Any = np.arange(len(keys), dtype=slots.dtype)
         single = keys.shape[1] == 1
         fresh = []
         first_key = keys[:, 0] if single else keys
@@ -189,10 +191,10 @@ class _Table:
         self._rebuild(capacity, states)
 
     def _rebuild(self, capacity: int, states: Growing) -> None:
-        self._slots = np.full(capacity, _EMPTY, dtype=np.int32 if capacity < 2 ** 31 else np.int64)
+        self._slots = np.full(capacity, _EMPTY, dtype=np.int32 if capacity < 2**31 else np.int64)
         mask = capacity - 1
         for begin in range(0, states.used, 1 << 20):
-            keys = states.array[begin:min(begin + (1 << 20), states.used)]
+            keys = states.array[begin : min(begin + (1 << 20), states.used)]
             at = _hash(keys) & mask
             numbers = np.arange(begin, begin + len(keys), dtype=self._slots.dtype)
             open_keys = np.arange(len(keys))

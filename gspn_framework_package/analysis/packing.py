@@ -81,8 +81,13 @@ class PackedNet:
             inhibit_guard[self.word_of[p]] |= 1 << (self.shift_of[p] + self.widths[p])
         for p, by in net.effect(t):
             change[self.word_of[p]] += by * (1 << self.shift_of[p])
-        for into, values in ((self.need, need), (self.need_guard, need_guard), (self.inhibit, inhibit),
-                             (self.inhibit_guard, inhibit_guard), (self.change, change)):
+        for into, values in (
+            (self.need, need),
+            (self.need_guard, need_guard),
+            (self.inhibit, inhibit),
+            (self.inhibit_guard, inhibit_guard),
+            (self.change, change),
+        ):
             into[row] = [value % (1 << WORD_BITS) for value in values]
 
     def pack(self, marking: Sequence[int]) -> Any:
@@ -130,7 +135,7 @@ class PackedNet:
         return tuple(widths)
 
 
-def thresholds(net: Net, t: int) -> "dict[int, int]":
+def thresholds(net: Net, t: int) -> dict[int, int]:
     """Place number -> the count from which on it forbids transition number ``t``, by an inhibitor arc or because
     the place would overflow its capacity."""
     found = dict(net.inhibitors[t])
@@ -165,7 +170,9 @@ def starting_widths(net: Net, bounds: Sequence[Optional[int]]) -> Tuple[int, ...
 def _precedence_classes(net: Net) -> List[List[int]]:
     """Numbers of transitions in groups of falling precedence; exponential ones are the last group."""
     immediate = {t.priority for t in net.transitions if not t.timed}
-    classes = [[i for i, t in enumerate(net.transitions) if not t.timed and t.priority == priority]
-               for priority in sorted(immediate, reverse=True)]
+    classes = [
+        [i for i, t in enumerate(net.transitions) if not t.timed and t.priority == priority]
+        for priority in sorted(immediate, reverse=True)
+    ]
     timed = [i for i, t in enumerate(net.transitions) if t.timed]
     return classes + [timed] if timed or not classes else classes

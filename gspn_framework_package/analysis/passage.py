@@ -34,8 +34,14 @@ class Passage(NamedTuple):
     residual: float
 
 
-def first_passage(graph: RatedGraph, goal: Any, times: Sequence[float] = (), *,
-                  progress: Optional[Progress] = None, cancel: Optional[Cancel] = None) -> Passage:
+def first_passage(
+    graph: RatedGraph,
+    goal: Any,
+    times: Sequence[float] = (),
+    *,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+) -> Passage:
     """The first time that a condition holds, from the initial marking on.
 
     :param graph: the graph with rates.
@@ -72,6 +78,9 @@ def first_passage(graph: RatedGraph, goal: Any, times: Sequence[float] = (), *,
             solution = solve(among, exits, np.ones(len(inside)), backward=True, watch=watch)
             mean = float(chain.initial[inside] @ solution.values)
             worst = solution.residual
-    within = [float(at.distribution[there].sum())
-              for at in transient(chain, times, progress=progress, cancel=cancel)] if len(times) else []
+    within = (
+        [float(at.distribution[there].sum()) for at in transient(chain, times, progress=progress, cancel=cancel)]
+        if len(times)
+        else []
+    )
     return Passage(min(probability, 1.0), mean, within, worst)

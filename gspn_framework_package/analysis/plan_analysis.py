@@ -66,8 +66,9 @@ class PlanRules:
         self._immediate = [t for t, transition in enumerate(net.transitions) if not transition.timed]
         self._timed = [t for t, transition in enumerate(net.transitions) if transition.timed]
         self._spontaneous = [t for t in self._immediate if not any(acts[p] for p, _ in net.inputs[t])]
-        self._leaving = {p: [t for t in net.consumers[p] if not net.transitions[t].timed]
-                         for p in range(len(net.places)) if acts[p]}
+        self._leaving = {
+            p: [t for t in net.consumers[p] if not net.transitions[t].timed] for p in range(len(net.places)) if acts[p]
+        }
         self._deciding = [p for p, leaving in self._leaving.items() if leaving]
 
     def is_over(self, marking: Marking) -> bool:
@@ -107,7 +108,7 @@ class PlanRules:
             return [Outcome(weights[0][0], 1.0)]  # as in the token game: file order
         return [Outcome(t, weight / total) for t, weight in weights if weight]
 
-    def _draw(self, marking: Marking, p: int, ready: "set[int]") -> List[Tuple[int, float]]:
+    def _draw(self, marking: Marking, p: int, ready: set[int]) -> List[Tuple[int, float]]:
         """What a robot in place ``p`` draws from: pairs (transition, probability)."""
         full = self._start
         for q, count in zip(self._full, marking):
@@ -167,8 +168,10 @@ def plan_net(plan: Plan, left_out: Sequence[str] = ()) -> Net:
     exponential transitions that leave action places."""
     net = plan.net.without_places(left_out)
     acts = {p for p, place in enumerate(net.places) if place.name not in plan.resource_places}
-    transitions = [t._replace(servers=None) if t.timed and any(p in acts for p, _ in net.inputs[i]) else t
-                   for i, t in enumerate(net.transitions)]
+    transitions = [
+        t._replace(servers=None) if t.timed and any(p in acts for p, _ in net.inputs[i]) else t
+        for i, t in enumerate(net.transitions)
+    ]
     return Net(net.places, transitions, net.arcs, net.name)
 
 
@@ -181,8 +184,7 @@ class PlanSpace(StateSpace):
     def __init__(self, rules: PlanRules, graph: RawGraph, markings: Any, vanishing: Any, values: Any) -> None:
         widths = [max(int(n).bit_length(), 1) for n in markings.max(axis=0)]
         packed = PackedNet(rules.net, widths, by_priority=False)
-        super().__init__(packed, graph._replace(states=packed.pack_all(markings)), untimed=False,
-                         engine="plan")
+        super().__init__(packed, graph._replace(states=packed.pack_all(markings)), untimed=False, engine="plan")
         self.counters = rules.counters
         self._vanishing = vanishing
         self._values = values
@@ -199,12 +201,21 @@ class PlanSpace(StateSpace):
     def rated(self) -> RatedGraph:
         """The graph with rates and probabilities. :raises LimitError: it is not complete."""
         self.require_complete("its Markov chain")
-        return RatedGraph(self.net, self._vanishing, self.sources, self.targets, self.transitions, self._values,
-                          self.markings, self.column)
+        return RatedGraph(
+            self.net,
+            self._vanishing,
+            self.sources,
+            self.targets,
+            self.transitions,
+            self._values,
+            self.markings,
+            self.column,
+        )
 
 
-def explore_plan(plan: Plan, *, limit: int = PLAN_STATE_LIMIT, progress: Optional[Progress] = None,
-                 cancel: Optional[Cancel] = None) -> PlanSpace:
+def explore_plan(
+    plan: Plan, *, limit: int = PLAN_STATE_LIMIT, progress: Optional[Progress] = None, cancel: Optional[Cancel] = None
+) -> PlanSpace:
     """Find the markings that a plan reaches under its policy.
 
     :param plan: a validated plan.
@@ -254,8 +265,12 @@ def explore_plan(plan: Plan, *, limit: int = PLAN_STATE_LIMIT, progress: Optiona
             watch.step("states", len(order))
     vanishing += [False] * (len(order) - explored)
     offsets.extend(np.full(len(order) - explored, len(targets), dtype=np.int64))
-    graph = RawGraph(None, offsets.finished(), np.array(targets, dtype=np.int32),
-                     np.array(labels, dtype=label_type(wait + 1)), explored)
+    graph = RawGraph(
+        None,
+        offsets.finished(),
+        np.array(targets, dtype=np.int32),
+        np.array(labels, dtype=label_type(wait + 1)),
+        explored,
+    )
     markings = np.array([marking for marking, _ in order], dtype=np.int64).reshape(len(order), -1)
-    return PlanSpace(rules, graph, markings, np.array(vanishing, dtype=bool),
-                     np.array(values, dtype=np.float64))
+    return PlanSpace(rules, graph, markings, np.array(vanishing, dtype=bool), np.array(values, dtype=np.float64))

@@ -42,8 +42,15 @@ class PlanMarkings:
     :param losses: whether robots can be lost.
     """
 
-    def __init__(self, plan: Plan, limit: int, *, losses: bool, progress: Optional[Progress] = None,
-                 cancel: Optional[Cancel] = None) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        limit: int,
+        *,
+        losses: bool,
+        progress: Optional[Progress] = None,
+        cancel: Optional[Cancel] = None,
+    ) -> None:
         self.plan = plan
         self.left_out = only_written(plan)
         net = plan.net.without_places(self.left_out)
@@ -60,11 +67,11 @@ class PlanMarkings:
         self.allowed = ~self._over[self._sources]
         self._answers = _Answers(self, self._table, plan)
         self._cross_out()
-        ways = ShortestWays(len(self.space), self._sources, self.space.targets,
-                            self.allowed & ~self._is_loss)
+        ways = ShortestWays(len(self.space), self._sources, self.space.targets, self.allowed & ~self._is_loss)
         self._ways = ways
-        self._ways_with_losses = ShortestWays(
-            len(self.space), self._sources, self.space.targets, self.allowed) if losses else ways
+        self._ways_with_losses = (
+            ShortestWays(len(self.space), self._sources, self.space.targets, self.allowed) if losses else ways
+        )
 
     @property
     def complete(self) -> bool:
@@ -81,8 +88,7 @@ class PlanMarkings:
     def _cross_out(self) -> None:
         """Disallow the firings of immediate transitions that nobody would choose."""
         transitions = self.net.transitions
-        robots = {p for p, place in enumerate(self.net.places)
-                  if place.name not in self.plan.resource_places}
+        robots = {p for p, place in enumerate(self.net.places) if place.name not in self.plan.resource_places}
         for t in range(self._own):
             if transitions[t].timed:
                 continue
@@ -120,8 +126,7 @@ class PlanMarkings:
 
     def _decision_places(self) -> Iterator[Tuple[int, List[int]]]:
         for p, place in enumerate(self.net.places):
-            leaving = [t for t in self.net.consumers[p]
-                       if t < self._own and not self.net.transitions[t].timed]
+            leaving = [t for t in self.net.consumers[p] if t < self._own and not self.net.transitions[t].timed]
             if leaving and place.name not in self.plan.resource_places:
                 yield p, leaving
 
@@ -144,30 +149,31 @@ class PlanMarkings:
             if place.name not in self.plan.resource_places and self._number[p] not in ends:
                 busy |= self.space.column(p) > 0
         dead = ~moving & busy & ~self._over
-        dead[self.space.explored:] = False
+        dead[self.space.explored :] = False
         if after_losses:
-            return self._findings(np.flatnonzero(dead & self._ways_with_losses.reached
-                                                 & ~self._ways.reached))
+            return self._findings(np.flatnonzero(dead & self._ways_with_losses.reached & ~self._ways.reached))
         return self._findings(np.flatnonzero(dead & self._ways.reached))
 
     # -- other questions --------------------------------------------------------------------------------
 
     def firing(self, transition: int) -> Optional[Finding]:
         """A reachable marking right after transition number ``transition`` of the plan's net fired, or None."""
-        arcs = np.flatnonzero((self.space.transitions == transition) & self.allowed
-                              & self._ways_with_losses.reached[self._sources])
+        arcs = np.flatnonzero(
+            (self.space.transitions == transition) & self.allowed & self._ways_with_losses.reached[self._sources]
+        )
         if not len(arcs):
             return None
         found = self._finding(int(self._sources[arcs[0]]))
         name = self.net.transitions[transition].name
-        return found._replace(sequence=found.sequence + [name],
-                              marking=self.space.named(int(self.space.targets[arcs[0]])))
+        return found._replace(
+            sequence=found.sequence + [name], marking=self.space.named(int(self.space.targets[arcs[0]]))
+        )
 
     def never_fire(self) -> List[str]:
         """Transitions that no reachable marking of the whole team fires."""
         fired = np.zeros(len(self.net.transitions), dtype=bool)
         fired[self.space.transitions[self.allowed & self._ways.reached[self._sources]]] = True
-        return [t.name for t, seen in zip(self.net.transitions[:self._own], fired) if not seen]
+        return [t.name for t, seen in zip(self.net.transitions[: self._own], fired) if not seen]
 
     def bounds(self) -> Dict[str, int]:
         """The most tokens that each place holds in any marking visited."""
@@ -207,8 +213,7 @@ class PlanMarkings:
     def _finding(self, state: int, place: Optional[int] = None) -> Finding:
         ways = self._ways if self._ways.reached[state] else self._ways_with_losses
         names = [self.net.transitions[self.space.transitions[arc]].name for arc in ways.way_to(state)]
-        return Finding(self.space.named(state), names,
-                       None if place is None else self.net.places[place].name)
+        return Finding(self.space.named(state), names, None if place is None else self.net.places[place].name)
 
 
 class _Answers:
@@ -251,13 +256,12 @@ class _Answers:
             if key not in self._known:
                 for column, count in zip(self._columns, counts):
                     marking[column] = count
-                self._known[key] = (self._table.distribution(marking, place),
-                                    self._table.matches(marking))
+                self._known[key] = (self._table.distribution(marking, place), self._table.matches(marking))
             result[i] = verdict(*self._known[key])
         return result[of.reshape(-1)]
 
 
-def _with_losses(net: Net, plan: Plan, left_out: "set[str]") -> Net:
+def _with_losses(net: Net, plan: Plan, left_out: set[str]) -> Net:
     """The net with a transition for every action place in which a robot can be lost."""
     places: List[Place] = list(net.places)
     transitions: List[Transition] = list(net.transitions)

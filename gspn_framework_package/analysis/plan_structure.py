@@ -20,9 +20,10 @@ def robot_flows(plan: Plan) -> List[RobotFlow]:
     """The robot flow of every transition (thesis 4.3.5: the resource places removed)."""
     net = plan.net
     acts = [p.name not in plan.resource_places for p in net.places]
-    return [RobotFlow(sum(w for p, w in net.inputs[t] if acts[p]),
-                      sum(w for p, w in net.outputs[t] if acts[p]))
-            for t in range(len(net.transitions))]
+    return [
+        RobotFlow(sum(w for p, w in net.inputs[t] if acts[p]), sum(w for p, w in net.outputs[t] if acts[p]))
+        for t in range(len(net.transitions))
+    ]
 
 
 def only_written(plan: Plan) -> Tuple[str, ...]:
@@ -37,15 +38,23 @@ def only_written(plan: Plan) -> Tuple[str, ...]:
     if plan.until:
         read.update(parse_condition(plan.until, [p.name for p in net.places]).places)
     return tuple(
-        place.name for p, place in enumerate(net.places)
-        if place.name in plan.resource_places and not net.consumers[p] and p not in inhibiting
-        and place.capacity is None and place.name not in read)
+        place.name
+        for p, place in enumerate(net.places)
+        if place.name in plan.resource_places
+        and not net.consumers[p]
+        and p not in inhibiting
+        and place.capacity is None
+        and place.name not in read
+    )
 
 
 def terminal_places(plan: Plan) -> Set[int]:
     """Numbers of the action places without output arcs, where robots are Inactive."""
-    return {plan.net.place_number(name) for name in plan.action_places
-            if not plan.net.consumers[plan.net.place_number(name)]}
+    return {
+        plan.net.place_number(name)
+        for name in plan.action_places
+        if not plan.net.consumers[plan.net.place_number(name)]
+    }
 
 
 def always_leavable(net: Net, place: int) -> bool:
@@ -55,20 +64,28 @@ def always_leavable(net: Net, place: int) -> bool:
 
 def fires_alone(net: Net, t: int, place: int) -> bool:
     """Whether one token in ``place`` is all that transition number ``t`` ever needs."""
-    return (net.inputs[t] == ((place, 1),) and not net.inhibitors[t]
-            and all(change <= 0 or net.places[p].capacity is None for p, change in net.effect(t)))
+    return (
+        net.inputs[t] == ((place, 1),)
+        and not net.inhibitors[t]
+        and all(change <= 0 or net.places[p].capacity is None for p, change in net.effect(t))
+    )
 
 
 def timeless_transitions(plan: Plan) -> List[int]:
     """Numbers of the immediate transitions that can follow another one without an action between: those that take
     no robot, or take robots only from places where some robot has nothing to do."""
     net = plan.net
-    idle = {net.place_number(name) for name in plan.action_places
-            if plan.actions.get(name) is None
-            or any(r.actions.get(name, True) is None for r in plan.robots)}
+    idle = {
+        net.place_number(name)
+        for name in plan.action_places
+        if plan.actions.get(name) is None or any(r.actions.get(name, True) is None for r in plan.robots)
+    }
     acts = {net.place_number(name) for name in plan.action_places}
-    return [t for t, transition in enumerate(net.transitions)
-            if not transition.timed and all(p in idle for p, _ in net.inputs[t] if p in acts)]
+    return [
+        t
+        for t, transition in enumerate(net.transitions)
+        if not transition.timed and all(p in idle for p, _ in net.inputs[t] if p in acts)
+    ]
 
 
 def find_cycle(net: Net, transitions: List[int]) -> List[str]:
@@ -78,38 +95,29 @@ def find_cycle(net: Net, transitions: List[int]) -> List[str]:
     for t in transitions:
         if not net.inputs[t]:
             return [net.transitions[t].name]
-    state: Dict[int, int] = {}  # place -> 1 under way, 2 done
-    for start in sorted({p for t in transitions for p, _ in net.inputs[t]}):
-        if start in state:
-            continue
-        way: List[Tuple[int, str]] = []
-        stack: List[Tuple[int, List[Tuple[str, int]]]] = []
-
-        def enter(p: int) -> None:
-            state[p] = 1
-            stack.append((p, [(net.transitions[t].name, q) for t in net.consumers[p] if t in chosen
-                              for q, _ in net.outputs[t]]))
-
-        enter(start)
-        while stack:
-            p, successors = stack[-1]
-            if not successors:
-                stack.pop()
-                state[p] = 2
-                if way:
-                    way.pop()
+    leaving = {
+        p: [(net.transitions[t].name, q) for t in net.consumers[p] if t in chosen for q, _ in net.outputs[t]]
+        for p in range(len(net.places))
+    }
+    finished: Set[int] = set()
+    for start in leaving:
+        way: List[Tuple[int, str]] = [(start, "")]  # places under way, with the transition that led to each
+        left = [list(leaving[start])] if start not in finished else []
+        while left:
+            if not left[-1]:
+                left.pop()
+                finished.add(way.pop()[0])
                 continue
-            name, q = successors.pop()
-            if state.get(q) == 1:
-                places = [entry[0] for entry in stack]
-                at = places.index(q)
+            through, q = left[-1].pop()
+            places = [p for p, _ in way]
+            if q in places:
                 names = [net.places[q].name]
-                for place, (_, through) in zip(places[at + 1:], way[at:]):
-                    names += [through, net.places[place].name]
-                return names + [name, net.places[q].name]
-            if q not in state:
-                way.append((q, name))
-                enter(q)
+                for p, transition in way[places.index(q) + 1 :]:
+                    names += [transition, net.places[p].name]
+                return [*names, through, net.places[q].name]
+            if q not in finished:
+                way.append((q, through))
+                left.append(list(leaving[q]))
     return []
 
 
@@ -118,13 +126,18 @@ class PolicyCover:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._robots = max(len(plan.robots), sum(
-            p.tokens for p in plan.net.places if p.name not in plan.resource_places))
+        self._robots = max(
+            len(plan.robots), sum(p.tokens for p in plan.net.places if p.name not in plan.resource_places)
+        )
         self._any = any(all(c is None for c in row.counts) for row in plan.policy.rows)
         self._spoken: Dict[int, List[int]] = {}
         for number, row in enumerate(plan.policy.rows):
-            inputs = {p for name, probability in row.choices if probability > 0
-                      for p, _ in plan.net.inputs[plan.net.transition_number(name)]}
+            inputs = {
+                p
+                for name, probability in row.choices
+                if probability > 0
+                for p, _ in plan.net.inputs[plan.net.transition_number(name)]
+            }
             for p in inputs:
                 self._spoken.setdefault(p, []).append(number)
 
@@ -144,10 +157,15 @@ class PolicyCover:
         """Whether the policy moves a robot out of ``place`` in every marking, whatever the others do: it always
         speaks of it, and chooses only transitions that one robot alone can fire."""
         net = self._plan.net
-        chosen = {net.transition_number(name) for number in self._spoken.get(place, [])
-                  for name, probability in self._plan.policy.rows[number].choices if probability > 0}
+        chosen = {
+            net.transition_number(name)
+            for number in self._spoken.get(place, [])
+            for name, probability in self._plan.policy.rows[number].choices
+            if probability > 0
+        }
         return self.speaks(place) and all(
-            fires_alone(net, t, place) for t in chosen if any(p == place for p, _ in net.inputs[t]))
+            fires_alone(net, t, place) for t in chosen if any(p == place for p, _ in net.inputs[t])
+        )
 
     def _by_own_count(self, place: int, rows: Iterable[int]) -> bool:
         """Whether these rows match every marking with a robot in ``place`` by looking at no other place."""

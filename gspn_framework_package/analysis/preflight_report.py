@@ -65,13 +65,18 @@ class PreflightReport(NamedTuple):
             "states": self.states,
             "complete": self.complete,
             "seconds": round(self.seconds, 6),
-            "items": [{"check": item.check, "severity": item.severity.value, "text": item.text,
-                       **item.details} for item in self.items],
+            "items": [
+                {"check": item.check, "severity": item.severity.value, "text": item.text, **item.details}
+                for item in self.items
+            ],
         }
 
     def __str__(self) -> str:
         lines = ["%-8s %s: %s" % (item.severity.value, item.check, item.text) for item in self.items]
-        how = "by structure alone" if not self.states else "%d markings visited%s" % (
-            self.states, "" if self.complete else ", not all there are")
+        how = (
+            "by structure alone"
+            if not self.states
+            else "%d markings visited%s" % (self.states, "" if self.complete else ", not all there are")
+        )
         verdict = "refused" if self.refused else "may run"
         return "\n".join(lines + ["%s %s (%s, %.3f s)" % (self.plan, verdict, how, self.seconds)])

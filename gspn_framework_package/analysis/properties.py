@@ -43,7 +43,7 @@ class Liveness(enum.IntEnum):
 class Deadlocks(NamedTuple):
     """How many reachable markings enable nothing; a shortest way to one, and that marking (None: there is none)."""
 
-    count: int
+    number: int
     witness: Optional[List[str]]
     marking: Optional[Dict[str, int]]
 
@@ -90,7 +90,7 @@ class Properties:
     @property
     def reversible(self) -> bool:
         """Whether the initial marking can be reached again from every reachable marking."""
-        return self.components.count == 1
+        return self.components.number == 1
 
     @property
     def home_states(self) -> Any:
@@ -111,7 +111,7 @@ class Properties:
         inside = found.of[sources] == found.of[space.targets]
         level[np.unique(space.transitions[inside])] = Liveness.L3
         bottom = np.flatnonzero(found.bottom)
-        number = np.full(found.count, -1, dtype=np.int64)
+        number = np.full(found.number, -1, dtype=np.int64)
         number[bottom] = np.arange(len(bottom))
         last = number[found.of[sources]]
         pairs = np.unique(space.transitions[last >= 0].astype(np.int64) * len(bottom) + last[last >= 0])

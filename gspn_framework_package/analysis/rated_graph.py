@@ -6,7 +6,7 @@ from the elimination of the vanishing markings on, does not care which.
 
 from __future__ import annotations
 
-from typing import Any, Callable, NamedTuple
+from typing import Any, Callable, Dict, NamedTuple
 
 import numpy as np
 
@@ -67,7 +67,7 @@ def rate(space: StateSpace) -> RatedGraph:
     vanishing = space.is_vanishing
     sources = space.sources
     values = np.empty(space.arcs, dtype=np.float64)
-    degree_of = {}
+    degree_of: Dict[int, Any] = {}
     for t, transition in enumerate(space.net.transitions):
         arcs = np.flatnonzero(space.transitions == t)
         if not len(arcs):
@@ -82,11 +82,12 @@ def rate(space: StateSpace) -> RatedGraph:
                 degree = np.minimum(degree, transition.servers)
             values[arcs] = transition.rate * degree
     _normalise(space, vanishing, sources, values)
-    return RatedGraph(space.net, vanishing, sources, space.targets, space.transitions, values, space.markings,
-                      space.column)
+    return RatedGraph(
+        space.net, vanishing, sources, space.targets, space.transitions, values, space.markings, space.column
+    )
 
 
-def _enabling_degree(space: StateSpace, t: int, states: Any, columns: "dict[int, Any]") -> Any:
+def _enabling_degree(space: StateSpace, t: int, states: Any, columns: dict[int, Any]) -> Any:
     degree = np.full(len(states), np.iinfo(np.int64).max, dtype=np.int64)
     for p, weight in space.net.inputs[t]:
         if p not in columns:
@@ -105,8 +106,10 @@ def _normalise(space: StateSpace, vanishing: Any, sources: Any, values: Any) -> 
     if len(unweighted):
         state = int(sources[unweighted[0]])
         names = [name for name, _ in space.successors(state)]
-        raise RefusedError("no weight decides between %s in %s" % (", ".join(names), _text(space, state)),
-                           hint="give them weights, or analyse a plan with a policy")
+        raise RefusedError(
+            "no weight decides between %s in %s" % (", ".join(names), _text(space, state)),
+            hint="give them weights, or analyse a plan with a policy",
+        )
     alone = arcs[count[sources[arcs]] == 1]
     values[alone] = 1.0
     total = np.bincount(sources[arcs], weights=values[arcs], minlength=len(space))

@@ -11,7 +11,7 @@ from typing import Any, Callable, Dict, Iterator, List, Mapping, NamedTuple, Opt
 
 from gspn_framework_package.analysis.analyse import Analysis, Reachability
 from gspn_framework_package.analysis.measures import Measures
-from gspn_framework_package.model.errors import CancelledError, InputError, RefusedError
+from gspn_framework_package.model.errors import CancelledError, RefusedError
 
 INFINITE = "infinite"
 
@@ -39,12 +39,13 @@ class Questions(NamedTuple):
     timing: bool = True
 
 
-def report(analysis: Analysis, questions: Questions = Questions()) -> Dict[str, Any]:
+def report(analysis: Analysis, questions: Optional[Questions] = None) -> Dict[str, Any]:
     """The answers as plain JSON values; see ``docs/analysis.md`` for the keys.
 
     :raises InputError: a condition cannot be read, or a name is unknown.
     :raises CancelledError: the work was cancelled.
     """
+    questions = questions or Questions()
     work = _Report(analysis)
     work.basics()
     if questions.structure:
@@ -99,10 +100,10 @@ class _Report:
 
     def structure(self) -> None:
         structure = self.analysis.structure
-        self.answer("place_invariants", lambda: [
-            {"weights": i.weights, "value": i.value} for i in structure.place_invariants])
-        self.answer("transition_invariants", lambda: [
-            {"weights": i.weights} for i in structure.transition_invariants])
+        self.answer(
+            "place_invariants", lambda: [{"weights": i.weights, "value": i.value} for i in structure.place_invariants]
+        )
+        self.answer("transition_invariants", lambda: [{"weights": i.weights} for i in structure.transition_invariants])
         self.answer("conservative", lambda: structure.conservative)
         self.answer("strictly_conservative", lambda: structure.strictly_conservative)
         self.answer("consistent", lambda: structure.consistent)
@@ -118,29 +119,43 @@ class _Report:
         whole = space.complete
         if whole:
             vanishing = int(space.is_vanishing.sum())
-            self.data["states"] = {"total": len(space), "tangible": len(space) - vanishing,
-                                   "vanishing": vanishing, "arcs": space.arcs}
+            self.data["states"] = {
+                "total": len(space),
+                "tangible": len(space) - vanishing,
+                "vanishing": vanishing,
+                "arcs": space.arcs,
+            }
         else:
             self.data["states"] = None
-            self.undecided["states"] = ("the net is unbounded" if analysis.boundedness.bounded is False
-                                        else "not decided within %d states" % len(space))
+            self.undecided["states"] = (
+                "the net is unbounded"
+                if analysis.boundedness.bounded is False
+                else "not decided within %d states" % len(space)
+            )
         self.data["left_out"] = list(analysis.left_out)
         self.data["engine"] = space.engine
         self.data["memory_bytes"] = space.memory
         found = analysis.boundedness
         self.data["bounded"] = found.bounded
-        self.data["bounds"] = {place: INFINITE if bound is None and found.bounded is False else bound
-                               for place, bound in found.bounds.items()}
+        self.data["bounds"] = {
+            place: INFINITE if bound is None and found.bounded is False else bound
+            for place, bound in found.bounds.items()
+        }
         if found.bounded is None:
             self.undecided["bounded"] = found.reason
         if None in self.data["bounds"].values():
             self.undecided["bounds"] = found.reason
-        self.answer("k_safe", lambda: None if found.bounded is None else max(
-            (math.inf if b is None else b for b in found.bounds.values()), default=0))
+        self.answer(
+            "k_safe",
+            lambda: (
+                None
+                if found.bounded is None
+                else max((math.inf if b is None else b for b in found.bounds.values()), default=0)
+            ),
+        )
         self._deadlocks()
         self.answer("live", lambda: analysis.properties.live)
-        self.answer("liveness", lambda: {
-            name: level.name for name, level in analysis.properties.liveness.items()})
+        self.answer("liveness", lambda: {name: level.name for name, level in analysis.properties.liveness.items()})
         self.answer("dead_transitions", lambda: analysis.properties.dead_transitions)
         self.answer("reversible", lambda: analysis.reversible)
         self.answer("home_states", lambda: self._home())
@@ -150,8 +165,7 @@ class _Report:
         space = self.analysis.space
         dead = space.deadlocks
         if space.complete or len(dead):
-            data: Dict[str, Any] = {"count": len(dead) if space.complete else None,
-                                    "witness": None, "marking": None}
+            data: Dict[str, Any] = {"count": len(dead) if space.complete else None, "witness": None, "marking": None}
             if len(dead):
                 data["witness"] = space.path_to(int(dead[0]))
                 data["marking"] = space.named(int(dead[0]))
@@ -170,6 +184,7 @@ class _Report:
     def _by_tree(self) -> None:
         """What the coverability tree knows of an unbounded net."""
         if self.analysis.boundedness.bounded is False and self.analysis.plan is None:
+
             def dead_transitions() -> List[str]:
                 return self.analysis.tree.dead_transitions
 
@@ -186,7 +201,8 @@ class _Report:
             found = self.analysis.reach(condition)
             if found.reachable is None:
                 self.undecided["reach.%s" % condition] = "not found within %d states, which are not all" % len(
-                    self.analysis.space)
+                    self.analysis.space
+                )
             return _reachability(condition, found)
 
         self.data.setdefault("reach", []).append(self._try("reach.%s" % condition, compute))
@@ -198,7 +214,8 @@ class _Report:
             found = self.analysis.cover(marking)
             if found.reachable is None:
                 self.undecided["cover.%s" % text] = "not found within %d states, which are not all" % len(
-                    self.analysis.space)
+                    self.analysis.space
+                )
             data = _reachability(text, found)
             data["coverable"] = data.pop("reachable")
             return data
@@ -233,8 +250,10 @@ class _Report:
         for name in rewards:
             if name not in net.place_index:
                 net.transition_number(name)  # says that there is no such thing
-        return measures.reward({n: v for n, v in rewards.items() if n in net.place_index},
-                               {n: v for n, v in rewards.items() if n in net.transition_index})
+        return measures.reward(
+            {n: v for n, v in rewards.items() if n in net.place_index},
+            {n: v for n, v in rewards.items() if n in net.transition_index},
+        )
 
     def at(self, questions: Questions) -> None:
         def compute() -> List[Dict[str, Any]]:
@@ -251,9 +270,13 @@ class _Report:
     def mean_time_to(self, condition: str, times: Tuple[float, ...]) -> None:
         def compute() -> Dict[str, Any]:
             found = self.analysis.first_passage(condition, times)
-            return {"condition": condition, "mean_time": found.mean_time, "probability": found.probability,
-                    "within": [{"time": t, "probability": p} for t, p in zip(times, found.within)],
-                    "residual": found.residual}
+            return {
+                "condition": condition,
+                "mean_time": found.mean_time,
+                "probability": found.probability,
+                "within": [{"time": t, "probability": p} for t, p in zip(times, found.within)],
+                "residual": found.residual,
+            }
 
         self.data.setdefault("mean_time_to", []).append(self._try("mean_time_to.%s" % condition, compute))
 
@@ -262,16 +285,24 @@ class _Report:
 
 
 def _measures(measures: Measures) -> Dict[str, Any]:
-    return {"mean_tokens": measures.mean_tokens, "throughput": measures.throughput,
-            "token_distribution": {place: {str(n): v for n, v in counts.items()}
-                                   for place, counts in measures.token_distribution.items()}}
+    return {
+        "mean_tokens": measures.mean_tokens,
+        "throughput": measures.throughput,
+        "token_distribution": {
+            place: {str(n): v for n, v in counts.items()} for place, counts in measures.token_distribution.items()
+        },
+    }
 
 
 def _reachability(what: str, found: Reachability) -> Dict[str, Any]:
     way = found.witness
-    return {"condition": what, "reachable": found.reachable, "count": found.count,
-            "witness": None if way is None else [step.transition for step in way],
-            "marking": way[-1].marking if way and way[-1].marking else None}
+    return {
+        "condition": what,
+        "reachable": found.reachable,
+        "count": found.number,
+        "witness": None if way is None else [step.transition for step in way],
+        "marking": way[-1].marking if way and way[-1].marking else None,
+    }
 
 
 def _plain(value: Any) -> Any:

@@ -60,8 +60,7 @@ def _reduce(within: int, feeding: Sequence[Sequence[int]], support: Sequence[int
     return within
 
 
-def _minimal_sets(count: int, feeding: Sequence[Sequence[int]], support: Sequence[int],
-                  limit: int) -> Set[int]:
+def _minimal_sets(count: int, feeding: Sequence[Sequence[int]], support: Sequence[int], limit: int) -> Set[int]:
     found: Set[int] = set()
     waiting: List[Tuple[int, int]] = [((1 << count) - 1, 0)]  # (places allowed, places required)
     looked_at = 0
@@ -90,8 +89,7 @@ def _minimal_sets(count: int, feeding: Sequence[Sequence[int]], support: Sequenc
     return found
 
 
-def _demand(required: int, allowed: int, feeding: Sequence[Sequence[int]],
-            support: Sequence[int]) -> Tuple[int, bool]:
+def _demand(required: int, allowed: int, feeding: Sequence[Sequence[int]], support: Sequence[int]) -> Tuple[int, bool]:
     """``required`` with the places that it cannot do without (where a transition that feeds it has one input place
     left), and whether it is a siphon by itself now. A demand that cannot be met shows as a place that is not
     ``allowed``."""
@@ -136,5 +134,7 @@ def _numbers(bits: int) -> List[int]:
 
 def _named(net: Net, found: Set[int]) -> List[PlaceSet]:
     sets = sorted((_numbers(bits) for bits in found), key=lambda numbers: (len(numbers), numbers))
-    return [PlaceSet(tuple(net.places[p].name for p in numbers),
-                     any(net.initial_marking[p] for p in numbers)) for numbers in sets]
+    return [
+        PlaceSet(tuple(net.places[p].name for p in numbers), any(net.initial_marking[p] for p in numbers))
+        for numbers in sets
+    ]

@@ -21,7 +21,7 @@ import numpy as np
 from gspn_framework_package.analysis import numpy_engine
 from gspn_framework_package.analysis.exploration import (
     Cancel,
-    FieldOverflow,
+    FieldOverflowError,
     Progress,
     RawGraph,
     Watch,
@@ -100,14 +100,16 @@ class StateSpace:
     def require_complete(self, question: str) -> None:
         """:raises LimitError: the limit on states was met, so that ``question`` is not decided."""
         if not self.complete:
-            raise LimitError("%s: not decided within %d states" % (question, len(self)),
-                             hint="raise the limit, or ask about a smaller net")
+            raise LimitError(
+                "%s: not decided within %d states" % (question, len(self)),
+                hint="raise the limit, or ask about a smaller net",
+            )
 
     # -- markings ---------------------------------------------------------------------------------------
 
     def marking(self, state: int) -> Marking:
         """The marking of one state."""
-        return tuple(self._packed.unpack(self._states[state:state + 1])[0].tolist())
+        return tuple(self._packed.unpack(self._states[state : state + 1])[0].tolist())
 
     def named(self, state: int) -> Dict[str, int]:
         """The marking of one state as place -> count, without the empty places."""
@@ -155,7 +157,7 @@ class StateSpace:
     def is_dead(self) -> Any:
         """Boolean array: no transition is enabled (known of explored states only)."""
         dead = np.diff(self.offsets) == 0
-        dead[self.explored:] = False
+        dead[self.explored :] = False
         return dead
 
     @property
@@ -182,8 +184,7 @@ class StateSpace:
     def successors(self, state: int) -> List[Tuple[str, int]]:
         """Pairs (transition, state) of one state."""
         part = slice(self.offsets[state], self.offsets[state + 1])
-        return [(self.transition_name(t), int(s))
-                for t, s in zip(self.transitions[part], self.targets[part])]
+        return [(self.transition_name(t), int(s)) for t, s in zip(self.transitions[part], self.targets[part])]
 
     def transition_name(self, transition: int) -> str:
         """The name of transition number ``transition``."""
@@ -212,12 +213,23 @@ class StateSpace:
 
     def __repr__(self) -> str:
         return "<StateSpace of %s: %d states, %d arcs%s>" % (
-            self.net.name or "a net", len(self), self.arcs, "" if self.complete else ", not complete")
+            self.net.name or "a net",
+            len(self),
+            self.arcs,
+            "" if self.complete else ", not complete",
+        )
 
 
-def explore(net: Net, *, limit: int = STATE_LIMIT, engine: str = "auto", untimed: bool = False,
-            progress: Optional[Progress] = None, cancel: Optional[Cancel] = None,
-            bounds: Optional[Sequence[Optional[int]]] = None) -> StateSpace:
+def explore(
+    net: Net,
+    *,
+    limit: int = STATE_LIMIT,
+    engine: str = "auto",
+    untimed: bool = False,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+    bounds: Optional[Sequence[Optional[int]]] = None,
+) -> StateSpace:
     """Find the reachable markings.
 
     :param limit: stop soon after this many states are known; the result then is not ``complete``.
@@ -244,7 +256,7 @@ def explore(net: Net, *, limit: int = STATE_LIMIT, engine: str = "auto", untimed
         try:
             graph, name = _run(packed, limit, watch, engine)
             return StateSpace(packed, graph, untimed=untimed, engine=name)
-        except FieldOverflow as overflow:
+        except FieldOverflowError as overflow:
             widths = packed.wider(overflow.bits)
 
 
@@ -258,8 +270,7 @@ def _run(packed: PackedNet, limit: int, watch: Watch, engine: str) -> Tuple[RawG
     try:
         from gspn_framework_package.analysis import numba_engine
     except ImportError as error:
-        raise UsageError("the engine numba is not there: %s" % error,
-                         hint="install numba, or choose numpy") from None
+        raise UsageError("the engine numba is not there: %s" % error, hint="install numba, or choose numpy") from None
     return numba_engine.explore(packed, limit, watch), "numba"
 
 

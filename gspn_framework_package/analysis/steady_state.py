@@ -31,8 +31,7 @@ class SteadyState(NamedTuple):
     method: str
 
 
-def steady_state(chain: Chain, *, progress: Optional[Progress] = None,
-                 cancel: Optional[Cancel] = None) -> SteadyState:
+def steady_state(chain: Chain, *, progress: Optional[Progress] = None, cancel: Optional[Cancel] = None) -> SteadyState:
     """The steady state.
 
     :raises LimitError: a linear system was not solved to an acceptable residual.
@@ -80,4 +79,3 @@ def _absorption(chain: Chain, classes: List[Any], watch: Watch) -> Solution:
         worst, method = times.residual, times.method
     values = np.array([inflow[states].sum() for states in classes])
     return Solution(values / values.sum(), worst, method)
-

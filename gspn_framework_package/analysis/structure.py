@@ -13,7 +13,7 @@ idle + busy = 1
 
 from __future__ import annotations
 
-from typing import Dict, List, NamedTuple, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Tuple
 
 from gspn_framework_package.analysis.invariants import (
     INVARIANT_LIMIT,
@@ -67,13 +67,14 @@ def classify(net: Net) -> NetClasses:
         ordinary=ordinary,
         pure=all(not before[t] & after[t] for t in numbers),
         state_machine=ordinary and all(len(before[t]) == 1 == len(after[t]) for t in numbers),
-        marked_graph=ordinary and all(len(net.consumers[p]) == 1 == len(net.producers[p])
-                                      for p in range(len(net.places))),
+        marked_graph=ordinary
+        and all(len(net.consumers[p]) == 1 == len(net.producers[p]) for p in range(len(net.places))),
         free_choice=ordinary and all(len(before[t]) == 1 for ts in shared for t in ts),
         extended_free_choice=ordinary and all(before[t] == before[ts[0]] for ts in shared for t in ts),
-        asymmetric_choice=ordinary and all(
-            leaving[p] <= leaving[q] or leaving[q] <= leaving[p]
-            for t in numbers for p in before[t] for q in before[t]),
+        asymmetric_choice=ordinary
+        and all(
+            leaving[p] <= leaving[q] or leaving[q] <= leaving[p] for t in numbers for p in before[t] for q in before[t]
+        ),
         inhibitors=any(net.inhibitors),
     )
 
@@ -117,12 +118,11 @@ class Structure:
     Every property raises LimitError where the search it needs would go beyond its limit.
     """
 
-    def __init__(self, net: Net, *, invariant_limit: int = INVARIANT_LIMIT,
-                 siphon_limit: int = SIPHON_LIMIT) -> None:
+    def __init__(self, net: Net, *, invariant_limit: int = INVARIANT_LIMIT, siphon_limit: int = SIPHON_LIMIT) -> None:
         self.net = net
         self._invariant_limit = invariant_limit
         self._siphon_limit = siphon_limit
-        self._known: Dict[str, object] = {}
+        self._known: Dict[str, Any] = {}
 
     @property
     def place_invariants(self) -> List[Invariant]:
@@ -180,7 +180,7 @@ class Structure:
         covered = {name for row in surpluses for name in row}
         return len(covered) == len(self.net.transitions)
 
-    def _once(self, key, compute):  # type: ignore[no-untyped-def]
+    def _once(self, key: str, compute: Callable[[], Any]) -> Any:
         if key not in self._known:
             self._known[key] = compute()
         return self._known[key]

@@ -82,8 +82,9 @@ class Evolution:
         return self._stays * vector + self._moves @ vector
 
 
-def transient(chain: Chain, times: Iterable[float], *, progress: Optional[Progress] = None,
-              cancel: Optional[Cancel] = None) -> List[Transient]:
+def transient(
+    chain: Chain, times: Iterable[float], *, progress: Optional[Progress] = None, cancel: Optional[Cancel] = None
+) -> List[Transient]:
     """The distributions at ``times`` (s), in their order.
 
     :raises UsageError: a time that is negative or not finite.
@@ -97,8 +98,14 @@ def transient(chain: Chain, times: Iterable[float], *, progress: Optional[Progre
     return [Transient(time, found[time]) for time in asked]
 
 
-def time_to_steady_state(chain: Chain, tolerance: float = 1e-3, *, steady: Optional[SteadyState] = None,
-                         progress: Optional[Progress] = None, cancel: Optional[Cancel] = None) -> float:
+def time_to_steady_state(
+    chain: Chain,
+    tolerance: float = 1e-3,
+    *,
+    steady: Optional[SteadyState] = None,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+) -> float:
     """The time (s), to about 1 %, from which on the distribution stays within ``tolerance`` of the steady state
     (half the sum of absolute differences, the total variation distance).
 

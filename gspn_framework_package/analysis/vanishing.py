@@ -54,7 +54,7 @@ class Elimination:
         if not inner.any():
             return
         found = components(len(self._kept), self._sources[inner], self._targets[inner])
-        size = np.bincount(found.of, minlength=found.count)
+        size = np.bincount(found.of, minlength=found.number)
         looping = self._sources[inner & (self._sources == self._targets)]
         nontrivial = size > 1
         nontrivial[found.of[looping]] = True
@@ -69,15 +69,19 @@ class Elimination:
         inside = mine & (position[self._targets] >= 0)
         out = mine & ~inside
         if not out.any():
-            raise RefusedError("a timeless trap: immediate transitions go round for ever from %s" %
-                               self._graph.text(int(states[0])),
-                               hint="a cycle of immediate transitions must have a way out")
+            raise RefusedError(
+                "a timeless trap: immediate transitions go round for ever from %s" % self._graph.text(int(states[0])),
+                hint="a cycle of immediate transitions must have a way out",
+            )
         shape = (len(states), len(states))
-        stay = sparse.csr_matrix((self._values[inside], (position[self._sources[inside]],
-                                                         position[self._targets[inside]])), shape=shape)
+        stay = sparse.csr_matrix(
+            (self._values[inside], (position[self._sources[inside]], position[self._targets[inside]])), shape=shape
+        )
         visits = np.linalg.inv(np.eye(len(states)) - stay.toarray())
-        leave = sparse.csr_matrix((self._values[out], (position[self._sources[out]], self._targets[out])),
-                                  shape=(len(states), len(self._kept)))
+        leave = sparse.csr_matrix(
+            (self._values[out], (position[self._sources[out]], self._targets[out])),
+            shape=(len(states), len(self._kept)),
+        )
         leaving = (sparse.csr_matrix(visits) @ leave).tocoo()
         self._sources = np.concatenate([self._sources[~mine], states[leaving.row]])
         self._targets = np.concatenate([self._targets[~mine], leaving.col.astype(self._targets.dtype)])
@@ -95,8 +99,7 @@ class Elimination:
         values.extend(np.ones(len(own)))
         order = np.argsort(self._level[self._sources], kind="stable")
         sources, targets, weights = self._sources[order], self._targets[order], self._values[order]
-        ends = np.searchsorted(self._level[sources], np.arange(int(self._level.max(initial=0)) + 1),
-                               side="right")
+        ends = np.searchsorted(self._level[sources], np.arange(int(self._level.max(initial=0)) + 1), side="right")
         first = 0
         for last in ends.tolist():
             arcs = slice(first, last)
@@ -108,16 +111,14 @@ class Elimination:
             rows = np.repeat(sources[arcs], length[to])
             data = np.repeat(weights[arcs], length[to]) * values.array[entries]
             states, row = np.unique(rows, return_inverse=True)
-            block = sparse.csr_matrix((data, (row.reshape(-1), columns.array[entries])),
-                                      shape=(len(states), len(own)))
+            block = sparse.csr_matrix((data, (row.reshape(-1), columns.array[entries])), shape=(len(states), len(own)))
             begin[states] = columns.used + block.indptr[:-1]
             length[states] = np.diff(block.indptr)
             columns.extend(block.indices)
             values.extend(block.data)
         entries = flat_ranges(begin, begin + length)
         offsets = np.concatenate([[0], np.cumsum(length)])
-        return sparse.csr_matrix((values.array[entries], columns.array[entries], offsets),
-                                 shape=(len(kept), len(own)))
+        return sparse.csr_matrix((values.array[entries], columns.array[entries], offsets), shape=(len(kept), len(own)))
 
     def visits(self, inflow: Any) -> Any:
         """How often each vanishing state is visited per unit of time.

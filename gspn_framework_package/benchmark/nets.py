@@ -24,10 +24,8 @@ def kanban(n: int) -> Net:
         net.exponential("good" + cell, rate=0.7 * rate, inputs=machine, outputs=out)
         net.exponential("back" + cell, rate=0.3, inputs=rework, outputs=machine)
     net.exponential("enter", rate=1.0, inputs="free1", outputs="machine1")
-    net.exponential("split", rate=0.4, inputs=["out1", "free2", "free3"],
-                    outputs=["free1", "machine2", "machine3"])
-    net.exponential("join", rate=0.5, inputs=["out2", "out3", "free4"],
-                    outputs=["free2", "free3", "machine4"])
+    net.exponential("split", rate=0.4, inputs=["out1", "free2", "free3"], outputs=["free1", "machine2", "machine3"])
+    net.exponential("join", rate=0.5, inputs=["out2", "out3", "free4"], outputs=["free2", "free3", "machine4"])
     net.exponential("leave", rate=0.9, inputs="out4", outputs="free4")
     return net.build()
 
@@ -42,6 +40,5 @@ def philosophers(n: int) -> Net:
         right = i % n + 1
         net.exponential("take_left%d" % i, inputs=["think%d" % i, "fork%d" % i], outputs="left%d" % i)
         net.exponential("take_right%d" % i, inputs=["left%d" % i, "fork%d" % right], outputs="eat%d" % i)
-        net.exponential("put%d" % i, inputs="eat%d" % i,
-                        outputs=["think%d" % i, "fork%d" % i, "fork%d" % right])
+        net.exponential("put%d" % i, inputs="eat%d" % i, outputs=["think%d" % i, "fork%d" % i, "fork%d" % right])
     return net.build()

@@ -33,26 +33,61 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print all answers as one JSON object")
     parser.add_argument("--csv", metavar="FILE", help="write the numbers to FILE as rows: measure, name, value")
     asking = parser.add_argument_group("questions")
-    asking.add_argument("--at", action="append", nargs="+", default=[], type=float, metavar="T",
-                        help="tokens and throughput at these times (s)")
-    asking.add_argument("--reach", action="append", default=[], metavar="CONDITION",
-                        help="can this come to hold, e.g. \"p3 >= 1 and 'p1:Check L1' == 0\" or deadlock")
-    asking.add_argument("--cover", action="append", default=[], metavar="P=N,...",
-                        help="can at least these many tokens be there at once")
-    asking.add_argument("--mean-time-to", action="append", default=[], metavar="CONDITION",
-                        help="mean time until this holds, and with --at the probability within those times")
-    asking.add_argument("--reward", action="append", default=[], metavar="NAME=VALUE",
-                        help="reward per token and second in a place, or per firing of a transition")
-    asking.add_argument("--time-to-steady-state", type=float, nargs="?", const=1e-3, metavar="TOLERANCE",
-                        help="time until the distribution stays this close to the steady state (1e-3)")
+    asking.add_argument(
+        "--at",
+        action="append",
+        nargs="+",
+        default=[],
+        type=float,
+        metavar="T",
+        help="tokens and throughput at these times (s)",
+    )
+    asking.add_argument(
+        "--reach",
+        action="append",
+        default=[],
+        metavar="CONDITION",
+        help="can this come to hold, e.g. \"p3 >= 1 and 'p1:Check L1' == 0\" or deadlock",
+    )
+    asking.add_argument(
+        "--cover",
+        action="append",
+        default=[],
+        metavar="P=N,...",
+        help="can at least these many tokens be there at once",
+    )
+    asking.add_argument(
+        "--mean-time-to",
+        action="append",
+        default=[],
+        metavar="CONDITION",
+        help="mean time until this holds, and with --at the probability within those times",
+    )
+    asking.add_argument(
+        "--reward",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="reward per token and second in a place, or per firing of a transition",
+    )
+    asking.add_argument(
+        "--time-to-steady-state",
+        type=float,
+        nargs="?",
+        const=1e-3,
+        metavar="TOLERANCE",
+        help="time until the distribution stays this close to the steady state (1e-3)",
+    )
     asking.add_argument("--no-structure", action="store_true", help="leave out invariants, siphons and traps")
     asking.add_argument("--no-time", action="store_true", help="leave out the steady state")
     effort = parser.add_argument_group("effort")
-    effort.add_argument("--limit", type=int, default=STATE_LIMIT, metavar="N",
-                        help="markings to visit at most (default %(default)s)")
+    effort.add_argument(
+        "--limit", type=int, default=STATE_LIMIT, metavar="N", help="markings to visit at most (default %(default)s)"
+    )
     effort.add_argument("--engine", choices=ENGINES, default="auto", help="who explores (default: auto)")
-    effort.add_argument("--only-net", action="store_true",
-                        help="of a plan, analyse the net by its weights instead of the policy")
+    effort.add_argument(
+        "--only-net", action="store_true", help="of a plan, analyse the net by its weights instead of the policy"
+    )
     parser.epilog = "Exit codes: 0 answered (what was not decided is said), 2 wrong input or usage."
 
 
@@ -60,10 +95,15 @@ def run(args: argparse.Namespace) -> int:
     """Analyse, and print the answers."""
     subject, notes = _subject(args)
     questions = Questions(
-        at=tuple(t for group in args.at for t in group), reach=tuple(args.reach),
-        cover=tuple(_marking(text) for text in args.cover), mean_time_to=tuple(args.mean_time_to),
+        at=tuple(t for group in args.at for t in group),
+        reach=tuple(args.reach),
+        cover=tuple(_marking(text) for text in args.cover),
+        mean_time_to=tuple(args.mean_time_to),
         rewards=dict(_pair(text, "--reward") for text in args.reward),
-        settling=args.time_to_steady_state, structure=not args.no_structure, timing=not args.no_time)
+        settling=args.time_to_steady_state,
+        structure=not args.no_structure,
+        timing=not args.no_time,
+    )
     if any(not (t >= 0 and math.isfinite(t)) for t in questions.at):
         raise UsageError("--at: a time is a number of seconds, at least 0")
     with ProgressLine() as progress:
@@ -120,8 +160,13 @@ def _pair(text: str, option: str) -> Tuple[str, float]:
 
 def _text(data: Mapping[str, Any]) -> Iterator[str]:
     yield "%s %s: %d places, %d transitions, %d arcs, %d tokens" % (
-        data["kind"], data["name"] or "without a name", data["places"], data["transitions"], data["arcs"],
-        data["tokens"])
+        data["kind"],
+        data["name"] or "without a name",
+        data["places"],
+        data["transitions"],
+        data["arcs"],
+        data["tokens"],
+    )
     if "conservative" in data:
         yield from _structure_text(data)
     yield from _behaviour_text(data)
@@ -139,7 +184,10 @@ def _text(data: Mapping[str, Any]) -> Iterator[str]:
     for entry in data.get("mean_time_to") or ():
         if entry:
             yield "mean time to %s: %s s, probability %s" % (
-                entry["condition"], _number(entry["mean_time"]), _number(entry["probability"]))
+                entry["condition"],
+                _number(entry["mean_time"]),
+                _number(entry["probability"]),
+            )
             for within in entry["within"]:
                 yield "    within %g s with probability %s" % (within["time"], _number(within["probability"]))
     for key, reason in data["undecided"].items():
@@ -172,15 +220,19 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
     if states:
         yield "states: %s (%s tangible, %s vanishing), %s arcs, %.1f MB (%s)" % (
             *(format(states[k], ",") for k in ("total", "tangible", "vanishing", "arcs")),
-            data["memory_bytes"] / 1e6, data["engine"])
+            data["memory_bytes"] / 1e6,
+            data["engine"],
+        )
     if data["left_out"]:
         yield "left out, because only written: %s" % ", ".join(data["left_out"])
     yield "bounded: %s; bounds: %s" % (_answer(data["bounded"]), _map(data["bounds"]))
     dead = data["deadlocks"]
     if dead and dead["witness"] is not None:
         yield "deadlocks: %s, e.g. (%s), reached by %s" % (
-            dead["count"] if dead["count"] is not None else "some", _map(dead["marking"]),
-            ", ".join(dead["witness"]) or "nothing: at the start")
+            dead["count"] if dead["count"] is not None else "some",
+            _map(dead["marking"]),
+            ", ".join(dead["witness"]) or "nothing: at the start",
+        )
     elif dead:
         yield "deadlocks: none"
     yield "live: %s, reversible: %s" % (_answer(data["live"]), _answer(data["reversible"]))
@@ -192,8 +244,7 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
 
 def _reach_text(entry: Any, word: str) -> Iterator[str]:
     if entry:
-        way = "" if entry["witness"] is None else ", by %s" % (
-            ", ".join(entry["witness"]) or "nothing: at the start")
+        way = "" if entry["witness"] is None else ", by %s" % (", ".join(entry["witness"]) or "nothing: at the start")
         yield "%s: %s %s%s" % (entry["condition"], word, _answer(entry[word]), way)
 
 
@@ -202,7 +253,9 @@ def _steady_text(steady: Mapping[str, Any]) -> Iterator[str]:
     if len(steady["components"]) > 1:
         for part in steady["components"]:
             yield "    a recurrent class of %d states, reached with probability %s" % (
-                part["states"], _number(part["probability"]))
+                part["states"],
+                _number(part["probability"]),
+            )
     yield "    %-32s %14s %14s" % ("place", "mean tokens", "mean wait (s)")
     for place, mean in steady["mean_tokens"].items():
         yield "    %-32s %14s %14s" % (place, _number(mean), _number(steady["mean_waiting_time"][place]))

@@ -17,11 +17,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
-    parser.add_argument("--limit", type=int, default=MARKING_LIMIT, metavar="N",
-                        help="markings to visit at most where structure cannot decide (default %(default)s)")
+    parser.add_argument(
+        "--limit",
+        type=int,
+        default=MARKING_LIMIT,
+        metavar="N",
+        help="markings to visit at most where structure cannot decide (default %(default)s)",
+    )
     parser.add_argument("--robots", type=int, metavar="N", help="check it for a team of N robots")
-    parser.add_argument("--standalone", action="store_true",
-                        help="check it for agents, which transitions may create and destroy")
+    parser.add_argument(
+        "--standalone", action="store_true", help="check it for agents, which transitions may create and destroy"
+    )
     parser.epilog = "Exit codes: 0 the plan may run (look at the warnings), 1 refused, 2 not a plan."
 
 

@@ -24,7 +24,7 @@ class ProgressLine:
             sys.stderr.flush()
             self._shown = len(text)
 
-    def __enter__(self) -> "ProgressLine":
+    def __enter__(self) -> ProgressLine:
         return self
 
     def __exit__(self, *_: Any) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import operator
-from typing import Any, Callable, Collection, Dict, List, Mapping, NamedTuple, Sequence, Tuple
+from typing import Any, Callable, Collection, Dict, List, Mapping, NamedTuple, NoReturn, Sequence, Tuple
 
 from gspn_framework_package.model.errors import ExpressionError
 from gspn_framework_package.model.expression import (
@@ -79,7 +79,8 @@ class Condition:
         self.text = text
         self._program = _compile(tree, place_index)
         self.places: Tuple[str, ...] = tuple(
-            name for name, i in place_index.items() if ("place", i) in set(self._program))
+            name for name, i in place_index.items() if ("place", i) in set(self._program)
+        )
         self.labels: Tuple[str, ...] = tuple(sorted({str(a) for op, a in self._program if op == "label"}))
 
     def holds(self, marking: Sequence[int], labels: Mapping[str, bool] = {}) -> bool:
@@ -122,14 +123,16 @@ def parse_condition(text: str, places: Sequence[str], labels: Collection[str] = 
     tree = parser.disjunction()
     parser.finish()
     if not isinstance(tree, _TRUTH_NODES):
-        raise ExpressionError("'%s' is a number, not a condition" % shorten(text),
-                              hint="compare it with something, e.g. '%s >= 1'" % shorten(text, 30))
+        raise ExpressionError(
+            "'%s' is a number, not a condition" % shorten(text),
+            hint="compare it with something, e.g. '%s >= 1'" % shorten(text, 30),
+        )
     return Condition(text, tree, index)
 
 
 class _ConditionParser(Parser):
     """``disjunction = conjunction {or conjunction}``, ``conjunction = opposite {and opposite}``,
-    ``opposite = not opposite | comparison``, ``comparison = sum [(== | < | ...) sum]``; parentheses hold either kind."""
+    ``opposite = not opposite | comparison``, ``comparison = sum [(== | < | ...) sum]``; parentheses hold any."""
 
     def __init__(self, text: str, places: Mapping[str, int], labels: Collection[str]) -> None:
         super().__init__(text)
@@ -201,16 +204,18 @@ class _ConditionParser(Parser):
         if token.text in self._labels:
             self.next += 1
             return Label(token.text)
-        self._unknown(token.text)
+        return self._unknown(token.text)
 
-    def _unknown(self, name: str) -> Any:
+    def _unknown(self, name: str) -> NoReturn:
         import difflib
 
         close = difflib.get_close_matches(name, list(self._places), 3, 0.5)
         known = ["'%s'" % p for p in (close or list(self._places)[:8])]
         hint = ("did you mean %s?" % " or ".join(known)) if close else "places: %s" % ", ".join(known)
-        raise ExpressionError("there is no place '%s' (character %d in '%s')" % (
-            shorten(name), self.token.start + 1, shorten(self.text)), hint=hint)
+        raise ExpressionError(
+            "there is no place '%s' (character %d in '%s')" % (shorten(name), self.token.start + 1, shorten(self.text)),
+            hint=hint,
+        )
 
     def _arithmetic(self, rule: Callable[[], Any]) -> Any:
         """Apply a rule of the arithmetic grammar; what it combines must be numbers."""
@@ -239,7 +244,7 @@ class _ConditionParser(Parser):
             self.fail("a number was expected, not a condition,")
 
     def _quoted(self) -> bool:
-        return self.text[self.token.start:self.token.start + 1] in ("'", '"')
+        return self.text[self.token.start : self.token.start + 1] in ("'", '"')
 
     def _word(self) -> str:
         token = self.token
@@ -251,8 +256,12 @@ class _ConditionParser(Parser):
         token = self.token
         if token.kind == "operator":
             return token.text == "!"
-        return (token.kind == "name" and not self._quoted() and token.text not in self._places
-                and token.text.lower() == "not")
+        return (
+            token.kind == "name"
+            and not self._quoted()
+            and token.text not in self._places
+            and token.text.lower() == "not"
+        )
 
 
 def _operands(node: Any) -> Tuple[Any, ...]:
@@ -340,14 +349,25 @@ def _is_not_equal(a: Any, b: Any) -> bool:
 
 
 _COMMON: Dict[str, Callable[..., Any]] = {
-    "+": operator.add, "-": operator.sub, "*": operator.mul, "==": operator.eq,
-    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "negate": operator.neg,
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "==": operator.eq,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "negate": operator.neg,
 }
 _SCALAR: Dict[str, Callable[..., Any]] = {
     **{name: _or_nan(function) for name, (_, _, function) in FUNCTIONS.items()},
     **_COMMON,
-    "/": _divide, "^": _or_nan(lambda a, b: float(a) ** b), "!=": _is_not_equal,
-    "not": operator.not_, "and": lambda a, b: a and b, "or": lambda a, b: a or b,
+    "/": _divide,
+    "^": _or_nan(lambda a, b: float(a) ** b),
+    "!=": _is_not_equal,
+    "not": operator.not_,
+    "and": lambda a, b: a and b,
+    "or": lambda a, b: a or b,
 }
 _VECTOR: Dict[str, Callable[..., Any]] = {}
 
@@ -362,15 +382,26 @@ def _vector_functions() -> _Functions:
             return np.where(np.isfinite(value), value, np.nan)
 
         _VECTOR.update(_COMMON)
-        _VECTOR.update({
-            "min": lambda *a: functools.reduce(np.minimum, a), "max": lambda *a: functools.reduce(np.maximum, a),
-            "floor": np.floor, "ceil": np.ceil, "round": lambda a: np.floor(np.add(a, 0.5)), "abs": np.abs,
-            "sqrt": np.sqrt, "exp": lambda a: finite(np.exp(a)), "log": lambda a: finite(np.log(a)),
-            "ln": lambda a: finite(np.log(a)), "pow": lambda a, b: finite(np.float_power(a, b)), "mod": np.fmod,
-            "/": lambda a, b: np.where(np.equal(b, 0), np.nan, np.true_divide(a, b)),
-            "^": lambda a, b: finite(np.float_power(a, b)), "!=": lambda a, b: np.less(a, b) | np.greater(a, b),
-            "not": np.logical_not, "and": np.logical_and, "or": np.logical_or,
-        })
+        _VECTOR.update(
+            {
+                "min": lambda *a: functools.reduce(np.minimum, a),
+                "max": lambda *a: functools.reduce(np.maximum, a),
+                "floor": np.floor,
+                "ceil": np.ceil,
+                "round": lambda a: np.floor(np.add(a, 0.5)),
+                "abs": np.abs,
+                "sqrt": np.sqrt,
+                "exp": lambda a: finite(np.exp(a)),
+                "log": lambda a: finite(np.log(a)),
+                "ln": lambda a: finite(np.log(a)),
+                "pow": lambda a, b: finite(np.float_power(a, b)),
+                "mod": np.fmod,
+                "/": lambda a, b: np.where(np.equal(b, 0), np.nan, np.true_divide(a, b)),
+                "^": lambda a, b: finite(np.float_power(a, b)),
+                "!=": lambda a, b: np.less(a, b) | np.greater(a, b),
+                "not": np.logical_not,
+                "and": np.logical_and,
+                "or": np.logical_or,
+            }
+        )
     return _VECTOR
-
-
