@@ -18,8 +18,11 @@ from gspn_framework_package.model.errors import GspnError, InputError
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "gspn_framework_package"
 MODULES = sorted(PACKAGE.rglob("*.py"))
-SCRIPTS = [ROOT / "setup.py", ROOT / "scripts" / "gspn", *sorted((ROOT / "scripts").glob("*.py"))]
+#: Programs for rosrun and roslaunch; the other files in scripts/ have a suffix.
+PROGRAMS = sorted(path for path in (ROOT / "scripts").iterdir() if not path.suffix)
+SCRIPTS = [ROOT / "setup.py", *PROGRAMS, *sorted((ROOT / "scripts").glob("*.py"))]
 PLANS = sorted((ROOT / "plans").rglob("*.py"))
+TESTS = sorted((ROOT / "test").rglob("*.py"))
 
 #: The layers, each with a number: a module may import only from its own layer and from those with
 #: a lower number. Those of the outer shell have numbers in the order in which they build on
@@ -181,7 +184,7 @@ print(*sys.modules)
 
 
 @pytest.mark.parametrize(
-    "path", MODULES + SCRIPTS + PLANS, ids=lambda path: str(path.relative_to(ROOT))
+    "path", MODULES + SCRIPTS + PLANS + TESTS, ids=lambda path: str(path.relative_to(ROOT))
 )
 def test_the_syntax_is_that_of_python_3_8(path):
     ast.parse(path.read_text("utf-8"), filename=str(path), feature_version=(3, 8))
@@ -213,6 +216,12 @@ def test_every_interface_file_is_built():
     for folder in ("action", "msg", "srv"):
         for path in (ROOT / folder).iterdir():
             assert path.name in cmake
+
+
+def test_every_program_is_installed():
+    cmake = (ROOT / "CMakeLists.txt").read_text("utf-8")
+    listed = re.search(r"set\(scripts ([^)]*)\)", cmake).group(1).split()
+    assert sorted(listed) == sorted(path.name for path in PROGRAMS)
 
 
 def test_the_action_keeps_the_fields_of_the_thesis():
