@@ -13,11 +13,12 @@ one host). Kinds:
                 followed, ``hash`` (of the chain), ``ballot`` where a team agreed on it
 ``snapshot``    the state after slot ``slot``, taken over from a peer or kept as a starting point:
                 ``state``, ``seen`` (origin -> newest entry), ``hash``; what was before is void
+``reset``       what is before does not count any more; the log is learnt anew
+``active``      this replica takes part from now on
 ``life``        the node started: ``incarnation``; ``joining`` where it was not in the first team
 ``promised``    acceptor: no ballot below ``ballot`` will be accepted in ``slot`` or later
 ``accepted``    acceptor: accepted ``batch`` under ``ballot`` in ``slot``
 ``invoked``     a fact that this robot knows and wants in the log: ``entry``, ``origin``
-``acknowledged``  an ``invoked`` fact is in the log, at ``slot``
 ``void``        an ``invoked`` fact can no longer take effect (``why``)
 ``private``     partial synchronisation: a move that this robot made on its own: ``entry``,
                 ``origin``, ``firing``
@@ -81,9 +82,7 @@ def first_hash(plan: Plan) -> str:
     return plan.hash()
 
 
-def next_hash(
-    previous: str, entries: Sequence[Record], origins: Sequence[Any], firings: Sequence[Record]
-) -> str:
+def next_hash(previous: str, entries: Sequence[Record], origins: Sequence[Any], firings: Sequence[Record]) -> str:
     """The next link of the hash chain: over the link before, and a slot's entries, their origins
     and the firings that followed, all as they stand in the log."""
     text = json.dumps([previous, entries, origins, firings], sort_keys=True, separators=(",", ":"))
@@ -282,12 +281,12 @@ def replay(event_log: EventLog) -> Iterator[Replayed]:
                 if record["slot"] != state.next_slot - 1:  # one kept as a starting point is no news
                     state = TeamState.from_json(record["state"], plan.net)
                     yield Replayed(record["slot"], (), [], state, record, True)
+            elif record["kind"] == "reset":
+                state = game.new_state()
             elif record["kind"] == "slot":
                 yield _replay_slot(game, state, record)
         except (KeyError, TypeError) as error:
-            raise LogError(
-                "the record is damaged (%r)" % error, file=event_log.path, line=number
-            ) from None
+            raise LogError("the record is damaged (%r)" % error, file=event_log.path, line=number) from None
         except LogError as error:
             raise error.located(file=event_log.path, line=number) from None
 

@@ -27,21 +27,24 @@ class Origin(NamedTuple):
 
 
 class Item(NamedTuple):
-    """An entry and its origin, on the way into the log."""
+    """An entry and its origin, on the way into the log; ``private``: a ``Done`` of partial
+    synchronisation whose move was made already."""
 
     entry: log.Entry
     origin: Origin
+    private: bool = False
 
     def to_json(self) -> List[Any]:
         """The item as a JSON value."""
-        return [log.to_json(self.entry), list(self.origin)]
+        return [log.to_json(self.entry), list(self.origin), int(self.private)]
 
     @classmethod
     def from_json(cls, data: Any) -> Item:
         """The item of a JSON value. :raises LogError: not one."""
         try:
-            entry, (robot, incarnation, number) = data
-            return cls(log.from_json(entry), Origin(str(robot), int(incarnation), int(number)))
+            entry, (robot, incarnation, number), private = data
+            origin = Origin(str(robot), int(incarnation), int(number))
+            return cls(log.from_json(entry), origin, bool(private))
         except (TypeError, ValueError) as error:
             raise LogError("not an entry with its origin: %.200r (%s)" % (data, error)) from None
 

@@ -1,0 +1,1 @@
+"""A simulated team: real replicas on a simulated network, with faults, under a seed."""

@@ -1,0 +1,181 @@
+"""Small plans that between them use every rule of the token game, for simulated teams."""
+
+from __future__ import annotations
+
+import random
+from functools import lru_cache
+from typing import Any, Callable, List, Sequence, Tuple
+
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.plan import (
+    FailureKind,
+    FailureRule,
+    FunctionAction,
+    LostKind,
+    LostRule,
+    Plan,
+    RobotSpec,
+    Synchronisation,
+    Timing,
+)
+from gspn_framework_package.model.policy import Policy
+
+
+def _plan(
+    builder: NetBuilder, start: Sequence[str], resources: Sequence[str] = (), **fields: Any
+) -> Tuple[Plan, Sequence[str]]:
+    net = builder.build()
+    idle = fields.pop("idle", ())
+    actions = {
+        p.name: None if p.name in idle else FunctionAction("actions.act", p.name)
+        for p in net.places
+        if p.name not in resources
+    }
+    return Plan(net=net, actions=actions, resource_places=frozenset(resources), **fields), start
+
+
+def _tour() -> Tuple[Plan, Sequence[str]]:
+    """Private places in a ring, and a decision that the policy makes."""
+    builder = (
+        NetBuilder("tour")
+        .place("A")
+        .place("B")
+        .place("C")
+        .place("D")
+        .exponential("ab", inputs="A", outputs="B")
+        .exponential("ac", inputs="A", outputs="C")
+        .exponential("bd", inputs="B", outputs="D")
+        .exponential("cd", inputs="C", outputs="D")
+        .immediate("da", inputs="D", outputs="A")
+        .immediate("db", inputs="D", outputs="B")
+    )
+    policy = Policy.from_table(
+        ["A", "B", "D"],
+        [
+            ((0, "-", "-"), {"da": 1.0}),
+            ((1, 0, "-"), {"da": 0.3, "db": 0.7}),
+            (("-", "-", 2), {"db": 1.0}),
+        ],
+    )
+    return _plan(builder, ["A", "B", "C"], policy=policy)
+
+
+def _meet() -> Tuple[Plan, Sequence[str]]:
+    """Two robots meet; one can go on alone; a shared tool; a counter."""
+    builder = (
+        NetBuilder("meet")
+        .place("P1")
+        .place("P2")
+        .place("P3")
+        .place("P4")
+        .place("tool", tokens=1)
+        .place("count")
+        .exponential("meet", inputs=["P1", "P2"], outputs=["P3", "P4"])
+        .exponential("alone", inputs="P1", outputs=["P3", "count"])
+        .exponential("take", inputs=["P3", "tool"], outputs="P4")
+        .exponential("skip", inputs="P3", outputs="P2")
+        .exponential("give", inputs="P4", outputs=["P1", "tool"])
+        .exponential("keep", inputs="P4", outputs="P2")
+        .exponential("swap", inputs="P2", outputs="P1")
+    )
+    return _plan(
+        builder,
+        ["P1", "P2"],
+        ["tool", "count"],
+        on_evict={"P4": {"tool": 1}},
+        on_lost=LostRule(LostKind.FIRE, "alone"),
+        on_failure={"P1": FailureRule(FailureKind.RETRY, 1, 0.01)},
+    )
+
+
+def _tokens() -> Tuple[Plan, Sequence[str]]:
+    """The net of thesis Figure 6.1: a resource place, and a choice by policy."""
+    builder = (
+        NetBuilder("tokens")
+        .place("p1")
+        .place("p2")
+        .place("p3")
+        .place("p4")
+        .place("p5")
+        .place("p6")
+        .place("p7")
+        .exponential("t1", inputs="p1", outputs="p2")
+        .exponential("t2", inputs="p2", outputs="p3")
+        .exponential("t3", inputs="p3", outputs=["p4", "p5"])
+        .exponential("t4", inputs="p5", outputs="p6")
+        .immediate("t5", inputs="p6", outputs="p1", weight=2.0)
+        .immediate("t6", inputs="p6", outputs="p7")
+        .exponential("t7", inputs="p7", outputs="p2")
+    )
+    policy = Policy.from_table(["p7"], [((0,), {"t5": 0.5, "t6": 0.5})])
+    return _plan(builder, ["p1", "p2"], ["p4"], policy=policy)
+
+
+def _crowd() -> Tuple[Plan, Sequence[str]]:
+    """Weights, an inhibitor arc, a capacity, priorities, an idle decision place, the environment,
+    and resource transitions that fire by themselves."""
+    builder = (
+        NetBuilder("crowd")
+        .place("in")
+        .place("hall")
+        .place("room", capacity=2)
+        .place("desk")
+        .place("raw")
+        .place("low")
+        .place("high")
+        .place("order")
+        .exponential("enter", inputs="in", outputs="hall")
+        .exponential("arrive", rate=5.0, inputs={}, outputs="order")
+        .immediate("to_room", inputs="hall", outputs="room", priority=2)
+        .immediate("to_desk", inputs="hall", outputs=["desk"], inhibitors={"room": 1})
+        .immediate("pair", inputs={"hall": 2}, outputs=["desk", "in"], weight=3.0)
+        .exponential("make", inputs="room", outputs=["in", "raw"])
+        .exponential("serve", inputs=["desk", "order"], outputs="in")
+        .exponential("back", inputs="desk", outputs="in")
+        .immediate("sort_low", inputs="raw", outputs="low")
+        .immediate("sort_high", inputs="raw", outputs="high", weight=2.0)
+    )
+    return _plan(
+        builder,
+        ["in", "hall"],
+        ["raw", "low", "high", "order"],
+        idle=["hall"],
+        simulate_environment=True,
+    )
+
+
+_MAKERS: List[Callable[[], Tuple[Plan, Sequence[str]]]] = [_tour, _meet, _tokens, _crowd]
+
+
+@lru_cache(maxsize=None)
+def make_plan(kind: int, robots: int, partial: bool, evict_after: float, fence_after: float, witness: bool) -> Plan:
+    """A plan for a team. The seed of its draws is 0; ``kind`` counts through the small nets.
+
+    :param robots: how many.
+    :param evict_after: see :class:`~gspn_framework_package.model.plan.Timing`.
+    """
+    plan, start = _MAKERS[kind % len(_MAKERS)]()
+    team = [RobotSpec("r%d" % (i + 1), start[i % len(start)]) for i in range(robots)]
+    from dataclasses import replace
+
+    return replace(
+        plan.with_robots(team),
+        spawn=(start[0],),
+        synchronisation=Synchronisation.PARTIAL if partial else Synchronisation.FULL,
+        timing=Timing(evict_after, fence_after),
+        witness=("w",) if witness else (),
+    ).validate()
+
+
+def random_result(plan: Plan, place: str, source: random.Random) -> str:
+    """What an action could come back with in ``place``: the name of a transition that leaves it, or
+    "" where the policy decides; now and then nonsense."""
+    net = plan.net
+    leaving = [net.transitions[t] for t in net.consumers[net.place_number(place)]]
+    timed = [t.name for t in leaving if t.timed]
+    immediate = [t.name for t in leaving if not t.timed]
+    if source.random() < 0.01:
+        return "nonsense"
+    if immediate and (not timed or source.random() < 0.7):
+        return "" if source.random() < 0.9 else source.choice(immediate)
+    return source.choice(timed) if timed else ""

@@ -1,0 +1,340 @@
+"""A simulated team: time, network, disks, actions and faults, all from one seed."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import json
+import random
+from dataclasses import dataclass, field
+from typing import Callable, Dict, List, NamedTuple, Optional, Set, Tuple, Type
+
+from gspn_framework_package.benchmark.team.plans import random_result
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement.replica import Pace, Replica
+from gspn_framework_package.execution.event_log import Record, header
+from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.model.plan import Plan, Synchronisation
+
+PACE = Pace(heartbeat=0.1, retry=0.03, takeover=0.06, backoff=0.01)
+"""Times of the protocol in a simulated world, where messages take some milliseconds."""
+
+
+class Weather(NamedTuple):
+    """How bad the network is: delays in s, probabilities per message."""
+
+    least: float = 0.001
+    most: float = 0.012
+    loss: float = 0.0
+    duplication: float = 0.0
+    late: float = 0.0
+    """How often a message takes up to twenty times as long, and is overtaken."""
+
+
+class ViolationError(AssertionError):
+    """The run broke a rule."""
+
+
+@dataclass
+class Disk:
+    """A robot's log, which outlives its process."""
+
+    header: Record
+    records: List[Record] = field(default_factory=list)
+
+
+class Node:
+    """A process that hosts a replica."""
+
+    def __init__(self, world: World, name: str) -> None:
+        self.world = world
+        self.name = name
+        self.disk: Optional[Disk] = None
+        self.old_disks: List[Disk] = []
+        self.replica: Optional[Replica] = None
+        self.life = 0
+        self.suspended = False
+        self.backlog: List[io.Input] = []
+        self.doomed: Optional[int] = None
+        """Crash when that many more effects were carried out."""
+        self.wake = 0.0
+        self.joins = False
+        self.halted = ""
+        self.ended = False
+        self.results: Dict[str, io.OrderResult] = {}
+
+    # -- life ------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Start the process, with what is on the disk."""
+        world = self.world
+        self.life += 1
+        self.suspended = False
+        self.doomed = None
+        self.backlog = []
+        self.halted = ""
+        if self.disk is None:
+            log_id = "%s-log%d" % (self.name, len(self.old_disks))
+            self.disk = Disk(header(world.plan, "sim", self.name, log_id))
+        self.replica = world.replica_type(
+            world.plan,
+            self.name,
+            "sim",
+            self.disk.header["log"],
+            json.loads(json.dumps(self.disk.records)),
+            joining=self.joins,
+            pace=PACE,
+        )
+        self.carry_out(self.replica.start(world.now))
+
+    def crash(self) -> None:
+        """``kill -9``."""
+        self.replica = None
+        self.life += 1
+        self.doomed = None
+
+    def lose_log(self) -> None:
+        """The disk of a dead process is gone."""
+        if self.disk is not None:
+            self.old_disks.append(self.disk)
+        self.disk = None
+
+    def give(self, given: io.Input) -> None:
+        """An input for the process, if there is one."""
+        if self.replica is None or self.halted:
+            return
+        if self.suspended:
+            self.backlog.append(given)
+            return
+        self.carry_out(self.replica.step(given, self.world.now))
+
+    def resume(self) -> None:
+        """End a suspension."""
+        self.suspended = False
+        backlog, self.backlog = self.backlog, []
+        for given in backlog:
+            self.give(given)
+        self.give(io.Tick())
+
+    def carry_out(self, effects: List[io.Effect]) -> None:
+        """Carry effects out in order; a doomed process dies between two of them."""
+        assert self.disk is not None
+        for effect in effects:
+            if self.doomed is not None:
+                self.doomed -= 1
+                if self.doomed <= 0:
+                    if isinstance(effect, io.Persist) and self.world.random.random() < 0.5:
+                        self._write(effect.record)
+                    self.world.on_crash(self)
+                    return
+            if isinstance(effect, io.Persist):
+                self._write(effect.record)
+            elif isinstance(effect, io.Send):
+                self.world.send(self.name, effect.to, effect.message)
+            elif isinstance(effect, io.Reply):
+                self.world.reply(self.name, effect)
+            elif isinstance(effect, StartAction):
+                self.world.start_action(self, effect)
+            elif isinstance(effect, io.WakeAt):
+                self.wake = effect.time
+                self.world.at(effect.time, self._wake(self.life))
+            elif isinstance(effect, io.Halted):
+                self.halted = effect.reason
+                self.world.on_halted(self)
+            elif isinstance(effect, io.OrderResult):
+                self.results[effect.order_id] = effect
+            elif isinstance(effect, io.Fired):
+                self.world.on_fired(self, effect)
+
+    def _wake(self, life: int) -> Callable[[], None]:
+        def wake() -> None:
+            if self.life == life and self.world.now >= self.wake - 1e-9:
+                self.give(io.Tick())
+
+        return wake
+
+    def _write(self, record: Record) -> None:
+        assert self.disk is not None
+        written = json.loads(json.dumps(record))
+        written["mono"] = self.world.now
+        self.disk.records.append(written)
+        self.world.on_record(self, written)
+
+
+class World:
+    """The team and everything around it.
+
+    :param plan: what they do; its synchronisation decides how messages travel.
+    :param seed: of everything that is random here.
+    :param replica_type: the replica, or a mutant of it.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        seed: int,
+        weather: Weather = Weather(),
+        replica_type: Type[Replica] = Replica,
+        action_time: Tuple[float, float] = (0.01, 0.08),
+    ) -> None:
+        self.plan = plan
+        self.partial = plan.synchronisation is Synchronisation.PARTIAL
+        self.random = random.Random(seed)
+        self.weather = weather
+        self.replica_type = replica_type
+        self.action_time = action_time
+        self.now = 0.0
+        self.steps = 0
+        self.messages = 0
+        self.acting = True
+        self.blocked: Set[Tuple[str, str]] = set()
+        self._heap: List[Tuple[float, int, Callable[[], None]]] = []
+        self._count = itertools.count()
+        self._calls: Dict[str, Tuple[str, int]] = {}
+        self._chain: Dict[int, str] = {}
+        self.published: List[Tuple[float, io.Fired]] = []
+        self.nodes: Dict[str, Node] = {}
+        for name in [r.name for r in plan.robots] + list(plan.witness):
+            self.nodes[name] = Node(self, name)
+
+    # -- time ------------------------------------------------------------------------------------
+
+    def at(self, time: float, what: Callable[[], None]) -> None:
+        """Do something at that time."""
+        heapq.heappush(self._heap, (max(time, self.now), next(self._count), what))
+
+    def run(self, until: float, stop: Optional[Callable[[], bool]] = None) -> bool:
+        """Let time pass, until then or until ``stop`` holds; whether it did."""
+        while self._heap and self._heap[0][0] <= until:
+            time, _, what = heapq.heappop(self._heap)
+            self.now = time
+            self.steps += 1
+            what()
+            if stop is not None and self.steps % 8 == 0 and stop():
+                return True
+        self.now = until
+        return stop is not None and stop()
+
+    # -- network ---------------------------------------------------------------------------------
+
+    def send(self, sender: str, to: str, message: io.Message) -> None:
+        """Send a message, as a topic does, or as a call in partial synchronisation."""
+        text = json.dumps(message)
+        call = self.partial and message["kind"] in io.SERVICE_OF_MESSAGE
+        for name in [to] if to else [n for n in self.nodes if n != sender]:
+            if name not in self.nodes:
+                continue
+            request = ""
+            if call:
+                request = "q%d" % next(self._count)
+                self._calls[request] = (sender, self.nodes[sender].life)
+            self._carry(sender, name, text, request)
+
+    def reply(self, sender: str, effect: io.Reply) -> None:
+        """The reply of a call goes back to who called."""
+        caller, life = self._calls.pop(effect.request_id, ("", 0))
+        if not caller or not effect.message or self.nodes[caller].life != life:
+            return
+        self._carry(sender, caller, json.dumps(effect.message), "")
+
+    def _carry(self, sender: str, to: str, text: str, request: str) -> None:
+        weather, chance = self.weather, self.random.random
+        self.messages += 1
+        copies = 1
+        if weather.loss and chance() < weather.loss:
+            copies = 0
+        elif weather.duplication and not request and chance() < weather.duplication:
+            copies = 2
+        for _ in range(copies):
+            delay = weather.least + (weather.most - weather.least) * chance()
+            if weather.late and chance() < weather.late:
+                delay *= 1 + 19 * chance()
+            self.at(self.now + delay, lambda: self._deliver(sender, to, text, request))
+
+    def _deliver(self, sender: str, to: str, text: str, request: str) -> None:
+        if (sender, to) not in self.blocked:
+            self.nodes[to].give(io.Received(json.loads(text), request))
+
+    # -- actions ---------------------------------------------------------------------------------
+
+    def start_action(self, node: Node, goal: StartAction) -> None:
+        """An action runs, and ends with something that its place allows."""
+        low, high = self.action_time
+        life = node.life
+        time = goal.delay + low + (high - low) * self.random.random()
+        failed = self.random.random() < 0.02
+        result = random_result(self.plan, goal.place, self.random)
+
+        def end() -> None:
+            if node.life != life:
+                return
+            if not self.acting:
+                return
+            key = (goal.incarnation, goal.visit, goal.attempt)
+            if failed:
+                node.give(io.ActionFailed(*key, "aborted"))
+            else:
+                node.give(io.ActionDone(*key, result))
+
+        self.at(self.now + time, end)
+
+    # -- what is watched while it goes on -----------------------------------------------------------
+
+    def on_record(self, node: Node, record: Record) -> None:
+        """A record was written: no two replicas may put different things into one slot."""
+        if record["kind"] == "slot":
+            known = self._chain.setdefault(record["slot"], record["hash"])
+            if known != record["hash"]:
+                raise ViolationError("%s has another slot %d than somebody else" % (node.name, record["slot"]))
+
+    def on_fired(self, node: Node, fired: io.Fired) -> None:
+        """A firing was told."""
+        if fired.publish:
+            self.published.append((self.now, fired))
+
+    def on_halted(self, node: Node) -> None:
+        """A replica gave up."""
+        raise ViolationError("%s halted: %s" % (node.name, node.halted))
+
+    def on_crash(self, node: Node) -> None:
+        """A doomed process dies."""
+        node.crash()
+
+    # -- questions -------------------------------------------------------------------------------
+
+    def alive(self) -> List[Node]:
+        """The nodes with a process."""
+        return [n for n in self.nodes.values() if n.replica is not None]
+
+    def length(self) -> int:
+        """How long the longest log is."""
+        return max((n.replica.ledger.length for n in self.alive() if n.replica), default=0)
+
+    def has_settled(self) -> bool:
+        """Whether all replicas that are up agree and nothing waits to get into the log."""
+        ends = set()
+        for node in self.alive():
+            replica = node.replica
+            assert replica is not None
+            if node.suspended:
+                return False
+            ends.add((replica.ledger.length, replica.ledger.hash))
+            if any(not o.item.private for o in replica.pool.own):
+                return False
+            if replica.ledger.state.ended is None and not (
+                replica.is_settled() or (replica.witness and replica.active)
+            ):
+                return False
+        return len(ends) <= 1
+
+    def operator(self, order: log.Entry, node: Node) -> None:
+        """Give an order to a node."""
+        node.give(io.Order("o%d" % next(self._count), order))
+
+    def logs(self) -> List[Disk]:
+        """All logs that were ever written."""
+        found = []
+        for node in self.nodes.values():
+            found += node.old_disks + ([node.disk] if node.disk is not None else [])
+        return found

@@ -1,0 +1,50 @@
+"""What the consensus of a replica needs of the replica."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, Protocol, Sequence
+
+from gspn_framework_package.execution.agreement.interface import Message
+from gspn_framework_package.execution.agreement.quorum import Ballot
+from gspn_framework_package.execution.ledger import Item, Ledger
+
+
+class Host(Protocol):
+    """Knows the log and the members, keeps records, carries messages."""
+
+    name: str
+    ledger: Ledger
+
+    def electorate(self) -> List[str]:
+        """The members whose votes count in the open slot, in the order of the log."""
+
+    def others(self) -> List[str]:
+        """The electorate without us."""
+
+    def may_vote(self) -> bool:
+        """Whether we are one of them, and know what we promised before."""
+
+    def is_open(self, message: Message) -> bool:
+        """Whether a message is about the open slot, on top of the same log; where it is not, the
+        host helps the one that is behind."""
+
+    def batch(self, frozen: bool) -> List[Any]:
+        """What should go into the open slot, items as JSON values."""
+
+    def own_items(self) -> Sequence[Item]:
+        """What we want in the log ourselves."""
+
+    def add_foreign(self, items: Sequence[Any]) -> None:
+        """Keep what another wants in the log, items as JSON values."""
+
+    def decided(self, batch: List[Any], ballot: Ballot, *, mine: bool) -> None:
+        """The batch is chosen in the open slot; ``mine``: by our own attempt."""
+
+    def persist(self, record: Dict[str, Any]) -> None:
+        """Write a record before anything else leaves the process."""
+
+    def send_all(self, to: List[str], message: Message) -> None:
+        """Send a message to each of these."""
+
+    def answer(self, to: Message, message: Message) -> None:
+        """Answer a message."""

@@ -1,0 +1,75 @@
+"""Private moves of partial synchronisation: those that concern one robot only.
+
+Leaving a *private* place takes that robot and nothing else: its output transitions have it as their
+only input, with weight 1, and one action place as output, and touch no resource, inhibitor or
+capacity. Such a firing has one writer and commutes with every firing of the others (Best and
+Darondeau: a net is distributable where transitions at different locations share no input place), so
+that it needs no agreement about its order.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, FrozenSet, Optional, Set, Tuple
+
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.model.condition import parse_condition
+
+
+class PrivateMoves:
+    """The private places of a plan, for one robot of it.
+
+    A move is not private where the run would notice it: if ``until`` looks at one of its places, if
+    an inhibitor arc or a capacity does, if the robot would be done at once where it arrives (it
+    would then ask for more within the same step), or if the policy could withhold an immediate
+    transition.
+    """
+
+    def __init__(self, game: TokenGame, robot: str) -> None:
+        plan, net = game.plan, game.net
+        watched: Set[int] = {p for arcs in net.inhibitors for p, _ in arcs}
+        watched |= {p for p, place in enumerate(net.places) if place.capacity is not None}
+        if plan.until:
+            names = parse_condition(plan.until, [p.name for p in net.places]).places
+            watched |= {net.place_number(name) for name in names}
+        policy_decides = bool(plan.policy.rows) or plan.strict
+        self._net = net
+        self._target: Dict[Tuple[int, int], int] = {}
+        self._only: Dict[int, int] = {}
+        for p, leaving in enumerate(net.consumers):
+            immediate = [t for t in leaving if not net.transitions[t].timed]
+            if not leaving or (immediate and (len(leaving) > 1 or policy_decides)):
+                continue
+            if any(net.transitions[t].weight <= 0 for t in immediate):
+                continue
+            targets = {}
+            for t in leaving:
+                ends = net.outputs[t]
+                if net.inputs[t] != ((p, 1),) or net.inhibitors[t] or len(ends) != 1:
+                    break
+                ((target, weight),) = ends
+                name = net.places[target].name
+                if weight != 1 or name in plan.resource_places or {p, target} & watched:
+                    break
+                if plan.action(robot, name) is None:
+                    break
+                targets[p, t] = target
+            else:
+                self._target.update(targets)
+                if len(leaving) == 1:
+                    self._only[p] = leaving[0]
+
+    @property
+    def places(self) -> FrozenSet[str]:
+        """The names of the private places."""
+        return frozenset(self._net.places[p].name for p, _ in self._target)
+
+    def move(self, place: int, result: str) -> Optional[Tuple[int, int]]:
+        """The (transition, target) of a robot that is done in ``place`` with this result; None
+        where the move is not private, or the result is a fault."""
+        if result in ("", "None"):
+            t = self._only.get(place)
+        else:
+            t = self._net.transition_index.get(result)
+        if t is None or (place, t) not in self._target:
+            return None
+        return t, self._target[place, t]

@@ -1,0 +1,33 @@
+"""Ballots, and who may decide: dynamic-linear voting (Jajodia and Mutchler, ACM TODS 15(2),
+1990)."""
+
+from __future__ import annotations
+
+from typing import Any, Collection, NamedTuple, Sequence
+
+
+class Ballot(NamedTuple):
+    """The number of an attempt to decide a slot; of two the larger one wins. No two attempts have
+    the same, since ``robot`` is part of it and counts its own up."""
+
+    counter: int
+    robot: str
+
+    @classmethod
+    def from_json(cls, data: Any) -> Ballot:
+        """The ballot of a JSON value ``[counter, robot]``."""
+        counter, robot = data
+        return cls(int(counter), str(robot))
+
+
+def is_quorum(voters: Collection[str], members: Sequence[str]) -> bool:
+    """Whether ``voters`` may decide for ``members``: more than half of them, or exactly half with
+    the first one among these. Any two quorums share a member.
+
+    >>> is_quorum(["a"], ["a", "b"]), is_quorum(["b"], ["a", "b"]), is_quorum(["b", "c"], "abc")
+    (True, False, True)
+    """
+    count = sum(1 for m in members if m in voters)
+    if 2 * count == len(members):
+        return count > 0 and members[0] in voters
+    return 2 * count > len(members)
