@@ -35,6 +35,10 @@ VERBS: Dict[str, Tuple[str, str]] = {
     "check": ("check", "check whether a plan may run, before any robot moves"),
     "convert": ("convert", "write a net in another format"),
     "run": ("run", "execute a plan without ROS, its agents on threads"),
+    "demo": (
+        "demo",
+        "run a plan on a team of robots (needs ROS and a master), and show what happens",
+    ),
     "draw": ("draw", "draw a net, its coverability tree or its Markov chain"),
 }
 

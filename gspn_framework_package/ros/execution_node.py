@@ -18,6 +18,7 @@ from gspn_framework_package.execution.agreement import interface as agreement
 from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.event_log import EventLogWriter, Record, header, read_log
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
+from gspn_framework_package.execution.team_state import GONE
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.msg import FiredTransition
@@ -105,7 +106,7 @@ class ExecutionNode(Worker):
                         raise
         first = header(self.plan, self.options.run, self.robot, log_id)
         self._log = EventLogWriter(path, first, fsync=self.plan.fsync)
-        self._replica = Replica(self.plan, self.robot, self.options.run, log_id, records)
+        self._replica = Replica(self.plan, self.robot, self.options.run, log_id, records, place=self.options.place)
 
     # -- from any thread ---------------------------------------------------------------------------
 
@@ -293,16 +294,29 @@ class ExecutionNode(Worker):
 
     def view(self) -> View:
         """See :class:`Worker`."""
-        ledger = self._replica.ledger
-        return View(ledger.state, self.plan.net, ledger.length, ledger.hash)
+        ledger, own = self._replica.ledger, self._replica.own
+        robot = ledger.state.robots.get(self.robot)
+        place, visit, ahead = "", 0, False
+        if robot is not None and own.position is not None:
+            place, visit = self.plan.net.places[own.position.place].name, own.position.visit
+            ahead = visit != robot.visit
+        elif robot is not None and robot.phase not in GONE:
+            place, visit = self.plan.net.places[robot.place].name, robot.visit
+        return View(
+            place,
+            "Doing" if ahead else state_name(ledger.state, robot),
+            self._replica.incarnation,
+            visit,
+            own.marking(ledger),
+            self.plan.net,
+            ledger.length,
+            ledger.hash,
+        )
 
     def status(self) -> Dict[str, Any]:
         """See :class:`Worker`."""
-        status = dict(self._replica.status(time.monotonic()))
-        status["log_file"] = self._log.path
-        action = self._caller.doing()
-        if action:
-            status["waits_for"] = action
+        status = dict(self._replica.status(), log_file=self._log.path)
+        status["waits_for"] = self._waits_for()
         return status
 
     def request(self, message: agreement.Message, answer: Callable[[agreement.Message], None]) -> None:
@@ -320,28 +334,42 @@ class ExecutionNode(Worker):
         else:
             self._step(agreement.Order(number, entry))
 
+    def _waits_for(self) -> str:
+        """What this robot waits for, whether the action, the team or its transition is it."""
+        replica = self._replica
+        robot = replica.ledger.state.robots.get(self.robot)
+        reasons = [self._caller.doing(), replica.waits_for()]
+        if robot is not None:
+            reasons.append(replica.ledger.game.why_waiting(replica.ledger.state, robot))
+        return "; ".join(filter(None, reasons))
+
     def _activity(self) -> Dict[str, Any]:
         view = self.view()
-        robot = view.state.robots.get(self.robot)
-        told: Dict[str, Any] = {"robot": self.robot}
-        if robot is not None:
-            told.update(
-                place=view.net.places[robot.place].name,
-                state=state_name(view.state, robot),
-                visit=robot.visit,
-                attempt=robot.attempt,
-                waits_for=self._waits_for(),
-                feedback=self._progress,
-            )
-        return told
-
-    def _waits_for(self) -> str:
-        return self._caller.doing() or str(self.status().get("waits_for", ""))
+        return {
+            "robot": self.robot,
+            "place": view.place,
+            "state": view.robot_state,
+            "visit": view.visit,
+            "attempt": self._attempt,
+            "waits_for": self._waits_for(),
+            "feedback": self._progress,
+        }
 
     def _diagnosis(self) -> Any:
-        status = self.status()
-        state, waits_for = str(status.get("state", "")), str(status.get("waits_for", ""))
-        message = "%s in %s" % (state or "not in the team", status.get("place", "no place"))
+        view, waits_for = self.view(), self._waits_for()
+        message = "%s in %s" % (view.robot_state, view.place or "no place")
         if waits_for:
-            message += ", waits for: " + waits_for
-        return level_of(state, waits_for), message, status
+            message += ", " + waits_for
+        status = self._replica.status()
+        values = {
+            "place": view.place,
+            "state": view.robot_state,
+            "visit": view.visit,
+            "log length": view.slot,
+            "waits for": waits_for,
+            "quorum": status["quorum"],
+        }
+        for robot in status["robots"]:
+            if robot["robot"] != self.robot:
+                values["last contact with " + robot["robot"]] = robot["last_contact"]
+        return level_of(view.robot_state, waits_for), message, values

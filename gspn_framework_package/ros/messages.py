@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Dict, List, Tuple
+from typing import Dict, List, Optional, Tuple
 
 import rospy
 
 from gspn_framework_package.execution.agreement.interface import Fired
-from gspn_framework_package.execution.team_state import Phase, RobotState, TeamState
+from gspn_framework_package.execution.team_state import GONE, Phase, RobotState, TeamState
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.msg import FiredTransition
 
@@ -39,9 +39,9 @@ def marking_fields(marking: Marking, net: Net) -> Tuple[List[str], List[int]]:
     return [place.name for place in net.places], list(marking)
 
 
-def state_name(state: TeamState, robot: RobotState) -> str:
+def state_name(state: TeamState, robot: Optional[RobotState]) -> str:
     """The state of a robot as ``GetState`` tells it (thesis 4.3.3 and ``docs/semantics.md``)."""
-    if robot.phase in (Phase.LOST, Phase.LEFT):
+    if robot is None or robot.phase in GONE:
         return "Lost"
     if state.paused or robot.paused:
         return "Paused"

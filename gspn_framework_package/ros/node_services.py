@@ -10,10 +10,9 @@ import rospy
 
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement.interface import Message
-from gspn_framework_package.execution.team_state import TeamState
-from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.ros.links import parse_body
-from gspn_framework_package.ros.messages import marking_fields, state_name
+from gspn_framework_package.ros.messages import marking_fields
 from gspn_framework_package.srv import (
     Command,
     CommandResponse,
@@ -33,9 +32,14 @@ ORDER_TIME = 5.0
 
 
 class View(NamedTuple):
-    """What a node knows of the team: read by its worker thread, and by nobody else meanwhile."""
+    """What a node knows of its robot and of the team: its own private moves included."""
 
-    state: TeamState
+    place: str
+    """Name of the place, "" while it has none."""
+    robot_state: str
+    incarnation: int
+    visit: int
+    marking: Marking
     net: Net
     slot: int
     hash: str
@@ -51,7 +55,7 @@ class Worker:
         raise NotImplementedError
 
     def view(self) -> View:
-        """The team as this node knows it; to be called on the worker thread."""
+        """The robot and the team as this node knows them; to be called on the worker thread."""
         raise NotImplementedError
 
     def status(self) -> Dict[str, Any]:
@@ -123,17 +127,19 @@ class NodeServices:
     def _read_state(self) -> GetStateResponse:
         """On the worker thread."""
         view = self._worker.view()
-        response = GetStateResponse(robot=self._worker.robot, slot=view.slot, hash=view.hash)
-        response.places, response.counts = marking_fields(view.state.marking, view.net)
-        robot = view.state.robots.get(self._worker.robot)
-        if robot is None:
-            response.state = "Lost"
-            return response
-        response.state = state_name(view.state, robot)
-        if response.state != "Lost":
-            response.place = view.net.places[robot.place].name
-        response.incarnation, response.visit = robot.incarnation, robot.visit
-        return response
+        places, counts = marking_fields(view.marking, view.net)
+        return GetStateResponse(
+            self._worker.robot,
+            view.place,
+            view.robot_state,
+            view.incarnation,
+            view.visit,
+            places,
+            counts,
+            view.slot,
+            view.hash,
+            "",
+        )
 
     def _set_place(self, request: Any) -> SetPlaceResponse:
         if request.agreement:

@@ -1,0 +1,90 @@
+"""Follows a team from outside: who is where, what fires, how fast."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections import Counter, deque
+from typing import Any, Deque, Dict, List, NamedTuple, Sequence, Tuple
+
+import rospy
+from std_msgs.msg import String
+
+from gspn_framework_package.msg import FiredTransition
+from gspn_framework_package.ros.execution_node import FIRED_TOPIC
+
+
+class Doing(NamedTuple):
+    """What a robot was last heard to do."""
+
+    place: str
+    state: str
+    visit: int
+    waits_for: str
+
+
+class TeamMonitor:
+    """Listens to a team; its methods may be called from any thread.
+
+    Subscribes to ``/fired_transitions`` (gspn_framework_package/FiredTransition) and, for each
+    robot, ``NAMESPACE/activity`` (std_msgs/String). Not a robot: nobody waits for it.
+
+    :param robots: (name, namespace, initial place) of each robot.
+    :param run: name of the run; firings of others are ignored.
+    """
+
+    def __init__(self, robots: Sequence[Tuple[str, str, str]], run: str) -> None:
+        self._lock = threading.Lock()
+        self._run = run
+        self.doing: Dict[str, Doing] = {name: Doing(place, "", 0, "not heard of yet") for name, _, place in robots}
+        self.transitions: Counter[str] = Counter()
+        self.moves: Counter[str] = Counter()
+        self.marking: Dict[str, int] = {}
+        self.firings = 0
+        self._recent: Deque[Tuple[float, str]] = deque(maxlen=1000)
+        self._times: Deque[float] = deque()
+        rospy.Subscriber(FIRED_TOPIC, FiredTransition, self._on_fired, tcp_nodelay=True)
+        for name, namespace, _ in robots:
+            topic = rospy.names.ns_join(namespace, "activity")
+            rospy.Subscriber(topic, String, self._on_activity, callback_args=name)
+
+    def _on_fired(self, message: Any) -> None:
+        if message.run != self._run:
+            return
+        now = time.monotonic()
+        moved = ", ".join("%s to %s" % pair for pair in zip(message.robots, message.robot_places))
+        with self._lock:
+            self.firings += 1
+            self.transitions[message.transition] += 1
+            self._times.append(now)
+            self._recent.append((now, message.transition + (": " + moved if moved else "")))
+            if not message.private_move:
+                self.marking = dict(zip(message.places, message.counts))
+            for robot, place in zip(message.robots, message.robot_places):
+                self.moves[robot] += 1
+                before = self.doing.get(robot, Doing("", "", 0, ""))
+                self.doing[robot] = before._replace(place=place, waits_for="")
+
+    def _on_activity(self, message: Any, name: str) -> None:
+        told = json.loads(message.data)
+        with self._lock:
+            self.doing[name] = Doing(told["place"], told["state"], told["visit"], told["waits_for"])
+
+    def rate(self, seconds: float = 5.0) -> float:
+        """Firings per second over the last ``seconds``."""
+        with self._lock:
+            limit = time.monotonic() - seconds
+            while self._times and self._times[0] < limit:
+                self._times.popleft()
+            return len(self._times) / seconds
+
+    def recent(self, since: float) -> List[Tuple[float, str]]:
+        """The last firings after the monotonic time ``since``: (time, what moved where)."""
+        with self._lock:
+            return [item for item in self._recent if item[0] > since]
+
+    def snapshot(self) -> Dict[str, Doing]:
+        """What each robot does."""
+        with self._lock:
+            return dict(self.doing)

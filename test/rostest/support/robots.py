@@ -1,0 +1,178 @@
+"""Execution nodes as processes of a test: started, killed, stopped, asked."""
+
+import glob
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import uuid
+
+import rospy
+from waiting import wait_for
+
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.msg import FiredTransition
+from gspn_framework_package.srv import Command, GetState
+
+ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__)))))
+
+
+def start_node(script, namespace, output, name="node", **parameters):
+    """Start one of the package's node scripts as a process."""
+    words = ["_%s:=%s" % (key, json.dumps(value)) for key, value in parameters.items()]
+    return subprocess.Popen(
+        [sys.executable, os.path.join(ROOT, "scripts", script)] + ["__ns:=" + namespace, "__name:=" + name] + words,
+        stdout=output,
+        stderr=subprocess.STDOUT,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+class Robot:
+    """The execution node of one robot."""
+
+    def __init__(self, team, name, namespace, **parameters):
+        self.team, self.name, self.namespace = team, name, namespace
+        self.parameters = parameters
+        self.process = None
+
+    def start(self):
+        self.output = os.path.join(self.team.folder, self.name + ".out")
+        with open(self.output, "ab") as output:
+            self.process = start_node(
+                "gspn_executor",
+                self.namespace,
+                output,
+                "executor",
+                plan=self.team.plan,
+                robot=self.name,
+                run=self.team.run,
+                log_dir=self.team.folder,
+                **self.parameters,
+            )
+        return self
+
+    def signal(self, number):
+        self.process.send_signal(number)
+
+    def kill(self):
+        self.signal(signal.SIGKILL)
+        self.process.wait()
+
+    def exit_code(self, seconds=20):
+        """Wait until the node has ended by itself."""
+        return self.process.wait(timeout=seconds)
+
+    def said(self):
+        with open(self.output) as file:
+            return file.read()
+
+    def call(self, service, service_class, *arguments):
+        name = "%s/%s" % (self.namespace, service)
+        rospy.wait_for_service(name, 20)
+        return rospy.ServiceProxy(name, service_class)(*arguments)
+
+    def state(self):
+        return self.call("get_state", GetState, "", "")
+
+    def command(self, command, robot="", argument=""):
+        return self.call("command", Command, command, robot, argument)
+
+    def status(self):
+        return json.loads(self.command("status").message)
+
+    @property
+    def log_file(self):
+        return os.path.join(self.team.folder, self.team.run, self.name + ".jsonl")
+
+    def log(self):
+        return read_log(self.log_file)
+
+
+class Team:
+    """The robots of one run, in a folder of their own; hears all firings."""
+
+    def __init__(self, plan, robots, namespaces=None, **parameters):
+        self.plan = plan
+        self.run = "run_" + uuid.uuid4().hex[:8]
+        self.folder = tempfile.mkdtemp(prefix="gspn_rostest_")
+        self.fired = []
+        self._subscriber = rospy.Subscriber("/fired_transitions", FiredTransition, self._on_fired, tcp_nodelay=True)
+        self.robots = {}
+        for name in robots:
+            namespace = (namespaces or {}).get(name, "/" + name)
+            self.robots[name] = Robot(self, name, namespace, **parameters)
+
+    def _on_fired(self, message):
+        if message.run == self.run:
+            self.fired.append(message)
+
+    def __getitem__(self, name):
+        return self.robots[name]
+
+    def __iter__(self):
+        return iter(self.robots.values())
+
+    def start(self):
+        for robot in self:
+            robot.start()
+        return self
+
+    def transitions(self):
+        return [message.transition for message in list(self.fired)]
+
+    def wait_for_firings(self, number, seconds=30):
+        """Wait until ``number`` more transitions have fired."""
+        wanted = len(self.fired) + number
+        wait_for(lambda: len(self.fired) >= wanted, seconds, "%d more firings" % number)
+
+    def wait_for_agreement(self, seconds=20):
+        """Wait until every live replica tells the same marking at the same position."""
+
+        def answers():
+            states = [r.state() for r in self if r.process.poll() is None]
+            seen = {(s.slot, s.hash, tuple(s.counts)) for s in states}
+            return states[0] if len(seen) == 1 else None
+
+        return wait_for(answers, seconds, "all replicas at one position")
+
+    def close(self):
+        """End everything, whatever state it is in."""
+        self._subscriber.unregister()
+        for robot in self:
+            if robot.process is not None and robot.process.poll() is None:
+                robot.signal(signal.SIGCONT)
+                robot.signal(signal.SIGTERM)
+        for robot in self:
+            if robot.process is not None:
+                try:
+                    robot.process.wait(10)
+                except subprocess.TimeoutExpired:
+                    robot.kill()
+
+    def discard(self):
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def outputs(self):
+        """What all nodes have said, for a test that failed."""
+        texts = []
+        for path in sorted(glob.glob(os.path.join(self.folder, "*.out"))):
+            with open(path) as file:
+                texts.append("--- %s\n%s" % (os.path.basename(path), file.read()[-4000:]))
+        return "\n".join(texts)
+
+    def verify(self):
+        """Run ``gspn verify`` over the logs: (exit code, output)."""
+        logs = sorted(glob.glob(os.path.join(self.folder, self.run, "*.jsonl")))
+        done = subprocess.run(
+            [sys.executable, "-m", "gspn_framework_package", "verify"] + logs,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            cwd=ROOT,
+            timeout=120,
+        )
+        return done.returncode, done.stdout
