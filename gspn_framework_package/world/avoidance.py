@@ -1,10 +1,12 @@
 """The next velocity of one robot among walls and other robots: a dynamic window over directions and speeds.
 
-A robot that turns on the spot is a disc that can leave in any direction after a turn, so the window is taken over
-directions and speeds of the disc (as velocity obstacles do; Fiorini and Shiller 1998, van den Berg et al. 2008) and the
-chosen one is followed by turning first. Others are expected along the path that they announce; how far ahead they count
-depends on who has the right of way. A last check of the very command (`brake`) keeps two robots from ever touching, whatever
-was predicted: each stops before it could reach the other (passive safety, Fraichard and Asama 2004).
+A robot that turns on the spot is a disc that can leave in any direction after a turn, so the
+window is taken over directions and speeds of the disc (as velocity obstacles do; Fiorini and
+Shiller 1998, van den Berg et al. 2008) and the chosen one is followed by turning first. Others are
+expected along the path that they announce; how far ahead they count depends on who has the right
+of way. A last check of the very command (:func:`brake`) keeps two robots from ever touching,
+whatever was predicted: each stops before it could reach the other (passive safety, Fraichard and
+Asama 2004).
 """
 
 from __future__ import annotations
@@ -118,7 +120,9 @@ def choose(
     # of two equal sides everyone takes the right one, so that two who meet do not mirror each other
     cost += np.where(offset > 0.0, 0.04, 0.0)
     if last is not None:
-        cost += 0.1 * np.abs(np.remainder(directions - last + math.pi, math.tau) - math.pi) / math.pi
+        cost += (
+            0.1 * np.abs(np.remainder(directions - last + math.pi, math.tau) - math.pi) / math.pi
+        )
 
     spare = grid.clearance_at(xs, ys) - robot.radius
     least = spare.min(axis=1)

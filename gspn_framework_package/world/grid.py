@@ -34,7 +34,7 @@ class Field:
     :param following: for each cell, the next cell on the way; negative at the goal and where no way leads.
     """
 
-    def __init__(self, grid: "Grid", goal: Point, cost: np.ndarray, following: np.ndarray) -> None:
+    def __init__(self, grid: Grid, goal: Point, cost: np.ndarray, following: np.ndarray) -> None:
         self._grid = grid
         self.goal = goal
         self.costs = cost
@@ -151,9 +151,7 @@ class Grid:
             + table[low + 1, left + 1] * right * up
         )
 
-    def field(
-        self, goal: Point, blocked: Sequence[Disc] = (), dear: Sequence[Disc] = ()
-    ) -> Field:
+    def field(self, goal: Point, blocked: Sequence[Disc] = (), dear: Sequence[Disc] = ()) -> Field:
         """The cheapest ways to a goal.
 
         :param goal: where to, metres.

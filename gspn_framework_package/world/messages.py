@@ -93,9 +93,7 @@ def correction(true: Pose, odometry: Pose) -> Pose:
     )
 
 
-def scan_message(
-    ranges: List[float], robot: RobotType, stamp: rospy.Time, frame: str
-) -> LaserScan:
+def scan_message(ranges: List[float], robot: RobotType, stamp: rospy.Time, frame: str) -> LaserScan:
     """One turn of the scanner, counter-clockwise from straight ahead."""
     step = math.tau / len(ranges)
     message = LaserScan(

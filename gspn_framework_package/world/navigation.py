@@ -4,11 +4,13 @@ Pure: ``step`` takes what the robot knows and gives the command for its motors. 
 
 - the way: the cheapest on the room's grid, around robots that stand (:mod:`.grid`);
 - the next velocity: a dynamic window (:mod:`.avoidance`);
-- the right of way: the older goal goes first. A robot that is stuck says so; whoever stands in its path and has less
-  right of way *yields*: it goes to the nearest spot off that path and inherits the right of way meanwhile, so that those
-  behind it make room in turn (priority inheritance; PIBT, Okumura et al. 2019). That is how two robots resolve a corridor
-  too narrow for both, and four a crossing.
-- recovery: one that stays stuck all the same tries another way, then steps aside at random, then gives up and says why.
+- the right of way: the older goal goes first. A robot that is stuck says so; whoever stands in its
+  path and has less right of way *yields*: it goes to the nearest spot off that path and inherits
+  the right of way meanwhile, so that those behind it make room in turn (priority inheritance; PIBT,
+  Okumura et al. 2019). That is how two robots resolve a corridor too narrow for both, and four a
+  crossing.
+- recovery: one that stays stuck all the same tries another way, then steps aside at random, then
+  gives up and says why.
 """
 
 from __future__ import annotations
@@ -238,9 +240,7 @@ class Navigator:
             elif self._standing(peer, seen.time, 2.0 if detour else 4.0):
                 dear.append((x, y, reach + (0.12 if detour else 0.06)))
         key: Tuple[object, ...] = (self.goal, tuple(blocked), tuple(dear))
-        if key != self._field_key and (
-            self._field is None or seen.time - self._field_time > 0.5
-        ):
+        if key != self._field_key and (self._field is None or seen.time - self._field_time > 0.5):
             self._field_key, self._field_time = key, seen.time
             goal = (self.goal.x, self.goal.y)
             field = self._grid.field(goal, blocked, dear)
@@ -302,7 +302,7 @@ class Navigator:
     def _in_sight(self, here: Point, path: Sequence[Point]) -> Point:
         """The farthest point of the path, within reach, to which it goes straight."""
         target = path[0] if path else here
-        for point in path[2::2] + path[-1:]:
+        for point in [*path[2::2], *path[-1:]]:
             if math.dist(here, point) > _LOOK_AHEAD or not self._grid.is_clear(here, point, 0.02):
                 break
             target = point

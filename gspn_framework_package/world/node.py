@@ -63,9 +63,7 @@ class _Robot:
         rospy.Subscriber(
             "/%s/cmd_vel" % name,
             Twist,
-            lambda twist: hand_off(
-                lambda: team.teleoperate(name, twist.linear.x, twist.angular.z)
-            ),
+            lambda twist: hand_off(lambda: team.teleoperate(name, twist.linear.x, twist.angular.z)),
             queue_size=5,
         )
 
@@ -87,9 +85,7 @@ class _Robot:
                 messages.scan_message(physics.scan(name), self._team.room.robot, stamp, base)
             )
         return [
-            messages.transform(
-                messages.correction(pose, odometry[0]), stamp, MAP_FRAME, odom
-            ),
+            messages.transform(messages.correction(pose, odometry[0]), stamp, MAP_FRAME, odom),
             messages.transform(odometry[0], stamp, odom, base),
         ]
 
@@ -122,7 +118,7 @@ class WorldNode:
         self._factor = real_time_factor
         self.team = Team(room, robots, gui=gui)
         self.referee = Referee(self.team)
-        self._inbox: "queue.SimpleQueue[Callable[[], None]]" = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._clock = rospy.Publisher("/clock", Clock, queue_size=1)
         self._tf = rospy.Publisher("/tf", TFMessage, queue_size=5)
         self._map = rospy.Publisher("/map", OccupancyGrid, queue_size=1, latch=True)

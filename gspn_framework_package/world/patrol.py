@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from typing import Dict, Generator, Optional, Protocol, Sequence
 
-
 from gspn_framework_package.execution.actions import ActionFailed
 from gspn_framework_package.world.room import Location, Pose, Room
 
@@ -102,6 +101,7 @@ def check_temperature(
             hottest = max(hottest, robot.temperature())
             part = count / len(place.sweep)
             yield "%d %% swept, %.1f degrees at most, %s" % (100 * part, hottest, feedback)
+        hottest = max(hottest, robot.temperature())
     return high if hottest > threshold else low
 
 
@@ -113,9 +113,7 @@ def alarm(robot: Robot, location: str, seconds: float) -> Action:
     return None
 
 
-def wait(
-    robot: Robot, room: Room, location: str, seconds: float, first_slot: int = 0
-) -> Action:
+def wait(robot: Robot, room: Room, location: str, seconds: float, first_slot: int = 0) -> Action:
     """Go to a free slot of the bay after a location and wait there for some seconds.
 
     :param first_slot: the slot to prefer; different robots prefer different ones.
@@ -129,7 +127,9 @@ def wait(
     return None
 
 
-def _park(robot: Robot, bay: Sequence[Pose], first: int, radius: float) -> Generator[str, None, None]:
+def _park(
+    robot: Robot, bay: Sequence[Pose], first: int, radius: float
+) -> Generator[str, None, None]:
     here = robot.pose()
     if any(here.distance(slot) < 0.15 for slot in bay):
         return

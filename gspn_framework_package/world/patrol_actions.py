@@ -1,10 +1,12 @@
 """The patrol's actions on a robot in ROS: what plans/patrol runs in its action places.
 
-They talk to ``move_base``, ``amcl_pose`` and ``temperature`` in the robot's namespace only, so that simulated and real
-robots are the same to them. All waiting is on news from the robot and in ROS time (``use_sim_time``).
+They talk to ``move_base``, ``amcl_pose`` and ``temperature`` in the robot's namespace only, so that
+simulated and real robots are the same to them. All waiting is on news from the robot and in ROS
+time (``use_sim_time``).
 
-Parameters, searched upwards from the node: ``room`` (the room file), ``patrol/threshold`` (degrees Celsius above which a
-location is too hot, 30), ``patrol/alarm_seconds`` (5), ``patrol/wait_seconds`` (4).
+Parameters, searched upwards from the node: ``room`` (the room file), ``patrol/threshold`` (degrees
+Celsius above which a location is too hot, 30), ``patrol/alarm_seconds`` (5),
+``patrol/wait_seconds`` (4).
 """
 
 from __future__ import annotations
@@ -81,7 +83,9 @@ def _read(place: str) -> Tuple[int, str]:
     """
     match = _PLACE.match(place)
     if match is None:
-        raise ActionFailed("'%s' is no place of the patrol, such as p1:Check_Temperature_L1" % place)
+        raise ActionFailed(
+            "'%s' is no place of the patrol, such as p1:Check_Temperature_L1" % place
+        )
     return int(match.group(1)), match.group("location")
 
 

@@ -137,9 +137,7 @@ class Referee:
                     queue.remove(robot)
 
     def _watch_sharing(self, residents: Dict[str, List[str]], time: float) -> None:
-        shared = {
-            (name, tuple(robots)) for name, robots in residents.items() if len(robots) > 1
-        }
+        shared = {(name, tuple(robots)) for name, robots in residents.items() if len(robots) > 1}
         for name, robots in sorted(shared - self._shared):
             self.together.append((time, name, robots))
         self._shared = shared

@@ -28,7 +28,7 @@ class Pose:
     y: float
     yaw: float = 0.0
 
-    def distance(self, other: Union["Pose", Point]) -> float:
+    def distance(self, other: Union[Pose, Point]) -> float:
         """The straight distance to another pose or point, in metres."""
         x, y = (other.x, other.y) if isinstance(other, Pose) else other
         return math.hypot(self.x - x, self.y - y)
@@ -140,7 +140,10 @@ class HotSpot:
             leg = math.dist(start, end)
             if rest <= leg and leg > 0.0:
                 part = rest / leg
-                return (start[0] + part * (end[0] - start[0]), start[1] + part * (end[1] - start[1]))
+                return (
+                    start[0] + part * (end[0] - start[0]),
+                    start[1] + part * (end[1] - start[1]),
+                )
             rest -= leg
         return self.path[0]
 
@@ -223,7 +226,10 @@ class Room:
                 boxes.append(
                     Box(
                         at=((x1 + x2) / 2, (y1 + y2) / 2),
-                        size=(math.hypot(x2 - x1, y2 - y1) + self.wall_thickness, self.wall_thickness),
+                        size=(
+                            math.hypot(x2 - x1, y2 - y1) + self.wall_thickness,
+                            self.wall_thickness,
+                        ),
                         yaw=math.atan2(y2 - y1, x2 - x1),
                         height=self.wall_height,
                         color="#22262e",
@@ -253,7 +259,13 @@ class Room:
     def as_json(self) -> Dict[str, Any]:
         """What a page needs to draw the room."""
         boxes = [
-            {"at": box.at, "size": box.size, "yaw": box.yaw, "height": box.height, "color": box.color}
+            {
+                "at": box.at,
+                "size": box.size,
+                "yaw": box.yaw,
+                "height": box.height,
+                "color": box.color,
+            }
             for box in [*self.wall_boxes(), *(o for o in self.obstacles if isinstance(o, Box))]
         ]
         bounds = self.bounds()

@@ -95,11 +95,7 @@ SCHEMA: Dict[str, Any] = _record(
     robot=_record(
         [],
         scan_rays={"type": "integer", "minimum": 1},
-        **{
-            name: _POSITIVE
-            for name in RobotType.__dataclass_fields__
-            if name != "scan_rays"
-        },
+        **{name: _POSITIVE for name in RobotType.__dataclass_fields__ if name != "scan_rays"},
     ),
 )
 """The JSON schema of a room file."""
@@ -157,7 +153,9 @@ def parse_room(text: str, file: Optional[str] = None) -> Room:
             line=mark.line + 1 if mark is not None else None,
         ) from None
     problems = sorted(
-        jsonschema.Draft7Validator(SCHEMA).iter_errors(data), key=lambda problem: list(map(str, problem.path))
+        jsonschema.Draft7Validator(SCHEMA).iter_errors(data),
+        # a misspelt name is also a missing one: tell the misspelling first
+        key=lambda p: (p.validator != "additionalProperties", [str(step) for step in p.path]),
     )
     if problems:
         first = problems[0]
@@ -227,7 +225,7 @@ def _check(room: Room, file: Optional[str], tree: Optional[yaml.Node]) -> None:
         (("spawn", i), pose) for i, pose in enumerate(room.spawn)
     ]
     for name, place in room.locations.items():
-        where = ("locations", name)
+        where: Tuple[Union[str, int], ...] = ("locations", name)
         if place.area.low[0] >= place.area.high[0] or place.area.low[1] >= place.area.high[1]:
             raise InputError(
                 "the area has no inside",
@@ -236,7 +234,8 @@ def _check(room: Room, file: Optional[str], tree: Optional[yaml.Node]) -> None:
                 element=_path_text(where),
                 hint="give its south-west corner, then its north-east corner",
             )
-        outside = [((*where, "entry"), place.entry)]
+        outside: List[Tuple[Tuple[Union[str, int], ...], Pose]] = []
+        outside.append(((*where, "entry"), place.entry))
         outside += [((*where, "bay", i), slot) for i, slot in enumerate(place.bay)]
         for path, pose in outside:
             if place.area.distance((pose.x, pose.y)) < room.robot.radius:
@@ -245,7 +244,8 @@ def _check(room: Room, file: Optional[str], tree: Optional[yaml.Node]) -> None:
                     file=file,
                     line=_line_of(tree, path),
                     element=_path_text(path),
-                    hint="move it away from the area by the radius of a robot, %g m, or more" % room.robot.radius,
+                    hint="move it away from the area by the radius of a robot, %g m, or more"
+                    % room.robot.radius,
                 )
         poses += outside
         poses += [((*where, "sweep", i), Pose(*point)) for i, point in enumerate(place.sweep)]
@@ -253,7 +253,8 @@ def _check(room: Room, file: Optional[str], tree: Optional[yaml.Node]) -> None:
         clearance = float(room.clearance(pose.x, pose.y))
         if clearance < room.robot.radius:
             raise InputError(
-                "a robot does not fit there: the nearest wall or obstacle is %.3f m away" % max(clearance, 0.0),
+                "a robot does not fit there: the nearest wall or obstacle is %.3f m away"
+                % max(clearance, 0.0),
                 file=file,
                 line=_line_of(tree, path),
                 element=_path_text(path),
@@ -266,7 +267,8 @@ def _check(room: Room, file: Optional[str], tree: Optional[yaml.Node]) -> None:
             for j, other in enumerate(members[:i]):
                 if pose.distance(other) < 2 * room.robot.radius:
                     raise InputError(
-                        "poses %d and %d overlap: they are %.3f m apart" % (j, i, pose.distance(other)),
+                        "poses %d and %d overlap: they are %.3f m apart"
+                        % (j, i, pose.distance(other)),
                         file=file,
                         line=_line_of(tree, (*group.split("."), i)),
                         element=group,

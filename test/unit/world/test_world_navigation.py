@@ -1,0 +1,213 @@
+"""The navigator: alone, among parked robots, face to face, at crossings; never a touch."""
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gspn_framework_package.world.avoidance import Peer, brake, choose, follow
+from gspn_framework_package.world.grid import Grid
+from gspn_framework_package.world.navigation import Navigator, Observation, Status
+from gspn_framework_package.world.room import Pose
+from gspn_framework_package.world.room_file import parse_room
+from gspn_framework_package.world.team import CONTROL_PERIOD, Team
+
+
+def room(width, height, *boxes):
+    """A hall of that size with boxes (x, y, width, height) in it."""
+    w, h = width / 2, height / 2
+    text = "name: hall\nwalls:\n  - [[%g,%g],[%g,%g],[%g,%g],[%g,%g],[%g,%g]]\n" % (
+        -w, -h, w, -h, w, h, -w, h, -w, -h,
+    )  # fmt: skip
+    if boxes:
+        text += "boxes:\n"
+    for box in boxes:
+        text += "  - {at: [%g, %g], size: [%g, %g]}\n" % box
+    return parse_room(text)
+
+
+OPEN = room(4, 4)
+# two halls and between them a corridor that one robot only fits through
+NARROW = room(5, 2, (0, 0.58, 2, 0.8), (0, -0.58, 2, 0.8))
+DOOR = room(5, 3, (0, 0.85, 0.2, 1.3), (0, -0.85, 0.2, 1.3))
+# lanes half a metre wide between four blocks, wider ones around them
+CROSSING = room(4.8, 4.8, *((x, y, 1.2, 1.2) for x in (-0.85, 0.85) for y in (-0.85, 0.85)))
+
+
+def drive(where, starts, goals, limit):
+    """Send robots from poses to points; returns the team when all have ended, or time is up."""
+    names = ["r%d" % index for index in range(len(starts))]
+    team = Team(where, names, [Pose(*start) for start in starts])
+    for name, goal in zip(names, goals):
+        if goal is not None:
+            team.navigators[name].go(Pose(*goal), team.time, turn=len(goal) == 3)
+    while team.time < limit and any(n.active for n in team.navigators.values()):
+        team.step()
+    team.close()
+    return team
+
+
+def all_arrived(team, goals):
+    """Whether every robot says it has arrived; that it has, is asserted."""
+    for name, goal in zip(team.robots, goals):
+        if team.navigators[name].status is not Status.REACHED:
+            return False
+        assert goal is not None
+    return team.physics.contacts.total == 0
+
+
+def test_a_robot_goes_around_a_wall_and_looks_where_it_was_told():
+    where = room(4, 4, (0, -0.5, 0.2, 3))
+    robot = Team(where, ["r0"], [Pose(-1.0, -1.0, 0.0)])
+    robot.navigators["r0"].go(Pose(1.0, -1.0, 1.5), robot.time)
+    while robot.navigators["r0"].active and robot.time < 60:
+        robot.step()
+    pose = robot.physics.pose("r0")
+    assert robot.navigators["r0"].status is Status.REACHED
+    assert pose.distance((1.0, -1.0)) < 0.1
+    assert pose.yaw == pytest.approx(1.5, abs=0.2)
+    assert robot.physics.contacts.total == 0
+    robot.close()
+
+
+def test_parked_robots_are_planned_around():
+    team = drive(OPEN, [(-1, 0, 0), (0, 0, 0), (0, 0.4, 0)], [(1, 0), None, None], 30)
+    assert team.navigators["r0"].status is Status.REACHED
+    assert team.physics.contacts.total == 0
+
+
+SCENES = {
+    "corridor, face to face": (
+        NARROW, [(-2, 0, 0), (2, 0, math.pi)], [(2, 0), (-2, 0)],
+    ),
+    "corridor, met in the middle": (
+        NARROW, [(-0.3, 0, 0), (0.3, 0, math.pi)], [(2, 0), (-2, 0)],
+    ),
+    "corridor, two against two in it": (
+        NARROW,
+        [(-0.3, 0, 0), (-0.7, 0, 0), (0.3, 0, math.pi), (0.7, 0, math.pi)],
+        [(2, 0.4), (2, -0.4), (-2, 0.4), (-2, -0.4)],
+    ),
+    "door, two against two": (
+        DOOR,
+        [(-1, -0.4, 0), (-1, 0.4, 0), (1, -0.4, math.pi), (1, 0.4, math.pi)],
+        [(1.5, -0.4), (1.5, 0.4), (-1.5, -0.4), (-1.5, 0.4)],
+    ),
+    "crossing of four": (
+        CROSSING,
+        [(-1.7, 0, 0), (1.7, 0, math.pi), (0, -1.7, 1.57), (0, 1.7, -1.57)],
+        [(1.7, 0), (-1.7, 0), (0, 1.7), (0, -1.7)],
+    ),
+    "circle of eight": (
+        OPEN,
+        [(1.4 * math.cos(a), 1.4 * math.sin(a), a + math.pi) for a in (k * math.pi / 4 for k in range(8))],
+        [(-1.4 * math.cos(a), -1.4 * math.sin(a)) for a in (k * math.pi / 4 for k in range(8))],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("scene", sorted(SCENES))
+def test_nobody_touches_and_everybody_arrives(scene):
+    where, starts, goals = SCENES[scene]
+    assert all_arrived(drive(where, starts, goals, 150), goals)
+
+
+@pytest.mark.parametrize(
+    "where, starts, goal, reason",
+    [
+        (OPEN, [(-1, 0, 0)], (2, 2), "no way leads there"),
+        (OPEN, [(-1, 0, 0), (1, 0, 0)], (1, 0), "blocked by robots"),
+        (NARROW, [(-2, 0, 0), (0, 0, 0)], (2, 0), "blocked by robots"),
+    ],
+)
+def test_a_goal_that_cannot_be_reached_is_given_up_with_a_reason(where, starts, goal, reason):
+    team = drive(where, starts, [goal], 100)
+    assert team.navigators["r0"].status is Status.FAILED
+    assert reason in team.navigators["r0"].reason
+    assert team.physics.contacts.total == 0
+
+
+def test_a_way_that_opens_is_taken():
+    """A parked robot blocks the corridor for a while."""
+    team = Team(NARROW, ["r0", "r1"], [Pose(-2, 0, 0), Pose(0, 0, 0)])
+    team.navigators["r0"].go(Pose(2, 0), 0.0, turn=False)
+    while team.time < 15:
+        team.step()
+    assert team.navigators["r0"].active
+    team.navigators["r1"].go(Pose(2, 0.6), team.time, turn=False)
+    while team.navigators["r0"].active and team.time < 90:
+        team.step()
+    assert team.navigators["r0"].status is Status.REACHED
+    team.close()
+
+
+def test_a_cancelled_goal_stops_the_robot():
+    navigator = Navigator(Grid(OPEN), 0)
+    navigator.go(Pose(1, 0), 0.0)
+    seen = Observation(0.1, Pose(0, 0, 0))
+    assert navigator.step(seen, 0.1)[0] > 0.1
+    navigator.cancel()
+    assert navigator.status is Status.IDLE
+    assert navigator.step(seen, 0.1) == (0.0, 0.0)
+
+
+def test_the_older_goal_has_the_right_of_way_whatever_the_index():
+    first, second = Navigator(Grid(OPEN), 5), Navigator(Grid(OPEN), 0)
+    first.go(Pose(1, 0), 1.0)
+    second.go(Pose(-1, 0), 2.0)
+    assert first.rank < second.rank
+    second.cancel()
+    assert second.rank > first.rank
+
+
+def test_two_who_meet_both_keep_to_the_right():
+    grid = Grid(OPEN)
+    west, east = Pose(-0.6, 0.0, 0.0), Pose(0.6, 0.0, math.pi)
+    for me, other, target in ((west, east, (1.0, 0.0)), (east, west, (-1.0, 0.0))):
+        peer = Peer(
+            "other", other, (0.2 * math.cos(other.yaw), 0.0), True, (1.0,), ((-target[0], 0.0),)
+        )
+        direction, speed = choose(grid, me, target, 0.22, [peer], (2.0,), None)
+        assert speed > 0.0
+        assert math.remainder(direction - me.yaw, math.tau) < -0.1
+
+
+def test_a_robot_that_looks_away_turns_before_it_drives():
+    assert follow(math.pi / 2, 0.2, 0.0) == (0.0, pytest.approx(2.0))
+    speed, turn = follow(0.1, 0.2, 0.0)
+    assert speed > 0.19
+    assert turn > 0.0
+
+
+angle = st.floats(-math.pi, math.pi)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.tuples(angle, angle), min_size=40, max_size=40),
+    st.floats(0.26, 0.6),
+    angle,
+)
+def test_braking_keeps_two_robots_apart_whatever_they_want(headings, distance, bearing):
+    """Both drive at full speed wherever they like, and only the brake is between them."""
+    grid = Grid(OPEN)
+    limit = OPEN.robot.max_speed
+    poses = [Pose(0.0, 0.0), Pose(distance * math.cos(bearing), distance * math.sin(bearing))]
+    speeds = [0.0, 0.0]
+    for wanted in headings:
+        poses = [Pose(p.x, p.y, yaw) for p, yaw in zip(poses, wanted)]
+        peers = [
+            Peer("p", p, (s * math.cos(p.yaw), s * math.sin(p.yaw))) for p, s in zip(poses, speeds)
+        ]
+        speeds = [brake(grid, poses[i], limit, CONTROL_PERIOD, [peers[1 - i]]) for i in (0, 1)]
+        poses = [
+            Pose(
+                p.x + s * CONTROL_PERIOD * math.cos(p.yaw),
+                p.y + s * CONTROL_PERIOD * math.sin(p.yaw),
+                p.yaw,
+            )
+            for p, s in zip(poses, speeds)
+        ]
+        assert poses[0].distance(poses[1]) > 2 * OPEN.robot.radius
+        assert all(float(OPEN.clearance(p.x, p.y)) > OPEN.robot.radius for p in poses)
