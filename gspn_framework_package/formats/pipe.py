@@ -3,15 +3,17 @@
 Elements are named by ``name/value``, arcs join ids. What the generations of the tool write
 differently, and how it is read:
 
-==================  ================================================================================
-marking, weight     ``1`` (2.x), ``Default,1`` (3 on), ``Default,0,Red,1`` (coloured: refused when
-more than one class of tokens is in use); ``@`` stands for a comma inside a function; empty (5) is
-the default: no token, weight 1 capacity            missing or 0: unlimited ``timed``
-missing: immediate; ``rate`` is the weight of an immediate transition ``infiniteServer``  missing:
-single server, unless the reader is told otherwise ``priority``        missing: 1 arc ``type``
-missing: normal ``definition``      a constant (a rate parameter), which a rate may name or compute
-with
-==================  ================================================================================
+==================  ====================================================================================
+marking, weight     ``1`` (2.x), ``Default,1`` (3 on), ``Default,0,Red,1`` (coloured: refused when more than
+                    one class of tokens is in use); ``@`` stands for a comma inside a function; empty (5) is
+                    the default: no token, weight 1
+capacity            missing or 0: unlimited
+``timed``           missing: immediate; ``rate`` is the weight of an immediate transition
+``infiniteServer``  missing: single server, unless the reader is told otherwise
+``priority``        missing: 1
+arc ``type``        missing: normal
+``definition``      a constant (a rate parameter), which a rate may name or compute with
+==================  ====================================================================================
 """
 
 from __future__ import annotations
