@@ -120,7 +120,7 @@ build_key() {
         echo "$ROOT"
         cd "$ROOT" || exit
         cat CMakeLists.txt package.xml setup.py action/* msg/* srv/*
-        find scripts test/rostest -type f 2>/dev/null | LC_ALL=C sort
+        find scripts launch test/rostest -type f 2>/dev/null | LC_ALL=C sort
         cat scripts/*
     } | sha256sum
 }
