@@ -1,0 +1,101 @@
+"""``gspn serve``: the page for a folder of nets and plans, without ROS."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+
+from gspn_framework_package.model.errors import InputError, UsageError
+
+NAME = "serve"
+HELP = "open the page: simulate, analyse and execute the nets and plans of a folder"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of the verb."""
+    parser.add_argument(
+        "path",
+        nargs="?",
+        default=".",
+        metavar="FOLDER|NET|PLAN",
+        help="what to serve; only plans of this folder can be executed (default: here)",
+    )
+    parser.add_argument(
+        "--record",
+        metavar="FOLDER",
+        help="where the event logs of executions go (default: runs, in the served folder)",
+    )
+    add_address_arguments(parser)
+
+
+def add_address_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of every verb that opens the page."""
+    from gspn_framework_package.visualizer.guard import LOOPBACK_NAMES
+
+    parser.add_argument("--port", type=int, default=8090, help="0: any free one (default: 8090)")
+    parser.add_argument(
+        "--host",
+        default="127.0.0.1",
+        help="address to listen on; beyond this machine (%s) viewers need a token, which is "
+        "printed" % ", ".join(sorted(LOOPBACK_NAMES)),
+    )
+    parser.add_argument(
+        "--allow-name",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="a further name that browsers may call this machine by",
+    )
+    parser.add_argument("--token", help="the token viewers need (default: made up, and printed)")
+    parser.add_argument(
+        "--viewers", type=int, default=24, help="live streams served at once (default: 24)"
+    )
+    parser.add_argument("--open", action="store_true", help="open a browser too")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until interrupted."""
+    from gspn_framework_package.visualizer.documents import Folder
+    from gspn_framework_package.visualizer.project import Project
+    from gspn_framework_package.visualizer.standalone_run import RUNS, StandaloneRun
+
+    if not os.path.exists(args.path):
+        raise InputError("there is no such file or folder", file=args.path)
+    whole = os.path.realpath(args.path)
+    alone = not os.path.isdir(whole) or os.path.isfile(os.path.join(whole, "plan.json"))
+    folder = Folder(os.path.dirname(whole) if alone else whole)
+    first = os.path.basename(whole) if alone else None
+    if first is not None and not folder.kind(first):
+        raise InputError("neither a net, a plan nor a recorded run", file=args.path)
+    runs = args.record or os.path.join(folder.root, RUNS)
+    project = Project(folder, lambda document: StandaloneRun(document, runs), first)
+    if first is not None:
+        project.open(first)  # what is wrong with it is told here, not in the browser
+    return serve(project, args)
+
+
+def serve(project: object, args: argparse.Namespace) -> int:
+    """Serve ``project`` at the address of ``args`` until interrupted."""
+    from gspn_framework_package.visualizer.project import Project
+    from gspn_framework_package.visualizer.serving import WebServer
+
+    assert isinstance(project, Project)
+    if not 0 <= args.port <= 65535:
+        raise UsageError("%d is not a port" % args.port)
+    if not 1 <= args.viewers <= 200:
+        raise UsageError("%d viewers: from 1 to 200 can be served" % args.viewers)
+    server = WebServer(project, args.host, args.port, args.allow_name, args.token, args.viewers)
+    print("The page is at %s  (Ctrl-C ends it)" % server.address)
+    sys.stdout.flush()
+    if args.open:
+        import webbrowser
+
+        webbrowser.open(server.address)
+    try:
+        server.run()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.stop()
+    return 0

@@ -1,0 +1,181 @@
+"""Analyses that the page asked for, each in a process of its own that can be killed, with limits on
+time, states and memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import subprocess
+import sys
+import threading
+import time
+from collections import OrderedDict
+from typing import Any, Dict, Optional, Sequence
+
+from gspn_framework_package.formats.net_json import net_to_json
+from gspn_framework_package.formats.plan_json import plan_to_json
+from gspn_framework_package.model.errors import InputError, LimitError, UsageError
+from gspn_framework_package.visualizer.documents import Document
+
+JOBS_AT_ONCE = 2
+JOBS_KEPT = 20
+SECONDS = 120.0
+"""Longest time of one analysis unless the page asks for less."""
+
+STATES = 2_000_000
+"""Largest limit on states that the page may ask for."""
+
+
+QUESTIONS = ("structure", "timing", "policy", "at", "reach", "cover", "mean_time_to", "settling")
+
+
+class _Job:
+    def __init__(self, request: Dict[str, Any], seconds: float) -> None:
+        self.started = time.monotonic()
+        self.seconds = seconds
+        self.state = "running"
+        self.progress: Dict[str, Any] = {}
+        self.result: Optional[Dict[str, Any]] = None
+        self.error = ""
+        self.ended = 0.0
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "gspn_framework_package.visualizer.analysis_worker"],
+            env=_environment(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+        self._request = json.dumps(request).encode()
+        threading.Thread(target=self._follow, name="analysis", daemon=True).start()
+        self._timer = threading.Timer(seconds, self._time_over)
+        self._timer.daemon = True
+        self._timer.start()
+
+    def _follow(self) -> None:
+        process = self._process
+        assert process.stdin and process.stdout and process.stderr
+        try:
+            process.stdin.write(self._request)
+            process.stdin.close()
+        except BrokenPipeError:
+            pass
+        tail = b""
+        for line in process.stdout:
+            try:
+                message = json.loads(line)
+            except ValueError:
+                continue
+            if "progress" in message:
+                self.progress = message["progress"]
+            elif "part" in message:
+                self.result = {**(self.result or {}), **message["part"]}
+            elif "error" in message:
+                self.error = str(message["error"])
+        tail = process.stderr.read()[-400:]
+        code = process.wait()
+        self._timer.cancel()
+        self.ended = time.monotonic()
+        if self.state == "running":
+            self.state = "failed" if self.error or code else "done"
+            if code and not self.error:
+                last = tail.decode("utf-8", "replace").strip().splitlines()[-1:]
+                self.error = "the analysis broke off (%s)" % (
+                    last[0] if last else "it was ended, exit %d: too little memory?" % code
+                )
+
+    def _time_over(self) -> None:
+        if self.state == "running":
+            self.error = "not decided within %g s" % self.seconds
+            self.state = "failed"
+            self._process.kill()
+
+    def kill(self) -> None:
+        if self.state == "running":
+            self.state = "cancelled"
+        self._timer.cancel()
+        self._process.kill()
+
+    @property
+    def running(self) -> bool:
+        return self._process.poll() is None
+
+    def to_json(self) -> Dict[str, Any]:
+        return {
+            "state": self.state,
+            "seconds": round((self.ended or time.monotonic()) - self.started, 2),
+            "progress": self.progress,
+            "result": self.result,
+            "error": self.error,
+        }
+
+
+class AnalysisJobs:
+    """All analyses of one server."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._jobs: OrderedDict[str, _Job] = OrderedDict()
+
+    def start(self, document: Document, marking: Sequence[int], fields: Dict[str, Any]) -> str:
+        """Start an analysis, and return its key.
+
+        :param marking: the present marking of the page, used where ``from`` is ``marking``.
+        :param fields: ``parts`` asked for, ``limit`` on states, ``seconds``, and what the parts
+            take.
+        :raises LimitError: too many are running.
+        """
+        limit = _bounded(fields, "limit", 100_000, 1, STATES)
+        seconds = _bounded(fields, "seconds", 60.0, 0.1, SECONDS)
+        request: Dict[str, Any] = {key: fields[key] for key in QUESTIONS if key in fields}
+        request.update(limit=int(limit), seconds=seconds)
+        if document.plan is not None:
+            request["plan"] = plan_to_json(document.plan)
+        request["net"] = net_to_json(document.net)
+        if fields.get("from") == "marking":
+            request["marking"] = list(marking)
+        with self._lock:
+            if sum(job.running for job in self._jobs.values()) >= JOBS_AT_ONCE:
+                raise LimitError(
+                    "%d analyses are running already" % JOBS_AT_ONCE, hint="cancel one, or wait"
+                )
+            key = secrets.token_hex(6)
+            self._jobs[key] = _Job(request, seconds)
+            for old in list(self._jobs)[:-JOBS_KEPT]:
+                if not self._jobs[old].running:
+                    del self._jobs[old]
+        return key
+
+    def report(self, key: str) -> Dict[str, Any]:
+        """How far a job is. :raises InputError: there is none of that key."""
+        return self._job(key).to_json()
+
+    def cancel(self, key: str) -> None:
+        """Kill a job. :raises InputError: there is none of that key."""
+        self._job(key).kill()
+
+    def _job(self, key: str) -> _Job:
+        with self._lock:
+            if key not in self._jobs:
+                raise InputError("there is no such analysis (any more)")
+            return self._jobs[key]
+
+    def close(self) -> None:
+        """Kill all."""
+        with self._lock:
+            for job in self._jobs.values():
+                job.kill()
+
+
+def _environment() -> Dict[str, str]:
+    """The worker imports the very package that this process runs."""
+    root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+    paths = [root] + [p for p in os.environ.get("PYTHONPATH", "").split(os.pathsep) if p]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+
+
+def _bounded(fields: Dict[str, Any], key: str, default: float, low: float, high: float) -> float:
+    value = fields.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        raise UsageError("'%s' is a number from %g to %g" % (key, low, high))
+    return value

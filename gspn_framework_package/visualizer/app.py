@@ -1,0 +1,245 @@
+"""The web application: routes, and nothing that knows about nets.
+
+Nothing changes by a GET. Every answer of ``/api/`` is JSON; an error is ``{"error": message}`` with
+a fitting status.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import threading
+import time
+from typing import Any, Dict, Iterator, Optional, Tuple
+
+import flask
+from flask import Response, request
+
+from gspn_framework_package import __version__
+from gspn_framework_package.model.errors import GspnError, InputError, RefusedError, UsageError
+from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
+from gspn_framework_package.visualizer.documents import Document, read_upload
+from gspn_framework_package.visualizer.guard import COOKIE, SECURITY_HEADERS, Guard
+from gspn_framework_package.visualizer.hub import Cursor, Hub
+from gspn_framework_package.visualizer.project import Project
+from gspn_framework_package.visualizer.session import Session
+
+UPLOAD_BYTES = 12_000_000
+"""Largest request; an upload is base64, so files of 8 MB fit."""
+
+COMMAND_BYTES = 2_000_000
+
+PING = 3.0
+"""Seconds after which a silent stream says that it is alive."""
+
+GATHER = 0.012
+"""Seconds in which events are gathered into one message of a stream."""
+
+Answer = Tuple[Dict[str, Any], int]
+
+
+def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask:
+    """The application.
+
+    :param project: what can be opened.
+    :param guard: who may ask.
+    :param viewers: how many streams are served at once; who comes later polls.
+    """
+    app = flask.Flask(__name__, static_url_path="/static")
+    app.config["MAX_CONTENT_LENGTH"] = UPLOAD_BYTES
+    app.config["SEND_FILE_MAX_AGE_DEFAULT"] = 0
+    jobs = AnalysisJobs()
+    streams = threading.BoundedSemaphore(viewers)
+    app.extensions["gspn_jobs"] = jobs
+
+    @app.before_request
+    def check() -> Optional[Answer]:
+        refusal = guard.check(request.method, request.path, request.headers, request.cookies)
+        if refusal is not None:
+            return {"error": refusal.reason}, refusal.status
+        return None
+
+    @app.after_request
+    def secure(response: Response) -> Response:
+        for name, value in SECURITY_HEADERS.items():
+            response.headers[name] = value
+        if request.path.startswith("/api/"):
+            response.headers["Cache-Control"] = "no-store"
+        return response
+
+    @app.errorhandler(GspnError)
+    def explain(error: GspnError) -> Answer:
+        return {"error": str(error)}, 400 if isinstance(error, InputError) else 409
+
+    @app.errorhandler(413)
+    def too_large(error: Exception) -> Answer:
+        return {"error": "that is too large (up to %d MB)" % (UPLOAD_BYTES // 1_500_000)}, 413
+
+    @app.errorhandler(404)
+    @app.errorhandler(405)
+    def not_here(error: Any) -> Answer:
+        return {"error": "there is no such thing here"}, error.code
+
+    @app.errorhandler(Exception)
+    def fault(error: Exception) -> Answer:
+        app.logger.exception("a request failed")
+        return {"error": "a fault of this program: %s" % type(error).__name__}, 500
+
+    # -- the page ----------------------------------------------------------------------------------
+
+    @app.get("/")
+    def page() -> Response:
+        return app.send_static_file("index.html")
+
+    @app.get("/favicon.ico")
+    def icon() -> Response:
+        return app.send_static_file("icon.svg")
+
+    @app.post("/api/login")
+    def login() -> Any:
+        if not guard.knows(str(_body(COMMAND_BYTES).get("token", ""))):
+            return {"error": "that is not the token"}, 401
+        response = flask.jsonify({})
+        if guard.token is not None:
+            response.set_cookie(COOKIE, guard.token, httponly=True, samesite="Strict")
+        return response
+
+    @app.get("/api/hello")
+    def hello() -> Dict[str, Any]:
+        return {"version": __version__, **project.to_json()}
+
+    # -- opening -----------------------------------------------------------------------------------
+
+    @app.post("/api/open")
+    def open_file() -> Dict[str, Any]:
+        path = _body(COMMAND_BYTES).get("path")
+        if not isinstance(path, str):
+            raise UsageError("'path' is missing")
+        return {"id": project.open(path).key}
+
+    @app.post("/api/upload")
+    def upload() -> Dict[str, Any]:
+        document: Document = read_upload(_body(UPLOAD_BYTES).get("files"))
+        key = "upload-" + secrets.token_hex(6)
+        return {"id": project.sessions.get_or_open(key, lambda: Session(key, document)).key}
+
+    # -- one open net ------------------------------------------------------------------------------
+
+    def session() -> Session:
+        return project.session(request.args.get("id", ""))
+
+    @app.get("/api/session")
+    def describe() -> Dict[str, Any]:
+        return session().to_json()
+
+    @app.post("/api/do")
+    def command() -> Dict[str, Any]:
+        fields = _body(COMMAND_BYTES)
+        name = fields.pop("command", None)
+        if not isinstance(name, str):
+            raise UsageError("'command' is missing")
+        return session().command(name, fields)
+
+    @app.get("/api/state")
+    def state_at() -> Dict[str, Any]:
+        hub = session().hub
+        return {"epoch": hub.epoch, "board": hub.board_at(_number("at")).to_json()}
+
+    @app.get("/api/events")
+    def past_events() -> Dict[str, Any]:
+        hub = session().hub
+        return {
+            "epoch": hub.epoch,
+            "events": hub.events(_number("after"), _number("to"), _number("limit", 5000)),
+        }
+
+    @app.get("/api/poll")
+    def poll() -> Response:
+        hub = session().hub
+        news = hub.news(Cursor.parse(request.args.get("since")))
+        return Response(news.text, mimetype="application/json")
+
+    @app.get("/api/stream")
+    def stream() -> Any:
+        hub = session().hub
+        if not streams.acquire(blocking=False):
+            return {"error": "%d viewers are served already; this one polls" % viewers}, 503
+        cursor = Cursor.parse(request.headers.get("Last-Event-ID") or request.args.get("since"))
+        response = Response(_Stream(hub, cursor, streams), mimetype="text/event-stream")
+        response.headers["X-Accel-Buffering"] = "no"
+        return response
+
+    # -- analysis ----------------------------------------------------------------------------------
+
+    @app.post("/api/analysis")
+    def analyse() -> Dict[str, Any]:
+        opened = session()
+        return {"job": jobs.start(opened.document, opened.hub.board().marking, _body(COMMAND_BYTES))}
+
+    @app.get("/api/analysis/<job>")
+    def progress(job: str) -> Dict[str, Any]:
+        return jobs.report(job)
+
+    @app.post("/api/analysis/<job>/cancel")
+    def cancel(job: str) -> Dict[str, Any]:
+        _body(COMMAND_BYTES)
+        jobs.cancel(job)
+        return {}
+
+    return app
+
+
+def _body(limit: int) -> Dict[str, Any]:
+    """The JSON object of a request. :raises UsageError: it is none."""
+    if (request.content_length or 0) > limit:
+        raise RefusedError("the request is too large")
+    if request.mimetype != "application/json":
+        raise UsageError("a request is JSON (Content-Type: application/json)")
+    try:
+        data = json.loads(request.get_data())
+    except (ValueError, RecursionError):
+        raise UsageError("the request is not JSON") from None
+    if not isinstance(data, dict):
+        raise UsageError("a request is a JSON object")
+    return data
+
+
+def _number(key: str, default: int = 0) -> int:
+    text = request.args.get(key, "")
+    if not text:
+        return default
+    if not text.isdigit() or len(text) > 15:
+        raise UsageError("'%s' is a whole number" % key)
+    return int(text)
+
+
+class _Stream:
+    """The messages of one viewer. Holds a cursor, and no queue: a viewer that does not read blocks
+    its own thread and nothing else."""
+
+    def __init__(
+        self, hub: Hub, cursor: Optional[Cursor], streams: threading.BoundedSemaphore
+    ) -> None:
+        self._hub, self._cursor, self._streams = hub, cursor, streams
+        self._messages = self._run()
+        self._open = True
+
+    def _run(self) -> Iterator[bytes]:
+        yield b"retry: 1000\n\n"
+        while True:
+            if not self._hub.wait(self._cursor, PING):
+                yield b"event: ping\ndata: {}\n\n"
+                continue
+            news = self._hub.news(self._cursor)
+            self._cursor = news.cursor
+            yield b"id: %s\ndata: %s\n\n" % (str(news.cursor).encode(), news.text.encode())
+            time.sleep(GATHER)
+
+    def __iter__(self) -> Iterator[bytes]:
+        return self._messages
+
+    def close(self) -> None:
+        """Called by the web server when the viewer has gone."""
+        if self._open:
+            self._open = False
+            self._streams.release()

@@ -1,0 +1,117 @@
+"""What the page shows at one moment, and the events that lead from one moment to the next.
+
+An *event* is a JSON object that a source hands to the hub; ``k`` is its kind:
+
+``fire``
+    ``tr`` transition (index) fired; ``d`` pairs (place index, change of its count); ``m`` moves
+    (robot, from, to) by place index, None for "from nowhere" and "to nowhere"; ``en``, ``dis``
+    transitions that became enabled or ceased to be; ``who`` the robot that asked.
+``undo``
+    as ``fire``, for a firing that was taken back.
+``mark``
+    the whole ``marking`` and ``enabled`` replaced (reset, clear, resynchronised), ``why`` says why.
+``robots``
+    ``r`` robots that changed (objects with ``name``), ``gone`` names of those that are no more.
+``note``
+    ``text`` for people, of a ``level`` (info, warning, fault), about ``robot`` or nobody.
+``status``
+    fields of the status that changed: ``running``, ``paused``, ``ended``, ``finished``.
+
+The hub adds ``n`` (number, from 1) and ``t`` (seconds since the beginning, where the source gave
+none).
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, Iterable, List, Mapping, Sequence, Set
+
+Event = Dict[str, Any]
+
+NOTES_KEPT = 50
+"""How many of the latest notes a board carries, so that one who comes late sees them."""
+
+_SINCE = ("place", "phase")
+"""A robot is "since" the moment at which one of these changed."""
+
+
+class Board:
+    """The state that the events so far led to.
+
+    :param transitions: how many transitions the net has.
+    :param marking: token counts in the order of the places.
+    :param enabled: indices of the enabled transitions.
+    :param status: see the module.
+    """
+
+    def __init__(
+        self,
+        transitions: int,
+        marking: Sequence[int],
+        enabled: Iterable[int] = (),
+        status: Mapping[str, Any] = {},
+    ) -> None:
+        self.n = 0
+        self.t = 0.0
+        self.marking: List[int] = list(marking)
+        self.enabled: Set[int] = set(enabled)
+        self.counts: List[int] = [0] * transitions
+        self.robots: Dict[str, Dict[str, Any]] = {}
+        self.notes: List[Event] = []
+        self.status: Dict[str, Any] = dict(status)
+
+    def copy(self) -> Board:
+        """A board that goes its own way."""
+        board = Board(0, self.marking, self.enabled, self.status)
+        board.n, board.t = self.n, self.t
+        board.counts = list(self.counts)
+        board.robots = {name: dict(robot) for name, robot in self.robots.items()}
+        board.notes = list(self.notes)
+        return board
+
+    def apply(self, event: Event) -> None:
+        """Go on by one event."""
+        self.n = event["n"]
+        self.t = event["t"]
+        kind = event["k"]
+        if kind in ("fire", "undo"):
+            for p, change in event["d"]:
+                self.marking[p] += change
+            self.counts[event["tr"]] += 1 if kind == "fire" else -1
+            self.enabled.update(event["en"])
+            self.enabled.difference_update(event["dis"])
+            for name, _, target in event["m"]:
+                if target is None:
+                    self.robots.pop(name, None)
+                else:
+                    robot = self.robots.setdefault(name, {"name": name})
+                    robot.update(place=target, phase="doing", why="", since=event["t"])
+        elif kind == "mark":
+            self.marking = list(event["marking"])
+            self.enabled = set(event["enabled"])
+            if event.get("restart"):
+                self.counts = [0] * len(self.counts)
+        elif kind == "robots":
+            for robot in event["r"]:
+                known = self.robots.setdefault(robot["name"], {})
+                if any(robot.get(key, known.get(key)) != known.get(key) for key in _SINCE):
+                    known["since"] = event["t"]
+                known.update(robot)
+            for name in event.get("gone", ()):
+                self.robots.pop(name, None)
+        elif kind == "note":
+            self.notes = self.notes[-NOTES_KEPT + 1 :] + [event]
+        elif kind == "status":
+            self.status.update(event["status"])
+
+    def to_json(self) -> Dict[str, Any]:
+        """The board as a JSON object."""
+        return {
+            "n": self.n,
+            "t": self.t,
+            "marking": list(self.marking),
+            "enabled": sorted(self.enabled),
+            "counts": list(self.counts),
+            "robots": list(self.robots.values()),
+            "notes": list(self.notes),
+            "status": dict(self.status),
+        }

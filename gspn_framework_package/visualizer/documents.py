@@ -1,0 +1,230 @@
+"""What can be opened: the files of the served folder, and what a browser uploads.
+
+Only a plan of the served folder can be executed. What is uploaded is shown and simulated.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import os
+import re
+import tempfile
+from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+
+from gspn_framework_package.formats.plan_file import PLAN_FILE, read_plan
+from gspn_framework_package.formats.registry import FORMATS, read_net_with_notes
+from gspn_framework_package.formats.thesis_input import is_thesis_input
+from gspn_framework_package.model.errors import InputError, LimitError, RefusedError, UsageError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
+
+NET_ENDINGS = tuple(e for f in FORMATS.values() for e in f.extensions)
+LOG_ENDINGS = (".jsonl", ".bag")
+
+FILES_LISTED = 500
+FOLDERS_DEEP = 4
+NODES = 20_000
+ARCS = 100_000
+UPLOAD_FILES = 10
+
+
+class Document(NamedTuple):
+    """An open net: ``title`` for people, ``plan`` where it is one, ``executable`` where the
+    operator served it as a plan, ``notes`` on how it was read."""
+
+    title: str
+    net: Net
+    plan: Optional[Plan] = None
+    executable: bool = False
+    notes: Tuple[str, ...] = ()
+
+
+class FileEntry(NamedTuple):
+    """A file of the served folder: ``path`` from there, ``kind`` net, plan or log."""
+
+    path: str
+    kind: str
+    size: int
+
+
+class Folder:
+    """The served folder. Nothing outside it is opened, links that lead out included.
+
+    :param root: the folder. :raises InputError: it is none.
+    """
+
+    def __init__(self, root: str) -> None:
+        self.root = os.path.realpath(root)
+        if not os.path.isdir(self.root):
+            raise InputError("there is no such folder", file=root)
+
+    def entries(self) -> List[FileEntry]:
+        """The nets, plans and logs in the folder, at most :data:`FILES_LISTED`."""
+        found: List[FileEntry] = []
+        for path, folders, names in os.walk(self.root):
+            depth = os.path.relpath(path, self.root).count(os.sep) + 1
+            folders[:] = sorted(
+                f for f in folders if not f.startswith((".", "_")) and depth < FOLDERS_DEEP
+            )
+            for name in sorted(names):
+                whole = os.path.join(path, name)
+                kind = self._kind(whole)
+                if kind and self._inside(whole):
+                    found.append(
+                        FileEntry(os.path.relpath(whole, self.root), kind, os.path.getsize(whole))
+                    )
+            if len(found) >= FILES_LISTED:
+                break
+        return found[:FILES_LISTED]
+
+    def resolve(self, path: str) -> str:
+        """The whole path of ``path``, which is relative to the folder.
+
+        :raises RefusedError: it leads out of the folder. :raises InputError: it is not there.
+        """
+        if "\0" in path or os.path.isabs(path):
+            raise RefusedError("only files of the served folder are opened")
+        whole = os.path.realpath(os.path.join(self.root, path))
+        if not self._inside(whole):
+            raise RefusedError("only files of the served folder are opened")
+        if not os.path.exists(whole):
+            raise InputError("there is no such file", file=path)
+        return whole
+
+    def kind(self, path: str) -> str:
+        """net, plan, log, or "" for anything else."""
+        return self._kind(self.resolve(path))
+
+    def open(self, path: str) -> Document:
+        """The net or plan at ``path``. :raises GspnError: it cannot be read."""
+        whole = self.resolve(path)
+        if self._kind(whole) == "plan":
+            plan = read_plan(whole)
+            return _checked(Document(path, plan.net, plan, True, tuple(plan.notes)))
+        net, notes = read_net_with_notes(whole)
+        return _checked(Document(path, net, notes=tuple(notes)))
+
+    def _inside(self, whole: str) -> bool:
+        real = os.path.realpath(whole)
+        return real == self.root or real.startswith(self.root.rstrip(os.sep) + os.sep)
+
+    @staticmethod
+    def _kind(whole: str) -> str:
+        name = os.path.basename(whole).lower()
+        if os.path.isdir(whole):
+            return "plan" if os.path.isfile(os.path.join(whole, PLAN_FILE)) else ""
+        if name.endswith(LOG_ENDINGS):
+            return "log"
+        if name.endswith(".json"):
+            return "plan" if _looks_like_plan(whole) else ""
+        return "net" if name.endswith(NET_ENDINGS) else ""
+
+
+def _looks_like_plan(path: str) -> bool:
+    """Whether a JSON file begins like a plan; the whole is only read when it is opened."""
+    try:
+        with open(path, encoding="utf-8") as file:
+            head = file.read(200_000)
+    except (OSError, UnicodeDecodeError):
+        return False
+    own = '"net"' in head and '"actions"' in head
+    return own or '"place_to_client_mapping"' in head or '"place_to_function_mapping"' in head
+
+
+def read_upload(files: Any) -> Document:
+    """The net or plan that a browser sent.
+
+    The files are looked at in a folder of their own: whatever an uploaded plan names is looked for
+    among the files sent with it, and nowhere else.
+
+    :param files: ``[{"name": ..., "content": base64}, ...]``: a net, or an input file with its net.
+    :raises GspnError: it is not one, is too large, or names files that were not sent.
+    """
+    sent = _sent_files(files)
+    with tempfile.TemporaryDirectory(prefix="gspn_upload_") as folder:
+        plans = [name for name in sent if name.lower().endswith(".json")]
+        for name, data in sent.items():
+            with open(os.path.join(folder, name), "wb") as file:
+                file.write(_only_beside(name, data, sent) if name in plans else data)
+        if len(plans) > 1:
+            raise UsageError("more than one input file was sent")
+        try:
+            if plans:
+                plan = read_plan(os.path.join(folder, plans[0]))
+                return _checked(Document(plans[0], plan.net, plan, notes=tuple(plan.notes)))
+            if len(sent) > 1:
+                raise UsageError("several nets were sent, and no input file that chooses")
+            name = next(iter(sent))
+            net, notes = read_net_with_notes(os.path.join(folder, name))
+            return _checked(Document(name, net, notes=tuple(notes)))
+        except InputError as error:
+            if error.file:  # the folder is nobody's business
+                error.file = os.path.basename(error.file)
+            raise
+
+
+def _sent_files(files: Any) -> Dict[str, bytes]:
+    if not isinstance(files, list) or not 1 <= len(files) <= UPLOAD_FILES:
+        raise UsageError("send 1 to %d files" % UPLOAD_FILES)
+    sent = {}
+    for item in files:
+        name = item.get("name") if isinstance(item, dict) else None
+        if not isinstance(name, str) or not re.fullmatch(r"[^/\\\0]{1,120}", name):
+            raise UsageError("a file has no proper name")
+        if name.strip(". ") == "":
+            raise UsageError("a file has no proper name")
+        try:
+            sent[name] = base64.b64decode(item.get("content", ""), validate=True)
+        except (binascii.Error, TypeError, ValueError):
+            raise UsageError("the file '%s' did not arrive whole" % name) from None
+    return sent
+
+
+def _only_beside(name: str, data: bytes, sent: Dict[str, bytes]) -> bytes:
+    """An uploaded input file with every file it names replaced by one that was sent with it."""
+    try:
+        plan = json.loads(data)
+    except (ValueError, RecursionError):
+        return data  # the reader will say what is wrong
+    if not isinstance(plan, dict):
+        return data
+
+    def beside(value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
+        base = re.split(r"[/\\]", value)[-1]
+        if base not in sent:
+            raise InputError(
+                "it names the file '%s', which was not sent" % base[:120],
+                file=name,
+                hint="choose the input file and its net together",
+            )
+        return base
+
+    if is_thesis_input(plan):
+        plan["gspn"] = beside(plan.get("gspn"))
+        if "project_path" in plan:
+            plan["project_path"] = "."
+    else:
+        if isinstance(plan.get("net"), dict) and "file" in plan["net"]:
+            plan["net"]["file"] = beside(plan["net"]["file"])
+        else:
+            plan["net"] = beside(plan.get("net"))
+        if isinstance(plan.get("policy"), str):
+            plan["policy"] = beside(plan["policy"])
+    return json.dumps(plan).encode()
+
+
+def _checked(document: Document) -> Document:
+    """The document itself, if a browser can show it. :raises LimitError: it is too large."""
+    nodes = len(document.net.places) + len(document.net.transitions)
+    if nodes > NODES or len(document.net.arcs) > ARCS:
+        raise LimitError(
+            "a net of %d nodes and %d arcs is too large for the page"
+            % (nodes, len(document.net.arcs)),
+            file=document.title,
+            hint="up to %d nodes and %d arcs are shown" % (NODES, ARCS),
+        )
+    return document

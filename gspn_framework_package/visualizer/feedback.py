@@ -1,0 +1,42 @@
+"""Feedback of actions on its way to the page: the latest of each robot, a few times a second."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any, Dict
+
+from gspn_framework_package.visualizer.hub import Hub
+
+SECONDS = 0.2
+
+
+class Feedback:
+    """Gathers feedback, and hands it to a hub at most every :data:`SECONDS`."""
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+        self._lock = threading.Lock()
+        self._said: Dict[str, str] = {}
+        self._timer: Any = None
+
+    def tell(self, robot: str, text: str) -> None:
+        """``robot`` says ``text``. May be called from any thread."""
+        with self._lock:
+            self._said[robot] = text[:200]
+            if self._timer is None:
+                self._timer = threading.Timer(SECONDS, self._hand_over)
+                self._timer.daemon = True
+                self._timer.start()
+
+    def forget(self, robot: str) -> None:
+        """The action of ``robot`` is over."""
+        with self._lock:
+            known = self._said.pop(robot, None)
+        if known is not None:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        with self._lock:
+            self._timer = None
+            said = dict(self._said)
+        self._hub.set_latest("feedback", said)

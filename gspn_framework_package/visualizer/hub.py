@@ -1,0 +1,216 @@
+"""The hub of one open net: takes events from one source, and gives them to any number of viewers.
+
+Viewers have a cursor each and the hub has no queue for any of them: a bounded ring of the recent
+events serves all. A viewer whose cursor has fallen out of the ring, or that comes from another
+*epoch* (another run, another server process), gets a whole snapshot. So a viewer that stalls costs
+nothing, and none sees a gap without being told.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import threading
+import time
+from collections import deque
+from typing import Any, Deque, Dict, List, NamedTuple, Optional, Tuple
+
+from gspn_framework_package.visualizer.board import Board, Event
+
+RING = 20_000
+"""Events kept: what viewers can catch up on, and how far back the scrubber reaches in a live
+run."""
+
+KEYFRAME = 500
+"""A board is kept every so many events, so that any moment in the ring is found at once."""
+
+
+class Cursor(NamedTuple):
+    """Where a viewer is: it has seen the events of ``epoch`` up to number ``n``, and the latest
+    values up to ``latest``."""
+
+    epoch: str
+    n: int
+    latest: int = 0
+
+    @classmethod
+    def parse(cls, text: Optional[str]) -> Optional[Cursor]:
+        """The cursor written as ``epoch:n`` or ``epoch:n:latest``; None for anything else."""
+        parts = (text or "").split(":")
+        if len(parts) in (2, 3) and all(p.isdigit() and len(p) < 18 for p in parts[1:]):
+            return cls(parts[0], int(parts[1]), int(parts[2]) if len(parts) == 3 else 0)
+        return None
+
+    def __str__(self) -> str:
+        return "%s:%d:%d" % self
+
+
+class News(NamedTuple):
+    """What a viewer lacks, as JSON text, and its new cursor."""
+
+    text: str
+    cursor: Cursor
+
+
+class Hub:
+    """See the module. All methods may be called from any thread.
+
+    :param mode: what the page calls what it shows: SIMULATE, LIVE or REPLAY.
+    :param board: the state at the beginning; the hub owns it from now on.
+    :param ring: how many events are kept.
+    """
+
+    def __init__(self, mode: str, board: Board, ring: int = RING) -> None:
+        self._condition = threading.Condition()
+        self._ring_size = ring
+        self.restart(mode, board)
+
+    def restart(
+        self,
+        mode: str,
+        board: Board,
+        info: Optional[Dict[str, Any]] = None,
+        ring: Optional[int] = None,
+    ) -> None:
+        """Begin a new epoch: another run, or another mode. Everybody gets a snapshot.
+
+        :param info: what else the page should know of this run (its clock, its length, its name).
+        :param ring: another number of events to keep.
+        """
+        with self._condition:
+            self._ring_size = ring or self._ring_size
+            self.mode = mode
+            self.info = dict(info or {})
+            self.epoch = secrets.token_hex(6)
+            self._board = board
+            self._events: Deque[Event] = deque()
+            self._texts: Deque[str] = deque()
+            self._keyframes: Deque[Board] = deque([board.copy()])
+            self._started = time.monotonic()
+            self._latest: Dict[str, Tuple[int, str]] = {}
+            self._latest_number = 0
+            self._last_event = time.monotonic()
+            self._condition.notify_all()
+
+    # -- the source's side -------------------------------------------------------------------------
+
+    def publish(self, *events: Event) -> None:
+        """Take in events, in order."""
+        with self._condition:
+            for event in events:
+                event["n"] = self._board.n + 1
+                if "t" not in event:
+                    event["t"] = round(time.monotonic() - self._started, 4)
+                self._board.apply(event)
+                self._events.append(event)
+                self._texts.append(json.dumps(event, separators=(",", ":")))
+                if event["n"] % KEYFRAME == 0:
+                    self._keyframes.append(self._board.copy())
+                if len(self._events) > self._ring_size:
+                    self._events.popleft()
+                    self._texts.popleft()
+            oldest = self._board.n - len(self._events)
+            while len(self._keyframes) > 1 and self._keyframes[1].n <= oldest:
+                self._keyframes.popleft()
+            self._last_event = time.monotonic()
+            self._condition.notify_all()
+
+    def set_latest(self, key: str, value: Any) -> None:
+        """Tell the latest value of something that has no history: feedback of an action, the robots
+        in the room."""
+        text = json.dumps(value, separators=(",", ":"))
+        with self._condition:
+            known = self._latest.get(key)
+            if known is None or known[1] != text:
+                self._latest_number += 1
+                self._latest[key] = (self._latest_number, text)
+                self._condition.notify_all()
+
+    def change_info(self, **info: Any) -> None:
+        """Change what the page knows of this run; told as a latest value."""
+        with self._condition:
+            self.info.update(info)
+        self.set_latest("info", self.info)
+
+    # -- the viewers' side -------------------------------------------------------------------------
+
+    def wait(self, cursor: Optional[Cursor], timeout: float) -> bool:
+        """Wait until there is something that ``cursor`` lacks; False when there is not, after
+        ``timeout`` seconds."""
+        with self._condition:
+            return self._condition.wait_for(lambda: self._has_news(cursor), timeout)
+
+    def _has_news(self, cursor: Optional[Cursor]) -> bool:
+        return (
+            cursor is None
+            or cursor.epoch != self.epoch
+            or cursor.n < self._board.n
+            or cursor.latest < self._latest_number
+        )
+
+    def news(self, cursor: Optional[Cursor]) -> News:
+        """Everything that ``cursor`` lacks: events if they are all still there, a snapshot
+        otherwise."""
+        with self._condition:
+            now = Cursor(self.epoch, self._board.n, self._latest_number)
+            oldest = self._board.n - len(self._events)
+            fresh = cursor is None or cursor.epoch != self.epoch or not oldest <= cursor.n <= now.n
+            since = 0 if fresh or cursor is None else cursor.latest
+            latest = ",".join(
+                "%s:%s" % (json.dumps(key), text)
+                for key, (number, text) in self._latest.items()
+                if number > since
+            )
+            if fresh or cursor is None:
+                body = '"snapshot":%s' % json.dumps(self._snapshot(), separators=(",", ":"))
+            else:
+                first = len(self._texts) - (now.n - cursor.n)
+                texts = self._texts
+                new = [texts[i] for i in range(first, len(texts))] if first < len(texts) else []
+                body = '"events":[%s]' % ",".join(new)
+            return News('{"cursor":"%s",%s,"latest":{%s}}' % (now, body, latest), now)
+
+    def _snapshot(self) -> Dict[str, Any]:
+        return {
+            "epoch": self.epoch,
+            "mode": self.mode,
+            "info": self.info,
+            "oldest": self._board.n - len(self._events),
+            "board": self._board.to_json(),
+            "age": round(time.monotonic() - self._last_event, 3) if self._events else None,
+            "clock": round(time.monotonic() - self._started, 3),
+        }
+
+    def board(self) -> Board:
+        """A copy of the present board."""
+        with self._condition:
+            return self._board.copy()
+
+    def board_at(self, n: int) -> Board:
+        """The board after event ``n``; the nearest there is, where ``n`` has left the ring or has
+        not come yet."""
+        with self._condition:
+            oldest = self._board.n - len(self._events)
+            n = max(oldest, min(n, self._board.n))
+            base = self._keyframes[0]
+            for keyframe in self._keyframes:
+                if keyframe.n > n:
+                    break
+                base = keyframe
+            events = self._slice(base.n, n)
+            board = base.copy()
+        for event in events:
+            board.apply(event)
+        return board
+
+    def events(self, after: int, to: int, limit: int = 5000) -> List[Event]:
+        """The events numbered above ``after`` and up to ``to``, as far as the ring has them, at
+        most the last ``limit``."""
+        with self._condition:
+            return self._slice(max(after, to - limit), to)
+
+    def _slice(self, after: int, to: int) -> List[Event]:
+        oldest = self._board.n - len(self._events)
+        first = max(0, after - oldest)
+        last = max(0, min(to, self._board.n) - oldest)
+        return [self._events[i] for i in range(first, last)]

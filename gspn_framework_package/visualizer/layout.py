@@ -1,0 +1,243 @@
+"""Where the nodes of a net are drawn, and how its arcs run.
+
+Positions in the file are used when every node has one. Otherwise Graphviz lays the net out: ``dot``
+in layers, with a deadline; ``sfdp`` where that takes too long; a grid when all else fails. A layout
+is computed once for a net and kept by its hash.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import subprocess
+import threading
+from collections import OrderedDict
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+
+from gspn_framework_package.model.net import Net
+
+Point = Tuple[float, float]
+
+PLACE_RADIUS = 20.0
+"""Radius of a place, in the units of the drawing (CSS pixels at zoom 1)."""
+
+NEAREST = 68.0
+"""Positions from a file are stretched, or drawn together, until the two nearest nodes are as far
+from each other as this."""
+
+LABEL_HEIGHT = 16.0
+LABEL_CHARACTERS = 22
+CHARACTER_WIDTH = 6.4
+
+DEADLINE = 8.0
+"""Seconds that Graphviz may take."""
+
+ROUTED_NODES = 400
+"""Arcs are routed around nodes in nets up to this size; in larger ones they are straight."""
+
+_KEPT = 32
+
+
+class Layout(NamedTuple):
+    """``positions``: node name -> centre. ``routes``: arc number -> control points of its Bezier
+    curves from centre to centre (1 + 3k points); arcs without one are straight. ``engine``: what
+    made it."""
+
+    positions: Dict[str, Point]
+    routes: Dict[int, List[Point]]
+    engine: str
+
+
+_kept: OrderedDict[Tuple[str, bool], Layout] = OrderedDict()
+_lock = threading.Lock()
+
+
+def net_hash(net: Net) -> str:
+    """Hex digest of what decides how a net looks: its nodes, arcs and positions, not its
+    tokens."""
+    essence: List[Any] = [
+        [[p.name, p.position] for p in net.places],
+        [[t.name, t.timed, t.position] for t in net.transitions],
+        [list(a) for a in net.arcs],
+    ]
+    return hashlib.sha256(json.dumps(essence).encode()).hexdigest()[:24]
+
+
+def lay_out(net: Net, *, anew: bool = False, deadline: float = DEADLINE) -> Layout:
+    """The layout of a net.
+
+    :param anew: do not use the positions of the file.
+    :param deadline: seconds that each attempt of Graphviz may take.
+    """
+    key = (net_hash(net), anew)
+    with _lock:
+        if key in _kept:
+            _kept.move_to_end(key)
+            return _kept[key]
+    layout = _compute(net, anew, deadline)
+    with _lock:
+        _kept[key] = layout
+        while len(_kept) > _KEPT:
+            _kept.popitem(last=False)
+    return layout
+
+
+def _compute(net: Net, anew: bool, deadline: float) -> Layout:
+    nodes = len(net.places) + len(net.transitions)
+    if nodes == 0:
+        return Layout({}, {}, "empty")
+    given = None if anew else _positions_of_file(net)
+    if given is not None:
+        routes: Dict[int, List[Point]] = {}
+        if nodes <= ROUTED_NODES:
+            routed = _graphviz(net, "neato", deadline / 4, given)
+            routes = routed.routes if routed is not None else {}
+        return Layout(given, routes, "file")
+    engines = ["dot", "sfdp"] if nodes <= 2500 else ["sfdp"]
+    for engine in engines:
+        layout = _graphviz(net, engine, deadline)
+        if layout is not None:
+            return layout
+    return Layout(_grid(net), {}, "grid")
+
+
+def _names(net: Net) -> List[str]:
+    return [p.name for p in net.places] + [t.name for t in net.transitions]
+
+
+def _positions_of_file(net: Net) -> Optional[Dict[str, Point]]:
+    """The positions of the file, to the scale of the symbols; None when they are not all there, or
+    not all different."""
+    nodes: Sequence[Any] = list(net.places) + list(net.transitions)
+    if any(node.position is None for node in nodes):
+        return None
+    points = {node.name: node.position for node in nodes}
+    nearest = _nearest_distance(list(points.values()))
+    if nearest < 1.0:
+        return None
+    scale = min(max(0.3, NEAREST / nearest), 8.0)
+    return {name: (x * scale, y * scale) for name, (x, y) in points.items()}
+
+
+def _nearest_distance(points: List[Point]) -> float:
+    """Distance of the two nearest points, by a sweep over x."""
+    best = math.inf
+    points = sorted(points)
+    for i, (x, y) in enumerate(points):
+        for j in range(i - 1, -1, -1):
+            if x - points[j][0] >= best:
+                break
+            best = min(best, math.hypot(x - points[j][0], y - points[j][1]))
+    return best
+
+
+def label_width(name: str) -> float:
+    """Width of a node's label on the page, which shortens long names."""
+    return min(len(name), LABEL_CHARACTERS) * CHARACTER_WIDTH
+
+
+def _graphviz(
+    net: Net, engine: str, deadline: float, fixed: Optional[Dict[str, Point]] = None
+) -> Optional[Layout]:
+    """The layout that Graphviz makes, or None when it does not within ``deadline`` seconds."""
+    names = _names(net)
+    number = {name: i for i, name in enumerate(names)}
+    routed = engine == "dot" and len(names) <= ROUTED_NODES or fixed is not None
+    command = [engine, "-Tplain", "-y"] + (["-n2"] if fixed is not None else [])
+    try:
+        done = subprocess.run(
+            command,
+            input=_dot_text(net, number, engine, routed, fixed).encode(),
+            capture_output=True,
+            timeout=deadline,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    if done.returncode != 0:
+        return None
+    positions: Dict[str, Point] = {}
+    routes: Dict[int, List[Point]] = {}
+    edges: Dict[Tuple[int, int], List[List[Point]]] = {}
+    for line in done.stdout.decode().splitlines():
+        words = line.split()
+        if words[:1] == ["node"]:
+            positions[names[int(words[1])]] = (float(words[2]) * 72, float(words[3]) * 72)
+        elif words[:1] == ["edge"]:
+            count = int(words[3])
+            numbers = [float(w) * 72 for w in words[4 : 4 + 2 * count]]
+            curve = list(zip(numbers[::2], numbers[1::2]))
+            edges.setdefault((int(words[1]), int(words[2])), []).append(curve)
+    if len(positions) != len(names):
+        return None
+    if routed:
+        shift_x = shift_y = 0.0
+        if fixed is not None:  # -n2 keeps distances, but not the origin
+            first = names[0]
+            shift_x = fixed[first][0] - positions[first][0]
+            shift_y = fixed[first][1] - positions[first][1]
+        for a, arc in enumerate(net.arcs):
+            found = edges.get((number[arc.source], number[arc.target]))
+            if found:
+                curve = found.pop(0)
+                routes[a] = [(x + shift_x, y + shift_y) for x, y in curve]
+    return Layout(positions, routes, engine)
+
+
+def _dot_text(
+    net: Net,
+    number: Dict[str, int],
+    engine: str,
+    routed: bool,
+    fixed: Optional[Dict[str, Point]],
+) -> str:
+    """The net in DOT, with numbers for names, so that nothing needs quoting."""
+    lines = ["digraph {"]
+    if engine == "dot":
+        lines.append("rankdir=LR nodesep=0.28 ranksep=0.5 nslimit=6 mclimit=0.6;")
+        lines.append("splines=%s;" % ("true" if routed else "false"))
+    elif engine == "neato":
+        lines.append("splines=true esep=0.05;")
+    else:
+        lines.append("K=0.9 overlap=prism overlap_scaling=4 splines=false;")
+    lines.append('node [shape=box fixedsize=true label=""];')
+    lines.append("edge [headclip=false tailclip=false dir=none];")
+    for name in number:
+        size = 2 * PLACE_RADIUS + 4
+        if fixed is not None:
+            x, y = fixed[name]
+            shape = 'width=0.58 height=0.58 pos="%f,%f"' % (x, -y)
+        else:
+            width = max(size, label_width(name) + 8)
+            shape = "width=%.3f height=%.3f" % (width / 72, (size + 2 * LABEL_HEIGHT) / 72)
+        lines.append("%d [%s];" % (number[name], shape))
+    for arc in net.arcs:
+        lines.append("%d -> %d;" % (number[arc.source], number[arc.target]))
+    lines.append("}")
+    return "\n".join(lines)
+
+
+def _grid(net: Net) -> Dict[str, Point]:
+    """Nodes side by side in the order in which arcs lead from one to the next."""
+    neighbours: Dict[str, List[str]] = {name: [] for name in _names(net)}
+    for arc in net.arcs:
+        neighbours[arc.source].append(arc.target)
+    order: List[str] = []
+    seen = set()
+    for start in neighbours:
+        stack = [start]
+        while stack:
+            name = stack.pop()
+            if name not in seen:
+                seen.add(name)
+                order.append(name)
+                stack += reversed(neighbours[name])
+    columns = max(1, math.ceil(math.sqrt(len(order) * 1.6)))
+    points = {}
+    for i, name in enumerate(order):
+        row, column = divmod(i, columns)
+        if row % 2:
+            column = columns - 1 - column
+        points[name] = (column * 110.0, row * 90.0)
+    return points

@@ -1,0 +1,97 @@
+"""The fixed part of the picture as a JSON object: nodes, arcs, positions, what a plan says of
+them."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, Optional
+
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import FunctionAction, Plan, ServerAction
+from gspn_framework_package.visualizer.layout import Layout, lay_out, net_hash
+
+
+def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
+    """The scene of a net, and of the plan it belongs to."""
+    layout = lay_out(net)
+    return {
+        "name": (plan.name if plan is not None else net.name) or "net",
+        "hash": net_hash(net),
+        "places": [
+            {
+                "name": p.name,
+                "tokens": p.tokens,
+                "capacity": p.capacity,
+                "kind": _kind(p.name, plan),
+                "action": _action(p.name, plan),
+            }
+            for p in net.places
+        ],
+        "transitions": [
+            {
+                "name": t.name,
+                "timed": t.timed,
+                "rate": t.rate,
+                "weight": t.weight,
+                "priority": t.priority,
+                "servers": t.servers,
+            }
+            for t in net.transitions
+        ],
+        "arcs": [_arc(net, a) for a in range(len(net.arcs))],
+        "layout": layout_to_json(net, layout),
+        "plan": _plan(plan),
+    }
+
+
+def layout_to_json(net: Net, layout: Layout) -> Dict[str, Any]:
+    """The layout, with centres in the order of places and transitions, and routes by arc."""
+    return {
+        "engine": layout.engine,
+        "places": [_rounded(layout.positions[p.name]) for p in net.places],
+        "transitions": [_rounded(layout.positions[t.name]) for t in net.transitions],
+        "routes": {
+            str(a): [round(v, 1) for point in curve for v in point]
+            for a, curve in layout.routes.items()
+        },
+    }
+
+
+def _rounded(point: Any) -> List[float]:
+    return [round(point[0], 1), round(point[1], 1)]
+
+
+def _arc(net: Net, a: int) -> List[int]:
+    """Place, transition, direction (1: from the place), weight, inhibitor."""
+    arc = net.arcs[a]
+    if arc.source in net.place_index:
+        place, transition = net.place_index[arc.source], net.transition_index[arc.target]
+        return [place, transition, 1, arc.weight, int(arc.inhibitor)]
+    return [net.place_index[arc.target], net.transition_index[arc.source], 0, arc.weight, 0]
+
+
+def _kind(place: str, plan: Optional[Plan]) -> str:
+    if plan is None:
+        return "plain"
+    return "resource" if place in plan.resource_places else "action"
+
+
+def _action(place: str, plan: Optional[Plan]) -> Optional[str]:
+    action = plan.actions.get(place) if plan is not None else None
+    if isinstance(action, FunctionAction):
+        return action.function
+    if isinstance(action, ServerAction):
+        return "%s (%s)" % (action.server, action.type)
+    return None
+
+
+def _plan(plan: Optional[Plan]) -> Optional[Dict[str, Any]]:
+    if plan is None:
+        return None
+    return {
+        "name": plan.name,
+        "synchronisation": plan.synchronisation.value,
+        "seed": plan.seed,
+        "robots": [[r.name, r.place] for r in plan.robots],
+        "policy_rows": len(plan.policy.rows),
+        "notes": list(plan.notes),
+    }

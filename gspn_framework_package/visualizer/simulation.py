@@ -1,0 +1,194 @@
+"""SIMULATE: the offline token game, with every tool of thesis Figure 5.4, and step back."""
+
+from __future__ import annotations
+
+import random
+import threading
+from collections import deque
+from typing import Any, Deque, Dict, List, NamedTuple, Optional
+
+from gspn_framework_package.execution.simulator import SimulatedFiring, Simulator
+from gspn_framework_package.model.errors import RefusedError, UsageError
+from gspn_framework_package.model.net import Marking, Net
+from gspn_framework_package.visualizer.activity import (
+    Activity,
+    Fields,
+    text_field,
+    whole_number,
+)
+from gspn_framework_package.visualizer.board import Board, Event
+from gspn_framework_package.visualizer.hub import Hub
+
+STEPS_AT_ONCE = 10_000
+"""Most steps that one command may ask for."""
+
+STEPS_BACK = 20_000
+"""How many steps can be taken back."""
+
+
+class _Past(NamedTuple):
+    """``marking`` and ``time`` before ``transition`` fired; -1 for a reset or a clear."""
+
+    transition: int
+    marking: Marking
+    time: float
+
+
+class Simulation(Activity):
+    """The offline simulation of a net. All viewers share it.
+
+    :param seed: of the random numbers; None for another simulation each time.
+    """
+
+    mode = "SIMULATE"
+
+    def __init__(self, net: Net, seed: Optional[int] = None) -> None:
+        super().__init__()
+        self.net = net
+        self._lock = threading.Lock()
+        self._simulator = Simulator(net, source=random.Random(seed))
+        self._time = 0.0
+        self._past: Deque[_Past] = deque(maxlen=STEPS_BACK)
+        self.commands = {
+            "step": self._locked(self._step),
+            "fire": self._locked(self._fire),
+            "back": self._locked(self._back),
+            "reset": self._locked(self._reset),
+            "clear": self._locked(self._clear),
+            "probabilities": self._locked(self._set_probabilities),
+        }
+
+    def begin(self, hub: Hub) -> None:
+        """Start at the initial marking."""
+        self._hub = hub
+        board = Board(
+            len(self.net.transitions),
+            self._simulator.marking,
+            self._simulator.enabled.now,
+            {"running": False},
+        )
+        hub.restart(self.mode, board, {"probabilities": {}})
+        hub.set_latest("choices", self._choices())
+
+    def _locked(self, handler: Any) -> Any:
+        def run(fields: Fields) -> Dict[str, Any]:
+            with self._lock:
+                return handler(fields)
+
+        return run
+
+    # -- commands ----------------------------------------------------------------------------------
+
+    def _step(self, fields: Fields) -> Dict[str, Any]:
+        steps = whole_number(fields, "steps", 1, 1, STEPS_AT_ONCE)
+        events: List[Event] = []
+        while len(events) < steps:
+            before = _Past(-1, self._simulator.marking, self._time)
+            firing = self._simulator.step()
+            if firing is None:
+                break
+            events.append(self._fired(firing, before))
+        self._publish(*events)
+        return {"fired": len(events), "dead": len(events) < steps}
+
+    def _fire(self, fields: Fields) -> Dict[str, Any]:
+        t = self.net.transition_number(text_field(fields, "transition"))
+        if t not in self._simulator.enabled.now and self.net.is_enabled(self._simulator.marking, t):
+            raise RefusedError(
+                "immediate transitions of higher priority go first",
+                element="transition '%s'" % self.net.transitions[t].name,
+            )
+        before = _Past(t, self._simulator.marking, self._time)
+        self._publish(self._fired(self._simulator.fire(t), before))
+        return {"fired": 1}
+
+    def _fired(self, firing: SimulatedFiring, before: _Past) -> Event:
+        self._time += firing.delay
+        t = firing.transition
+        self._past.append(before._replace(transition=t))
+        return {
+            "k": "fire",
+            "t": round(self._time, 4),
+            "tr": t,
+            "who": "",
+            "d": [list(pair) for pair in self.net.effect(t)],
+            "m": [],
+            "en": list(self._simulator.change.added),
+            "dis": list(self._simulator.change.removed),
+        }
+
+    def _back(self, fields: Fields) -> Dict[str, Any]:
+        steps = whole_number(fields, "steps", 1, 1, STEPS_AT_ONCE)
+        events: List[Event] = []
+        while self._past and len(events) < steps:
+            past = self._past.pop()
+            self._simulator.move_to(past.marking)
+            self._time = past.time
+            if past.transition < 0:
+                events.append(self._whole("step back"))
+                continue
+            events.append(
+                {
+                    "k": "undo",
+                    "t": round(self._time, 4),
+                    "tr": past.transition,
+                    "d": [[p, -change] for p, change in self.net.effect(past.transition)],
+                    "m": [],
+                    "en": list(self._simulator.change.added),
+                    "dis": list(self._simulator.change.removed),
+                }
+            )
+        if not events:
+            raise RefusedError("there is no step to take back")
+        self._publish(*events)
+        return {"back": len(events)}
+
+    def _reset(self, fields: Fields) -> Dict[str, Any]:
+        self._past.clear()
+        self._time = 0.0
+        self._simulator.move_to(self.net.initial_marking)
+        self._publish({**self._whole("reset"), "restart": True})
+        return {}
+
+    def _clear(self, fields: Fields) -> Dict[str, Any]:
+        """Take every token out of the net ("clear network")."""
+        self._past.append(_Past(-1, self._simulator.marking, self._time))
+        self._simulator.move_to((0,) * len(self.net.places))
+        self._publish(self._whole("cleared"))
+        return {}
+
+    def _set_probabilities(self, fields: Fields) -> Dict[str, Any]:
+        given = fields.get("probabilities")
+        if not isinstance(given, dict):
+            raise UsageError("'probabilities' maps transitions to numbers")
+        probabilities = {}
+        for name, value in given.items():
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise UsageError("the firing probability of '%s' is not a number" % name[:80])
+            probabilities[self.net.transition_number(name)] = float(value)
+        self._simulator.set_probabilities(probabilities)
+        self._hub.change_info(
+            probabilities={str(t): p for t, p in probabilities.items()}
+        )
+        self._hub.set_latest("choices", self._choices())
+        return {}
+
+    # -- what the page sees ------------------------------------------------------------------------
+
+    def _whole(self, why: str) -> Event:
+        return {
+            "k": "mark",
+            "t": round(self._time, 4),
+            "marking": list(self._simulator.marking),
+            "enabled": sorted(self._simulator.enabled.now),
+            "why": why,
+        }
+
+    def _publish(self, *events: Event) -> None:
+        if events:
+            self._hub.publish(*events)
+            self._hub.set_latest("choices", self._choices())
+
+    def _choices(self) -> List[List[float]]:
+        """Who may fire next, and how probable that is."""
+        return [[c.transition, round(c.probability, 6)] for c in self._simulator.choices()]

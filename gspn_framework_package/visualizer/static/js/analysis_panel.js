@@ -1,0 +1,128 @@
+// The analysis panel: asks the server, shows how far it is, and paints what it found on the net.
+
+import { $, h, attempt, seconds } from "./dom.js";
+import { get, post } from "./api.js";
+import { AnswerViews } from "./analysis_views.js";
+
+const POLL = 250;
+
+/** Fires "choose" (detail {kind, index, fly}). */
+export class AnalysisPanel extends EventTarget {
+  constructor(model, view) {
+    super();
+    this.model = model;
+    this.panel = $("analysis");
+    this.job = null;
+    this.result = {};
+    this.views = new AnswerViews(model, view, (detail) => this.dispatchEvent(new CustomEvent("choose", { detail })));
+    this.build();
+  }
+
+  build() {
+    const plan = this.model.scene.plan;
+    const field = (id, label, input) => [h("label", { for: id, text: label }), input];
+    const text = (id, placeholder) => h("input", { id, type: "text", placeholder, spellcheck: "false", autocomplete: "off" });
+    const ask = (label, request) => h("button", { text: label, onclick: () => this.ask(request()) });
+    this.settings = {
+      limit: h("input", { id: "an-limit", type: "number", min: 1, max: 2000000, value: 100000 }),
+      seconds: h("input", { id: "an-seconds", type: "number", min: 1, max: 120, value: 60 }),
+      from: h("select", { id: "an-from" }, h("option", { value: "initial", text: "the initial marking" }), h("option", { value: "marking", text: "the present marking" })),
+      policy: h("input", { id: "an-policy", type: "checkbox", checked: Boolean(plan && plan.policy_rows) }),
+    };
+    const reach = text("an-reach", "p1 >= 1 and p2 == 0, or deadlock");
+    const cover = text("an-cover", "p1 = 2, p2 = 1");
+    const passage = text("an-passage", "p2 >= 1");
+    const until = h("input", { id: "an-until", type: "number", min: 0, step: "any", value: 20 });
+    const points = h("input", { id: "an-points", type: "number", min: 2, max: 200, value: 60 });
+    const settling = h("input", { id: "an-settling", type: "number", min: 0, step: "any", value: 0.001 });
+    const times = () => {
+      const end = Math.max(0, Number(until.value) || 0), count = Math.max(2, Math.min(200, Math.round(Number(points.value)) || 2));
+      return Array.from({ length: count }, (_, i) => (end * i) / (count - 1));
+    };
+    const question = (title, open, ...body) => h("details", { class: "question", open }, h("summary", { text: title }), h("div", { class: "body" }, body));
+    this.status = h("div", { class: "answer", role: "status" });
+    this.answers = h("div", { id: "answers" });
+    this.panel.replaceChildren(
+      h("div", { class: "buttons" },
+        h("button", { class: "primary", id: "an-all", text: "Analyse", onclick: () => this.ask({ structure: true, timing: true }) }),
+        ask("Structure", () => ({ structure: true })), ask("State space", () => ({})), ask("Steady state", () => ({ timing: true }))),
+      this.status,
+      question("Settings", false, h("div", { class: "form" },
+        ...field("an-limit", "States at most", this.settings.limit), ...field("an-seconds", "Seconds at most", this.settings.seconds), ...field("an-from", "Starting at", this.settings.from),
+        ...(plan ? field("an-policy", "Under the policy", this.settings.policy) : []))),
+      question("Can it come to this?", false,
+        h("div", { class: "form" }, ...field("an-reach", "Reachable", reach)), ask("Reachable?", () => ({ reach: [reach.value] })),
+        h("div", { class: "form" }, ...field("an-cover", "Coverable", cover)), ask("Coverable?", () => ({ cover: [this.coverOf(cover.value)] }))),
+      question("How long until?", false,
+        h("div", { class: "form" }, ...field("an-passage", "Condition", passage)), ask("Mean time", () => ({ mean_time_to: [passage.value], at: times() }))),
+      question("How does it evolve?", false,
+        h("div", { class: "form" }, ...field("an-until", "Until (s)", until), ...field("an-points", "Points", points), ...field("an-settling", "Settled within", settling)),
+        h("div", { class: "buttons" }, ask("Tokens over time", () => ({ at: times() })), ask("Time to steady state", () => ({ settling: Number(settling.value) })))),
+      this.answers);
+  }
+
+  coverOf(text) {
+    const marking = {};
+    for (const part of text.split(/[,;]/).filter((p) => p.trim())) {
+      const found = /^\s*(.*?)\s*(?:=|>=)\s*(\d+)\s*$/.exec(part);
+      if (!found) throw new Error(`'${part.trim()}' is not of the form place = number`);
+      marking[found[1].replace(/^['"]|['"]$/g, "")] = Number(found[2]);
+    }
+    return marking;
+  }
+
+  async ask(request) {
+    if (this.job) return;
+    const { limit, seconds: most, from, policy } = this.settings;
+    const body = { ...request, limit: Math.round(Number(limit.value)), seconds: Number(most.value), from: from.value, policy: policy.checked && Boolean(this.model.scene.plan) && from.value === "initial" };
+    this.job = "starting";
+    this.views.unpaint();
+    const started = await attempt(() => post("analysis", body, { id: this.model.session.id }));
+    if (!started) { this.job = null; return; }
+    this.job = started.job;
+    this.showProgress({ seconds: 0, progress: {} });
+    this.follow(request, body);
+  }
+
+  async follow(request, body) {
+    const job = this.job;
+    while (this.job === job) {
+      await new Promise((resolve) => { setTimeout(resolve, POLL); });
+      const report = await get(`analysis/${job}`).catch((error) => ({ state: "failed", error: error.message, seconds: 0 }));
+      if (this.job !== job) return;
+      if (report.result) this.show(report.result, request, body);
+      if (report.state === "running") { this.showProgress(report); continue; }
+      this.job = null;
+      const words = { done: `Done in ${seconds(report.seconds)}.`, cancelled: `Cancelled after ${seconds(report.seconds)}.`, failed: report.error };
+      this.status.replaceChildren(h("p", { class: report.state === "done" ? "muted" : "", "data-state": report.state },
+        report.state === "failed" && h("span", { class: "badge bad", text: "no answer" }), ` ${words[report.state]}`));
+    }
+  }
+
+  showProgress(report) {
+    const { what, count } = report.progress || {};
+    const most = Number(this.settings.limit.value);
+    const bar = h("progress", what === "states" && count < most ? { max: most, value: count } : {});
+    const text = `${seconds(report.seconds)}${what ? ` · ${count.toLocaleString("en")} ${what}` : ""}`;
+    if (this.cancelButton && this.status.contains(this.cancelButton)) {
+      this.status.firstChild.replaceWith(bar);
+      this.progressText.textContent = text;
+      return;
+    }
+    this.progressText = h("span", { class: "muted", text });
+    this.cancelButton = h("button", { id: "an-cancel", text: "Cancel", onclick: () => attempt(() => post(`analysis/${this.job}/cancel`)) });
+    this.status.replaceChildren(bar, h("div", { class: "buttons" }, this.cancelButton, this.progressText));
+  }
+
+  show(result, request, body) {
+    const text = JSON.stringify(result);
+    if (text === this.shownText) return;
+    this.shownText = text;
+    this.answers.replaceChildren(...this.views.all(result, request, body));
+  }
+
+  close() {
+    if (this.job && this.job !== "starting") post(`analysis/${this.job}/cancel`).catch(() => {});
+    this.job = null;
+  }
+}

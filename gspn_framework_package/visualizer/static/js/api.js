@@ -1,0 +1,140 @@
+// Requests to this page's server, and the stream of news: server-sent events, polling where there are none.
+
+export class ApiError extends Error {
+  constructor(message, status) {
+    super(message);
+    this.status = status;
+  }
+}
+
+async function answerOf(response) {
+  let data = {};
+  try {
+    data = await response.json();
+  } catch (error) {
+    if (response.ok) throw new ApiError("the server's answer cannot be read", response.status);
+  }
+  if (!response.ok) throw new ApiError(data.error || `the server answered ${response.status}`, response.status);
+  return data;
+}
+
+async function request(path, options) {
+  let response;
+  try {
+    response = await fetch(path, { credentials: "same-origin", cache: "no-store", ...options });
+  } catch (error) {
+    throw new ApiError("the server does not answer", 0);
+  }
+  return answerOf(response);
+}
+
+export function get(path, query = {}) {
+  const text = new URLSearchParams(query).toString();
+  return request(`/api/${path}${text ? `?${text}` : ""}`);
+}
+
+export function post(path, body = {}, query = {}) {
+  const text = new URLSearchParams(query).toString();
+  return request(`/api/${path}${text ? `?${text}` : ""}`, {
+    method: "POST",
+    headers: { "Content-Type": "application/json", "X-Gspn-Page": "1" },
+    body: JSON.stringify(body),
+  });
+}
+
+const SILENCE = 8000; // ms without even a ping: the stream is taken for dead
+const POLL = 500; // ms between polls
+const RETRY = 1000; // ms before another attempt
+
+/** Follows one open net. `onNews(news)` gets what the server's hub says, `onState(state)` one of
+ * waiting, open, polling, lost, gone. */
+export class NewsStream {
+  constructor(id, onNews, onState) {
+    this.id = id;
+    this.onNews = onNews;
+    this.onState = onState;
+    this.cursor = "";
+    this.heard = performance.now();
+    this.closed = false;
+    this.polls = false;
+    this.watch = setInterval(() => this.check(), 1000);
+    this.open();
+  }
+
+  open() {
+    if (this.closed) return;
+    this.heard = performance.now();
+    const query = new URLSearchParams({ id: this.id });
+    if (this.cursor) query.set("since", this.cursor);
+    const source = new EventSource(`/api/stream?${query}`);
+    this.source = source;
+    source.onopen = () => { this.heard = performance.now(); this.onState("open"); };
+    source.addEventListener("ping", () => { this.heard = performance.now(); });
+    source.onmessage = (message) => {
+      this.heard = performance.now();
+      this.take(JSON.parse(message.data));
+    };
+    source.onerror = () => {
+      // A stream that was refused (too many viewers) or broke: ask once by polling, which also tells why.
+      source.close();
+      if (this.source === source) {
+        this.source = null;
+        this.poll();
+      }
+    };
+  }
+
+  take(news) {
+    this.cursor = news.cursor;
+    this.onNews(news);
+  }
+
+  async poll() {
+    if (this.closed || this.source) return;
+    try {
+      const news = await get("poll", this.cursor ? { id: this.id, since: this.cursor } : { id: this.id });
+      if (this.closed) return;
+      this.take(news);
+      this.heard = performance.now();
+      if (this.polls) {
+        this.onState("polling");
+        setTimeout(() => this.poll(), POLL);
+      } else {
+        // the server is there: try the stream again, and stay with polling if it is refused again
+        this.polls = true;
+        this.open();
+        setTimeout(() => { if (this.source) this.polls = false; }, 4 * RETRY);
+      }
+    } catch (error) {
+      if (this.closed) return;
+      this.polls = false;
+      if (error.status === 400 || error.status === 401) {
+        this.onState(error.status === 401 ? "locked" : "gone");
+        if (error.status === 400) return;
+      } else {
+        this.onState("lost");
+      }
+      setTimeout(() => (this.polls ? this.poll() : this.retry()), RETRY);
+    }
+  }
+
+  retry() {
+    if (!this.closed && !this.source) this.poll();
+  }
+
+  check() {
+    if (this.source && performance.now() - this.heard > SILENCE) {
+      this.source.close();
+      this.source = null;
+      this.onState("lost");
+      this.poll();
+    }
+  }
+
+  close() {
+    this.closed = true;
+    clearInterval(this.watch);
+    if (this.source) this.source.close();
+    this.source = null;
+  }
+}

@@ -1,0 +1,84 @@
+// Small helpers. Text from nets and robots enters the page as text only, never as markup.
+
+const SVG = "http://www.w3.org/2000/svg";
+
+export const $ = (id) => document.getElementById(id);
+
+function fill(element, attributes, children) {
+  for (const [key, value] of Object.entries(attributes)) {
+    if (value === undefined || value === null || value === false) continue;
+    if (key === "class") element.setAttribute("class", value);
+    else if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
+    else if (key === "text") element.textContent = value;
+    else if (value === true) element.setAttribute(key, "");
+    else element.setAttribute(key, value);
+  }
+  for (const child of children.flat(3)) {
+    if (child !== null && child !== undefined && child !== false) element.append(child);
+  }
+  return element;
+}
+
+export const h = (name, attributes = {}, ...children) => fill(document.createElement(name), attributes, children);
+export const s = (name, attributes = {}, ...children) => fill(document.createElementNS(SVG, name), attributes, children);
+
+let toastTimer = 0;
+export function toast(message, good = false) {
+  const box = $("toast");
+  box.textContent = message;
+  box.className = good ? "toast good" : "toast";
+  box.hidden = false;
+  clearTimeout(toastTimer);
+  toastTimer = setTimeout(() => { box.hidden = true; }, good ? 3500 : 8000);
+}
+
+export function announce(message) {
+  $("announce").textContent = message;
+}
+
+/** Runs an action; what goes wrong is shown. */
+export async function attempt(action) {
+  try {
+    return await action();
+  } catch (error) {
+    toast(error.message);
+    return null;
+  }
+}
+
+/** Asks in a dialog; resolves to the value of the button pressed, "" when it is closed. */
+export function ask(title, content, buttons) {
+  const dialog = $("dialog");
+  return new Promise((resolve) => {
+    const done = (value) => { dialog.onclose = null; dialog.close(); resolve(value); };
+    dialog.replaceChildren(
+      h("h2", { text: title, id: "dialog-title" }),
+      ...[content].flat(),
+      h("div", { class: "actions" }, buttons.map(([label, value, kind]) =>
+        h("button", { class: kind || "", text: label, onclick: () => done(value), autofocus: kind === "primary" })))
+    );
+    dialog.setAttribute("aria-labelledby", "dialog-title");
+    dialog.onclose = () => resolve("");
+    dialog.showModal();
+  });
+}
+
+export const dialogOpen = () => $("dialog").open;
+
+export function seconds(t) {
+  if (t === null || t === undefined || !Number.isFinite(t)) return "";
+  if (t < 60) return `${t.toFixed(t < 10 ? 2 : 1)} s`;
+  const minutes = Math.floor(t / 60);
+  const rest = String(Math.floor(t % 60)).padStart(2, "0");
+  return minutes < 60 ? `${minutes}:${rest}` : `${Math.floor(minutes / 60)}:${String(minutes % 60).padStart(2, "0")}:${rest}`;
+}
+
+export const plural = (count, word) => `${count} ${word}${count === 1 ? "" : "s"}`;
+
+export function number(value) {
+  if (value === null || value === undefined) return "–";
+  if (typeof value !== "number") return String(value);
+  if (Number.isInteger(value)) return String(value);
+  const size = Math.abs(value);
+  return size !== 0 && (size < 0.001 || size >= 1e6) ? value.toExponential(3) : String(Number(value.toPrecision(5)));
+}

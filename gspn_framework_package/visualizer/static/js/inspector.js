@@ -1,0 +1,147 @@
+// The inspector: what is selected, in words. A place: tokens, which robots, since when, what they do.
+// A transition: kind, rate or weight, how often it fired, why it is not enabled.
+
+import { h, $, seconds, plural, number } from "./dom.js";
+import { robotCard } from "./robots_panel.js";
+
+/** Why a transition is not enabled, from the marking that is shown; empty when it is. */
+export function reasons(model, t) {
+  const { scene, board } = model;
+  const found = [];
+  for (const [p, transition, forth, weight, inhibitor] of scene.arcs) {
+    if (transition !== t) continue;
+    const place = scene.places[p], tokens = board.marking[p];
+    if (forth && inhibitor && tokens >= weight) found.push(`${place.name} holds ${tokens} and inhibits from ${weight} on`);
+    else if (forth && !inhibitor && tokens < weight) found.push(`${place.name} has ${tokens} of ${weight} ${weight === 1 ? "token" : "tokens"}`);
+    else if (!forth && place.capacity !== null && tokens + weight > place.capacity) found.push(`${place.name} has room for ${place.capacity - tokens} (capacity ${place.capacity})`);
+  }
+  if (!found.length && !board.enabled.has(t)) found.push("an immediate transition that is enabled goes first");
+  return found;
+}
+
+/** Fires "fire" (detail index), "choose" (detail {kind, index, fly}), "probability" (detail {index, value}),
+ * "environment" (detail index). */
+export class Inspector extends EventTarget {
+  constructor(model) {
+    super();
+    this.model = model;
+    this.panel = $("inspector");
+    this.selection = null;
+    this.update();
+  }
+
+  select(selection) {
+    this.selection = selection;
+    this.update();
+  }
+
+  later() {
+    if (!this.timer) this.timer = setTimeout(() => { this.timer = 0; if (!this.panel.contains(document.activeElement) || document.activeElement.tagName !== "INPUT") this.update(); }, 200);
+  }
+
+  update() {
+    if (!this.model.board) return;
+    const { selection } = this;
+    const focus = this.panel.contains(document.activeElement) ? document.activeElement.dataset.focus : null;
+    const content = !selection ? this.overview() : selection.kind === "place" ? this.place(selection.index) : this.transition(selection.index);
+    this.panel.replaceChildren(...content.flat(2).filter(Boolean));
+    if (focus) this.panel.querySelector(`[data-focus="${focus}"]`)?.focus();
+  }
+
+  facts(pairs) {
+    return h("dl", { class: "facts" }, pairs.filter(([, value]) => value !== null && value !== undefined).map(([name, value]) => [h("dt", { text: name }), h("dd", {}, value)]));
+  }
+
+  link(kind, index) {
+    const name = (kind === "place" ? this.model.scene.places : this.model.scene.transitions)[index].name;
+    return h("button", { class: "link", text: name, "data-focus": `${kind}${index}`, onclick: () => this.dispatchEvent(new CustomEvent("choose", { detail: { kind, index, fly: true } })) });
+  }
+
+  overview() {
+    const { scene, board, mode, session } = this.model;
+    const fired = board.counts.reduce((sum, count) => sum + count, 0);
+    const notes = [...session.notes, ...(scene.plan ? scene.plan.notes.filter((note) => !session.notes.includes(note)) : [])];
+    return [
+      h("h2", { text: scene.name }),
+      this.facts([
+        ["Places", String(scene.places.length)],
+        ["Transitions", `${scene.transitions.length} (${scene.transitions.filter((t) => !t.timed).length} immediate)`],
+        ["Arcs", String(scene.arcs.length)],
+        ["Tokens", String(board.marking.reduce((sum, count) => sum + count, 0))],
+        ["Enabled", String(board.enabled.size)],
+        ["Firings", String(fired)],
+        ["Time", seconds(board.t)],
+        ["Robots", scene.plan ? String(board.robots.size || scene.plan.robots.length) : null],
+        ["Synchronisation", scene.plan && mode !== "SIMULATE" ? scene.plan.synchronisation : null],
+        ["Policy", scene.plan ? plural(scene.plan.policy_rows, "row") : null],
+        ["Drawing", { file: "as in the file", dot: "laid out in layers", sfdp: "laid out by forces", grid: "on a grid" }[scene.layout.engine] || scene.layout.engine],
+      ]),
+      h("p", { class: "muted", text: "Choose a place or a transition, in the net or in the list, to see more of it." }),
+      notes.length > 0 && [h("h3", { text: "Notes" }), notes.map((note) => h("p", { class: "muted", text: note }))],
+      board.notes.length > 0 && [h("h3", { text: "What was reported" }), board.notes.slice(-8).reverse().map((note) =>
+        h("p", {}, h("span", { class: `badge ${note.level === "fault" ? "bad" : note.level === "warning" ? "warn" : ""}`, text: seconds(note.t) }), ` ${note.robot ? `${note.robot}: ` : ""}${note.text}`))],
+    ];
+  }
+
+  place(index) {
+    const { scene, board } = this.model;
+    const place = scene.places[index];
+    const robots = [...board.robots.values()].filter((robot) => robot.place === index && robot.phase !== "lost" && robot.phase !== "left");
+    const kinds = { action: "action place", resource: "resource place: its tokens are counters", plain: "place" };
+    const into = [...new Set(scene.arcs.filter(([p, , forth]) => p === index && !forth).map(([, t]) => t))];
+    const out = [...new Set(scene.arcs.filter(([p, , forth]) => p === index && forth).map(([, t]) => t))];
+    return [
+      h("h2", { text: place.name }),
+      h("p", { class: "muted", text: kinds[place.kind] }),
+      this.facts([
+        ["Tokens", String(board.marking[index])],
+        ["At first", String(place.tokens)],
+        ["Capacity", place.capacity === null ? "unlimited" : String(place.capacity)],
+        ["Action", place.action || (place.kind === "action" ? "none: done at once" : null)],
+      ]),
+      robots.length > 0 && [h("h3", { text: "Robots here" }), robots.map((robot) => robotCard(this.model, robot))],
+      into.length > 0 && [h("h3", { text: "Filled by" }), into.map((t) => h("p", {}, this.link("transition", t)))],
+      out.length > 0 && [h("h3", { text: "Emptied or watched by" }), out.map((t) => h("p", {}, this.link("transition", t)))],
+    ];
+  }
+
+  transition(index) {
+    const { scene, board, mode, info, latest } = this.model;
+    const transition = scene.transitions[index];
+    const enabled = board.enabled.has(index);
+    const why = enabled ? [] : reasons(this.model, index);
+    const choice = (latest.choices || []).find(([t]) => t === index);
+    const servers = transition.servers === null ? ", infinitely many servers" : transition.servers > 1 ? `, ${transition.servers} servers` : "";
+    const environment = mode === "LIVE" && !this.takesRobots(index);
+    const mine = info.probabilities?.[String(index)];
+    const arcs = (forth) => scene.arcs.filter(([, t, direction]) => t === index && direction === forth);
+    return [
+      h("h2", { text: transition.name }),
+      h("p", {}, h("span", { class: `badge ${enabled ? "good" : ""}`, text: enabled ? "enabled" : "not enabled" })),
+      why.length > 0 && h("ul", { class: "reasons" }, why.map((reason) => h("li", { text: reason }))),
+      this.facts([
+        ["Kind", transition.timed ? "exponential" : "immediate"],
+        ["Rate", transition.timed ? `${number(transition.rate)} /s${servers}` : null],
+        ["Weight", transition.timed ? null : transition.weight === 0 ? "0: the policy chooses" : number(transition.weight)],
+        ["Priority", transition.timed ? null : String(transition.priority)],
+        ["Fired", plural(board.counts[index], "time")],
+        ["Now", mode === "SIMULATE" && choice ? `${(choice[1] * 100).toFixed(1)} % to be the next` : null],
+      ]),
+      mode === "SIMULATE" && [
+        h("div", { class: "buttons" }, h("button", { class: "primary", text: "Fire", disabled: !enabled, "data-focus": "fire", onclick: () => this.dispatchEvent(new CustomEvent("fire", { detail: index })) })),
+        h("div", { class: "form" }, h("label", { for: "probability", text: "Firing probability" }),
+          h("input", { id: "probability", type: "number", min: "0", step: "any", value: mine ?? "", placeholder: transition.timed ? "by its rate" : "by its weight", "data-focus": "probability",
+            title: "Relative to the others that are enabled; empty: by rate or weight",
+            onchange: (event) => this.dispatchEvent(new CustomEvent("probability", { detail: { index, value: event.target.value } })) })),
+      ],
+      environment && h("div", { class: "buttons" }, h("button", { text: "Fire as the environment", disabled: !enabled, "data-focus": "environment", onclick: () => this.dispatchEvent(new CustomEvent("environment", { detail: index })) })),
+      arcs(1).length > 0 && [h("h3", { text: "Takes from" }), arcs(1).map(([p, , , weight, inhibitor]) => h("p", {}, this.link("place", p), inhibitor ? ` (inhibits from ${weight} on)` : weight > 1 ? ` × ${weight}` : ""))],
+      arcs(0).length > 0 && [h("h3", { text: "Gives to" }), arcs(0).map(([p, , , weight]) => h("p", {}, this.link("place", p), weight > 1 ? ` × ${weight}` : ""))],
+    ];
+  }
+
+  takesRobots(t) {
+    const { scene } = this.model;
+    return scene.arcs.some(([p, transition, forth, , inhibitor]) => transition === t && !inhibitor && scene.places[p].kind === "action");
+  }
+}

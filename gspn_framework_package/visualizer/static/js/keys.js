@@ -1,0 +1,80 @@
+// The keys of the page, and their table.
+
+import { $, h, ask, dialogOpen } from "./dom.js";
+
+const TABLE = [
+  ["Space", "pause the view, play; run and stop a simulation"],
+  ["→  ←", "a step, a step back"],
+  ["Shift + →", "n steps"],
+  ["X", "fire the transition that is chosen"],
+  ["R", "reset the simulation"],
+  ["E", "highlight of what is enabled, on and off"],
+  ["L", "back to live"],
+  ["F", "fit the net"],
+  ["+  −", "zoom"],
+  ["/", "search; then ↓ and Enter go through the list"],
+  ["Shift + Enter", "in the list: fire"],
+  ["1  2  3", "inspector, robots, analysis"],
+  ["O", "open another net"],
+  ["Esc", "choose nothing"],
+];
+
+const SYMBOLS = [
+  ["circle", "a place; dots are tokens, up to 9, then a number; coloured discs are robots with their number"],
+  ["dashed circle", "a resource place: its tokens are counters"],
+  ["thin bar", "an immediate transition"],
+  ["open box", "an exponential transition"],
+  ["green, with a triangle above", "enabled"],
+  ["red dashed line with a small circle", "an inhibitor arc"],
+  ["number on an arc", "its weight, where it is not 1"],
+];
+
+export function showHelp() {
+  return ask("Keys and symbols", [
+    h("table", {}, h("tbody", {}, TABLE.map(([key, says]) => h("tr", {}, h("td", {}, h("kbd", { text: key })), h("td", { text: says }))))),
+    h("h3", { text: "In the net" }),
+    h("table", {}, h("tbody", {}, SYMBOLS.map(([sign, says]) => h("tr", {}, h("td", { text: sign }), h("td", { text: says }))))),
+  ], [["Close", "", "primary"]]);
+}
+
+/** Keys act unless a field, a dialog or a button that wants them has the focus. */
+export function bindKeys(page) {
+  document.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || dialogOpen()) return;
+    const target = event.target;
+    if (target.matches("input:not([type=checkbox]):not([type=range]), textarea, select")) return;
+    const onButton = target.matches("button, summary, [role=tab]") && (event.key === " " || event.key === "Enter");
+    if (onButton) return;
+    if (target.matches("input[type=range], [role=tab]") && event.key.startsWith("Arrow")) return;
+    const action = actionOf(event, page);
+    if (!action) return;
+    event.preventDefault();
+    action();
+  });
+}
+
+function actionOf(event, page) {
+  const { model, tools, view } = page;
+  if (event.key === "?") return showHelp;
+  if (!model || !model.board) return null;
+  const simulating = model.mode === "SIMULATE";
+  switch (event.key) {
+    case " ": return () => (simulating ? (model.following ? tools.toggleRunning() : page.togglePause()) : page.togglePause());
+    case "ArrowRight":
+      if (simulating && model.following) return () => tools.step(event.shiftKey ? tools.steps : 1);
+      return async () => { for (let i = 0; i < (event.shiftKey ? tools.steps : 1); i++) await model.stepView(1); };
+    case "ArrowLeft": return () => (simulating && model.following ? tools.back() : model.stepView(-1));
+    case "x": case "X": return simulating ? () => tools.fireChosen() : null;
+    case "r": case "R": return simulating ? () => tools.reset() : null;
+    case "e": case "E": return () => page.setShowEnabled(!page.showEnabled);
+    case "l": case "L": return () => model.mode !== "REPLAY" && !model.following && model.backToLive();
+    case "f": case "F": return () => view.fit();
+    case "+": case "=": return () => view.zoom(1.25);
+    case "-": return () => view.zoom(0.8);
+    case "/": return () => { $("list-search").focus(); $("list-search").select(); };
+    case "1": case "2": case "3": return () => page.openTab(["inspector", "robots", "analysis"][Number(event.key) - 1]);
+    case "o": case "O": return () => page.openScreen();
+    case "Escape": return () => page.choose(null);
+    default: return null;
+  }
+}

@@ -1,0 +1,115 @@
+// The list at the left: places and transitions, the enabled first, searchable; drawn only as far as seen.
+
+import { h, $ } from "./dom.js";
+
+const ROW = 26; // px, as in panels.css
+const ROWS_DRAWN = 400; // more are found by searching
+
+/** Fires "choose" (detail {kind, index}) and "fire" (detail index, Shift+Enter). */
+export class NodeList extends EventTarget {
+  constructor(model) {
+    super();
+    this.model = model;
+    this.list = $("list");
+    this.search = $("list-search");
+    this.search.value = "";
+    this.chosen = null;
+    this.cursor = null;
+    this.search.oninput = () => this.update();
+    this.search.onkeydown = (event) => {
+      if (event.key === "ArrowDown" || event.key === "Enter") {
+        event.preventDefault();
+        if (event.key === "Enter") this.move(0, true);
+        this.list.focus();
+      } else if (event.key === "Escape") {
+        this.search.value = "";
+        this.update();
+        this.search.blur();
+      }
+    };
+    this.list.onkeydown = (event) => {
+      const steps = { ArrowDown: 1, ArrowUp: -1, PageDown: 10, PageUp: -10 }[event.key];
+      if (steps) { event.preventDefault(); event.stopPropagation(); this.move(steps, true); }
+      else if (event.key === "Enter") {
+        event.preventDefault();
+        if (event.shiftKey && this.chosen?.kind === "transition") this.dispatchEvent(new CustomEvent("fire", { detail: this.chosen.index }));
+        else this.move(0, true);
+      }
+    };
+    this.list.onclick = (event) => {
+      const row = event.target.closest("li[data-key]");
+      if (row) this.choose(this.items.find((item) => item.key === row.dataset.key), true);
+    };
+    this.update();
+  }
+
+  update() {
+    clearTimeout(this.timer);
+    this.timer = 0;
+    const { scene, board } = this.model;
+    if (!board) return;
+    const wanted = this.search.value.trim().toLowerCase();
+    const match = (name) => !wanted || name.toLowerCase().includes(wanted);
+    const transitions = scene.transitions.map((t, index) => ({ kind: "transition", index, key: `t${index}`, name: t.name, sign: t.timed ? "timed" : "immediate" }));
+    const places = scene.places.map((p, index) => ({ kind: "place", index, key: `p${index}`, name: p.name, sign: p.kind === "resource" ? "resource" : "place" }));
+    const enabled = transitions.filter((t) => board.enabled.has(t.index) && match(t.name));
+    const others = transitions.filter((t) => !board.enabled.has(t.index) && match(t.name));
+    const marked = places.filter((p) => match(p.name));
+    marked.sort((a, b) => (board.marking[b.index] > 0) - (board.marking[a.index] > 0));
+    const groups = [[`Enabled (${enabled.length})`, enabled, true], [`Places (${marked.length})`, marked], [`Not enabled (${others.length})`, others]];
+    this.items = groups.flatMap(([, items]) => items);
+    let left = ROWS_DRAWN;
+    const rows = [];
+    for (const [title, items, on] of groups) {
+      if (!items.length) continue;
+      rows.push(h("li", { class: "heading", role: "presentation", text: title }));
+      for (const item of items.slice(0, Math.max(0, left))) rows.push(this.row(item, on));
+      if (items.length > left) rows.push(h("li", { class: "heading", role: "presentation", text: `${items.length - Math.max(0, left)} more: search` }));
+      left -= items.length;
+    }
+    if (!this.items.length) rows.push(h("li", { class: "heading", role: "presentation", text: wanted ? "Nothing of that name" : "The net is empty" }));
+    this.list.replaceChildren(...rows);
+    this.mark();
+  }
+
+  row(item, enabled) {
+    const tokens = item.kind === "place" ? this.model.board.marking[item.index] : 0;
+    const says = item.kind === "place" ? `place, ${tokens} tokens` : `${item.sign} transition${enabled ? ", enabled" : ""}`;
+    return h("li", { role: "option", id: `list-${item.key}`, "data-key": item.key, class: enabled ? "enabled" : "", "aria-label": `${item.name}, ${says}`, title: item.name },
+      h("span", { class: `sign ${item.sign}` }), h("span", { class: "name", text: item.name }),
+      tokens > 0 && h("span", { class: "tokens", text: String(tokens) }));
+  }
+
+  /** The board changed: drawn anew a few times a second at most. */
+  later() {
+    if (!this.timer) this.timer = setTimeout(() => this.update(), 200);
+  }
+
+  move(steps, fly) {
+    if (!this.items.length) return;
+    const at = this.chosen ? this.items.findIndex((item) => item.kind === this.chosen.kind && item.index === this.chosen.index) : -1;
+    const next = at < 0 ? 0 : Math.min(this.items.length - 1, Math.max(0, at + steps));
+    this.choose(this.items[next], fly);
+  }
+
+  choose(item, fly) {
+    this.dispatchEvent(new CustomEvent("choose", { detail: { kind: item.kind, index: item.index, fly } }));
+  }
+
+  select(selection) {
+    this.chosen = selection;
+    this.mark();
+  }
+
+  mark() {
+    for (const row of this.list.querySelectorAll("[aria-selected]")) row.removeAttribute("aria-selected");
+    this.list.removeAttribute("aria-activedescendant");
+    if (!this.chosen) return;
+    const row = document.getElementById(`list-${this.chosen.kind[0]}${this.chosen.index}`);
+    if (!row) return;
+    row.setAttribute("aria-selected", "true");
+    this.list.setAttribute("aria-activedescendant", row.id);
+    const top = row.offsetTop - this.list.offsetTop;
+    if (top < this.list.scrollTop || top + ROW > this.list.scrollTop + this.list.clientHeight) this.list.scrollTop = top - this.list.clientHeight / 2;
+  }
+}

@@ -1,0 +1,337 @@
+// The page: opens a net, follows its hub, and keeps all views on the same board.
+
+import { $, h, ask, attempt, announce, toast, seconds } from "./dom.js";
+import { get, post, NewsStream } from "./api.js";
+import { Model } from "./model.js";
+import { NetView } from "./net_view.js";
+import { NodeList } from "./list.js";
+import { Inspector } from "./inspector.js";
+import { RobotsPanel } from "./robots_panel.js";
+import { AnalysisPanel } from "./analysis_panel.js";
+import { FiringLog } from "./log.js";
+import { TimeLine } from "./timeline.js";
+import { Tools } from "./tools.js";
+import { Room } from "./room.js";
+import { bindKeys, showHelp } from "./keys.js";
+import { openingScreen, hideOpening } from "./opening.js";
+import { forgetRobots } from "./colours.js";
+
+const MODE_SAYS = {
+  LIVE: "what is shown happens now",
+  REPLAY: "a recorded run",
+  SIMULATE: "a game of tokens, nothing moves in the world",
+};
+const TABS = ["inspector", "robots", "analysis"];
+
+class Page {
+  constructor() {
+    this.showEnabled = true;
+    this.selection = null;
+    this.connection = "waiting";
+    this.theme(localStorage.getItem("gspn-theme"));
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.theme(localStorage.getItem("gspn-theme")));
+    this.bind();
+    bindKeys(this);
+    setInterval(() => this.showConnection(), 500);
+  }
+
+  // -- opening -------------------------------------------------------------------------------------
+
+  async boot() {
+    await this.login();
+    this.hello = await attempt(() => get("hello"));
+    if (!this.hello) {
+      $("connection").dataset.state = "lost";
+      $("connection").querySelector("span").textContent = "the server does not answer";
+      setTimeout(() => this.boot(), 2000);
+      return;
+    }
+    addEventListener("hashchange", () => this.route());
+    await this.route();
+  }
+
+  /** The address after # is the key of the open net. A token given there is used and taken away. */
+  async login() {
+    const found = /[#&]token=([^&]+)/.exec(location.hash);
+    if (found) {
+      history.replaceState(null, "", location.pathname);
+      await attempt(() => post("login", { token: decodeURIComponent(found[1]) }));
+      return;
+    }
+    try {
+      await get("hello");
+    } catch (error) {
+      if (error.status !== 401) return;
+      const field = h("input", { type: "password", "aria-label": "Token", autocomplete: "off" });
+      await ask("This page asks for a token", [h("p", { class: "muted", text: "It was printed where the server was started." }), field], [["Go on", "go", "primary"]]);
+      await attempt(() => post("login", { token: field.value }));
+      await this.login();
+    }
+  }
+
+  async route() {
+    const key = decodeURIComponent(location.hash.slice(1));
+    if (key && this.model?.session.id === key) return;
+    if (key) await this.open(key);
+    else if (this.hello.first && !this.model) this.go(this.hello.first);
+    else await this.openScreen();
+  }
+
+  go(key) {
+    const hash = `#${encodeURIComponent(key)}`;
+    if (location.hash === hash) this.route();
+    else location.hash = hash;
+  }
+
+  async openScreen() {
+    this.closeNet();
+    document.body.dataset.mode = "";
+    $("mode").textContent = "";
+    $("title").textContent = "No net is open";
+    $("subtitle").textContent = "";
+    document.title = "GSPN";
+    history.replaceState(null, "", location.pathname);
+    const key = await openingScreen(this.hello);
+    hideOpening();
+    this.go(key);
+  }
+
+  async open(key) {
+    hideOpening();
+    const session = await attempt(() => get("session", { id: key }));
+    if (!session) { await this.openScreen(); return; }
+    this.closeNet();
+    forgetRobots();
+    $("page").hidden = false;
+    const model = (this.model = new Model(session));
+    window.gspn = { page: this, model };
+    $("title").textContent = session.scene.name;
+    $("title").title = session.title;
+    $("subtitle").textContent = session.title === session.scene.name ? "" : session.title;
+    document.title = `${session.scene.name} · GSPN`;
+    const begun = performance.now();
+    this.view = new NetView($("net"), model);
+    this.view.setShowEnabled(this.showEnabled);
+    this.list = new NodeList(model);
+    this.inspector = new Inspector(model);
+    this.robots = new RobotsPanel(model);
+    this.analysis = new AnalysisPanel(model, this.view);
+    this.log = new FiringLog(model);
+    this.line = new TimeLine(model);
+    this.room = new Room(model);
+    this.tools = null;
+    this.wire(model);
+    this.view.addEventListener("frame", () => {
+      if (!this.model?.board || document.body.dataset.ready) return;
+      document.body.dataset.ready = (performance.now() - begun).toFixed(1);
+    });
+    this.stream = new NewsStream(key, (news) => model.take(news), (state) => { this.connection = state; this.showConnection(); });
+  }
+
+  closeNet() {
+    delete document.body.dataset.ready;
+    this.stream?.close();
+    this.tools?.stopRunning();
+    for (const part of [this.view, this.robots, this.line, this.analysis]) part?.close();
+    this.stream = this.model = this.view = this.robots = this.line = this.analysis = this.tools = null;
+    this.selection = null;
+    this.paused = false;
+    $("alarms").replaceChildren();
+    $("legend").hidden = true;
+    $("room").hidden = true;
+    $("execution").hidden = true;
+    $("page").hidden = true;
+  }
+
+  // -- one board, many views -----------------------------------------------------------------------
+
+  wire(model) {
+    model.addEventListener("reset", ({ detail }) => {
+      if (detail.another) {
+        this.showMode();
+        if (!this.tools) this.tools = new Tools(this);
+        this.tools.refresh();
+      }
+      this.view.reset();
+      for (const part of [this.list, this.inspector, this.log]) part.update();
+      this.robots.update();
+      this.line.later();
+      this.showRun();
+    });
+    model.addEventListener("events", ({ detail }) => {
+      this.view.show(detail.events);
+      for (const part of [this.list, this.inspector, this.robots, this.log, this.line]) part.later();
+      if (detail.events.some((event) => event.k !== "fire")) this.showRun();
+      if (model.mode === "SIMULATE") this.sayFiring(detail.events);
+    });
+    model.addEventListener("head", () => { this.line.later(); this.showRun(); });
+    model.addEventListener("past", () => { this.log.update(); this.line.later(); });
+    model.addEventListener("latest", ({ detail }) => {
+      if (detail.keys.includes("info")) { this.tools?.refresh(); this.inspector.later(); }
+      if (detail.keys.includes("choices")) this.inspector.later();
+      if (detail.keys.includes("feedback")) { this.robots.later(); this.inspector.later(); }
+      if (detail.keys.includes("room") || detail.keys.includes("world")) { if (this.room.news()) this.tools?.build(); }
+    });
+    model.addEventListener("view", () => { this.tools?.refresh(); this.line.later(); this.showConnection(); });
+    this.view.addEventListener("select", ({ detail }) => this.choose(detail));
+    this.view.addEventListener("activate", ({ detail }) => {
+      if (detail.kind === "transition" && model.mode === "SIMULATE") this.tools.fire(detail.index);
+    });
+    const chosen = ({ detail }) => { this.choose(detail); if (detail.fly) this.view.flyTo(detail.kind, detail.index); };
+    this.list.addEventListener("choose", chosen);
+    this.inspector.addEventListener("choose", chosen);
+    this.analysis.addEventListener("choose", chosen);
+    const fire = ({ detail }) => model.mode === "SIMULATE" && this.tools.fire(detail);
+    this.list.addEventListener("fire", fire);
+    this.inspector.addEventListener("fire", fire);
+    this.inspector.addEventListener("probability", ({ detail }) => this.tools.setProbability(detail.index, detail.value));
+    this.inspector.addEventListener("environment", ({ detail }) => attempt(() => this.tools.do("environment", { transition: model.scene.transitions[detail].name })));
+    this.robots.addEventListener("operate", ({ detail }) => attempt(() => this.tools.do(detail.command, { robot: detail.robot })));
+    for (const part of [this.log, this.line]) part.addEventListener("visit", ({ detail }) => attempt(() => model.show(detail)));
+  }
+
+  sayFiring(events) {
+    const last = [...events].reverse().find((event) => event.k === "fire");
+    if (last) announce(`${events.length > 1 ? `${events.length} events, the last: ` : ""}${this.model.scene.transitions[last.tr].name} fired; ${this.model.board.enabled.size} enabled`);
+  }
+
+  choose(selection) {
+    if (!this.model) return;
+    this.selection = selection ? { kind: selection.kind, index: selection.index } : null;
+    this.view.select(this.selection);
+    this.list.select(this.selection);
+    this.inspector.select(this.selection);
+    if (this.selection) this.openTab("inspector");
+  }
+
+  setShowEnabled(on) {
+    this.showEnabled = on;
+    this.view?.setShowEnabled(on);
+    this.tools?.refresh();
+  }
+
+  togglePause() {
+    const { model } = this;
+    if (model.mode === "SIMULATE" && model.following) { this.tools.toggleRunning(); return; }
+    if (model.following) model.pause();
+    else if (model.playing) model.stopPlaying();
+    else if (model.board.n >= model.head.n && model.mode === "REPLAY") attempt(async () => { await model.show(0); model.play(); });
+    else if (model.mode !== "REPLAY" && model.board.n >= model.head.n) attempt(() => model.backToLive());
+    else model.play();
+  }
+
+  openTab(name) {
+    for (const tab of TABS) {
+      const on = tab === name;
+      $(`tab-${tab}`).setAttribute("aria-selected", on);
+      $(`tab-${tab}`).tabIndex = on ? 0 : -1;
+      $(tab).hidden = !on;
+    }
+    if (name === "robots") this.robots?.update();
+  }
+
+  // -- what is around the net ----------------------------------------------------------------------
+
+  showMode() {
+    const { mode, info } = this.model;
+    document.body.dataset.mode = mode;
+    $("mode").textContent = mode;
+    const says = info.says || MODE_SAYS[mode] || "";
+    $("frame-name").replaceChildren(h("b", { text: mode }), ` — ${says}`);
+    announce(`${mode}: ${says}`);
+    this.showConnection();
+    if (mode !== "SIMULATE" && this.model.scene.plan) this.openTab("robots");
+  }
+
+  showRun() {
+    const { model } = this;
+    const { status } = model.head;
+    const { session, mode } = model;
+    $("execution").hidden = !(session.executable || (mode === "LIVE" && model.info.commands?.includes("stop")));
+    $("start").hidden = !session.executable || Boolean(status.running);
+    $("start").textContent = mode === "LIVE" ? "Start again" : "Start execution";
+    $("stop").hidden = !status.running || !(model.info.commands || []).includes("stop");
+    $("to-simulate").hidden = mode !== "LIVE" || Boolean(status.running) || !session.simulable;
+    const alarms = [];
+    const robots = [...model.board.robots.values()];
+    const named = (phase) => robots.filter((robot) => robot.phase === phase).map((robot) => robot.name);
+    const alarm = (text, kind = "") => alarms.push(h("button", { class: `alarm ${kind}`, text, title: text, onclick: () => this.openTab("robots") }));
+    if (named("lost").length) alarm(`Lost: ${named("lost").join(", ")}`);
+    if (named("failed").length) alarm(`Failed: ${named("failed").join(", ")}`);
+    if (status.stalled) alarm(`Stalled: ${status.stalled}`);
+    if (status.paused) alarm("The team is paused", "warning");
+    if (status.ended) alarm(`${status.finished ? "Finished" : "Ended"}: ${status.ended}`, status.finished ? "warning" : "");
+    const shown = alarms.map((element) => element.textContent).join("\n");
+    if (shown !== this.alarmsShown) {
+      this.alarmsShown = shown;
+      $("alarms").replaceChildren(...alarms);
+    }
+  }
+
+  showConnection() {
+    const pill = $("connection");
+    if (!this.model) { pill.hidden = true; return; }
+    pill.hidden = false;
+    const words = { waiting: "connecting", open: "connected", polling: "connected (polling)", lost: "connection lost, trying again", gone: "no longer open on the server", locked: "the server asks for its token" };
+    pill.dataset.state = this.connection === "gone" || this.connection === "locked" ? "lost" : this.connection;
+    let text = words[this.connection];
+    if (this.model.mode === "LIVE" && this.model.lastEvent !== null && (this.connection === "open" || this.connection === "polling")) {
+      text = `last event ${seconds((performance.now() - this.model.lastEvent) / 1000)} ago`;
+    }
+    if (!this.model.following && this.model.mode === "LIVE") text = `view paused · ${text}`;
+    pill.querySelector("span").textContent = text;
+  }
+
+  theme(chosen) {
+    const dark = chosen ? chosen === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+    document.documentElement.dataset.theme = dark ? "dark" : "light";
+    this.line?.later();
+    this.room?.update();
+  }
+
+  bind() {
+    $("open-screen").onclick = () => this.openScreen();
+    $("help").onclick = () => showHelp();
+    $("theme").onclick = () => {
+      const next = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
+      localStorage.setItem("gspn-theme", next);
+      this.theme(next);
+    };
+    $("zoom-in").onclick = () => this.view.zoom(1.25);
+    $("zoom-out").onclick = () => this.view.zoom(0.8);
+    $("fit").onclick = () => this.view.fit();
+    $("show-enabled").onclick = () => this.setShowEnabled(!this.showEnabled);
+    $("relayout").onclick = () => attempt(async () => this.view.relayout(await this.tools.do("layout")));
+    $("play").onclick = () => this.togglePause();
+    $("back-to-live").onclick = () => attempt(() => this.model.backToLive());
+    const scrubber = $("scrubber");
+    scrubber.oninput = () => { this.line.sliding = true; attempt(() => this.model.show(Number(scrubber.value))); };
+    scrubber.onchange = () => { this.line.sliding = false; };
+    for (const tab of TABS) {
+      $(`tab-${tab}`).onclick = () => this.openTab(tab);
+      $(`tab-${tab}`).onkeydown = (event) => {
+        const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+        if (!step) return;
+        event.preventDefault();
+        const next = TABS[(TABS.indexOf(tab) + step + TABS.length) % TABS.length];
+        this.openTab(next);
+        $(`tab-${next}`).focus();
+      };
+    }
+    $("start").onclick = () => this.start();
+    $("stop").onclick = () => attempt(() => this.tools.do("stop"));
+    $("to-simulate").onclick = () => attempt(() => this.tools.do("simulate"));
+  }
+
+  async start() {
+    const { scene } = this.model;
+    const robots = scene.plan.robots.map(([name, place]) => `${name} in ${place}`).join(", ");
+    const answer = await ask("Start the execution?", [
+      h("p", {}, `The actions of the plan “${scene.plan.name}” will run on this server, now.`),
+      h("p", { class: "muted", text: robots.length > 600 ? `${scene.plan.robots.length} robots` : robots }),
+    ], [["Cancel", ""], ["Start", "start", "primary"]]);
+    if (answer === "start") await attempt(() => this.tools.do("start", { confirmed: true }));
+  }
+}
+
+new Page().boot();

@@ -1,0 +1,170 @@
+// The tools above the net: those of thesis Figure 5.4 in a simulation, of the view in a live run or a replay.
+
+import { h, $, ask, attempt, announce, toast, plural, number } from "./dom.js";
+import { post } from "./api.js";
+
+export class Tools {
+  constructor(page) {
+    this.page = page;
+    this.steps = 10;
+    this.build();
+  }
+
+  get model() { return this.page.model; }
+
+  do(command, fields = {}) {
+    return post("do", { command, ...fields }, { id: this.model.session.id });
+  }
+
+  async toNow() {
+    if (!this.model.following) await this.model.backToLive();
+  }
+
+  // -- commands of a simulation --------------------------------------------------------------------
+
+  simulate(command, fields) {
+    return attempt(async () => {
+      await this.toNow();
+      return this.do(command, fields);
+    });
+  }
+
+  async step(steps = 1) {
+    const done = await this.simulate("step", { steps });
+    if (done && done.dead) {
+      this.stopRunning();
+      const says = done.fired ? `${plural(done.fired, "step")}, then nothing is enabled` : "nothing is enabled: no step can be made";
+      toast(says, true);
+      announce(says);
+    }
+    return done;
+  }
+
+  back() { return this.simulate("back", { steps: 1 }); }
+
+  reset() { this.stopRunning(); return this.simulate("reset").then((done) => done && announce("reset")); }
+
+  clear() { this.stopRunning(); return this.simulate("clear").then((done) => done && announce("cleared")); }
+
+  fire(index) { return this.simulate("fire", { transition: this.model.scene.transitions[index].name }); }
+
+  fireChosen() {
+    const { selection } = this.page;
+    if (selection?.kind !== "transition") { toast("choose a transition first, in the net or in the list", true); return null; }
+    return this.fire(selection.index);
+  }
+
+  toggleRunning() {
+    if (this.running) this.stopRunning(); else this.startRunning();
+  }
+
+  startRunning() {
+    this.running = true;
+    this.refresh();
+    const tick = async () => {
+      if (!this.running) return;
+      const begin = performance.now();
+      const done = await this.step(1);
+      if (!done || done.dead) { this.stopRunning(); return; }
+      this.timer = setTimeout(tick, Math.max(0, 1000 / this.speed - (performance.now() - begin)));
+    };
+    tick();
+  }
+
+  stopRunning() {
+    this.running = false;
+    clearTimeout(this.timer);
+    this.refresh();
+  }
+
+  setProbability(index, value) {
+    const { scene, info } = this.model;
+    const probabilities = {};
+    for (const [t, p] of Object.entries(info.probabilities || {})) probabilities[scene.transitions[t].name] = p;
+    const { name } = scene.transitions[index];
+    if (String(value).trim() === "") delete probabilities[name];
+    else probabilities[name] = Number(value);
+    return this.simulate("probabilities", { probabilities });
+  }
+
+  async probabilities() {
+    const { model } = this;
+    const { scene, info, board } = model;
+    const choices = new Map(model.latest.choices || []);
+    const inputs = new Map();
+    const order = scene.transitions.map((t, index) => index).sort((a, b) => board.enabled.has(b) - board.enabled.has(a));
+    const rows = order.slice(0, 500).map((index) => {
+      const transition = scene.transitions[index];
+      const input = h("input", { type: "number", min: "0", step: "any", value: info.probabilities?.[String(index)] ?? "", "aria-label": `Firing probability of ${transition.name}` });
+      inputs.set(index, input);
+      return h("tr", {}, h("td", { text: transition.name }), h("td", { text: transition.timed ? `rate ${number(transition.rate)}` : `weight ${number(transition.weight)}` }),
+        h("td", { class: "number", text: choices.has(index) ? `${(choices.get(index) * 100).toFixed(1)} %` : "–" }), h("td", {}, input));
+    });
+    const answer = await ask("Firing probabilities", [
+      h("p", { class: "muted", text: "Relative to the other transitions that are enabled at the same time. Left empty: by rate or weight. They change which transition fires, not how long it takes." }),
+      h("table", {}, h("thead", {}, h("tr", {}, h("th", { text: "Transition" }), h("th", { text: "In the net" }), h("th", { class: "number", text: "Now" }), h("th", { text: "Probability" }))), h("tbody", {}, rows)),
+    ], [["Cancel", ""], ["All by rate and weight", "none"], ["Set", "set", "primary"]]);
+    if (!answer) return;
+    const probabilities = {};
+    if (answer === "set") {
+      for (const [index, input] of inputs) if (input.value.trim() !== "") probabilities[scene.transitions[index].name] = Number(input.value);
+    }
+    await this.simulate("probabilities", { probabilities });
+  }
+
+  // -- the bar -------------------------------------------------------------------------------------
+
+  build() {
+    const { page } = this;
+    const { mode } = this.model;
+    this.speed = this.speed || 4;
+    const button = (id, label, action, title) => h("button", { id, text: label, title, onclick: action });
+    const rule = () => h("span", { class: "rule" });
+    let tools = [];
+    if (mode === "SIMULATE") {
+      tools = [
+        button("back", "◂ Back", () => this.back(), "Take a step back (←)"),
+        button("step", "Step ▸", () => this.step(1), "Simulate 1 step (→)"),
+        button("steps", "n steps ▸▸", () => this.step(this.steps), "Simulate n steps (Shift+→)"),
+        h("label", {}, h("input", { id: "n-steps", type: "number", min: 1, max: 10000, value: this.steps, "aria-label": "Number of steps", onchange: (event) => { this.steps = Math.max(1, Math.min(10000, Math.round(Number(event.target.value)) || 1)); event.target.value = this.steps; } })),
+        button("run", "▶ Run", () => this.toggleRunning(), "Step after step, until stopped (Space)"),
+        h("label", {}, h("select", { id: "speed", "aria-label": "Steps a second", onchange: (event) => { this.speed = Number(event.target.value); } }, [1, 2, 4, 10, 30].map((v) => h("option", { value: v, selected: v === this.speed, text: `${v} /s` })))),
+        rule(),
+        button("fire-chosen", "Fire chosen", () => this.fireChosen(), "Fire the transition that is selected (X)"),
+        button("probabilities", "Probabilities …", () => this.probabilities(), "Set firing probabilities"),
+        rule(),
+        button("reset", "Reset", () => this.reset(), "Back to the initial marking (R)"),
+        button("clear", "Clear", () => this.clear(), "Take every token out of the net"),
+      ];
+    } else {
+      tools = [
+        button("view-back", "◂", () => this.model.stepView(-1), "The firing before (←)"),
+        button("view-play", "", () => page.togglePause(), ""),
+        button("view-step", "▸", () => this.model.stepView(1), "The next firing (→)"),
+        h("label", {}, h("select", { id: "view-speed", "aria-label": "Speed of the playback", onchange: (event) => this.model.setSpeed(Number(event.target.value)) }, [0.25, 0.5, 1, 2, 5, 20, 100].map((v) => h("option", { value: v, selected: v === this.model.speed, text: `${v} ×` })))),
+      ];
+    }
+    if (this.model.latest.room || this.model.info.room) tools.push(h("button", { id: "show-room", text: "Room", title: "The room and the robots in it", onclick: () => page.room.toggle() }));
+    $("tools").replaceChildren(...tools);
+    this.built = mode;
+    this.refresh();
+  }
+
+  refresh() {
+    const { model, page } = this;
+    if (this.built !== model.mode) { this.running = false; this.build(); return; }
+    const run = $("run");
+    if (run) run.textContent = this.running ? "❚❚ Stop" : "▶ Run";
+    const play = $("view-play");
+    const moving = model.following ? model.mode === "LIVE" : model.playing;
+    if (play) {
+      play.textContent = moving ? "❚❚ Pause the view" : "▶ Play";
+      play.title = `${moving ? "Pause the view; the robots go on" : "Go on"} (Space)`;
+    }
+    const small = $("play");
+    const on = model.mode === "SIMULATE" ? this.running : moving;
+    small.textContent = on ? "❚❚" : "▶";
+    small.setAttribute("aria-label", on ? "Pause the view" : "Play");
+    $("show-enabled").setAttribute("aria-pressed", page.showEnabled);
+  }
+}

@@ -1,0 +1,186 @@
+"""From the log of a team to what the page shows: entries, firings and states become events."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, Optional, Sequence
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.enabled_set import EnabledSet
+from gspn_framework_package.execution.firing import Firing
+from gspn_framework_package.execution.team_state import GONE, Phase, RobotState, TeamState
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.model.net import Marking
+from gspn_framework_package.visualizer.board import Board, Event
+
+
+class TeamEvents:
+    """Follows the states of one run.
+
+    A transition counts as enabled here when the marking gives it concession: in a run the robots'
+    actions take time, so that priorities only matter among requests of one moment.
+
+    :param game: the rules of the plan.
+    """
+
+    def __init__(self, game: TokenGame) -> None:
+        self.game = game
+        self.net = game.net
+        self._enabled = EnabledSet(self.net, game.new_state().marking, by_priority=False)
+        self._robots: Dict[str, Dict[str, Any]] = {}
+        self._status: Dict[str, Any] = {}
+
+    def board(self, running: bool) -> Board:
+        """The board before the run begins."""
+        self._status = {
+            "running": running,
+            "paused": False,
+            "ended": None,
+            "finished": False,
+            "stalled": "",
+        }
+        return Board(
+            len(self.net.transitions), self._enabled.marking, self._enabled.now, self._status
+        )
+
+    def step(
+        self,
+        entries: Sequence[log.Entry],
+        firings: Sequence[Firing],
+        state: TeamState,
+        t: Optional[float] = None,
+    ) -> List[Event]:
+        """The events of one slot of the log.
+
+        :param t: seconds since the run began, None for now.
+        """
+        events: List[Event] = []
+        why = ", ".join(dict.fromkeys(_deed(entry) for entry in entries if _deed(entry)))
+        for firing in firings:
+            events += self._fired(firing, why or "state taken over")
+        if state.marking != self._enabled.marking:
+            events.append(self._whole(state.marking, why or "state taken over"))
+        events += self._robots_changed(state)
+        events += self._status_changed(state)
+        if t is not None:
+            for event in events:
+                event["t"] = round(t, 4)
+        return events
+
+    def status(self, **changes: Any) -> List[Event]:
+        """The event of a changed status; none when nothing changed."""
+        changed = {k: v for k, v in changes.items() if self._status.get(k) != v}
+        self._status.update(changed)
+        return [{"k": "status", "status": changed}] if changed else []
+
+    # -- parts -------------------------------------------------------------------------------------
+
+    def _fired(self, firing: Firing, why: str) -> List[Event]:
+        t = self.net.transition_index[firing.transition]
+        before = list(firing.marking)
+        for p, gain in self.net.effect(t):
+            before[p] -= gain
+        events: List[Event] = []
+        if tuple(before) != self._enabled.marking:
+            events.append(self._whole(tuple(before), why))
+        change = self._enabled.move_to(firing.marking)
+        moves = []
+        for move in firing.moves:
+            source = self.net.place_index[move.source] if move.source is not None else None
+            target = self.net.place_index[move.target] if move.target is not None else None
+            moves.append([move.robot, source, target])
+            if target is None:
+                self._robots.pop(move.robot, None)
+            else:
+                shown = self._robots.setdefault(move.robot, {"name": move.robot})
+                shown.update(place=target, phase="doing", why="")
+        events.append(
+            {
+                "k": "fire",
+                "tr": t,
+                "who": firing.robot,
+                "d": [list(pair) for pair in self.net.effect(t)],
+                "m": moves,
+                "en": list(change.added),
+                "dis": list(change.removed),
+                "s": [firing.slot, firing.index],
+            }
+        )
+        return events
+
+    def _whole(self, marking: Marking, why: str) -> Event:
+        self._enabled.move_to(marking)
+        return {
+            "k": "mark",
+            "marking": list(marking),
+            "enabled": sorted(self._enabled.now),
+            "why": why,
+        }
+
+    def _robots_changed(self, state: TeamState) -> List[Event]:
+        changed = []
+        for robot in state.robots.values():
+            seen = self._describe(state, robot)
+            shown = self._robots.get(robot.name)
+            if shown is None:
+                changed.append(seen)
+                self._robots[robot.name] = dict(seen)
+                continue
+            different = {k: v for k, v in seen.items() if shown.get(k) != v}
+            if different:
+                changed.append({"name": robot.name, **different})
+                shown.update(different)
+        gone = [name for name in self._robots if name not in state.robots]
+        for name in gone:
+            del self._robots[name]
+        return [{"k": "robots", "r": changed, "gone": gone}] if changed or gone else []
+
+    def _describe(self, state: TeamState, robot: RobotState) -> Dict[str, Any]:
+        return {
+            "name": robot.name,
+            "place": robot.place,
+            "phase": robot.phase.value,
+            "visit": robot.visit,
+            "attempt": robot.attempt,
+            "paused": robot.paused,
+            "why": "" if robot.phase in GONE else self.game.why_waiting(state, robot),
+        }
+
+    def _status_changed(self, state: TeamState) -> List[Event]:
+        return self.status(
+            paused=state.paused,
+            stalled="" if state.ended is not None else self._stalled(state),
+        )
+
+    def _stalled(self, state: TeamState) -> str:
+        """Why nothing can happen any more without somebody from outside; "" while something
+        can."""
+        active = state.active()
+        waiting = [r for r in active if r.phase in (Phase.DONE, Phase.FAILED)]
+        if state.paused or not waiting or any(r.phase is Phase.DOING for r in active):
+            return ""
+        if self.game.plan.simulate_environment and any(
+            self.net.transitions[t].timed and not self._takes_robots(t) for t in self._enabled.now
+        ):
+            return ""
+        return "%s" % ", ".join(
+            "%s %s" % (r.name, self.game.why_waiting(state, r)) for r in waiting[:3]
+        )
+
+    def _takes_robots(self, t: int) -> bool:
+        resources = self.game.plan.resource_places
+        return any(self.net.places[p].name not in resources for p, _ in self.net.inputs[t])
+
+
+def _deed(entry: log.Entry) -> str:
+    """What an entry that changes the marking by itself did, in words; "" for the others."""
+    if isinstance(entry, log.Start):
+        return "start"
+    if isinstance(entry, log.Join):
+        return "%s joined" % entry.robot
+    if isinstance(entry, log.Leave):
+        return "%s left" % entry.robot
+    if isinstance(entry, log.Evict):
+        return "%s was lost" % entry.robot
+    if isinstance(entry, log.SetPlace):
+        return "%s was put into %s" % (entry.robot, entry.place)
+    return ""
