@@ -5,8 +5,19 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from pathlib import Path
+from typing import Dict, List
 
-from gspn_framework_package.cli.net_input import add_net_arguments, print_notes, read_net_argument
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.chain_export import explicit_chain
+from gspn_framework_package.analysis.state_space import STATE_LIMIT
+from gspn_framework_package.cli.net_input import (
+    add_net_arguments,
+    print_notes,
+    read_net_argument,
+    read_subject,
+)
+from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats import (
     FORMATS,
     encode_net,
@@ -14,10 +25,15 @@ from gspn_framework_package.formats import (
     format_of_name,
     write_net,
 )
+from gspn_framework_package.formats.markov_chain import drn, prism_files
+from gspn_framework_package.formats.source import write_bytes
 from gspn_framework_package.model.errors import UsageError
 
 NAME = "convert"
 HELP = "write a net in another format"
+
+CHAINS = {"prism-chain": ".tra", "drn": ".drn"}
+"""What a computed Markov chain is written as -> how the files end: PRISM's explicit files, and Storm's DRN."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,8 +43,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--to",
         metavar="FORMAT",
-        help="its format, when its name does not tell: %s"
-        % ", ".join("%s (%s)" % (f.name, f.extensions[0]) for f in FORMATS.values()),
+        help="its format, when its name does not tell: %s; or the Markov chain of the net, or of the "
+        "plan under its policy, state by state: %s"
+        % (
+            ", ".join("%s (%s)" % (f.name, f.extensions[0]) for f in FORMATS.values()),
+            ", ".join("%s (%s)" % item for item in CHAINS.items()),
+        ),
+    )
+    parser.add_argument(
+        "--label",
+        action="append",
+        default=[],
+        metavar="NAME=CONDITION",
+        help="of a chain: label the states where CONDITION holds (may be repeated)",
+    )
+    parser.add_argument(
+        "--limit",
+        type=int,
+        default=STATE_LIMIT,
+        metavar="N",
+        help="of a chain: markings to visit at most (default %(default)s)",
     )
     parser.add_argument("--json", action="store_true", help="print what was done as a JSON object")
 
@@ -39,6 +73,12 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--to is needed to write to standard output")
     if args.output == "-" and args.json:
         raise UsageError("--json and the net cannot both go to standard output")
+    suffix = Path(args.output).suffix.lower()
+    chain = args.to or next((name for name, ending in CHAINS.items() if ending == suffix), None)
+    if chain in CHAINS:
+        return _write_chain(args, chain)
+    if args.label:
+        raise UsageError("--label is for chains: %s" % ", ".join(CHAINS.values()))
     target = format_named(args.to) if args.to else format_of_name(args.output)
     net, notes = read_net_argument(args)
     if args.output == "-":
@@ -60,3 +100,36 @@ def run(args: argparse.Namespace) -> int:
     else:
         print_notes(notes + losses)
     return 0
+
+
+def _write_chain(args: argparse.Namespace, kind: str) -> int:
+    """Write a computed chain: one file, or PRISM's three beside each other."""
+    if args.output == "-":
+        raise UsageError("a chain is not written to standard output")
+    subject, notes = read_subject(args)
+    with ProgressLine() as progress:
+        chain = explicit_chain(Analysis(subject, limit=args.limit, progress=progress), _labels(args.label))
+    empty = [label for label, states in chain.labels.items() if not states]
+    notes += ["no state has the label '%s'" % label for label in empty]
+    files = {"drn": drn(chain)} if kind == "drn" else prism_files(chain)
+    written = [str(Path(args.output).with_suffix("." + ending)) for ending in files]
+    if kind == "drn":
+        written = [args.output]
+    for path, data in zip(written, files.values()):
+        write_bytes(path, data)
+    if args.json:
+        done = {"output": written, "format": kind, "states": len(chain.states), "rates": len(chain.rates)}
+        print(json.dumps({**done, "notes": notes}, indent=2, ensure_ascii=False))
+    else:
+        print_notes(notes)
+    return 0
+
+
+def _labels(words: List[str]) -> Dict[str, str]:
+    labels = {}
+    for word in words:
+        name, equals, condition = word.partition("=")
+        if not equals or not name.strip() or not condition.strip():
+            raise UsageError("--label %s: NAME=CONDITION was expected" % word)
+        labels[name.strip()] = condition.strip()
+    return labels

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import List, Tuple
+from typing import Union
 
-from gspn_framework_package.cli.net_input import add_net_arguments, print_notes, read_net_argument
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.coverability import CoverabilityTree
+from gspn_framework_package.analysis.drawing import chain_graph, tree_graph
+from gspn_framework_package.cli.net_input import add_net_arguments, print_notes, read_subject
+from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats.dot import IMAGE_FORMATS, Graph, net_graph, render
 from gspn_framework_package.formats.source import write_bytes
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
 
 NAME = "draw"
 HELP = "draw a net, its coverability tree or its Markov chain"
@@ -33,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--what",
         choices=("net", "coverability", "chain"),
         default="net",
-        help="what to draw (default: net)",
+        help="what to draw (default: net); the chain of a plan is the one under its policy",
     )
     parser.add_argument(
         "--limit",
@@ -61,18 +66,22 @@ def run(args: argparse.Namespace) -> int:
         )
     if args.limit < 1:
         raise UsageError("--limit must be at least 1")
-    net, notes = read_net_argument(args)
-    graph, more = _graph(net, args.what, args.limit)
+    subject, notes = read_subject(args)
+    graph = _graph(subject, args.what, args.limit)
     text = graph.text()
     if image in ("dot", "gv"):
         write_bytes(args.output, text.encode("utf-8"))
     else:
         write_bytes(args.output, render(text, image, args.timeout))
-    print_notes(notes + more)
+    print_notes(notes)
     return 0
 
 
-def _graph(net: Net, what: str, limit: int) -> Tuple[Graph, List[str]]:
+def _graph(subject: Union[Net, Plan], what: str, limit: int) -> Graph:
+    net = subject.net if isinstance(subject, Plan) else subject
     if what == "net":
-        return net_graph(net), []
-    raise UsageError("drawing the %s is not there yet" % what)
+        return net_graph(net)
+    with ProgressLine() as progress:
+        if what == "coverability":
+            return tree_graph(CoverabilityTree(net, limit=limit, progress=progress))
+        return chain_graph(Analysis(subject, limit=limit, progress=progress).chain)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import Dict, List, Tuple
+from typing import Dict, List, Tuple, Union
 
 from gspn_framework_package.formats import FORMATS, read_net_with_notes
 from gspn_framework_package.formats.plan_file import is_plan, read_plan
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
 
 
 def add_net_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +50,16 @@ def add_net_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def read_net_argument(args: argparse.Namespace) -> Tuple[Net, List[str]]:
-    """The net that the arguments name, and the reader's notes.
+    """The net that the arguments name (of a plan: its net), and the reader's notes.
+
+    :raises GspnError: it cannot be read, or the arguments make no sense.
+    """
+    subject, notes = read_subject(args)
+    return (subject.net if isinstance(subject, Plan) else subject), notes
+
+
+def read_subject(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]:
+    """The net or plan that the arguments name, and the reader's notes.
 
     :raises GspnError: it cannot be read, or the arguments make no sense.
     """
@@ -58,7 +68,7 @@ def read_net_argument(args: argparse.Namespace) -> Tuple[Net, List[str]]:
         if constants or args.net is not None:
             raise UsageError("--net and --const are for nets; a plan says them itself")
         plan = read_plan(args.net_file)
-        return plan.net, list(plan.notes)
+        return plan, list(plan.notes)
     return read_net_with_notes(
         args.net_file,
         format=args.source_format,

@@ -8,7 +8,7 @@ have been eliminated (:func:`chain_files`)."""
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, List, Mapping, Sequence, Tuple
+from typing import Mapping, Sequence
 
 from gspn_framework_package.formats.symbolic import concession, identifiers, upper_bounds
 from gspn_framework_package.model.errors import NetError
@@ -29,9 +29,7 @@ def to_bytes(net: Net, bounds: Mapping[str, int] = {}) -> bytes:
             element="transition '%s'" % immediate[0],
             hint="write JANI, which Storm reads, or the chain without vanishing markings",
         )
-    places, transitions = identifiers(
-        [p.name for p in net.places], [t.name for t in net.transitions]
-    )
+    places, transitions = identifiers([p.name for p in net.places], [t.name for t in net.transitions])
     names = list(places.values())
     lines = ["ctmc", ""]
     lines += ["// place %s is %s" % (" ".join(k.split()), v) for k, v in places.items() if k != v]
@@ -64,53 +62,7 @@ def _rate(net: Net, t: int, names: Sequence[str]) -> str:
     rate = repr(float(transition.rate))
     if transition.servers == 1 or not net.inputs[t]:
         return rate
-    degrees = [
-        names[p] if weight == 1 else "floor(%s/%d)" % (names[p], weight)
-        for p, weight in net.inputs[t]
-    ]
+    degrees = [names[p] if weight == 1 else "floor(%s/%d)" % (names[p], weight) for p, weight in net.inputs[t]]
     if transition.servers is not None:
         degrees.append(str(transition.servers))
     return "%s*%s" % (rate, degrees[0] if len(degrees) == 1 else "min(%s)" % ", ".join(degrees))
-
-
-def chain_files(
-    places: Sequence[str],
-    states: Sequence[Sequence[int]],
-    rates: Iterable[Tuple[int, int, float]],
-    initial: int,
-    labels: Mapping[str, Iterable[int]] = {},
-) -> Dict[str, bytes]:
-    """A Markov chain as PRISM's explicit files (``prism -importmodel net.all -ctmc``).
-
-    :param places: names of the places, in the order of the states' counts.
-    :param states: the markings, by number.
-    :param rates: triples (from state, to state, rate).
-    :param initial: number of the initial state.
-    :param labels: label -> numbers of the states that have it.
-    :returns: extension (``sta``, ``tra``, ``lab``) -> content.
-    """
-    names = identifiers(places)[0].values()
-    state_lines = ["(%s)" % ",".join(names)]
-    for number, state in enumerate(states):
-        state_lines.append("%d:(%s)" % (number, ",".join(str(int(n)) for n in state)))
-    moves = sorted((int(a), int(b), float(rate)) for a, b, rate in rates)
-    move_lines = ["%d %d" % (len(states), len(moves))]
-    move_lines += ["%d %d %r" % move for move in moves]
-    busy = {a for a, _, _ in moves}
-    members: Dict[str, Iterable[int]] = {
-        "init": [initial],
-        "deadlock": [n for n in range(len(states)) if n not in busy],
-        **labels,
-    }
-    label_lines = [" ".join('%d="%s"' % (i, name) for i, name in enumerate(members))]
-    labels_of: Dict[int, List[int]] = {}
-    for label, numbers in enumerate(members.values()):
-        for number in numbers:
-            labels_of.setdefault(int(number), []).append(label)
-    for number, found in sorted(labels_of.items()):
-        label_lines.append("%d: %s" % (number, " ".join(map(str, found))))
-    return {
-        "sta": ("\n".join(state_lines) + "\n").encode("utf-8"),
-        "tra": ("\n".join(move_lines) + "\n").encode("utf-8"),
-        "lab": ("\n".join(label_lines) + "\n").encode("utf-8"),
-    }

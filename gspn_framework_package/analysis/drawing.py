@@ -1,0 +1,73 @@
+"""Coverability trees and Markov chains as graphs for Graphviz ("draw other models such as a CTMC", thesis ch. 4)."""
+
+from __future__ import annotations
+
+from typing import Dict, Sequence
+
+import numpy as np
+
+from gspn_framework_package.analysis.chain import Chain
+from gspn_framework_package.analysis.coverability import OMEGA, CoverabilityTree
+from gspn_framework_package.formats.dot import Attribute, Graph
+from gspn_framework_package.model.net import Net
+
+_MERGED = 1e-12  # probabilities below this are the rounding of an elimination
+
+
+def tree_graph(tree: CoverabilityTree) -> Graph:
+    """The coverability tree: a node a marking, an arc a firing. The root is bold; a marking that the tree has
+    already is dashed and has no children; one that enables nothing is red."""
+    net = tree.net
+    graph = _graph(net.name)
+    inner = {node.parent for node in tree.nodes}
+    for number, node in enumerate(tree.nodes):
+        looks: Dict[str, Attribute] = {"label": _text(net, node.marking)}
+        if number == 0:
+            looks["penwidth"] = 2.5
+        if node.same != number:
+            looks["style"] = "rounded,dashed"
+        elif number not in inner:
+            looks["color"] = "red"
+        graph.node(str(number), **looks)
+        if node.parent >= 0:
+            graph.edge(str(node.parent), str(number), label=net.transitions[node.transition].name)
+    return graph
+
+
+def chain_graph(chain: Chain) -> Graph:
+    """The Markov chain: a node a tangible marking, an arc a rate (1/s). States where it can start are bold, with their
+    probability where there are several; states that are never left are red."""
+    net = chain.graph.net
+    graph = _graph(net.name)
+    starts = int(np.count_nonzero(chain.initial > _MERGED))
+    markings = chain.graph.markings(chain.states)
+    for number in range(len(chain)):
+        label = _text(net, markings[number].tolist())
+        looks: Dict[str, Attribute] = {}
+        if chain.initial[number] > _MERGED:
+            looks["penwidth"] = 2.5
+            if starts > 1:
+                label += "\nstart %.4g" % chain.initial[number]
+        if chain.exit_rates[number] == 0:
+            looks["color"] = "red"
+        graph.node(str(number), label=label, **looks)
+    rates = chain.rates.tocoo()
+    for source, target, rate in sorted(zip(rates.row.tolist(), rates.col.tolist(), rates.data.tolist())):
+        graph.edge(str(source), str(target), label="%.4g" % rate)
+    return graph
+
+
+def _graph(name: str) -> Graph:
+    graph = Graph(name, fontname="Helvetica", rankdir="TB", layout="dot")
+    graph.defaults("node", fontname="Helvetica", fontsize=10, shape="box", style="rounded", height=0.3)
+    graph.defaults("edge", fontname="Helvetica", fontsize=9, arrowsize=0.7)
+    return graph
+
+
+def _text(net: Net, counts: Sequence[int]) -> str:
+    """A marking without its empty places: ``2 a, b, ω c``."""
+    shown = []
+    for place, n in zip(net.places, counts):
+        if n:
+            shown.append(place.name if n == 1 else "%s %s" % ("ω" if n == OMEGA else n, place.name))
+    return ", ".join(shown) or "empty"
