@@ -6,7 +6,7 @@ import queue
 import threading
 import time
 from collections import OrderedDict
-from typing import Any, Callable, Dict, Mapping, NamedTuple, Optional, Set, Tuple
+from typing import Any, Callable, Mapping, NamedTuple, Optional, Set, Tuple
 
 import rospy
 
@@ -323,8 +323,3 @@ class ActionCaller:
             except Exception as error:
                 if not rospy.is_shutdown() and not self._closed:
                     rospy.logerr("connections of %s: %s", self.robot, error)
-
-
-def servers_of(targets: Mapping[str, ActionTarget]) -> Dict[str, ActionTarget]:
-    """The servers that a robot's actions need, by absolute name."""
-    return {target.server: target for target in targets.values()}

@@ -54,6 +54,8 @@ class ExecutionNode(Worker):
     :param options: see there.
     :raises GspnError: the log or the actions cannot be used.
 
+    :ivar foreign_servers: absolute names of the action servers that the robot needs and this node
+        does not serve.
     :ivar exit_code: None while the run goes on; then 0 where the run came to its own end, 1 where
         it was stopped or this replica had to halt.
     """
@@ -76,6 +78,8 @@ class ExecutionNode(Worker):
         self._open_log()
         targets = action_targets(plan, robot, namespace)
         self._servers = PlaceServers(plan, robot, namespace) if options.place_servers else None
+        served = set(self._servers.names) if self._servers else set()
+        self.foreign_servers = sorted({t.server for t in targets.values()} - served)
         self._caller = ActionCaller(
             robot,
             targets,

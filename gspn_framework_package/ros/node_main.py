@@ -6,7 +6,8 @@ import resource
 import signal
 import sys
 import threading
-from typing import Any, Callable, List, Optional, Tuple
+import time
+from typing import Any, Callable, Iterable, List, Optional, Tuple
 
 import rospy
 
@@ -73,6 +74,29 @@ def check_plan(plan: Plan) -> None:
         raise ExecutionError("the plan is refused: %s" % "; ".join(reasons), file=plan.file)
 
 
+def await_servers(names: Iterable[str], seconds: float, ending: threading.Event) -> None:
+    """Wait until the master knows every one of these action servers.
+
+    :raises ExecutionError: one was not there in time.
+    """
+    missing = set(names)
+    if not missing:
+        return
+    rospy.loginfo("waits for the action servers %s", ", ".join(sorted(missing)))
+    deadline = time.monotonic() + seconds
+    while not ending.is_set():
+        published = {topic for topic, _ in rospy.get_published_topics()}
+        missing = {name for name in missing if name + "/status" not in published}
+        if not missing:
+            return
+        if time.monotonic() > deadline:
+            raise ExecutionError(
+                "no such action server: %s" % ", ".join(sorted(missing)),
+                hint="waited %g s; ~server_timeout says for how long" % seconds,
+            )
+        ending.wait(0.2)
+
+
 def _node(name: str, body: Callable[[NodeOptions, threading.Event], int]) -> int:
     """Start a ROS node, and end it in order on SIGINT, SIGTERM and ``rosnode kill``."""
     raise_descriptor_limit()
@@ -115,6 +139,12 @@ def _execute(options: NodeOptions, ending: threading.Event) -> int:
     if options.check:
         check_plan(plan)
     node = ExecutionNode(plan, robot, rospy.get_namespace().rstrip("/") or "/", options)
+    rospy.loginfo(
+        "%s: plan %s, run %s, %d robots; log: %s",
+        robot, plan.name, options.run, len(plan.robots), options.log_file(robot),
+    )  # fmt: skip
+    if options.check:
+        await_servers(node.foreign_servers, options.server_timeout, ending)
     watch = MasterWatch()
     watch.start()
     node.start()

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import unittest
 import uuid
 
 import rospy
@@ -22,6 +23,8 @@ ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.dirname(os.path.a
 
 def start_node(script, namespace, output, name="node", **parameters):
     """Start one of the package's node scripts as a process."""
+    if rospy.has_param("%s/%s" % (namespace, name)):
+        rospy.delete_param("%s/%s" % (namespace, name))  # of a node of the same name before
     words = ["_%s:=%s" % (key, json.dumps(value)) for key, value in parameters.items()]
     return subprocess.Popen(
         [sys.executable, os.path.join(ROOT, "scripts", script)] + ["__ns:=" + namespace, "__name:=" + name] + words,
@@ -72,8 +75,16 @@ class Robot:
 
     def call(self, service, service_class, *arguments):
         name = "%s/%s" % (self.namespace, service)
-        rospy.wait_for_service(name, 20)
-        return rospy.ServiceProxy(name, service_class)(*arguments)
+
+        def answer():
+            assert self.process.poll() is None, "%s has ended:\n%s" % (self.name, self.said())
+            try:
+                rospy.wait_for_service(name, 0.5)
+                return rospy.ServiceProxy(name, service_class)(*arguments)
+            except (rospy.ROSException, rospy.ServiceException):
+                return None
+
+        return wait_for(answer, 20, "an answer of %s" % name)
 
     def state(self):
         return self.call("get_state", GetState, "", "")
@@ -176,3 +187,58 @@ class Team:
             timeout=120,
         )
         return done.returncode, done.stdout
+
+
+def write_plan(plan, actions=""):
+    """Write a plan and its actions.py into a new folder; the folder. Its net gets the robots' tokens."""
+    robots = plan["robots"]
+    started = list(robots.values() if isinstance(robots, dict) else [r["place"] for r in robots])
+    for place in plan["net"]["places"]:
+        place.setdefault("tokens", started.count(place["name"]))
+    folder = tempfile.mkdtemp(prefix="gspn_rostest_plan_")
+    with open(os.path.join(folder, "plan.json"), "w") as file:
+        json.dump(plan, file)
+    with open(os.path.join(folder, "actions.py"), "w") as file:
+        file.write(actions)
+    return folder
+
+
+def chain(places, **more):
+    """The net of a plan whose exponential transitions T1, T2, ... lead from place to place; the
+    last place has no output arcs. ``more``: place -> the place that its T_PLACE leads to."""
+    net = {"places": [{"name": p} for p in places], "transitions": [], "arcs": []}
+
+    def lead(name, source, target):
+        net["transitions"].append({"name": name, "timed": True, "servers": None})
+        net["arcs"] += [{"from": source, "to": name}, {"from": name, "to": target}]
+
+    for number, (source, target) in enumerate(zip(places, places[1:]), 1):
+        lead("T%d" % number, source, target)
+    for source, target in more.items():
+        lead("T_" + source, source, target)
+    return net
+
+
+class RobotTestCase(unittest.TestCase):
+    """Ends the teams of a test, and prints what their nodes said if it failed."""
+
+    def run(self, result=None):
+        self.teams = []
+        before = len(result.failures) + len(result.errors)
+        super().run(result)
+        for team in self.teams:
+            if len(result.failures) + len(result.errors) > before:
+                print("%s\n%s" % (self.id(), team.outputs()), flush=True)
+            team.discard()
+
+    def tearDown(self):
+        for team in self.teams:
+            team.close()
+
+    def team(self, plan, robots, namespaces=None, actions="", **parameters):
+        """A team for a plan: a folder, or a JSON object to be written with its ``actions``."""
+        if not isinstance(plan, str):
+            plan = write_plan(plan, actions)
+        team = Team(plan, robots, namespaces, **parameters)
+        self.teams.append(team)
+        return team
