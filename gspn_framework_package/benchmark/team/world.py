@@ -7,14 +7,14 @@ import itertools
 import json
 import random
 from dataclasses import dataclass, field
-from typing import Callable, Dict, List, NamedTuple, Optional, Set, Tuple, Type
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple, Type
 
 from gspn_framework_package.benchmark.team.plans import random_result
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement.replica import Pace, Replica
 from gspn_framework_package.execution.event_log import Record, header
-from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.execution.firing import Ended, StartAction
 from gspn_framework_package.model.plan import Plan, Synchronisation
 
 PACE = Pace(heartbeat=0.1, retry=0.03, takeover=0.06, backoff=0.01)
@@ -38,10 +38,24 @@ class ViolationError(AssertionError):
 
 @dataclass
 class Disk:
-    """A robot's log, which outlives its process."""
+    """A robot's log, which outlives its process: the header, and the lines after it."""
 
     header: Record
-    records: List[Record] = field(default_factory=list)
+    lines: List[str] = field(default_factory=list)
+
+    def records(self) -> List[Record]:
+        """The records, read back."""
+        return list(json.loads("[%s]" % ",".join(self.lines)))
+
+
+_headers: Dict[int, Tuple[Plan, Record]] = {}
+
+
+def _header(plan: Plan) -> Record:
+    known = _headers.get(id(plan))
+    if known is None:
+        known = _headers[id(plan)] = (plan, header(plan, "sim", "", ""))
+    return known[1]
 
 
 class Node:
@@ -59,6 +73,7 @@ class Node:
         self.doomed: Optional[int] = None
         """Crash when that many more effects were carried out."""
         self.wake = 0.0
+        self._alarm: Optional[Tuple[float, int]] = None
         self.joins = False
         self.halted = ""
         self.ended = False
@@ -76,13 +91,13 @@ class Node:
         self.halted = ""
         if self.disk is None:
             log_id = "%s-log%d" % (self.name, len(self.old_disks))
-            self.disk = Disk(header(world.plan, "sim", self.name, log_id))
+            self.disk = Disk(dict(_header(world.plan), robot=self.name, log=log_id))
         self.replica = world.replica_type(
             world.plan,
             self.name,
             "sim",
             self.disk.header["log"],
-            json.loads(json.dumps(self.disk.records)),
+            self.disk.records(),
             joining=self.joins,
             pace=PACE,
         )
@@ -137,29 +152,37 @@ class Node:
             elif isinstance(effect, StartAction):
                 self.world.start_action(self, effect)
             elif isinstance(effect, io.WakeAt):
-                self.wake = effect.time
-                self.world.at(effect.time, self._wake(self.life))
+                self._wake_at(effect.time)
             elif isinstance(effect, io.Halted):
                 self.halted = effect.reason
                 self.world.on_halted(self)
+            elif isinstance(effect, Ended):
+                self.ended = True
             elif isinstance(effect, io.OrderResult):
                 self.results[effect.order_id] = effect
             elif isinstance(effect, io.Fired):
                 self.world.on_fired(self, effect)
 
-    def _wake(self, life: int) -> Callable[[], None]:
-        def wake() -> None:
-            if self.life == life and self.world.now >= self.wake - 1e-9:
-                self.give(io.Tick())
+    def _wake_at(self, time: float) -> None:
+        """See that there is a Tick at that time; one that is due earlier will look again."""
+        self.wake = time
+        if self._alarm is None or self._alarm[1] != self.life or self._alarm[0] > time:
+            self._alarm = alarm = (time, self.life)
+            self.world.at(time, lambda: self._ring(alarm))
 
-        return wake
+    def _ring(self, alarm: Tuple[float, int]) -> None:
+        if self._alarm is not alarm:
+            return
+        self._alarm = None
+        if self.world.now >= self.wake - 1e-9:
+            self.give(io.Tick())
+        else:
+            self._wake_at(self.wake)
 
     def _write(self, record: Record) -> None:
         assert self.disk is not None
-        written = json.loads(json.dumps(record))
-        written["mono"] = self.world.now
-        self.disk.records.append(written)
-        self.world.on_record(self, written)
+        self.disk.lines.append(json.dumps(dict(record, mono=self.world.now)))
+        self.world.on_record(self, record)
 
 
 class World:
@@ -174,14 +197,14 @@ class World:
         self,
         plan: Plan,
         seed: int,
-        weather: Weather = Weather(),
+        weather: Optional[Weather] = None,
         replica_type: Type[Replica] = Replica,
         action_time: Tuple[float, float] = (0.01, 0.08),
     ) -> None:
         self.plan = plan
         self.partial = plan.synchronisation is Synchronisation.PARTIAL
         self.random = random.Random(seed)
-        self.weather = weather
+        self.weather = weather or Weather()
         self.replica_type = replica_type
         self.action_time = action_time
         self.now = 0.0
@@ -191,6 +214,7 @@ class World:
         self.blocked: Set[Tuple[str, str]] = set()
         self._heap: List[Tuple[float, int, Callable[[], None]]] = []
         self._count = itertools.count()
+        self._last: Tuple[Any, str] = (None, "")
         self._calls: Dict[str, Tuple[str, int]] = {}
         self._chain: Dict[int, str] = {}
         self.published: List[Tuple[float, io.Fired]] = []
@@ -220,7 +244,9 @@ class World:
 
     def send(self, sender: str, to: str, message: io.Message) -> None:
         """Send a message, as a topic does, or as a call in partial synchronisation."""
-        text = json.dumps(message)
+        if message is not self._last[0]:
+            self._last = (message, json.dumps(message))
+        text = self._last[1]
         call = self.partial and message["kind"] in io.SERVICE_OF_MESSAGE
         for name in [to] if to else [n for n in self.nodes if n != sender]:
             if name not in self.nodes:

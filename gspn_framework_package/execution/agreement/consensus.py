@@ -39,6 +39,8 @@ class Attempt:
     sent: float
     tries: int = 0
     promises: Dict[str, Optional[Tuple[Ballot, Batch]]] = field(default_factory=dict)
+    answered: Set[str] = field(default_factory=set)
+    """Those who promised, and those without a vote who told what they know."""
     batch: Optional[Batch] = None
     """None in the first phase."""
 
@@ -135,6 +137,7 @@ class Consensus:
         self.attempt = attempt = Attempt(slot, ballot, frozen, now)
         self._promise(ballot)
         attempt.promises[self.host.name] = self.accepted
+        attempt.answered.add(self.host.name)
         self._send_attempt(attempt, self.host.others())
         self._first_phase_over()
 
@@ -152,7 +155,7 @@ class Consensus:
         attempt.sent = now
         attempt.tries += 1
         if attempt.batch is None:
-            answered: Set[str] = set(attempt.promises)
+            answered = attempt.answered
             if self._first_phase_over():
                 return
         else:
@@ -164,7 +167,7 @@ class Consensus:
         if self.attempt is None:
             return []
         if self.attempt.batch is None:
-            answered: Set[str] = set(self.attempt.promises)
+            answered = self.attempt.answered
         else:
             answered = self._votes.get(self.attempt.ballot, set())
         return [m for m in self.host.electorate() if m not in answered]
@@ -192,7 +195,7 @@ class Consensus:
             batch = self.host.batch(attempt.frozen)
             if self.partial:
                 evicted = {item.entry.robot for item in map(Item.from_json, batch) if isinstance(item.entry, log.Evict)}
-                if any(m not in attempt.promises and m not in evicted for m in electorate):
+                if any(m not in attempt.answered and m not in evicted for m in electorate):
                     return False
         if not self.partial:
             self._followers = set(attempt.promises)
@@ -238,7 +241,10 @@ class Consensus:
     def on_prepare(self, message: Message, now: float) -> None:
         """The first phase of another's attempt."""
         ballot = Ballot.from_json(message["ballot"])
-        if not self.host.is_open(message) or not self.host.may_vote():
+        if not self.host.is_open(message):
+            return
+        if not self.host.may_vote():  # our lost memory counts as told, our vote does not count
+            self._answer_prepare(message, vote=False)
             return
         if ballot < self.promised:
             self._refuse(message)
@@ -249,11 +255,15 @@ class Consensus:
             self.attempt = None
         if message.get("frozen"):
             self.frozen_by = ballot
+        self._answer_prepare(message, vote=True)
+
+    def _answer_prepare(self, message: Message, vote: bool) -> None:
         accepted = self.accepted and [list(self.accepted[0]), self.accepted[1]]
         self.host.answer(
             message,
             {
                 "kind": "promise",
+                "vote": vote,
                 "slot": message["slot"],
                 "ballot": message["ballot"],
                 "accepted": accepted,
@@ -313,11 +323,13 @@ class Consensus:
         attempt = self.attempt
         if attempt is None or attempt.batch is not None or not self._answers(message, attempt):
             return
-        accepted = message["accepted"]
-        attempt.promises[message["from"]] = accepted and (
-            Ballot.from_json(accepted[0]),
-            accepted[1],
-        )
+        attempt.answered.add(message["from"])
+        if message["vote"]:
+            accepted = message["accepted"]
+            attempt.promises[message["from"]] = accepted and (
+                Ballot.from_json(accepted[0]),
+                accepted[1],
+            )
         if self._first_phase_over() and attempt.batch is not None:
             attempt.sent, attempt.tries = now, 0
 

@@ -38,7 +38,10 @@ class Peers:
 
     def get(self, robot: str) -> Peer:
         """What is known of a robot."""
-        return self.all.setdefault(robot, Peer())
+        peer = self.all.get(robot)
+        if peer is None:
+            peer = self.all[robot] = Peer()
+        return peer
 
     def hear(self, robot: str, now: float) -> Peer:
         """Note that a message of the robot came in."""

@@ -37,7 +37,7 @@ from gspn_framework_package.execution.firing import (
     firing_to_json,
 )
 from gspn_framework_package.execution.ledger import Item, Ledger, Origin
-from gspn_framework_package.execution.team_state import GONE, POLICY, RobotState
+from gspn_framework_package.execution.team_state import GONE, POLICY, Phase, RobotState
 from gspn_framework_package.execution.token_game import Step, TokenGame
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.plan import Plan, Synchronisation
@@ -104,6 +104,8 @@ class Replica:
         self.forgetful = False
         """We may have voted in this run and do not remember it."""
         self.fenced = False
+        self.leaving = False
+        """We have left, and stay until those who go on know."""
         self.halted: Optional[str] = None
         game = TokenGame(plan)
         self.ledger = Ledger(game)
@@ -131,7 +133,9 @@ class Replica:
         self._defeats = 0
         self._hold_since: Optional[float] = None
         self._first_hash = ""
+        self._members: Tuple[Optional[Ledger], int, List[str]] = (None, 0, [])
         self._strangers: Set[str] = set()
+        self._voteless: Set[str] = set()
         self._text = ""
         self._records = list(records)
 
@@ -267,7 +271,10 @@ class Replica:
         return self.ledger.state.robots.get(self.name)
 
     def _member_names(self) -> List[str]:
-        return self.ledger.state.members()
+        known = self._members
+        if known[0] is not self.ledger or known[1] != self.ledger.length:
+            known = self._members = (self.ledger, self.ledger.length, self.ledger.state.members())
+        return known[2]
 
     def electorate(self) -> List[str]:
         """The members whose votes count in the open slot, in the order of the log."""
@@ -375,6 +382,7 @@ class Replica:
             self._on_learn(message)
         elif kind == "event":
             self.add_foreign(message["items"])
+            (self._voteless.discard if message["vote"] else self._voteless.add)(sender)
             if message["length"] < self.ledger.length:
                 self._help(message)
         elif kind == "prepare":
@@ -674,11 +682,8 @@ class Replica:
 
     def _on_gone(self, state: RobotState) -> None:
         """The log says that we were evicted, or have left."""
-        if state.phase.value == "left":
-            if self.active and state.incarnation == self.incarnation:
-                self._put(Ended("%s has left the team" % self.name, True))
-                self._stop_acting()
-                self.halted = "%s has left the team" % self.name
+        if state.phase is Phase.LEFT and self.active and state.incarnation == self.incarnation:
+            self.leaving = True
         elif self.incarnation <= state.incarnation:
             self.pool.own = [o for o in self.pool.own if o.order_id]
             self._new_life()
@@ -748,11 +753,9 @@ class Replica:
     def _invoke(self, entry: log.Entry, order_id: str = "", suspect: str = "") -> None:
         """Want a fact in the log."""
         item = Item(entry, self._next_origin())
-        record = {"kind": "invoked", "entry": log.to_json(entry), "origin": list(item.origin)}
-        if suspect:
-            record["suspect"] = True
-        else:
-            self._persist(record)
+        if not suspect:  # a suspicion may be withdrawn, and is never taken up again
+            origin = list(item.origin)
+            self._persist({"kind": "invoked", "entry": log.to_json(entry), "origin": origin})
         self.pool.own.append(Own(item, order_id, suspect))
 
     # -- the operator ------------------------------------------------------------------------------
@@ -807,6 +810,15 @@ class Replica:
             slot = self.ledger.length
             self._persist({"kind": "forced", "slot": slot, "robots": sorted(self.forced)})
 
+    def _part(self) -> None:
+        """End once a quorum of those who stay knows that we have left."""
+        members = self._member_names()
+        know = [m for m in members if self.peers.get(m).length >= self.ledger.length]
+        if members and not is_quorum(know, members):
+            return
+        self.halted = "%s has left the team" % self.name
+        self._put(Ended(self.halted, True))
+
     # -- time --------------------------------------------------------------------------------------
 
     def _settle(self) -> None:
@@ -816,11 +828,13 @@ class Replica:
                 self._next_hello = self._now + (self.pace.heartbeat if self.active else min(self.pace.heartbeat, 0.2))
                 self._put(io.Send(io.EVERYBODY, self._signed(self._hello())))
                 self._watch()
-            if self.ledger.state.ended is None:
+                self._tell_status()
+            if self.leaving:
+                self._part()
+            elif self.ledger.state.ended is None:
                 self._want_to_join()
                 self._want_environment()
             self._drive()
-        self._tell_status()
         self._put(io.WakeAt(self._wake_at()))
 
     def _watch(self) -> None:
@@ -828,6 +842,7 @@ class Replica:
         timing = self.plan.timing
         members = self._member_names()
         if not self.may_vote() or self.ledger.state.ended is not None:
+            self.fenced = False
             return
         if timing.fence_after > 0:
             near = self.peers.near(members, self.name, timing.fence_after, self._now)
@@ -854,7 +869,7 @@ class Replica:
 
     def _want_to_join(self) -> None:
         """See that the log gets to know this incarnation of ours."""
-        if self.witness or self.fenced or self.ledger.length == 0 or self.is_settled():
+        if self.witness or self.fenced or self.leaving or self.ledger.length == 0 or self.is_settled():
             return
         state = self._own_state()
         if not self.active and not (self.forgetful or self.joining):
@@ -880,12 +895,16 @@ class Replica:
     def _want_environment(self) -> None:
         if not self.plan.simulate_environment or not self.may_vote():
             return
+        if any(isinstance(o.item.entry, log.Fire) for o in self.pool.own):
+            return
+        due = self._environment.next_time(self.ledger.state, self._now)
+        if due is None or self._now < due:
+            return
         members = self._member_names()
         live = self.peers.near(members, self.name, 3 * self.pace.heartbeat, self._now)
-        if live and live[0] == self.name:
-            due = self._environment.due(self.ledger.state, self._now)
-            if due is not None and not any(isinstance(o.item.entry, log.Fire) for o in self.pool.own):
-                self._invoke(log.Fire(due))
+        transition = self._environment.due(self.ledger.state, self._now)
+        if live[0] == self.name and transition is not None:
+            self._invoke(log.Fire(transition))
 
     def _wants(self) -> bool:
         """Whether something should get into the log now."""
@@ -900,7 +919,7 @@ class Replica:
         if origins and self.consensus.leads():
             return True
         members = set(self._member_names())
-        if any(origin not in members for origin in origins):
+        if any(origin not in members or origin in self._voteless for origin in origins):
             return True
         if self.consensus.frozen_by is not None and self._hold_since is not None:
             return self._now >= self._hold_since + 2 * self.pace.takeover
@@ -966,7 +985,7 @@ class Replica:
         extra = self.pool.batch(self._member_names(), frozen=True)
         known = {tuple(i[1]) for i in items}
         items += [i.to_json() for i in extra if tuple(i.origin) not in known]
-        self.send_all(to, {"kind": "event", "items": items})
+        self.send_all(to, {"kind": "event", "items": items, "vote": self.may_vote()})
 
     def _patience(self) -> float:
         members = self._member_names()
