@@ -39,6 +39,10 @@ VERBS: Dict[str, Tuple[str, str]] = {
         "demo",
         "run a plan on a team of robots (needs ROS and a master), and show what happens",
     ),
+    "replay": (
+        "replay",
+        "open the page on a recorded run: an event log, or a rosbag of fired_transitions",
+    ),
     "serve": (
         "serve",
         "open the page: simulate, analyse and execute the nets and plans of a folder",

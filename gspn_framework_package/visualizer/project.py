@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any, Dict, Optional
 
 from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.visualizer.bag_replay import BagReplay, plans_of
 from gspn_framework_package.visualizer.documents import Document, Folder
 from gspn_framework_package.visualizer.replay import Replay
 from gspn_framework_package.visualizer.session import ActivityMaker, Session, Sessions
@@ -61,10 +62,17 @@ class Project:
 
     def _make(self, folder: Folder, path: str) -> Session:
         if folder.kind(path) == "log":
-            run = Replay.of_file(folder.resolve(path))
-            return Session(FILE_KEY + path, run.document(path), run)
+            return self._recorded(folder, path)
         document: Document = folder.open(path)
         return Session(FILE_KEY + path, document, start_execution=self._start_execution)
+
+    @staticmethod
+    def _recorded(folder: Folder, path: str) -> Session:
+        if path.endswith(".bag"):
+            bag = BagReplay(folder.resolve(path), plans_of(folder))
+            return Session(FILE_KEY + path, bag.document(path), bag)
+        replay = Replay.of_file(folder.resolve(path))
+        return Session(FILE_KEY + path, replay.document(path), replay)
 
     def close(self) -> None:
         """End everything."""

@@ -1,6 +1,6 @@
 // The room beside the net: walls and places of interest from the world, the robots where they are.
 
-import { $, h } from "./dom.js";
+import { $ } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
 
 export class Room {
@@ -49,50 +49,70 @@ export class Room {
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     c.clearRect(0, 0, width, height);
     if (!room) return;
-    c.fillStyle = ink("--node-line");
-    for (const shape of room.walls || []) polygon(c, corners(shape).map(at));
-    c.fillStyle = ink("--line");
-    for (const shape of room.obstacles || []) polygon(c, corners(shape).map(at));
-    c.font = "10px system-ui, sans-serif";
-    c.textAlign = "center";
-    for (const [name, spot] of Object.entries(room.locations || {})) {
-      const [x, y] = at([spot.x ?? spot[0], spot.y ?? spot[1]]);
-      c.strokeStyle = ink("--accent");
-      c.beginPath(); c.arc(x, y, 6, 0, 7); c.stroke();
-      c.fillStyle = ink("--ink-2");
-      c.fillText(name, x, y + 16);
+    for (const location of Object.values(room.locations || {})) {
+      c.fillStyle = ink("--accent-soft");
+      polygon(c, rectangle(location.area).map(at));
     }
-    for (const robot of world?.robots || []) {
-      const [x, y] = at([robot.x, robot.y]);
-      const radius = Math.max(6, (robot.radius || 0.2) * k);
-      c.fillStyle = colourOf(robot.name);
+    for (const spot of world?.hot_spots || []) {
+      const [x, y] = at(spot.at);
+      c.fillStyle = "rgba(214, 72, 40, .35)";
+      c.beginPath(); c.arc(x, y, spot.radius * k, 0, 7); c.fill();
+    }
+    c.fillStyle = ink("--node-line");
+    for (const box of room.boxes || []) polygon(c, boxCorners(box).map(at));
+    for (const pillar of room.cylinders || []) {
+      const [x, y] = at(pillar.at);
+      c.beginPath(); c.arc(x, y, pillar.radius * k, 0, 7); c.fill();
+    }
+    c.font = "600 10px system-ui, sans-serif";
+    c.textAlign = "center";
+    c.fillStyle = ink("--ink-2");
+    for (const [name, { area }] of Object.entries(room.locations || {})) {
+      const [x, y] = at([(area[0][0] + area[1][0]) / 2, (area[0][1] + area[1][1]) / 2]);
+      c.fillText(name, x, y + 3);
+    }
+    for (const [name, robot] of Object.entries(world?.robots || {})) {
+      if (robot.path?.length > 1) {
+        c.strokeStyle = colourOf(name);
+        c.globalAlpha = 0.5;
+        c.setLineDash([4, 3]);
+        c.beginPath();
+        robot.path.forEach((point, i) => { const [x, y] = at(point); if (i) c.lineTo(x, y); else c.moveTo(x, y); });
+        c.stroke();
+        c.setLineDash([]);
+        c.globalAlpha = 1;
+      }
+    }
+    for (const [name, robot] of Object.entries(world?.robots || {})) {
+      const [px, py, yaw] = robot.pose;
+      const [x, y] = at([px, py]);
+      const radius = Math.max(7, (room.robot_radius || 0.2) * k);
+      c.fillStyle = colourOf(name);
       c.beginPath(); c.arc(x, y, radius, 0, 7); c.fill();
-      const theta = robot.theta ?? robot.yaw ?? 0;
-      c.strokeStyle = "#fff";
-      c.beginPath(); c.moveTo(x + Math.cos(theta) * radius * 0.45, y - Math.sin(theta) * radius * 0.45);
-      c.lineTo(x + Math.cos(theta) * radius, y - Math.sin(theta) * radius); c.lineWidth = 2; c.stroke(); c.lineWidth = 1;
+      c.strokeStyle = colourOf(name);
+      c.lineWidth = 2.5;
+      c.beginPath(); c.moveTo(x + Math.cos(yaw) * radius, y - Math.sin(yaw) * radius);
+      c.lineTo(x + Math.cos(yaw) * (radius + 5), y - Math.sin(yaw) * (radius + 5)); c.stroke();
+      c.lineWidth = 1;
       c.fillStyle = "#fff";
       c.textBaseline = "middle";
-      c.fillText(shortName(robot.name), x, y);
+      c.fillText(shortName(name), x, y + 0.5);
       c.textBaseline = "alphabetic";
     }
   }
 }
 
-function corners(shape) {
-  if (Array.isArray(shape)) {
-    return typeof shape[0] === "number" ? [[shape[0], shape[1]], [shape[2], shape[1]], [shape[2], shape[3]], [shape[0], shape[3]]] : shape;
-  }
-  if (shape.points) return shape.points;
-  return [];
+const rectangle = ([[x0, y0], [x1, y1]]) => [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
+
+function boxCorners({ at: [x, y], size: [w, d], yaw = 0 }) {
+  const [c, s] = [Math.cos(yaw), Math.sin(yaw)];
+  return [[-w / 2, -d / 2], [w / 2, -d / 2], [w / 2, d / 2], [-w / 2, d / 2]].map(([a, b]) => [x + a * c - b * s, y + a * s + b * c]);
 }
 
 function extent(room) {
-  let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
-  for (const shape of [...(room?.walls || []), ...(room?.obstacles || [])]) {
-    for (const [x, y] of corners(shape)) { x0 = Math.min(x0, x); y0 = Math.min(y0, y); x1 = Math.max(x1, x); y1 = Math.max(y1, y); }
-  }
-  return Number.isFinite(x0) ? [x0, y0, x1, y1] : [0, 0, 10, 10];
+  if (!room?.bounds) return [0, 0, 10, 10];
+  const [[x0, y0], [x1, y1]] = room.bounds;
+  return [x0, y0, x1, y1];
 }
 
 function polygon(c, points) {

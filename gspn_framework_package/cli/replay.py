@@ -1,0 +1,43 @@
+"""``gspn replay``: the page for one recorded run."""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+from gspn_framework_package.cli.serve import add_address_arguments, serve
+from gspn_framework_package.model.errors import InputError
+
+NAME = "replay"
+HELP = "open the page on a recorded run: an event log, or a rosbag of fired_transitions"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    parser.add_argument("log", metavar="LOG", help="an event log (.jsonl), or a rosbag (.bag)")
+    parser.add_argument("--plan", help="the plan that a rosbag is of (an event log holds its own)")
+    add_address_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until interrupted."""
+    from gspn_framework_package.formats.plan_file import read_plan
+    from gspn_framework_package.visualizer.bag_replay import BagReplay, plans_of
+    from gspn_framework_package.visualizer.documents import Folder
+    from gspn_framework_package.visualizer.project import Project
+    from gspn_framework_package.visualizer.replay import Replay
+    from gspn_framework_package.visualizer.session import Session
+
+    if not os.path.isfile(args.log):
+        raise InputError("there is no such file", file=args.log)
+    title = os.path.basename(args.log)
+    project = Project()
+    if args.log.endswith(".bag"):
+        given = read_plan(args.plan) if args.plan else None
+        folder = Folder(os.path.dirname(os.path.realpath(args.log)))
+        bag = BagReplay(args.log, plans_of(folder, given))
+        project.show(Session("replay", bag.document(title), bag))
+    else:
+        replay = Replay.of_file(args.log)
+        project.show(Session("replay", replay.document(title), replay))
+    return serve(project, args)

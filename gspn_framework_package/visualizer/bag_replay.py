@@ -1,0 +1,119 @@
+"""REPLAY of a rosbag that holds ``fired_transitions``."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any, Dict, List, Optional
+
+from gspn_framework_package.model.errors import GspnError, LogError, UsageError
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.visualizer.activity import Activity
+from gspn_framework_package.visualizer.board import Event
+from gspn_framework_package.visualizer.documents import Document, Folder
+from gspn_framework_package.visualizer.fired_follower import FiredFollower, fired_news
+from gspn_framework_package.visualizer.hub import Hub
+
+TYPE = "gspn_framework_package/FiredTransition"
+
+EVENTS = 400_000
+
+
+class BagReplay(Activity):
+    """The firings that a bag recorded. A bag holds no plan: it is found by its hash.
+
+    :param path: the bag.
+    :param plans: plans that may be the one.
+    :raises LogError: not a bag, without firings, or of none of the plans.
+    """
+
+    mode = "REPLAY"
+
+    def __init__(self, path: str, plans: List[Plan]) -> None:
+        super().__init__()
+        self._path = path
+        messages = _read(path)
+        if not messages:
+            raise LogError(
+                "holds no firings", file=path, hint="record the topic /fired_transitions"
+            )
+        wanted = messages[0][1].plan
+        found = [plan for plan in plans if plan.hash() == wanted]
+        if not found:
+            raise LogError(
+                "its plan is not known here",
+                file=path,
+                hint="give the plan with --plan, or put it into the folder that is served",
+            )
+        self.plan = found[0]
+        self._messages = [item for item in messages if item[1].plan == wanted]
+        names = {name for _, message in self._messages for name in message.robots}
+        if len(self.plan.robots) != len(names):
+            with contextlib.suppress(GspnError):  # the marking of the first message decides then
+                self.plan = self.plan.for_robots(max(1, len(names)))
+
+    def document(self, title: str) -> Document:
+        """The plan that was run, to be shown."""
+        return Document(title, self.plan.net, self.plan)
+
+    def begin(self, hub: Hub) -> None:
+        """Hand the firings to the hub."""
+        follower = FiredFollower(self.plan)
+        run = self._messages[0][1].run
+        info: Dict[str, Any] = {"says": "run %s, recorded in a rosbag" % run}
+        hub.restart(self.mode, follower.board({"running": False}), info, ring=EVENTS)
+        first = self._messages[0][0]
+        events: List[Event] = []
+        t = 0.0
+        for stamp, message in self._messages:
+            t = round(stamp - first, 4)
+            new = follower.take(fired_news(message, t))
+            while follower.lost_track:
+                new += follower.give_up("firings are missing in the bag")
+                follower.retry(t)
+            events += [{**event, "t": t} for event in new]
+        rest = follower.give_up("firings are missing in the bag")
+        while rest:
+            events += [{**event, "t": t} for event in rest]
+            rest = follower.give_up("firings are missing in the bag")
+        hub.publish(*events)
+
+
+def _read(path: str) -> List[Any]:
+    """Pairs (seconds, message) of the firings in a bag, in the order in which they were
+    recorded."""
+    try:
+        import rosbag
+    except ImportError:
+        raise UsageError(
+            "rosbags are read with ROS's own reader, which is not there",
+            file=path,
+            hint="apt install python3-rosbag",
+        ) from None
+    try:
+        with rosbag.Bag(path) as bag:
+            topics = [
+                topic
+                for topic, info in bag.get_type_and_topic_info().topics.items()
+                if info.msg_type == TYPE
+            ]
+            return [
+                (t.to_sec(), message)
+                for _, message, t in (bag.read_messages(topics=topics) if topics else ())
+            ]
+    except (rosbag.ROSBagException, OSError, ValueError, EOFError) as error:
+        raise LogError("not a rosbag that can be read (%s)" % error, file=path) from None
+
+
+def plans_of(folder: Folder, given: Optional[Plan] = None) -> List[Plan]:
+    """The plans that a bag in ``folder`` may be of."""
+    plans = [given] if given is not None else []
+    for entry in folder.entries():
+        if entry.kind != "plan":
+            continue
+        try:
+            document = folder.open(entry.path)
+        except GspnError:
+            continue
+        if document.plan is not None:
+            plans.append(document.plan)
+    return plans

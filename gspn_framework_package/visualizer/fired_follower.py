@@ -1,0 +1,244 @@
+"""Follows a team by ``fired_transitions`` alone: firings as they are heard, late, twice, out of order or
+not at all. No ROS in here: live messages and recorded ones (rosbag) come as :class:`FiredNews`.
+
+In full synchronisation a message carries the marking that the whole team agrees on: a firing is taken
+over when it leads from the marking shown to the one it carries. In partial synchronisation each robot
+only knows its own marking: a firing is taken over when it ends the visit that its robot is known to be
+in. What does not fit waits a moment for what is missing, and then the team has to be asked.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+
+from gspn_framework_package.execution.enabled_set import EnabledSet
+from gspn_framework_package.model.net import Marking, Net
+from gspn_framework_package.model.plan import Plan, Synchronisation
+from gspn_framework_package.visualizer.board import Board, Event
+
+PATIENCE = 0.25
+"""Seconds that a firing which does not fit waits for the ones before it."""
+
+_WAITING = 500
+"""Most firings that wait; with more, the team is asked."""
+
+
+class FiredNews(NamedTuple):
+    """A message of ``fired_transitions``; ``heard`` in seconds, on any clock that only grows."""
+
+    transition: str
+    robot: str
+    visit: int
+    moves: Tuple[Tuple[str, str], ...]
+    marking: Mapping[str, int]
+    slot: int
+    index: int  # type: ignore[assignment]  # hides tuple.index, which nobody needs
+    private: bool
+    heard: float
+
+
+class RobotSeen(NamedTuple):
+    """Where a robot is: place (index), and the visit where it is known."""
+
+    place: int
+    visit: Optional[int] = None
+
+
+class TeamSeen(NamedTuple):
+    """What a robot that was asked said of the team: its marking and robots after log slot
+    ``slots - 1``."""
+
+    marking: Marking
+    robots: Mapping[str, RobotSeen]
+    slots: int
+
+
+class FiredFollower:
+    """See the module.
+
+    :param plan: the plan that the team runs.
+    :ivar lost_track: the team should be asked, and the answer handed to :meth:`adopt`.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.net: Net = plan.net
+        self.full = plan.synchronisation is Synchronisation.FULL
+        self.lost_track = False
+        self._enabled = EnabledSet(plan.net, plan.net.initial_marking, by_priority=False)
+        self.robots: Dict[str, RobotSeen] = {
+            r.name: RobotSeen(plan.net.place_number(r.place), 1) for r in plan.robots
+        }
+        self._waiting: List[FiredNews] = []
+        self._last: Tuple[int, int] = (-1, -1)
+
+    @property
+    def marking(self) -> Marking:
+        """The marking shown."""
+        return self._enabled.marking
+
+    def board(self, status: Mapping[str, object]) -> Board:
+        """The board before anything was heard: the initial marking of the plan."""
+        board = Board(len(self.net.transitions), self.marking, self._enabled.now, status)
+        for name, seen in self.robots.items():
+            board.robots[name] = {"name": name, "place": seen.place, "phase": "", "since": 0.0}
+        return board
+
+    def take(self, news: FiredNews) -> List[Event]:
+        """What a message leads to: events for the hub, none while it waits."""
+        if news.transition not in self.net.transition_index:
+            return []
+        if not self._is_old(news) and not any(_same(news, other) for other in self._waiting):
+            self._waiting.append(news)
+        return self.retry(news.heard)
+
+    def retry(self, now: float) -> List[Event]:
+        """Take over what waits and fits by now; notice what has waited too long."""
+        events: List[Event] = []
+        self._waiting.sort(key=lambda n: (n.slot, n.index, n.visit))
+        again = True
+        while again:
+            again = False
+            for news in self._waiting:
+                if self._is_old(news):
+                    self._waiting.remove(news)
+                    again = True
+                    break
+                if self._fits(news):
+                    self._waiting.remove(news)
+                    events.append(self._fire(news))
+                    again = True
+                    break
+        late = any(now - news.heard > PATIENCE for news in self._waiting)
+        self.lost_track = self.lost_track or late or len(self._waiting) > _WAITING
+        return events
+
+    def is_behind(self, team: TeamSeen) -> bool:
+        """Whether the team was further, when it said this, than what is shown now."""
+        if self.full:
+            return team.slots - 1 > self._last[0] and team.marking != self.marking
+        return any(
+            seen.visit is not None
+            and (name not in self.robots or (self.robots[name].visit or 0) < seen.visit)
+            for name, seen in team.robots.items()
+        )
+
+    def adopt(self, team: TeamSeen, why: str) -> List[Event]:
+        """Take over what a robot said of the team, and what has been heard since."""
+        self.lost_track = False
+        self._last = max(self._last, (team.slots - 1, 1 << 60))
+        self.robots = dict(team.robots)
+        events: List[Event] = []
+        if team.marking != self.marking:
+            events.append(self._whole(team.marking, why))
+        return events + self.retry(0.0)
+
+    def give_up(self, why: str) -> List[Event]:
+        """Nobody can be asked: go on from the latest message that waits, and say so."""
+        events: List[Event] = []
+        self.lost_track = False
+        if not self._waiting:
+            return events
+        news, rest = self._waiting[0], self._waiting[1:]
+        before = list(self._carried(news) if self.full else self.marking)
+        if self.full:
+            for p, change in self.net.effect(self.net.transition_index[news.transition]):
+                before[p] -= change
+        else:
+            self.robots[news.robot] = self.robots.get(news.robot, RobotSeen(-1))._replace(
+                visit=news.visit
+            )
+            for p, change in self.net.effect(self.net.transition_index[news.transition]):
+                before[p] = max(before[p], -change)
+        if min(before) < 0:
+            self._waiting = rest
+            return events
+        if tuple(before) != self.marking:
+            events.append(self._whole(tuple(before), why))
+        self._waiting = rest
+        events.append(self._fire(news))
+        return events + self.retry(0.0)
+
+    # -- parts -------------------------------------------------------------------------------------
+
+    def _is_old(self, news: FiredNews) -> bool:
+        if news.private:
+            seen = self.robots.get(news.robot)
+            return seen is not None and seen.visit is not None and news.visit < seen.visit
+        return (news.slot, news.index) <= self._last
+
+    def _fits(self, news: FiredNews) -> bool:
+        t = self.net.transition_index[news.transition]
+        if any(self.marking[p] + change < 0 for p, change in self.net.effect(t)):
+            return False
+        if self.full:
+            return self._after(t) == self._carried(news)
+        seen = self.robots.get(news.robot)
+        return seen is None or seen.visit is None or not news.robot or news.visit == seen.visit
+
+    def _after(self, t: int) -> Marking:
+        after = list(self.marking)
+        for p, change in self.net.effect(t):
+            after[p] += change
+        return tuple(after)
+
+    def _carried(self, news: FiredNews) -> Marking:
+        return tuple(news.marking.get(place.name, 0) for place in self.net.places)
+
+    def _fire(self, news: FiredNews) -> Event:
+        t = self.net.transition_index[news.transition]
+        change = self._enabled.move_to(self._after(t))
+        moves = []
+        for robot, name in news.moves:
+            target = self.net.place_index.get(name)
+            if target is None:
+                continue
+            seen = self.robots.get(robot)
+            moves.append([robot, seen.place if seen and seen.place >= 0 else None, target])
+            visit = None
+            if robot == news.robot:
+                visit = news.visit + 1
+            elif seen is not None and seen.visit is not None:
+                visit = seen.visit + 1
+            self.robots[robot] = RobotSeen(target, visit)
+        if not news.private:
+            self._last = max(self._last, (news.slot, news.index))
+        return {
+            "k": "fire",
+            "tr": t,
+            "who": news.robot,
+            "d": [list(pair) for pair in self.net.effect(t)],
+            "m": moves,
+            "en": list(change.added),
+            "dis": list(change.removed),
+            "s": [news.slot, news.index],
+        }
+
+    def _whole(self, marking: Sequence[int], why: str) -> Event:
+        self._enabled.move_to(marking)
+        return {
+            "k": "mark",
+            "marking": list(marking),
+            "enabled": sorted(self._enabled.now),
+            "why": why,
+        }
+
+
+def _same(a: FiredNews, b: FiredNews) -> bool:
+    if a.private or b.private:
+        return (a.private, a.robot, a.visit) == (b.private, b.robot, b.visit)
+    return (a.slot, a.index) == (b.slot, b.index)
+
+
+def fired_news(message: Any, heard: float) -> FiredNews:
+    """A message of ``fired_transitions``, live or out of a bag."""
+    return FiredNews(
+        message.transition,
+        message.robot,
+        message.visit,
+        tuple(zip(message.robots, message.robot_places)),
+        dict(zip(message.places, message.counts)),
+        message.slot,
+        message.index,
+        bool(message.private_move),
+        heard,
+    )

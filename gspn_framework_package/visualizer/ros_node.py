@@ -1,0 +1,68 @@
+"""The node ``visualizer``: the page for a team on ROS.
+
+Private parameters: ``plan`` (file or folder), ``robots`` (size of the team that begins; 0: as in the
+plan), ``run`` (name of the run; "" takes the first that is heard), ``host``, ``port``, ``names``
+(further names of this machine, with commas), ``token``, ``viewers``.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import rospy
+
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.errors import GspnError, UsageError
+from gspn_framework_package.visualizer.documents import Document
+from gspn_framework_package.visualizer.project import Project
+from gspn_framework_package.visualizer.ros_watch import RosWatch
+from gspn_framework_package.visualizer.serving import DEFAULT_PORT, WebServer
+from gspn_framework_package.visualizer.session import Session
+
+
+def main() -> int:
+    """Serve the page until shutdown; rospy in this thread, the web server in others."""
+    rospy.init_node("visualizer")
+    try:
+        server = _server()
+    except GspnError as error:
+        rospy.logfatal(str(error))
+        return error.exit_code
+    server.start()
+    rospy.loginfo("the page is at %s", server.address)
+    print("The page is at %s" % server.address, flush=True)
+    rospy.spin()
+    server.stop()
+    return 0
+
+
+def _server() -> WebServer:
+    path = _parameter("plan", "")
+    if not path:
+        raise UsageError("no plan", element="parameter ~plan", hint="the team's plan file")
+    plan = read_plan(path)
+    robots = int(_parameter("robots", 0))
+    if robots:
+        plan = plan.for_robots(robots)
+    document = Document(path, plan.net, plan, notes=tuple(plan.notes))
+    project = Project()
+    project.show(Session("live", document, RosWatch(plan, _parameter("run", ""))))
+    names = [name for name in _parameter("names", "").replace(",", " ").split() if name]
+    return WebServer(
+        project,
+        _parameter("host", "127.0.0.1"),
+        int(_parameter("port", DEFAULT_PORT)),
+        names,
+        _parameter("token", "") or None,
+        int(_parameter("viewers", 24)),
+    )
+
+
+def _parameter(name: str, default: Any) -> Any:
+    value = rospy.get_param("~" + name, default)
+    return str(value) if isinstance(default, str) else value
+
+
+if __name__ == "__main__":
+    sys.exit(main())

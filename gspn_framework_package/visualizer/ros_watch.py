@@ -1,0 +1,337 @@
+"""LIVE on ROS: a page that watches a team, and is no robot of it.
+
+One thread with one queue does the work; ROS callbacks only put messages into it, and so does a
+second thread that asks the team where it is, since an answer may take its time.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import threading
+import time
+from typing import Any, Dict, List, Optional, Tuple
+
+import rospy
+from std_msgs.msg import String
+
+from gspn_framework_package.model.errors import GspnError, RefusedError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.msg import FiredTransition
+from gspn_framework_package.srv import Command
+from gspn_framework_package.visualizer.activity import Activity, Fields, text_field
+from gspn_framework_package.visualizer.board import Event
+from gspn_framework_package.visualizer.feedback import Feedback
+from gspn_framework_package.visualizer.fired_follower import (
+    FiredFollower,
+    RobotSeen,
+    TeamSeen,
+    fired_news,
+)
+from gspn_framework_package.visualizer.hub import Hub
+
+FIRED_TOPIC = "fired_transitions"
+ACTIVITY = "/activity"
+
+LOOK_AROUND = 2.0
+"""Seconds between two looks for robots, and between two questions for the state of the team."""
+
+PHASES = {
+    "Doing": "doing",
+    "Done": "done",
+    "Waiting": "done",
+    "Paused": "",
+    "Failed": "failed",
+    "Inactive": "inactive",
+    "Lost": "lost",
+    "Left": "left",
+}
+
+TOLD_BY_OTHERS = ("lost", "left", "failed")
+"""Phases that a robot does not tell itself."""
+
+
+class RosWatch(Activity):
+    """Watches a team that runs ``plan``.
+
+    Subscribes to ``/fired_transitions`` (gspn_framework_package/FiredTransition), to every
+    ``NAMESPACE/activity`` (std_msgs/String) there is, to ``/world/room`` and ``/world/state``
+    (std_msgs/String). Calls ``NAMESPACE/command`` (gspn_framework_package/Command): ``status`` now
+    and then, and what the page orders. Nobody waits for it.
+
+    :param plan: the plan, with the robots that began.
+    :param run: only firings of this run are shown; "" takes the run that is heard first.
+    """
+
+    mode = "LIVE"
+
+    def __init__(self, plan: Plan, run: str = "") -> None:
+        super().__init__()
+        self._plan = plan
+        self._net: Net = plan.net
+        self._hash = plan.hash()
+        self._run = run
+        self._queue: queue.SimpleQueue[Tuple[str, Any]] = queue.SimpleQueue()
+        self._namespaces: Dict[str, str] = {}
+        self._names: Dict[str, str] = {}
+        self._follower = FiredFollower(plan)
+        self._shown: Dict[str, Dict[str, Any]] = {}
+        self._status: Dict[str, Any] = {}
+        self._other_plans: Dict[str, None] = {}
+        self._subscribers: List[Any] = []
+        self._stop = threading.Event()
+        self._ask_now = threading.Event()
+        self._turn = 0
+        self._before: Optional[TeamSeen] = None
+        self.commands = {
+            name: self._ordered(name) for name in ("stop", "pause", "resume", "retry")
+        }
+        self.commands["environment"] = self._environment
+
+    def begin(self, hub: Hub) -> None:
+        """Subscribe, and ask the team where it is."""
+        self._hub = hub
+        self._feedback = Feedback(hub)
+        self._status = {
+            "running": False,
+            "paused": False,
+            "ended": None,
+            "finished": False,
+            "stalled": "",
+        }
+        info = {"commands": sorted(self.commands), "says": "a team of robots on ROS"}
+        hub.restart(self.mode, self._follower.board(self._status), info)
+        self._subscribe(FIRED_TOPIC, FiredTransition, "fired")
+        self._subscribe("/world/room", String, "room")
+        self._subscribe("/world/state", String, "world")
+        threading.Thread(target=self._work, name="watch", daemon=True).start()
+        threading.Thread(target=self._ask_around, name="ask", daemon=True).start()
+
+    def end(self) -> None:
+        """Unsubscribe."""
+        self._stop.set()
+        for subscriber in self._subscribers:
+            subscriber.unregister()
+        self._subscribers = []
+
+    def _subscribe(self, topic: str, kind: Any, what: str, who: str = "") -> None:
+        def callback(message: Any) -> None:
+            self._queue.put((what, (who, message) if who else message))
+
+        self._subscribers.append(
+            rospy.Subscriber(topic, kind, callback, queue_size=10_000, tcp_nodelay=True)
+        )
+
+    # -- the worker --------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        while not self._stop.is_set():
+            try:
+                what, message = self._queue.get(timeout=0.1)
+            except queue.Empty:
+                what, message = "nothing", None
+            try:
+                getattr(self, "_on_" + what)(message)
+                self._hub.publish(*self._follower.retry(time.monotonic()))
+            except Exception as error:  # the page goes on; the operator hears of it
+                rospy.logerr_throttle(5.0, "the page: %s: %s" % (type(error).__name__, error))
+            if self._follower.lost_track:
+                self._ask_now.set()
+
+    def _on_nothing(self, message: None) -> None:
+        """Time went by."""
+
+    def _on_fired(self, message: Any) -> None:
+        if message.plan != self._hash:
+            if message.plan not in self._other_plans:
+                self._other_plans[message.plan] = None
+                self._note("warning", "", "another plan runs on this topic; it is not shown")
+            return
+        self._run = self._run or message.run
+        if message.run != self._run:
+            return
+        self._hub.publish(*self._follower.take(fired_news(message, time.monotonic())))
+
+    def _on_activity(self, told: Tuple[str, Any]) -> None:
+        namespace, message = told
+        activity = json.loads(message.data)
+        name = str(activity["robot"])
+        self._namespaces[name] = namespace
+        self._names[namespace] = name
+        state = str(activity.get("state", ""))
+        waits = str(activity.get("waits_for", ""))
+        self._show_robot(
+            name,
+            phase=PHASES.get(state, ""),
+            paused=state == "Paused",
+            visit=activity.get("visit"),
+            attempt=activity.get("attempt"),
+            why=waits if state != "Doing" or waits else "",
+        )
+        feedback = activity.get("feedback")
+        if feedback and state == "Doing":
+            self._feedback.tell(name, "feedback: %s" % ", ".join(str(f) for f in feedback))
+        else:
+            self._feedback.forget(name)
+
+    def _on_room(self, message: Any) -> None:
+        self._hub.set_latest("room", json.loads(message.data))
+
+    def _on_world(self, message: Any) -> None:
+        self._hub.set_latest("world", json.loads(message.data))
+
+    # -- asking the team ---------------------------------------------------------------------------
+
+    def _ask_around(self) -> None:
+        """On the asking thread: find the robots, and ask them where the team is."""
+        while not self._stop.is_set() and not rospy.is_shutdown():
+            lost_track = self._follower.lost_track
+            self._ask_now.clear()
+            try:
+                self._find_robots()
+                answers = [a for a in map(self._ask, self._askable()) if a is not None]
+                self._queue.put(("answers", (lost_track, answers)))
+            except (OSError, rospy.ROSException) as error:
+                rospy.logwarn_throttle(30.0, "the page: the master does not answer: %s" % error)
+            self._ask_now.wait(LOOK_AROUND)
+
+    def _find_robots(self) -> None:
+        for topic, kind in rospy.get_published_topics():
+            namespace = topic[: -len(ACTIVITY)]
+            if topic.endswith(ACTIVITY) and kind == String._type and namespace not in self._names:
+                self._names[namespace] = ""
+                self._subscribe(topic, String, "activity", namespace)
+
+    def _on_answers(self, asked: Tuple[bool, List[Dict[str, Any]]]) -> None:
+        lost_track, answers = asked
+        if not answers:
+            if lost_track:
+                self._hub.publish(*self._follower.give_up("firings were missed"))
+            return
+        newest = max(answers, key=lambda a: int(a["log_length"]))
+        self._run = self._run or str(newest["run"])
+        team, before = self._team_seen(newest, answers), self._before
+        self._before = team
+        # Behind what the team said a while ago, too: news that are under way are no loss.
+        behind = self._follower.is_behind(team) and (
+            before is None or self._follower.is_behind(before)
+        )
+        if lost_track or behind:
+            why = "opened in mid-run" if before is None else "caught up with the team"
+            self._hub.publish(*self._follower.adopt(team, why))
+            for name, seen in self._follower.robots.items():
+                self._show_robot(name, place=seen.place)
+        self._show_status(newest)
+
+    def _askable(self) -> List[str]:
+        """Whom to ask: in full synchronisation one robot knows all, in partial each knows itself."""
+        namespaces = sorted(self._names)
+        if self._follower.full and self._before is not None and namespaces:
+            self._turn += 1  # another one each time: one that died would not answer
+            return [namespaces[self._turn % len(namespaces)]]
+        return namespaces
+
+    def _ask(self, namespace: str) -> Optional[Dict[str, Any]]:
+        try:
+            name = rospy.names.ns_join(namespace, "command")
+            rospy.wait_for_service(name, timeout=0.5)
+            response = rospy.ServiceProxy(name, Command)(command="status")
+            status: Dict[str, Any] = json.loads(response.message)
+        except (rospy.ROSException, rospy.ServiceException, ValueError):
+            return None
+        if self._run and status.get("run") != self._run:
+            return None
+        return status
+
+    def _team_seen(self, newest: Dict[str, Any], answers: List[Dict[str, Any]]) -> TeamSeen:
+        robots: Dict[str, RobotSeen] = {}
+        for answer in [newest] + answers:
+            for robot in answer["robots"]:
+                own = robot["robot"] == answer["robot"]
+                known = robots.get(robot["robot"])
+                if known is None or own or (known.visit or 0) < robot["visit"]:
+                    place = self._net.place_index.get(robot["place"], -1)
+                    robots[robot["robot"]] = RobotSeen(place, int(robot["visit"]))
+        marking = self._net.marking(newest["marking"])
+        if not self._follower.full:
+            counts = [
+                n if p.name in self._plan.resource_places else 0
+                for p, n in zip(self._net.places, marking)
+            ]
+            gone = {r["robot"] for r in newest["robots"] if r["state"] in ("Lost", "Left")}
+            for name, seen in robots.items():
+                if seen.place >= 0 and name not in gone:
+                    counts[seen.place] += 1
+            marking = tuple(counts)
+        return TeamSeen(marking, robots, int(newest["log_length"]))
+
+    def _show_status(self, status: Dict[str, Any]) -> None:
+        for robot in status["robots"]:
+            phase = PHASES.get(robot["state"], "")
+            was = self._shown.get(robot["robot"], {}).get("phase")
+            silent = robot["robot"] not in self._namespaces  # it tells nothing itself
+            if silent or phase in TOLD_BY_OTHERS or was in TOLD_BY_OTHERS:
+                self._show_robot(robot["robot"], phase=phase, why=robot["waits_for"])
+        phases = [PHASES.get(r["state"], "") for r in status["robots"]]
+        acting = [p for p in phases if p not in ("lost", "left", "inactive")]
+        waits = [r for r in status["robots"] if r["waits_for"]]
+        stalled = acting and all(p in ("done", "failed") for p in acting)
+        ended = status.get("ended")
+        self._set_status(
+            running=not ended,
+            paused=bool(status.get("paused")),
+            ended=ended,
+            stalled=""
+            if not stalled or ended
+            else ", ".join("%s %s" % (r["robot"], r["waits_for"]) for r in waits[:3]),
+        )
+
+    # -- telling the hub ---------------------------------------------------------------------------
+
+    def _show_robot(self, name: str, **fields: Any) -> None:
+        shown = self._shown.setdefault(name, {"name": name})
+        changed = {k: v for k, v in fields.items() if v is not None and shown.get(k) != v}
+        if changed:
+            shown.update(changed)
+            event: Event = {"k": "robots", "r": [{"name": name, **changed}], "gone": []}
+            self._hub.publish(event)
+
+    def _set_status(self, **fields: Any) -> None:
+        changed = {k: v for k, v in fields.items() if self._status.get(k) != v}
+        if changed:
+            self._status.update(changed)
+            self._hub.publish({"k": "status", "status": changed})
+
+    def _note(self, level: str, robot: str, text: str) -> None:
+        self._hub.publish({"k": "note", "level": level, "robot": robot, "text": text})
+
+    # -- the page's orders -------------------------------------------------------------------------
+
+    def _ordered(self, command: str) -> Any:
+        def run(fields: Fields) -> Dict[str, Any]:
+            robot = text_field(fields, "robot") if command == "retry" else ""
+            argument = "stopped on the page" if command == "stop" else ""
+            return self._order(command, robot, argument)
+
+        return run
+
+    def _environment(self, fields: Fields) -> Dict[str, Any]:
+        name = text_field(fields, "transition")
+        self._net.transition_number(name)
+        return self._order("fire", "", name)
+
+    def _order(self, command: str, robot: str, argument: str) -> Dict[str, Any]:
+        problem: GspnError = RefusedError("no robot of the team has been heard of yet")
+        for namespace in sorted(self._names):
+            try:
+                name = rospy.names.ns_join(namespace, "command")
+                rospy.wait_for_service(name, timeout=1.0)
+                response = rospy.ServiceProxy(name, Command)(command, robot, argument)
+            except (rospy.ROSException, rospy.ServiceException) as error:
+                problem = RefusedError("%s does not answer: %s" % (namespace, error))
+                continue
+            if not response.success:
+                raise RefusedError(response.message)
+            return {"message": response.message}
+        raise problem
