@@ -15,13 +15,13 @@ author = "gspn_framework_package developers"
 copyright = author
 release = version = gspn_framework_package.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
+extensions = ["myst_parser", "sphinx.ext.autodoc"]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["_build"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
-# links to files of the tree that are no pages: a test looks that they exist (test/unit/test_documents.py)
-suppress_warnings = ["myst.xref_missing"]
+# names such as Step that two layers have
+suppress_warnings = ["ref.python"]
 
 html_theme = "furo"
 html_title = "gspn_framework_package " + release

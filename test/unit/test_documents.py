@@ -1,0 +1,273 @@
+"""Every command in the documents works, and every link leads somewhere.
+
+What needs no ROS is run, in a folder that holds what the document has written down so far. What needs ROS is checked
+against the launch files, scripts and interfaces that it names; ``test/rostest/documents`` runs it on a live team. What
+sets up a machine is in :data:`SET_UP`, and not run. A command that is none of these fails.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+from document_commands import PACKAGE, ROOT, Command, File, documents, steps
+
+from gspn_framework_package.cli.main import VERBS, _parser
+
+SET_UP = (
+    # variables of one's own network, and the shell of one's own workspace
+    r"export ROS_(MASTER_URI|IP|HOSTNAME)=\S+",
+    r"source (/opt/ros/noetic|devel|install|build/catkin_ws/devel)/setup\.bash",
+    r"(cd|mkdir -p) ~/catkin_ws(/src)?",
+    r'ln -s "\$PWD" ~/catkin_ws/src/gspn_framework_package',
+    # installing and building: ./run_tests does it from scripts/, see scripts/prepare.sh and scripts/check_install.sh
+    r"sudo apt-get install .+",
+    r"rosdep install --from-paths src --ignore-src -y",
+    r"catkin_make( install)?( -DPYTHON_EXECUTABLE=/usr/bin/python3)?",
+    r"pip3? install .+",
+    # programs of others
+    r"rosrun fkie_master_(discovery|sync) \w+",
+    r"roscore",
+    r"chronyc tracking",
+)
+"""Commands that change the machine or need another: read, not run."""
+
+ENDLESS = {"serve", "record"}
+"""Verbs that end at Ctrl-C, or follow a live team: their arguments are parsed, the rest is tested elsewhere."""
+
+LONG = {"bench", "film"}
+"""Verbs that take minutes: their arguments are parsed, the rest is tested elsewhere."""
+
+SERVICES = {"get_place": "GetPlace", "get_state": "GetState", "set_place": "SetPlace", "command": "Command"}
+TOPICS = {"fired_transitions", "gspn_agreement", "activity", "diagnostics", "clock", "rosout"}
+
+SECONDS = 1.0
+"""What ``--seconds`` is cut to."""
+
+SHORTER = re.compile(r"(--seconds[= ])[0-9.]+")
+
+DOCUMENTS = documents()
+
+
+def _name(document: Path) -> str:
+    return str(document.relative_to(ROOT))
+
+
+@pytest.fixture
+def sandbox(tmp_path):
+    """A folder that looks like a checkout, whose files a command may write over."""
+    for name in os.listdir(ROOT):
+        if name == "plans":
+            shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
+        elif not name.startswith(".") and name not in ("docs", "build"):
+            (tmp_path / name).symlink_to(ROOT / name)
+    return tmp_path
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=_name)
+def test_commands(document, sandbox):
+    for step in steps(document):
+        if isinstance(step, File):
+            path = sandbox / step.path
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(step.text, encoding="utf-8")
+            if path.suffix == ".py":
+                compile(step.text, str(path), "exec")
+        else:
+            _try(step, sandbox)
+
+
+def _try(command: Command, sandbox: Path) -> None:
+    if any(re.fullmatch(pattern, command.line) for pattern in SET_UP):
+        return
+    words = Command(*command[:2], re.sub(r"\$\([^)]*\)", "FOUND", command.line), "").words
+    if words[0] == "gspn":
+        words = ["python3", "-m", PACKAGE] + words[1:]
+    if words[:3] == ["python3", "-m", PACKAGE]:
+        _try_gspn(command, words[3:], sandbox)
+    elif words[:2] == ["python3", "-m"] and words[2].startswith(PACKAGE + ".benchmark."):
+        _options_exist(command, [sys.executable] + words[1:3], words[3:])
+    elif words[0] in ("./run_demo", "./run_tests"):
+        _options_exist(command, [str(ROOT / words[0])], words[1:])
+    elif words[0] == "docs/build":
+        assert os.access(ROOT / words[0], os.X_OK), command
+    elif words[0] in ROS_COMMANDS:
+        ROS_COMMANDS[words[0]](command, words[1:])
+    else:
+        pytest.fail("%s\nis a command that no test knows how to try" % command)
+
+
+# -- without ROS -----------------------------------------------------------------------------------
+
+
+def _try_gspn(command: Command, words: list, sandbox: Path) -> None:
+    verb = next((word for word in words if not word.startswith("-")), None)
+    if verb in ENDLESS | LONG:
+        _parses(command, words)
+        return
+    line = SHORTER.sub(lambda match: match.group(1) + "%g" % SECONDS, command.line)
+    line = re.sub(r"^(gspn|python3 -m %s)(?= |$)" % PACKAGE, '"$PYTHON" -m ' + PACKAGE, line)
+    environment = dict(os.environ, PYTHON=sys.executable, PYTHONPATH=str(ROOT), PYTHONDONTWRITEBYTECODE="1")
+    ended = subprocess.run(
+        ["bash", "-c", line], cwd=str(sandbox), env=environment, timeout=120, stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True,
+    )  # fmt: skip
+    assert ended.returncode == command.exit_code, "%s\n%s" % (command, ended.stdout)
+    assert "Traceback" not in ended.stdout, "%s\n%s" % (command, ended.stdout)
+
+
+def _parses(command: Command, words: list) -> None:
+    """The words are a command line of the program."""
+    try:
+        _parser(words).parse_args(words)
+    except SystemExit as leaving:
+        assert leaving.code == 0, command
+
+
+def _options_exist(command: Command, program: list, words: list) -> None:
+    """The program's help speaks of every option."""
+    told = subprocess.run(
+        program + ["--help"], cwd=str(ROOT), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, timeout=120, universal_newlines=True,
+    )  # fmt: skip
+    assert told.returncode == 0, "%s\n%s" % (command, told.stdout)
+    for word in words:
+        option = word.split("=")[0]
+        if option.startswith("-"):
+            assert re.search(r"(?<![\w-])%s(?![\w-])" % re.escape(option), told.stdout), command
+
+
+# -- with ROS --------------------------------------------------------------------------------------
+
+
+def _try_roslaunch(command: Command, words: list) -> None:
+    words = [word for word in words if not word.startswith("--")]
+    assert words[0] == PACKAGE, command
+    path = ROOT / "launch" / words[1]
+    assert path.is_file(), command
+    known = {arg.get("name"): arg for arg in ElementTree.parse(str(path)).getroot().findall("arg")}
+    given = dict(word.split(":=", 1) for word in words[2:])
+    for name in given:
+        assert name in known, "%s: %s has no argument '%s'" % (command, path.name, name)
+    if "--ros-args" in command.line:
+        return
+    for name, arg in known.items():
+        assert name in given or "default" in arg.attrib or "value" in arg.attrib, "%s: needs %s:=" % (command, name)
+
+
+def _try_rosrun(command: Command, words: list) -> None:
+    assert words[0] == PACKAGE, command
+    assert os.access(ROOT / "scripts" / words[1], os.X_OK), command
+    if words[1] == "gspn":
+        _parses(command, words[2:])
+
+
+def _try_rosservice(command: Command, words: list) -> None:
+    assert words[0] == "call", command
+    name = words[1].rsplit("/", 1)[-1]
+    assert name in SERVICES, command
+    request = (ROOT / "srv" / (SERVICES[name] + ".srv")).read_text(encoding="utf-8").split("---")[0]
+    fields = re.findall(r"^\w+(?:\[\])? (\w+)", request, re.MULTILINE)
+    if len(words) > 2:
+        import yaml
+
+        given = yaml.safe_load(words[2])
+        assert set(given) <= set(fields), command
+        if name == "command":
+            source = (ROOT / "srv/Command.srv").read_text(encoding="utf-8").splitlines()
+            orders = next(line for line in source if line.startswith("string command"))
+            assert given["command"] in re.findall(r"\w+", orders.split("#")[1]), command
+
+
+def _try_rostopic(command: Command, words: list) -> None:
+    assert words[0] in ("echo", "hz", "info", "list", "bw"), command
+    topics = [word for word in words[1:] if word.startswith("/")]
+    assert topics or words[0] == "list", command
+    for topic in topics:
+        assert topic.rsplit("/", 1)[-1] in TOPICS, command
+
+
+def _try_rosnode(command: Command, words: list) -> None:
+    assert words[0] in ("kill", "list", "info", "ping"), command
+
+
+ROS_COMMANDS = {
+    "roslaunch": _try_roslaunch,
+    "rosrun": _try_rosrun,
+    "rosservice": _try_rosservice,
+    "rostopic": _try_rostopic,
+    "rosnode": _try_rosnode,
+}
+
+
+# -- the reference agrees with the code ------------------------------------------------------------
+
+
+def _text(name: str) -> str:
+    return (ROOT / "docs" / name).read_text(encoding="utf-8")
+
+
+def test_every_verb_is_documented():
+    table = re.findall(r"^\| `(\w+)", _text("commands.md"), re.MULTILINE)
+    assert set(table) == set(VERBS)
+
+
+def test_every_key_of_a_plan_is_documented():
+    import json
+
+    schema = json.loads((ROOT / PACKAGE / "formats/plan.schema.json").read_text(encoding="utf-8"))
+    text = _text("plan_file.md")
+    for key in schema["properties"]:
+        assert re.search(r"^\| `%s`" % re.escape(key), text, re.MULTILINE), key
+    for key in schema["properties"]["agreement"]["properties"]:
+        assert "`%s`" % key in text, key
+
+
+def test_every_launch_file_and_argument_is_documented():
+    text = _text("ros_interface.md")
+    for path in sorted((ROOT / "launch").glob("*.launch")):
+        assert "`%s`" % path.name in text, path.name
+    for arg in ElementTree.parse(str(ROOT / "launch/robot.launch")).getroot().findall("arg"):
+        assert re.search(r"^\| `%s` \|" % arg.get("name"), text, re.MULTILINE), arg.get("name")
+
+
+def test_every_parameter_is_documented():
+    source = (ROOT / PACKAGE / "ros/options.py").read_text(encoding="utf-8")
+    fields = re.search(r"class NodeOptions\(NamedTuple\):(.*?)\n    @property", source, re.DOTALL).group(1)
+    names = re.findall(r"^    (\w+): ", fields, re.MULTILINE)
+    assert "plan" in names
+    text = _text("ros_interface.md")
+    for name in names:
+        assert re.search(r"^\| `~%s` \|" % name, text, re.MULTILINE), name
+
+
+def test_the_example_of_the_thesis_form_is_read(tmp_path):
+    from gspn_framework_package.formats.plan_file import read_plan
+    from gspn_framework_package.formats.registry import write_net
+    from gspn_framework_package.model.builder import NetBuilder
+
+    written = [s for s in steps(ROOT / "docs/plan_file.md") if isinstance(s, File) and s.path.startswith("thesis_input")]
+    path = tmp_path / "input.json"
+    path.write_text(written[0].text, encoding="utf-8")
+    net = NetBuilder().place("A", tokens=2).place("B")
+    net.immediate("go", inputs="A", outputs="B").immediate("stay", inputs="A", outputs="A")
+    write_net(net.immediate("back", inputs="B", outputs="A").build(), tmp_path / "net.xml")
+    plan = read_plan(str(path))
+    assert [(r.name, r.place) for r in plan.robots] == [("1", "A"), ("2", "A")]
+    assert plan.policy.rows[0].counts == (None, 1)
+    assert any("does not exist" in note for note in plan.notes)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=_name)
+def test_links(document):
+    text = re.sub(r"```.*?```", "", document.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        path = target.split("#")[0]
+        if path and "://" not in target:
+            assert (document.parent / path).exists(), target
