@@ -10,6 +10,7 @@ from typing import Dict, List
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain_export import explicit_chain
+from gspn_framework_package.analysis.invariants import invariant_bounds
 from gspn_framework_package.analysis.state_space import STATE_LIMIT
 from gspn_framework_package.cli.net_input import (
     add_net_arguments,
@@ -20,6 +21,7 @@ from gspn_framework_package.cli.net_input import (
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats import (
     FORMATS,
+    Format,
     encode_net,
     format_named,
     format_of_name,
@@ -28,12 +30,16 @@ from gspn_framework_package.formats import (
 from gspn_framework_package.formats.markov_chain import drn, prism_files
 from gspn_framework_package.formats.source import write_bytes
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.net import Net
 
 NAME = "convert"
 HELP = "write a net in another format"
 
 CHAINS = {"prism-chain": ".tra", "drn": ".drn"}
 """What a computed Markov chain is written as -> how the files end: PRISM's explicit files, and Storm's DRN."""
+
+BOUNDS_EFFORT = 2_000
+"""Candidate invariants worth looking at for the sake of bounds."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -82,10 +88,10 @@ def run(args: argparse.Namespace) -> int:
     target = format_named(args.to) if args.to else format_of_name(args.output)
     net, notes = read_net_argument(args)
     if args.output == "-":
-        data, losses = encode_net(net, target)
+        data, losses = encode_net(net, target, _bounds(net, target))
         sys.stdout.buffer.write(data)
     else:
-        losses = write_net(net, args.output, target.name)
+        losses = write_net(net, args.output, target.name, _bounds(net, target))
     if args.json:
         done = {
             "output": args.output,
@@ -100,6 +106,14 @@ def run(args: argparse.Namespace) -> int:
     else:
         print_notes(notes + losses)
     return 0
+
+
+def _bounds(net: Net, target: Format) -> Dict[str, int]:
+    """The most tokens that places can hold, for formats that want to know, as far as invariants tell."""
+    if not target.takes_bounds:
+        return {}
+    found = invariant_bounds(net, BOUNDS_EFFORT)
+    return {place.name: bound for place, bound in zip(net.places, found) if bound is not None}
 
 
 def _write_chain(args: argparse.Namespace, kind: str) -> int:

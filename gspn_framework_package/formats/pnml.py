@@ -40,6 +40,7 @@ STOCHASTIC = "StochasticPetriNet"
 OWN = "gspn_framework_package"
 
 _COLOURED = ("symmetric", "highlevel", "hlpn", "colored", "coloured")
+_KNOWN_TYPES = ("ptnet", "pnmlcoremodel", "epnml", "p/t")
 _COLOURED_LABELS = ("hlinitialMarking", "hlinscription", "declaration", "structure")
 _SILENT = ("name", "graphics", "toolspecific", "text")
 
@@ -84,6 +85,12 @@ class _Reader:
                 "a coloured net (type %s)" % shorten(kind),
                 line=line_of(self.net),
                 hint="only place/transition nets are read; unfold it first",
+            )
+        if kind and not any(word in kind for word in _KNOWN_TYPES):
+            self.draft.fail(
+                "nets of the type '%s' are not known" % shorten(kind),
+                line=line_of(self.net),
+                hint="place/transition nets are: %s" % NET_TYPE,
             )
         self._page(self.net)
         for arc in self.arcs:

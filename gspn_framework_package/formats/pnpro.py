@@ -31,8 +31,9 @@ from gspn_framework_package.formats.xml_tree import (
     writing_names,
 )
 from gspn_framework_package.model.capacity import capacities_as_inhibitors
+from gspn_framework_package.model.constants import resolve_constants
 from gspn_framework_package.model.errors import ExpressionError, NetError
-from gspn_framework_package.model.expression import resolve_constants, shorten
+from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.net import Net, Position
 
 UNIT = 16.0

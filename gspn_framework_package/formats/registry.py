@@ -21,6 +21,9 @@ _XmlReader = Callable[[etree._Element, Optional[str], ReadOptions], Tuple[Net, L
 _TextReader = Callable[[str, Optional[str], ReadOptions], Tuple[Net, List[str]]]
 
 
+NO_BOUNDS: Mapping[str, int] = {}
+
+
 class Format(NamedTuple):
     """A file format.
 
@@ -29,17 +32,18 @@ class Format(NamedTuple):
     :ivar extensions: how its files end; the first is the usual one.
     :ivar from_xml: the reader, of an XML format.
     :ivar from_text: the reader, of a text format.
-    :ivar to_bytes: the writer.
+    :ivar to_bytes: the writer: of a net, and where ``takes_bounds`` of the most tokens that places hold.
     :ivar losses: what writing a net leaves out or says in other words, in sentences.
     """
 
     name: str
     title: str
     extensions: Tuple[str, ...]
-    to_bytes: Callable[[Net], bytes]
+    to_bytes: Callable[..., bytes]
     from_xml: Optional[_XmlReader] = None
     from_text: Optional[_TextReader] = None
     losses: Callable[[Net], List[str]] = lambda net: []
+    takes_bounds: bool = False
 
     @property
     def is_read(self) -> bool:
@@ -54,8 +58,8 @@ _TABLE = (
            losses=pnpro.losses),
     Format("tina", "TINA .net", (".net",), tina.to_bytes, from_text=tina.from_text,
            losses=tina.losses),
-    Format("jani", "JANI", (".jani",), jani.to_bytes),
-    Format("prism", "PRISM", (".prism", ".sm"), prism.to_bytes),
+    Format("jani", "JANI", (".jani",), jani.to_bytes, takes_bounds=True),
+    Format("prism", "PRISM", (".prism", ".sm"), prism.to_bytes, takes_bounds=True),
     Format("dot", "Graphviz DOT", (".dot", ".gv"), dot.to_bytes),
 )  # fmt: skip
 
@@ -117,26 +121,30 @@ def read_net_with_notes(
         raise error.located(file=file) from None
 
 
-def write_net(net: Net, path: PathLike, format: Optional[str] = None) -> List[str]:
+def write_net(
+    net: Net, path: PathLike, format: Optional[str] = None, bounds: Mapping[str, int] = NO_BOUNDS
+) -> List[str]:
     """Write a net; the format is told by the name of the file unless given.
 
+    :param bounds: the most tokens that places can hold, where known; model checkers want to know.
     :returns: what the format could not hold, in sentences.
     :raises UsageError: the format is not known.
     :raises NetError: the net has something that the format cannot say.
     :raises InputError: the file cannot be written.
     """
     chosen = format_named(format) if format is not None else format_of_name(path)
-    data, losses = encode_net(net, chosen)
+    data, losses = encode_net(net, chosen, bounds)
     write_bytes(str(path), data)
     return losses
 
 
-def encode_net(net: Net, format: Format) -> Tuple[bytes, List[str]]:
+def encode_net(net: Net, format: Format, bounds: Mapping[str, int] = NO_BOUNDS) -> Tuple[bytes, List[str]]:
     """The content of a file, and what the format could not hold, in sentences.
 
     :raises NetError: the net has something that the format cannot say.
     """
-    return format.to_bytes(net), format.losses(net)
+    data = format.to_bytes(net, bounds) if format.takes_bounds else format.to_bytes(net)
+    return data, format.losses(net)
 
 
 def format_of_name(path: PathLike) -> Format:
@@ -149,9 +157,7 @@ def format_of_name(path: PathLike) -> Format:
         if suffix in entry.extensions:
             return entry
     known = ", ".join("%s (%s)" % (f.name, f.extensions[0]) for f in FORMATS.values())
-    raise UsageError(
-        "cannot tell the format from the name '%s'" % path, hint="name one with --to: %s" % known
-    )
+    raise UsageError("cannot tell the format from the name '%s'" % path, hint="name one with --to: %s" % known)
 
 
 def format_named(name: str) -> Format:
@@ -159,14 +165,10 @@ def format_named(name: str) -> Format:
     try:
         return FORMATS[name.lower()]
     except KeyError:
-        raise UsageError(
-            "there is no format '%s'" % name, hint="known: %s" % ", ".join(FORMATS)
-        ) from None
+        raise UsageError("there is no format '%s'" % name, hint="known: %s" % ", ".join(FORMATS)) from None
 
 
-def _read(
-    data: bytes, file: str, wanted: Optional[Format], options: ReadOptions
-) -> Tuple[Net, List[str]]:
+def _read(data: bytes, file: str, wanted: Optional[Format], options: ReadOptions) -> Tuple[Net, List[str]]:
     if not data.strip():
         raise InputError("the file is empty", file=file)
     if wanted is not None and wanted.from_text is not None:
@@ -232,8 +234,7 @@ def _check_root(root: etree._Element, chosen: Format, file: str) -> None:
     expected = _ROOTS[chosen.name]
     if tag(root) not in expected:
         raise InputError(
-            "the root element is <%s>, not <%s> as in %s"
-            % (shorten(tag(root)), expected[0], chosen.title),
+            "the root element is <%s>, not <%s> as in %s" % (shorten(tag(root)), expected[0], chosen.title),
             file=file,
             line=line_of(root),
         )
@@ -267,6 +268,4 @@ def _format_of_xml(root: etree._Element, file: str) -> Format:
             return FORMATS["pnml"]
         if kind == "net" and "P/T" in (element.get("type") or ""):
             return FORMATS["pipe"]
-    return FORMATS[
-        "pnml" if (root.nsmap.get(None) or "").startswith("http://www.pnml.org") else "pipe"
-    ]
+    return FORMATS["pnml" if (root.nsmap.get(None) or "").startswith("http://www.pnml.org") else "pipe"]

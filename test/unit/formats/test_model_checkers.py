@@ -250,6 +250,13 @@ def test_the_bounds_that_are_known_are_said():
     ]  # fmt: skip
 
 
+def test_the_command_finds_the_bounds_by_invariants(tmp_path):
+    net = NetBuilder("n").place("a", 3).place("b").exponential("t", inputs="a", outputs="b").build()
+    write_net(net, tmp_path / "n.xml")
+    assert main(["convert", str(tmp_path / "n.xml"), str(tmp_path / "n.prism")]) == 0
+    assert "  b : [0..3] init 0;" in (tmp_path / "n.prism").read_text()
+
+
 def test_prism_refuses_immediate_transitions():
     net = NetBuilder("n").place("a", 1).immediate("t", inputs="a").build()
     with pytest.raises(NetError, match="PRISM has no immediate transitions"):

@@ -70,6 +70,7 @@ def test_prom_writes_means(tmp_path):
     "elements, kind, line, message",
     [
         ([], "http://www.pnml.org/version-2009/grammar/symmetricnet", 1, "a coloured net"),
+        ([], "http://example.org/timed-net", 1, "nets of the type 'http://example.org/timed-net'"),
         (['<place id="p"><hlinitialMarking/></place>'], "", 2, "a coloured net"),
         (['<place id="p"/><transition id="t"/>',
           '<arc id="a" source="p" target="t"><hlinscription/></arc>'], "", 3, "a coloured net"),

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gspn_framework_package.model.constants import resolve_constants
 from gspn_framework_package.model.errors import ExpressionError
 from gspn_framework_package.model.expression import (
     evaluate,
     names_in,
     parse,
-    resolve_constants,
     shorten,
     tokenize,
     whole,

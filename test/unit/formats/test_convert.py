@@ -1,0 +1,104 @@
+"""``gspn convert``."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gspn_framework_package.cli.main import main
+from gspn_framework_package.formats import FORMATS, read_net
+
+DATA = Path(__file__).parent / "data"
+PLANS = Path(__file__).resolve().parents[3] / "plans"
+
+
+def convert(*words):
+    return main(["convert", *map(str, words)])
+
+
+@pytest.mark.parametrize("name", ["pipe", "pnml", "pnpro"])
+def test_every_plan_through_every_format(name, tmp_path, capsys):
+    for plan in sorted(PLANS.iterdir()):
+        net = read_net(plan / "net.xml")
+        first, second = tmp_path / "first.file", tmp_path / "second.xml"
+        assert convert(plan / "net.xml", first, "--to", name) == 0
+        assert convert(first, second) == 0
+        assert read_net(second).arcs == net.arcs
+        assert [p._replace(position=None) for p in read_net(second).places] == [
+            p._replace(position=None) for p in net.places
+        ]
+        assert [t._replace(position=None) for t in read_net(second).transitions] == [
+            t._replace(position=None) for t in net.transitions
+        ]
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_plan_stands_for_its_net(tmp_path):
+    assert convert(PLANS / "measure", tmp_path / "n.xml") == 0
+    assert read_net(tmp_path / "n.xml") == read_net(PLANS / "measure" / "net.xml")
+
+
+def test_the_options_of_reading(tmp_path, capsys):
+    out = tmp_path / "n.pnml"
+    words = ["--net", "machine", "--const", "N=9", "--const", "lambda = 4", "--servers", "single"]
+    assert convert(DATA / "greatspn.PNPRO", out, *words, "--controllable", "--json") == 0
+    net = read_net(out)
+    assert net.place("waiting").tokens == 9
+    assert net.transition("begin")[2:6] == (4.0, 1.0, 1, 1)
+    assert net.transition("plain").weight == 0
+    assert json.loads(capsys.readouterr().out) == {
+        "output": str(out), "format": "pnml", "net": "machine",
+        "places": 3, "transitions": 5, "arcs": 10, "notes": [],
+    }  # fmt: skip
+
+
+def test_notes_go_to_standard_error(tmp_path, capsys):
+    assert convert(DATA / "greatspn.PNPRO", tmp_path / "n.net", "--net", "machine") == 0
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert [line[:12] for line in shown.err.splitlines()] == ["gspn: note: "] * 2
+
+
+def test_standard_output(capfdbinary):
+    assert convert(DATA / "pipe_2.xml", "-", "--to", "tina") == 0
+    assert capfdbinary.readouterr().out.startswith(b"net {Net-One}\npl {Caf\xc3\xa9} (2)\n")
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (["-"], "--to is needed"),
+        (["-", "--to", "pnml", "--json"], "cannot both go to standard output"),
+        (["n.xyz"], "cannot tell the format"),
+        (["n.xml", "--to", "word"], "there is no format 'word'"),
+        (["n.xml", "--from", "jani"], "JANI is written, not read"),
+        (["n.xml", "--const", "N"], "NAME=NUMBER was expected"),
+        (["n.xml", "--const", "N=x"], "NAME=NUMBER was expected"),
+        (["n.xml", "--const", "=1"], "NAME=NUMBER was expected"),
+        (["n.xml", "--label", "a=b"], "--label is for chains"),
+        (["-", "--to", "drn"], "a chain is not written to standard output"),
+        (["n.drn", "--label", "a"], "NAME=CONDITION was expected"),
+        (["n.drn", "--label", "a=Nowhere > 1"], "Nowhere"),
+        (["n.drn", "--label", "init=Busy > 1"], "a label cannot be called 'init'"),
+        (["n.drn", "--limit", "1"], "not decided within"),
+    ],
+)
+def test_wrong_usage_has_one_clear_message(words, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code = convert(DATA / "pipe_2.xml", *words)
+    assert code == (1 if "not decided" in message else 2)
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert len(shown.err.splitlines()) == 1
+    assert message in shown.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_plans_say_their_constants_themselves(tmp_path, capsys):
+    assert convert(PLANS / "measure", tmp_path / "n.xml", "--const", "N=1") == 2
+    assert "a plan says them itself" in capsys.readouterr().err
+
+
+def test_every_format_has_its_own_endings():
+    endings = [ending for entry in FORMATS.values() for ending in entry.extensions]
+    assert len(endings) == len(set(endings))
