@@ -251,7 +251,7 @@ class ExecutionNode(Worker):
             self._narrator.warn(fault.message)
 
     def _status_changed(self, effect: agreement.StatusChanged) -> None:
-        self._narrator.say(effect.text)
+        """Nothing: the narrator tells what is waited for once it lasts."""
 
     def _ended(self, effect: Ended) -> None:
         self.exit_code, self.reason = (0 if effect.finished else 1), effect.reason
@@ -300,15 +300,18 @@ class ExecutionNode(Worker):
         """See :class:`Worker`."""
         ledger, own = self._replica.ledger, self._replica.own
         robot = ledger.state.robots.get(self.robot)
-        place, visit, ahead = "", 0, False
+        place, visit, state = "", 0, state_name(ledger.state, robot)
         if robot is not None and own.position is not None:
             place, visit = self.plan.net.places[own.position.place].name, own.position.visit
-            ahead = visit != robot.visit
+            if visit != robot.visit:  # private moves, of which the log does not know yet
+                state = "Doing"
+            if state == "Doing" and own.reported == own.position.goal:
+                state = "Done"  # but that is not in the log yet
         elif robot is not None and robot.phase not in GONE:
             place, visit = self.plan.net.places[robot.place].name, robot.visit
         return View(
             place,
-            "Doing" if ahead else state_name(ledger.state, robot),
+            state,
             self._replica.incarnation,
             visit,
             own.marking(ledger),

@@ -45,13 +45,12 @@ def state_name(state: TeamState, robot: Optional[RobotState]) -> str:
         return "Lost"
     if state.paused or robot.paused:
         return "Paused"
-    if robot.phase is Phase.DONE:
-        return "Waiting" if robot.drawn is not None or robot.why else "Done"
     return _STATES[robot.phase]
 
 
 _STATES: Dict[Phase, str] = {
     Phase.DOING: "Doing",
+    Phase.DONE: "Waiting",
     Phase.FAILED: "Waiting",
     Phase.INACTIVE: "Inactive",
 }

@@ -18,6 +18,9 @@ ACTIVITY_PERIOD = 0.1
 
 DIAGNOSTICS_PERIOD = 1.0
 
+WAITING_TIME = 1.0
+"""Seconds after which a robot that waits says for what."""
+
 
 class Narrator:
     """All methods belong to the node's worker thread.
@@ -34,6 +37,9 @@ class Narrator:
         self._told: Dict[str, Any] = {}
         self._activity_at = 0.0
         self._diagnostics_at = 0.0
+        self._reason = ""
+        self._reason_since = 0.0
+        self._reason_told = ""
         self._second = 0
         self._lines = 0
 
@@ -67,11 +73,21 @@ class Narrator:
             if told != self._told:
                 self._told = told
                 self._activity.publish(json.dumps(told))
+            self._tell_reason(told["waits_for"], now)
         if now >= self._diagnostics_at:
             self._diagnostics_at = now + DIAGNOSTICS_PERIOD
             if self._diagnostics.get_num_connections():
                 self._publish_diagnostics(*status())
         return min(self._activity_at, self._diagnostics_at)
+
+    def _tell_reason(self, reason: str, now: float) -> None:
+        """Say for what the robot waits, once, when it has done so for a while."""
+        if reason != self._reason:
+            self._reason, self._reason_since = reason, now
+        elif reason != self._reason_told and now >= self._reason_since + WAITING_TIME:
+            self._reason_told = reason
+            if reason:
+                self.say(reason)
 
     def _publish_diagnostics(self, level: int, message: str, values: Mapping[str, Any]) -> None:
         array = DiagnosticArray()

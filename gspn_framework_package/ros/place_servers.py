@@ -169,7 +169,7 @@ class _RunningGoal:
         self.server, self.handle, self.action = server, handle, action
         self.place, self.identity, self.caller = place, identity, caller
         self.cancellation = Cancellation()
-        self._was_there = False
+        self._was_there = server.status_pub.impl.has_connection(caller)
 
     def replaces(self, other: _RunningGoal) -> bool:
         mine, others = self.identity, other.identity

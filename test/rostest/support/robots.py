@@ -106,14 +106,14 @@ class Robot:
 class Team:
     """The robots of one run, in a folder of their own; hears all firings."""
 
-    def __init__(self, plan, robots, namespaces=None, **parameters):
+    def __init__(self, plan, names, namespaces=None, **parameters):
         self.plan = plan
         self.run = "run_" + uuid.uuid4().hex[:8]
         self.folder = tempfile.mkdtemp(prefix="gspn_rostest_")
         self.fired = []
         self._subscriber = rospy.Subscriber("/fired_transitions", FiredTransition, self._on_fired, tcp_nodelay=True)
         self.robots = {}
-        for name in robots:
+        for name in names:
             namespace = (namespaces or {}).get(name, "/" + name)
             self.robots[name] = Robot(self, name, namespace, **parameters)
 
@@ -203,6 +203,18 @@ def write_plan(plan, actions=""):
     return folder
 
 
+def copy_plan(folder, **changes):
+    """A copy of a plan's folder with changes to its plan.json; the new folder."""
+    copy = os.path.join(tempfile.mkdtemp(prefix="gspn_rostest_plan_"), "plan")
+    shutil.copytree(os.path.join(ROOT, folder), copy)
+    path = os.path.join(copy, "plan.json")
+    with open(path) as file:
+        plan = json.load(file)
+    with open(path, "w") as file:
+        json.dump({**plan, **changes}, file)
+    return copy
+
+
 def chain(places, **more):
     """The net of a plan whose exponential transitions T1, T2, ... lead from place to place; the
     last place has no output arcs. ``more``: place -> the place that its T_PLACE leads to."""
@@ -235,10 +247,10 @@ class RobotTestCase(unittest.TestCase):
         for team in self.teams:
             team.close()
 
-    def team(self, plan, robots, namespaces=None, actions="", **parameters):
+    def team(self, plan, names, namespaces=None, actions="", **parameters):
         """A team for a plan: a folder, or a JSON object to be written with its ``actions``."""
         if not isinstance(plan, str):
             plan = write_plan(plan, actions)
-        team = Team(plan, robots, namespaces, **parameters)
+        team = Team(plan, names, namespaces, **parameters)
         self.teams.append(team)
         return team

@@ -1,0 +1,158 @@
+#!/usr/bin/env python3
+"""Faults on real nodes, with a ROS master of the test's own, which it can kill."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
+
+with socket.socket() as probe:
+    probe.bind(("localhost", 0))
+    PORT = probe.getsockname()[1]
+os.environ["ROS_MASTER_URI"] = "http://localhost:%d" % PORT
+
+import rosgraph  # noqa: E402
+import rospy  # noqa: E402
+from robots import Robot, RobotTestCase, copy_plan  # noqa: E402
+from waiting import wait_for  # noqa: E402
+
+from gspn_framework_package.ros.master_watch import MasterWatch  # noqa: E402
+
+ACTIONS = '''
+def instant(place, is_cancelled):
+    """Take a moment."""
+    if not is_cancelled.wait(0.05):
+        return TRANSITIONS.get(place)
+
+TRANSITIONS = {"p1": "t1", "p2": "t2", "p3": "t3", "p5": "t4", "p7": "t7"}
+'''
+TEAM = ("robot_1", "robot_2", "robot_3")
+
+
+def start_master():
+    process = subprocess.Popen(
+        ["rosmaster", "--core", "-p", str(PORT)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    wait_for(rosgraph.is_master_online, 20, "the ROS master")
+    return process
+
+
+class Faults:
+    """The tests of one mode of synchronisation."""
+
+    def start(self, evict_after):
+        folder = copy_plan("plans/tokens", synchronisation=self.MODE, agreement={"evict_after": evict_after})
+        os.replace(os.path.join(folder, "instant.json"), os.path.join(folder, "unused.json"))
+        with open(os.path.join(folder, "actions.py"), "w") as file:
+            file.write(ACTIONS.replace("def instant", "def loop"))
+        team = self.team(folder, TEAM, robots=len(TEAM)).start()
+        team.wait_for_firings(20, 40)
+        return team
+
+    def moves_of(self, team, name):
+        return sum(name in message.robots for message in list(team.fired))
+
+    def wait_for_moves(self, team, name, number, seconds=40):
+        wanted = self.moves_of(team, name) + number
+        wait_for(lambda: self.moves_of(team, name) >= wanted, seconds,
+                 "%d moves of %s" % (number, name))  # fmt: skip
+
+    def end_and_verify(self, team):
+        """Pause the team, see that all replicas agree, end it, and verify the logs."""
+        answer = wait_for(lambda: self.pause(team), 30, "the pause")
+        self.assertTrue(answer.success, answer.message)
+        team.wait_for_agreement(30)
+        team.close()
+        code, output = team.verify()
+        self.assertEqual(code, 0, output)
+
+    def pause(self, team):
+        answer = team["robot_1"].command("pause")
+        return answer if answer.success else None
+
+    def test_a_robot_that_is_killed_and_restarted_goes_on_where_it_was(self):
+        team = self.start(evict_after=30.0)
+        victim = team["robot_2"]
+        victim.kill()
+        before = victim.log()
+        visits = [r["visit"] for r in before.records if r["kind"] == "goal"]
+        team.wait_for_firings(1 if self.MODE == "partial" else 10)
+        victim.start()
+        self.wait_for_moves(team, "robot_2", 10)
+        self.wait_for_moves(team, "robot_1", 10)
+        after = [r for r in victim.log().records if r["kind"] == "goal"][len(visits) :]
+        self.assertLessEqual(after[0]["visit"], visits[-1] + 1, "a visit was skipped")
+        self.assertGreater(after[0]["incarnation"], 0)
+        self.end_and_verify(team)
+
+    def test_a_robot_that_is_paused_beyond_its_eviction_comes_back(self):
+        team = self.start(evict_after=2.0)
+        victim = team["robot_2"]
+        victim.signal(signal.SIGSTOP)
+
+        def state_of_victim():
+            robots = team["robot_1"].status()["robots"]
+            return next(r["state"] for r in robots if r["robot"] == "robot_2")
+
+        wait_for(lambda: state_of_victim() == "Lost", 30, "the eviction")
+        self.wait_for_moves(team, "robot_1", 10)
+        self.wait_for_moves(team, "robot_3", 10)
+        victim.signal(signal.SIGCONT)
+        self.wait_for_moves(team, "robot_2", 10)
+        self.assertGreater(victim.state().incarnation, 0)
+        self.assertNotEqual(state_of_victim(), "Lost")
+        self.end_and_verify(team)
+
+    def test_the_team_survives_its_master_and_late_joiners_find_it(self):
+        team = self.start(evict_after=30.0)
+        # by now each robot is connected to all of its servers, or will be in a moment
+        for name in TEAM:
+            self.wait_for_moves(team, name, 15)
+        global master
+        master.kill()
+        master.wait()
+        self.assertFalse(rosgraph.is_master_online())
+        for name in TEAM:
+            self.wait_for_moves(team, name, 20)
+        master = start_master()
+        wait_for(self.everybody_is_registered, 30, "all nodes at the new master")
+        team.robots["late"] = Robot(team, "late", "/late", place="p1", robots=len(TEAM))
+        team["late"].start()
+        self.wait_for_moves(team, "late", 10)
+        self.end_and_verify(team)
+
+    def everybody_is_registered(self):
+        publishers, _, services = rosgraph.Master("/test").getSystemState()
+        names = dict(publishers).get("/fired_transitions", [])
+        return all("/%s/executor" % name in names for name in TEAM) and all(
+            "/%s/get_state" % name in dict(services) for name in TEAM
+        )
+
+
+class FullTest(Faults, RobotTestCase):
+    MODE = "full"
+
+
+class PartialTest(Faults, RobotTestCase):
+    MODE = "partial"
+
+
+master = None
+
+if __name__ == "__main__":
+    import rostest
+
+    master = start_master()
+    try:
+        rospy.init_node("test_faults")
+        MasterWatch(period=0.5).start()
+        rostest.rosrun("gspn_framework_package", "faults", __name__)
+    finally:
+        master.kill()
+        master.wait()
