@@ -29,7 +29,7 @@ HORIZON = 3.0
 SHORT_HORIZON = 1.0
 """... and for those who have not: they will give way."""
 
-GAP = 0.03
+GAP = 0.035
 """Metres that two robots keep between their discs."""
 
 _STEPS = np.linspace(0.2, HORIZON, 15)
@@ -168,7 +168,7 @@ def follow(direction: float, speed: float, yaw: float) -> Tuple[float, float]:
 
 
 def brake(
-    grid: Grid, pose: Pose, speed: float, dt: float, peers: Sequence[Peer], gap: float = 0.02
+    grid: Grid, pose: Pose, speed: float, dt: float, peers: Sequence[Peer], gap: float = 0.025
 ) -> float:
     """The speed, cut so that the robot can stop before it touches anything.
 
@@ -199,14 +199,12 @@ def brake(
 def _stays_clear(pose: Pose, there: Point, peer: Peer, dt: float, least: float) -> bool:
     before = pose.distance(peer.pose)
     after = peer.pose.distance(there)
-    # what the other does meanwhile, at worst straight towards us
-    coming = peer.speed * dt * 1.2
-    return after - coming >= least or (after >= before and before >= least - gap_lost(peer))
-
-
-def gap_lost(peer: Peer) -> float:
-    """How much of the gap may be gone already when a robot drives away from another."""
-    return 0.02 if peer.speed < 0.01 else 0.01
+    # what the other does meanwhile, at worst straight towards us; one that stands may set off now
+    coming = max(peer.speed, 0.1 if peer.active else 0.0) * dt * 1.2
+    if after - coming >= least:
+        return True
+    # too near already: only clearly away from it, as a robot that still turns drives a curve
+    return after - before > 0.3 * math.dist((pose.x, pose.y), there)
 
 
 def sort_near(pose: Pose, peers: Sequence[Peer], reach: float) -> List[Peer]:

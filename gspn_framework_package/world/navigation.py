@@ -296,6 +296,8 @@ class Navigator:
             self._grid, pose, target, speed, near, rank, self._last_direction
         )
         self._last_direction = direction
+        if speed == 0.0:
+            return (0.0, 0.0)
         drive, turn = avoidance.follow(direction, speed, pose.yaw)
         return (avoidance.brake(self._grid, pose, drive, dt, near), turn)
 

@@ -11,7 +11,7 @@ For all: ``/clock``, ``/tf`` (map -> ROBOT/odom -> ROBOT/base_footprint), ``/map
 ``/world/room`` (std_msgs/String, JSON, latched), ``/world/state`` (JSON, ten a second of wall time at most) and
 ``/world/referee`` (JSON, what the referee has counted, once a second).
 
-Private parameters: ``room`` (file), ``robots`` (names, a list or separated by commas), ``real_time_factor`` (1 is real
+Private parameters: ``room`` (file), ``robots`` (how many: robot_1 to robot_N; or their names, with commas), ``real_time_factor`` (1 is real
 time, 0 as fast as it goes), ``gui``, ``duration`` (seconds of world time, 0 without end).
 """
 
@@ -197,18 +197,22 @@ class WorldNode:
         self._report.publish(json.dumps(self.referee.report()))
 
 
-def robot_names(value: Union[str, List[str]]) -> List[str]:
-    """The names of the robots from a parameter: a list, or one text with commas.
+def robot_names(value: Union[int, str, List[str]]) -> List[str]:
+    """The names of the robots from a parameter: a list, a text with commas, or how many.
 
     :raises InputError: none, or one twice.
     """
+    if isinstance(value, str) and value.isdigit():
+        value = int(value)
+    if isinstance(value, int):
+        value = ["robot_%d" % number for number in range(1, value + 1)]
     names = value.replace(",", " ").split() if isinstance(value, str) else [str(v) for v in value]
     names = [name.strip("/") for name in names]
     if not names or len(set(names)) != len(names):
         raise InputError(
             "no robots, or one twice: %r" % (value,),
             element="parameter ~robots",
-            hint="give their names, e.g. robot_1,robot_2",
+            hint="give how many, or their names, e.g. robot_1,robot_2",
         )
     return names
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import asdict, dataclass, field
-from typing import Any, Deque, Dict, List, Optional, Set, Tuple
+from typing import Any, Deque, Dict, List, Set, Tuple
 
 from gspn_framework_package.world.navigation import Status
 from gspn_framework_package.world.room import Pose
@@ -40,6 +40,40 @@ class Tally:
     aborted: int = 0
 
 
+class EntryOrder:
+    """Holds the order in which robots enter locations against the order in which the plan sends them there.
+
+    Nothing is judged before the first grant.
+    """
+
+    def __init__(self) -> None:
+        self._granted: Dict[str, Deque[str]] = {}
+        self.out_of_turn: List[Tuple[float, str, str]] = []
+        """Time, location and robot of each entry that was not the next one granted: an overtaking."""
+
+    def grant(self, robot: str, location: str) -> None:
+        """The plan sends a robot into a location."""
+        self._granted.setdefault(location, deque()).append(robot)
+
+    def withdraw(self, robot: str) -> None:
+        """A robot was lost: what was granted to it and not used yet is void."""
+        for queue in self._granted.values():
+            while robot in queue:
+                queue.remove(robot)
+
+    def enter(self, robot: str, location: str, time: float) -> None:
+        """A robot enters a location."""
+        if not self._granted:
+            return
+        queue = self._granted.setdefault(location, deque())
+        if queue and queue[0] == robot:
+            queue.popleft()
+            return
+        self.out_of_turn.append((time, location, robot))
+        if robot in queue:
+            queue.remove(robot)
+
+
 @dataclass
 class _Track:
     pose: Pose
@@ -61,26 +95,16 @@ class Referee:
         self.tallies: Dict[str, Tally] = {name: Tally() for name in team.robots}
         self.together: List[Tuple[float, str, Tuple[str, ...]]] = []
         """Time, location and robots of each time that two were in one location."""
-        self.overtakings: List[Tuple[float, str, str]] = []
-        """Time, location and robot of each entry that was not the next one granted by the plan."""
+        self.order = EntryOrder()
+        """Tell it what the plan grants, and it knows who overtook against the plan."""
+        self.entry_log: List[Tuple[float, str, str]] = []
+        """Time, robot and location of each entry."""
         self._tracks = {
             name: _Track(team.physics.pose(name), team.physics.pose(name), team.time)
             for name in team.robots
         }
-        self._granted: Optional[Dict[str, Deque[str]]] = None
         self._shared: Set[Tuple[str, Tuple[str, ...]]] = set()
-
-    def grant(self, robot: str, location: str) -> None:
-        """The plan sends a robot into a location; from the first grant on, the order of entries is judged."""
-        if self._granted is None:
-            self._granted = {name: deque() for name in self._team.room.locations}
-        self._granted[location].append(robot)
-
-    def withdraw(self, robot: str) -> None:
-        """A robot was lost: what was granted to it and not used yet is void."""
-        for queue in (self._granted or {}).values():
-            while robot in queue:
-                queue.remove(robot)
+        self._watched = team.time
 
     def watch(self) -> None:
         """Take note of where everyone is now."""
@@ -105,6 +129,7 @@ class Referee:
                 elif away >= radius:
                     track.inside.discard(name)
         self._watch_sharing(residents, time)
+        self._watched = time
 
     def _watch_goal(self, robot: str, track: _Track, tally: Tally, time: float) -> None:
         navigator = self._team.navigators[robot]
@@ -115,10 +140,7 @@ class Referee:
         if not navigator.active or track.pose.distance(track.anchor) > STUCK_RADIUS:
             track.anchor, track.since = track.pose, time
         elif time - track.since > STUCK_SECONDS:
-            tally.stuck += time - max(track.since + STUCK_SECONDS, self._last_time)
-        self._last_time = time
-
-    _last_time = 0.0
+            tally.stuck += time - max(track.since + STUCK_SECONDS, self._watched)
 
     def _enter(
         self, robot: str, location: str, track: _Track, tally: Tally, names: List[str]
@@ -127,14 +149,8 @@ class Referee:
         if location == names[track.next_location]:
             track.next_location = (track.next_location + 1) % len(names)
             tally.laps += track.next_location == 0
-        if self._granted is not None:
-            queue = self._granted[location]
-            if queue and queue[0] == robot:
-                queue.popleft()
-            else:
-                self.overtakings.append((self._team.time, location, robot))
-                if robot in queue:
-                    queue.remove(robot)
+        self.entry_log.append((round(self._team.time, 2), robot, location))
+        self.order.enter(robot, location, self._team.time)
 
     def _watch_sharing(self, residents: Dict[str, List[str]], time: float) -> None:
         shared = {(name, tuple(robots)) for name, robots in residents.items() if len(robots) > 1}
@@ -158,5 +174,6 @@ class Referee:
             "goals_reached": sum(tally.reached for tally in tallies),
             "goals_aborted": sum(tally.aborted for tally in tallies),
             "two_in_one_location": len(self.together),
-            "overtakings": len(self.overtakings),
+            "overtakings": len(self.order.out_of_turn),
+            "entry_log": self.entry_log,
         }

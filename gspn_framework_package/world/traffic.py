@@ -105,7 +105,7 @@ class Patrol:
         ]
         for member in self._members[: len(self._ring)]:
             member.state = "check"
-            self.referee.grant(member.robot.name, member.at)
+            self.referee.order.grant(member.robot.name, member.at)
         self._dead: Dict[str, _Patroller] = {}
 
     def step(self) -> None:
@@ -129,7 +129,7 @@ class Patrol:
         self._members.remove(member)
         self._dead[robot] = member
         self.team.navigators[robot].cancel()
-        self.referee.withdraw(robot)
+        self.referee.order.withdraw(robot)
 
     def revive(self, robot: str) -> None:
         """It comes back and begins its last action again."""
@@ -137,7 +137,7 @@ class Patrol:
         member.action = None
         self._members.append(member)
         if member.state == "check":
-            self.referee.grant(robot, member.at)
+            self.referee.order.grant(robot, member.at)
             self._start(member)
 
     def _next(self, location: str) -> str:
@@ -166,7 +166,7 @@ class Patrol:
             member.state = "wait"
         else:
             member.state, member.at = "check", target
-            self.referee.grant(member.robot.name, target)
+            self.referee.order.grant(member.robot.name, target)
 
     def _start(self, member: _Patroller) -> None:
         room, robot = self.team.room, member.robot

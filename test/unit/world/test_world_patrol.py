@@ -224,9 +224,9 @@ def test_the_referee_sees_two_in_one_location(scene):
 def test_the_referee_sees_an_entry_out_of_turn(scene):
     team, referee = scene(Pose(0.0, -1.9), Pose(1.9, 0.0))
     for robot, location in (("robot_2", "L1"), ("robot_1", "L1"), ("robot_2", "L2")):
-        referee.grant(robot, location)
+        referee.order.grant(robot, location)
     referee.watch()
-    assert [(name, who) for _, name, who in referee.overtakings] == [("L1", "robot_1")]
+    assert [(name, who) for _, name, who in referee.order.out_of_turn] == [("L1", "robot_1")]
 
 
 def test_the_referee_counts_the_time_that_a_robot_is_stuck(scene):

@@ -1,0 +1,159 @@
+"""The critical room with 1 to 8 robots that really drive (thesis 6.2): ``python3 -m
+gspn_framework_package.benchmark.room``.
+
+The thesis's simulation works with one to three robots and fails with four: stuck, entangled, one
+overtaking another against the plan. Here each run is judged by a referee that sees the true poses:
+laps, touches between robots and with walls, minutes stuck, goals given up, distance, two in one
+location, overtakings against the plan; and what it costs: real-time factor, processor, memory.
+
+By default the patrol is decided in one place and stepped as fast as it goes (``world.traffic``), so
+that this measures the world itself. With ``--ros`` the whole system runs: ``patrol.launch``, one
+execution node for each robot, which agree on every firing (needs ROS and the built package).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from typing import Any, Dict, List, Optional, Sequence, Tuple
+
+from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
+from gspn_framework_package.benchmark.plans import plans_folder
+
+TEAMS: Tuple[Tuple[int, int], ...] = ((1, 2), (2, 2), (3, 2), (4, 10), (6, 2), (8, 2))
+"""Robots, and how many seeds with so many."""
+
+MINUTES = 15.0
+LIBRARIES = ("numpy", "scipy", "pybullet", "rospy", "actionlib")
+
+FAULTS = (
+    "contacts_between_robots",
+    "contacts_with_solids",
+    "stuck_minutes",
+    "goals_aborted",
+    "two_in_one_location",
+    "overtakings",
+    "failed_actions",
+)
+"""The figures that are 0 in a good run."""
+
+
+def measure(room: str, robots: int, seed: int, minutes: float) -> Dict[str, Any]:
+    """One run without ROS, in this process.
+
+    :param room: the room file.
+    :param robots: size of the team.
+    :param seed: of all that is drawn.
+    :param minutes: of world time.
+    """
+    import psutil
+
+    from gspn_framework_package.world.room_file import load_room
+    from gspn_framework_package.world.traffic import Patrol
+
+    run = Patrol(load_room(room), ["robot_%d" % (i + 1) for i in range(robots)], seed)
+    begin, begin_cpu = time.perf_counter(), time.process_time()
+    run.run(minutes * 60)
+    wall, cpu = time.perf_counter() - begin, time.process_time() - begin_cpu
+    return {
+        "robots": robots,
+        "seed": seed,
+        **figures(run.referee.report()),
+        "failed_actions": len(run.failures),
+        "real_time_factor": minutes * 60 / wall,
+        "cpu_seconds_per_minute": cpu / minutes,
+        "memory_mb": psutil.Process().memory_info().rss / 1e6,
+    }
+
+
+def figures(report: Dict[str, Any]) -> Dict[str, Any]:
+    """The referee's report, with the laps of each robot, without what is for programs."""
+    chosen = {k: v for k, v in report.items() if k not in ("robots", "entry_log", "laps")}
+    chosen["laps"] = [tally["laps"] for tally in report["robots"].values()]
+    # parts of laps too: how far the robots came in all
+    chosen["locations_per_robot"] = report["entries"] / max(len(report["robots"]), 1)
+    return chosen
+
+
+def measure_apart(args: argparse.Namespace, robots: int, seed: int) -> Dict[str, Any]:
+    """The same in a process of its own, so that memory and time are its own."""
+    words = [sys.executable, "-m", __spec__.name, "--json", "--room", args.room]
+    words += ["--robots", str(robots), "--seed", str(seed), "--minutes", str(args.minutes)]
+    words += ["--ros", "--factor", str(args.factor)] if args.ros else []
+    ended = subprocess.run(words, stdout=subprocess.PIPE, check=True)
+    return dict(json.loads(ended.stdout)["results"][0])
+
+
+def show(results: Sequence[Dict[str, Any]]) -> str:
+    """The results as a table."""
+    head = ("robots", "seed", "laps of each", "locations", "metres", "touches", "with walls")
+    head += ("min stuck", "aborted", "two in one", "overtaken", "real-time factor")
+    head += ("CPU s/min", "MB")
+    rows = [
+        [
+            str(r["robots"]),
+            str(r["seed"]),
+            " ".join(map(str, r["laps"])),
+            r["entries"],
+            r["distance"],
+            r["contacts_between_robots"],
+            r["contacts_with_solids"],
+            r["stuck_minutes"],
+            r["goals_aborted"] + r["failed_actions"],
+            r["two_in_one_location"],
+            r["overtakings"],
+            r["real_time_factor"],
+            r["cpu_seconds_per_minute"],
+            r["memory_mb"],
+        ]
+        for r in results
+    ]
+    return table(head, rows)
+
+
+def main(arguments: Optional[Sequence[str]] = None) -> int:
+    """Run the benchmark; 0: no fault in any run, 1: there were."""
+    parser = argparse.ArgumentParser(prog="benchmark.room", description=__doc__.split(":")[0])
+    parser.add_argument("--robots", type=int, help="one team of so many robots only")
+    parser.add_argument("--seed", type=int, help="one seed only (needs --robots)")
+    parser.add_argument("--minutes", type=float, default=MINUTES, help="world time of a run (15)")
+    parser.add_argument("--quick", action="store_true", help="one seed and two minutes for each team")
+    parser.add_argument("--room", help="the room file (plans/patrol/critical_room.yaml)")
+    parser.add_argument("--ros", action="store_true", help="the whole system, with execution nodes")
+    parser.add_argument("--factor", type=float, default=5.0, help="with --ros: real-time factor (5)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    args = parser.parse_args(arguments)
+    args.room = args.room or os.path.join(plans_folder(), "patrol", "critical_room.yaml")
+    if args.quick:
+        args.minutes = min(args.minutes, 2.0)
+    results: List[Dict[str, Any]] = []
+    if args.robots and args.seed is not None:
+        if args.ros:
+            from gspn_framework_package.benchmark.room_ros import measure_ros
+
+            results.append(measure_ros(args.room, args.robots, args.seed, args.minutes, args.factor))
+        else:
+            results.append(measure(args.room, args.robots, args.seed, args.minutes))
+    else:
+        teams = TEAMS if not args.robots else [(args.robots, dict(TEAMS).get(args.robots, 2))]
+        runs = [(n, seed) for n, seeds in teams for seed in range(1 if args.quick else seeds)]
+        for count, (robots, seed) in enumerate(runs):
+            told = "%d of %d: %d robots, seed %d" % (count + 1, len(runs), robots, seed)
+            print(told, file=sys.stderr, flush=True)
+            results.append(measure_apart(args, robots, seed))
+    machine = describe_machine(LIBRARIES)
+    if args.json:
+        print(json.dumps({"machine": machine, "minutes": args.minutes, "results": results}, indent=2))
+    else:
+        print(machine_line(machine) + "\n")
+        print("%g minutes of world time each\n" % args.minutes)
+        print(show(results))
+    return int(any(result[fault] for result in results for fault in FAULTS))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
