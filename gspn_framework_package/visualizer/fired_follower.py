@@ -9,7 +9,7 @@ in. What does not fit waits a moment for what is missing, and then the team has 
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.model.net import Marking, Net
@@ -46,17 +46,19 @@ class RobotSeen(NamedTuple):
 
 class TeamSeen(NamedTuple):
     """What a robot that was asked said of the team: its marking and robots after log slot
-    ``slots - 1``."""
+    ``slots - 1``; those that are ``gone`` have no token in the net."""
 
     marking: Marking
     robots: Mapping[str, RobotSeen]
     slots: int
+    gone: FrozenSet[str] = frozenset()
 
 
 class FiredFollower:
     """See the module.
 
     :param plan: the plan that the team runs.
+    :ivar gone: robots that have no token in the net any more.
     :ivar lost_track: the team should be asked, and the answer handed to :meth:`adopt`.
     """
 
@@ -70,6 +72,7 @@ class FiredFollower:
         }
         self._waiting: List[FiredNews] = []
         self._last: Tuple[int, int] = (-1, -1)
+        self.gone: FrozenSet[str] = frozenset()
 
     @property
     def marking(self) -> Marking:
@@ -127,6 +130,7 @@ class FiredFollower:
         self.lost_track = False
         self._last = max(self._last, (team.slots - 1, 1 << 60))
         self.robots = dict(team.robots)
+        self.gone = team.gone
         events: List[Event] = []
         if team.marking != self.marking:
             events.append(self._whole(team.marking, why))

@@ -207,6 +207,7 @@ class Hub:
         """The events numbered above ``after`` and up to ``to``, as far as the ring has them, at
         most the last ``limit``."""
         with self._condition:
+            to = min(to, self._board.n)
             return self._slice(max(after, to - limit), to)
 
     def _slice(self, after: int, to: int) -> List[Event]:

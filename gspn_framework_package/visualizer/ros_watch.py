@@ -15,11 +15,12 @@ from typing import Any, Dict, List, Optional, Tuple
 import rospy
 from std_msgs.msg import String
 
-from gspn_framework_package.model.errors import GspnError, RefusedError
+from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import FiredTransition
-from gspn_framework_package.srv import Command
+from gspn_framework_package.ros.service_calls import ServiceCalls
+from gspn_framework_package.srv import Command, CommandRequest
 from gspn_framework_package.visualizer.activity import Activity, Fields, text_field
 from gspn_framework_package.visualizer.board import Event
 from gspn_framework_package.visualizer.feedback import Feedback
@@ -36,6 +37,12 @@ ACTIVITY = "/activity"
 
 LOOK_AROUND = 2.0
 """Seconds between two looks for robots, and between two questions for the state of the team."""
+
+ANSWER_TIME = 1.5
+"""Seconds that a robot has to say where the team is."""
+
+ORDER_TIME = 6.0
+"""Seconds that an order may take; a robot gives it 5 s to find its place in the log."""
 
 PHASES = {
     "Doing": "doing",
@@ -81,6 +88,7 @@ class RosWatch(Activity):
         self._other_plans: Dict[str, None] = {}
         self._subscribers: List[Any] = []
         self._stop = threading.Event()
+        self._asking, self._ordering = ServiceCalls(ANSWER_TIME), ServiceCalls(ORDER_TIME)
         self._ask_now = threading.Event()
         self._turn = 0
         self._before: Optional[TeamSeen] = None
@@ -114,6 +122,8 @@ class RosWatch(Activity):
         for subscriber in self._subscribers:
             subscriber.unregister()
         self._subscribers = []
+        self._asking.close()
+        self._ordering.close()
 
     def _subscribe(self, topic: str, kind: Any, what: str, who: str = "") -> None:
         def callback(message: Any) -> None:
@@ -190,8 +200,7 @@ class RosWatch(Activity):
             self._ask_now.clear()
             try:
                 self._find_robots()
-                answers = [a for a in map(self._ask, self._askable()) if a is not None]
-                self._queue.put(("answers", (lost_track, answers)))
+                self._queue.put(("answers", (lost_track, self._ask(self._askable()))))
             except (OSError, rospy.ROSException) as error:
                 rospy.logwarn_throttle(30.0, "the page: the master does not answer: %s" % error)
             self._ask_now.wait(LOOK_AROUND)
@@ -217,6 +226,7 @@ class RosWatch(Activity):
         behind = self._follower.is_behind(team) and (
             before is None or self._follower.is_behind(before)
         )
+        behind = behind or self._follower.gone != team.gone
         if lost_track or behind:
             why = "opened in mid-run" if before is None else "caught up with the team"
             self._hub.publish(*self._follower.adopt(team, why))
@@ -232,17 +242,33 @@ class RosWatch(Activity):
             return [namespaces[self._turn % len(namespaces)]]
         return namespaces
 
-    def _ask(self, namespace: str) -> Optional[Dict[str, Any]]:
+    def _ask(self, namespaces: List[str]) -> List[Dict[str, Any]]:
+        """What the robots say of the team; those that do not answer in time say nothing."""
+        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        request = CommandRequest(command="status")
+        asked = [self._call(n, request, self._asking, answers) for n in namespaces]
+        found = []
+        give_up = time.monotonic() + ANSWER_TIME + 0.2
         try:
-            name = rospy.names.ns_join(namespace, "command")
-            rospy.wait_for_service(name, timeout=0.5)
-            response = rospy.ServiceProxy(name, Command)(command="status")
-            status: Dict[str, Any] = json.loads(response.message)
-        except (rospy.ROSException, rospy.ServiceException, ValueError):
-            return None
-        if self._run and status.get("run") != self._run:
-            return None
-        return status
+            for _ in range(sum(asked)):
+                response = answers.get(timeout=max(0.0, give_up - time.monotonic()))
+                status: Dict[str, Any] = json.loads(response.message)
+                if not self._run or status.get("run") == self._run:
+                    found.append(status)
+        except queue.Empty:
+            pass
+        return found
+
+    def _call(
+        self, namespace: str, request: Any, calls: ServiceCalls, answers: queue.SimpleQueue[Any]
+    ) -> bool:
+        """Call a robot's ``command`` service; whether an answer may come."""
+        name = rospy.names.ns_join(namespace, "command")
+        try:
+            code, _, uri = rospy.get_master().lookupService(name)
+        except OSError:
+            return False
+        return code == 1 and calls.call(namespace, uri, name, Command, request, answers.put)
 
     def _team_seen(self, newest: Dict[str, Any], answers: List[Dict[str, Any]]) -> TeamSeen:
         robots: Dict[str, RobotSeen] = {}
@@ -254,17 +280,17 @@ class RosWatch(Activity):
                     place = self._net.place_index.get(robot["place"], -1)
                     robots[robot["robot"]] = RobotSeen(place, int(robot["visit"]))
         marking = self._net.marking(newest["marking"])
+        gone = frozenset(r["robot"] for r in newest["robots"] if r["state"] in ("Lost", "Left"))
         if not self._follower.full:
             counts = [
                 n if p.name in self._plan.resource_places else 0
                 for p, n in zip(self._net.places, marking)
             ]
-            gone = {r["robot"] for r in newest["robots"] if r["state"] in ("Lost", "Left")}
             for name, seen in robots.items():
                 if seen.place >= 0 and name not in gone:
                     counts[seen.place] += 1
             marking = tuple(counts)
-        return TeamSeen(marking, robots, int(newest["log_length"]))
+        return TeamSeen(marking, robots, int(newest["log_length"]), gone)
 
     def _show_status(self, status: Dict[str, Any]) -> None:
         for robot in status["robots"]:
@@ -322,16 +348,18 @@ class RosWatch(Activity):
         return self._order("fire", "", name)
 
     def _order(self, command: str, robot: str, argument: str) -> Dict[str, Any]:
-        problem: GspnError = RefusedError("no robot of the team has been heard of yet")
         for namespace in sorted(self._names):
+            answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+            request = CommandRequest(command, robot, argument)
+            if not self._call(namespace, request, self._ordering, answers):
+                continue
             try:
-                name = rospy.names.ns_join(namespace, "command")
-                rospy.wait_for_service(name, timeout=1.0)
-                response = rospy.ServiceProxy(name, Command)(command, robot, argument)
-            except (rospy.ROSException, rospy.ServiceException) as error:
-                problem = RefusedError("%s does not answer: %s" % (namespace, error))
+                response = answers.get(timeout=ORDER_TIME + 0.2)
+            except queue.Empty:
                 continue
             if not response.success:
                 raise RefusedError(response.message)
             return {"message": response.message}
-        raise problem
+        raise RefusedError(
+            "no robot of the team answers" if self._names else "no robot has been heard of yet"
+        )
