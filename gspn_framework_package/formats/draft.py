@@ -6,7 +6,6 @@ with its line."""
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Dict, List, Mapping, NamedTuple, NoReturn, Optional, Union
 
 from gspn_framework_package.model.errors import ExpressionError, GspnError, NetError
@@ -240,15 +239,21 @@ class NetDraft:
 
     def _names(self) -> Dict[str, str]:
         """The name of each id: its own, or the id where that is empty or not its own alone."""
-        shared = Counter(n.name for n in self._nodes.values())
-        names = {i: n.name if n.name and shared[n.name] == 1 else i for i, n in self._nodes.items()}
-        while True:
-            taken = Counter(names.values())
-            clashing = [i for i, name in names.items() if name != i and taken[name] > 1]
-            if not clashing:
-                break
-            for identifier in clashing:
-                names[identifier] = identifier
+        names = {i: n.name or i for i, n in self._nodes.items()}
+        bearers: Dict[str, List[str]] = {}
+        for identifier, name in names.items():
+            bearers.setdefault(name, []).append(identifier)
+        crowded = [name for name, found in bearers.items() if len(found) > 1]
+        while crowded:
+            name = crowded.pop()
+            for identifier in bearers[name]:
+                if identifier != name:
+                    names[identifier] = identifier
+                    others = bearers.setdefault(identifier, [])
+                    others.append(identifier)
+                    if len(others) == 2:
+                        crowded.append(identifier)
+            bearers[name] = [identifier for identifier in bearers[name] if identifier == name]
         renamed = [n for i, n in self._nodes.items() if n.name and names[i] != n.name]
         if renamed:
             self.note(

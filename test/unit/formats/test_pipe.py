@@ -1,10 +1,14 @@
 """PIPE XML: every generation's way to write the same thing, and what is refused."""
 
+import time
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from gspn_framework_package.formats import read_net, read_net_with_notes
+from gspn_framework_package.formats.draft import NetDraft
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import InputError
 
@@ -216,3 +220,28 @@ def test_what_is_wrong_is_told_with_its_line(tmp_path, elements, line, message):
     assert message in str(raised.value)
     assert raised.value.line == line
     assert "\n" not in str(raised.value)
+
+
+@given(
+    st.lists(st.sampled_from(["", "0", "1", "2", "3", "a", "b"]), min_size=1, max_size=7),
+)
+def test_however_names_and_ids_are_mixed_up_all_elements_have_different_names(names):
+    draft = NetDraft()
+    for identifier, name in enumerate(names):
+        draft.add_place(str(identifier), name)
+    found = [place.name for place in draft.net("n").places]
+    assert len(set(found)) == len(names)
+    for identifier, (name, used) in enumerate(zip(names, found)):
+        assert used in (name, str(identifier))
+        if name and names.count(name) == 1 and not name.isdigit():
+            assert used == name
+
+
+def test_a_long_chain_of_names_that_are_ids_of_others():
+    draft = NetDraft()
+    for number in range(50_000):
+        draft.add_place("i%d" % number, "i%d" % (number - 1) if number else "same")
+    draft.add_place("last", "same")
+    start = time.monotonic()
+    assert draft.net("n").places[49_999].name == "i49999"
+    assert time.monotonic() - start < 20
