@@ -72,7 +72,8 @@ class Join(NamedTuple):
     """A robot joins, or comes back with a higher incarnation. ``place`` counts for one that was
     never here; one that was lost or had left returns to its last place with the next visit; one
     that only restarted keeps place and visit, and its action is started again as the next
-    attempt. ``log`` is the id of the log that it now keeps."""
+    attempt. ``log`` is the id of the log that it now keeps. A
+    witness that lost its log joins again too, for its vote."""
 
     robot: str
     incarnation: int

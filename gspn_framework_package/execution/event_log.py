@@ -55,7 +55,7 @@ VERSION = 1
 Record = Dict[str, Any]
 
 
-def header(plan: Plan, run: str, robot: str, log_id: str, *, agents: bool = False) -> Record:
+def header(plan: Plan, run: str, robot: str, log_id: str, *, agents: bool = False, host: str = "") -> Record:
     """The first line of a log.
 
     :param run: name of the run.
@@ -63,6 +63,7 @@ def header(plan: Plan, run: str, robot: str, log_id: str, *, agents: bool = Fals
     :param log_id: unlike that of any other log, e.g. a random hex string: it tells a robot that
         comes back with its memory from one that lost it.
     :param agents: standalone execution, where transitions may create and destroy tokens.
+    :param host: of which host the monotonic clock is; times of different hosts are not compared.
     """
     return {
         "kind": "header",
@@ -72,6 +73,7 @@ def header(plan: Plan, run: str, robot: str, log_id: str, *, agents: bool = Fals
         "robot": robot,
         "log": log_id,
         "agents": agents,
+        "host": host,
         "plan_hash": plan.hash(),
         "plan": plan_to_json(plan),
     }

@@ -132,6 +132,8 @@ class _Reducer(Turn):
     # -- membership and the operator ---------------------------------------------------------------
 
     def _join(self, entry: log.Join) -> None:
+        if entry.robot in self.state.witnesses:
+            return
         robot = self.state.robots.get(entry.robot)
         if robot is None:
             p = self.net.place_index.get(entry.place)

@@ -4,7 +4,7 @@ right."""
 from __future__ import annotations
 
 import random
-from typing import Callable, Dict, List, NamedTuple, Optional, Type
+from typing import Callable, Dict, List, NamedTuple, Type
 
 from gspn_framework_package.benchmark.team.plans import make_plan
 from gspn_framework_package.benchmark.team.world import (
@@ -17,6 +17,8 @@ from gspn_framework_package.benchmark.team.world import (
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.agreement.replica import Replica
+from gspn_framework_package.execution.event_log import EventLog
+from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.team_state import Phase
 
 FAULTS_END = 1.0
@@ -290,6 +292,8 @@ class _Run:
         nodes = self.world.alive()
         best = max((n.replica.ledger for n in nodes if n.replica), key=lambda x: x.length)
         voters = [n.name for n in nodes if n.replica is not None and n.replica.active]
+        if not best.state.members():
+            return True  # all left, or were evicted while the last one left
         return self.lost_logs and not is_quorum(voters, best.state.members())
 
     def _why(self) -> str:
@@ -307,18 +311,25 @@ class _Run:
         )
 
 
-def run_schedule(
-    schedule: Schedule,
-    replica_type: Type[Replica] = Replica,
-    check: Optional[Callable[[List[Disk]], None]] = None,
-) -> Outcome:
+def check_logs(outcome: Outcome) -> None:
+    """Have the history checker look at the logs of a run.
+
+    :raises ViolationError: a rule was broken.
+    """
+    logs = [EventLog(str(d.header["log"]), d.header, d.records(), False) for d in outcome.logs]
+    verdict = verify(logs, settled=not outcome.blocked)
+    if verdict.violation is not None:
+        raise ViolationError("rule %d: %s" % verdict.violation)
+
+
+def run_schedule(schedule: Schedule, replica_type: Type[Replica] = Replica, *, check: bool = True) -> Outcome:
     """Run a schedule.
 
     :param replica_type: the replica, or a mutant of it.
-    :param check: looks at the logs, and raises :class:`ViolationError`.
+    :param check: have the history checker look at the logs.
     :raises ViolationError: something went wrong.
     """
     outcome = _Run(schedule, replica_type).run()
-    if check is not None:
-        check(outcome.logs)
+    if check:
+        check_logs(outcome)
     return outcome

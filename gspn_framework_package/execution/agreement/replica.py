@@ -257,13 +257,17 @@ class Replica:
 
     def _new_life(self) -> None:
         """We start again, or come back: a new incarnation, which the log must hear of."""
-        state = self._own_state()
-        known = state.incarnation if state is not None else -1
-        self.incarnation = max(self.incarnation, known) + 1
+        self.incarnation = max(self.incarnation, self._known_incarnation()) + 1
         self._number = 0
         record = {"kind": "life", "incarnation": self.incarnation, "joining": self.joining}
         self._persist(record)
         self.own.incarnation = self.incarnation
+
+    def _known_incarnation(self) -> int:
+        """The newest incarnation of ours that the log has heard of, -1 for none."""
+        state = self._own_state()
+        seen = self.ledger.seen.get(self.name, (-1, 0))[0]
+        return seen if state is None else max(seen, state.incarnation)
 
     # -- what we know of ourselves -----------------------------------------------------------------
 
@@ -633,9 +637,9 @@ class Replica:
                 self.forced.discard(entry.robot)
                 self.cast_out.discard(entry.robot)
                 state = self.ledger.state.robots.get(entry.robot)
-                if state is None or state.incarnation != entry.incarnation:
-                    continue
-                if entry.robot == self.name and entry.log == self.log_id and not self.active:
+                taken = state is not None and state.incarnation == entry.incarnation
+                mine = entry.robot == self.name and entry.log == self.log_id
+                if mine and not self.active and (taken or self.witness):
                     self._become_active()
             elif isinstance(entry, log.Evict):
                 self.forced.discard(entry.robot)
@@ -777,6 +781,8 @@ class Replica:
             return "the run is over: %s" % self.ledger.state.ended
         if not self.active or not (self.is_member() or self.witness):
             return "%s is not in the team (yet): %s" % (self.name, self.waits_for())
+        if isinstance(entry, log.Leave) and self._member_names() == [entry.robot]:
+            return "%s is the last one of the team; stop the run instead" % entry.robot
         robot = getattr(entry, "robot", "")
         state = self.ledger.state.robots.get(robot)
         if robot and (state is None or state.phase in GONE):
@@ -869,17 +875,11 @@ class Replica:
 
     def _want_to_join(self) -> None:
         """See that the log gets to know this incarnation of ours."""
-        if self.witness or self.fenced or self.leaving or self.ledger.length == 0 or self.is_settled():
+        if self.fenced or self.leaving or self.ledger.length == 0 or self.is_settled():
             return
-        state = self._own_state()
-        if not self.active and not (self.forgetful or self.joining):
+        if (self.active and self.witness) or not (self.active or self.forgetful or self.joining):
             return
-        if state is None:
-            if self.incarnation < 0:
-                self.incarnation = 0
-        elif state.incarnation >= self.incarnation:
-            if state.incarnation == self.incarnation and self.active and state.phase not in GONE:
-                return
+        if self._known_incarnation() >= self.incarnation:
             self._new_life()
         if any(
             isinstance(o.item.entry, log.Join) and o.item.origin.incarnation == self.incarnation for o in self.pool.own

@@ -1,0 +1,121 @@
+"""The history checker: whether the logs of a run tell one valid story.
+
+:func:`verify` looks at the logs alone. It checks the ten invariants of ``docs/agreement.md`` and
+the protocol's own rules, with code that is written apart from what it checks.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence
+
+from gspn_framework_package.execution.event_log import EventLog
+from gspn_framework_package.execution.history.merge import Merged
+from gspn_framework_package.execution.history.replay import BrokenRuleError, Replay
+from gspn_framework_package.execution.history.robots import Facts, RobotCheck, check_real_time
+from gspn_framework_package.execution.history.votes import check_votes
+from gspn_framework_package.model.errors import LogError
+
+
+class Violation(NamedTuple):
+    """The first rule that was broken: its number, and what happened."""
+
+    rule: int
+    text: str
+
+
+class Verdict(NamedTuple):
+    """What the checker found.
+
+    :ivar violation: None if all is well.
+    :ivar notes: what is no violation, but good to know.
+    """
+
+    violation: Optional[Violation]
+    slots: int
+    firings: int
+    robots: int
+    logs: int
+    notes: List[str]
+
+    def to_json(self) -> Dict[str, Any]:
+        """The verdict as a JSON object."""
+        data: Dict[str, Any] = self._asdict()
+        data["valid"] = self.violation is None
+        data["violation"] = self.violation._asdict() if self.violation else None
+        return data
+
+
+def verify(logs: Sequence[EventLog], *, settled: bool = False, complete: bool = True) -> Verdict:
+    """Check the logs of one run.
+
+    :param logs: of the robots, in any order; of a robot that lost its log, the old one too.
+    :param settled: the team was left alone until nothing was pending, so that a fact which is not
+        in the log, or an action that was not started, is a violation too (rules 8 and 9).
+    :param complete: all logs of the run are here; otherwise votes cannot be counted.
+    :raises LogError: no logs, or logs of different runs or plans.
+    """
+    if not logs:
+        raise LogError("no logs were given")
+    for key in ("run", "plan_hash"):
+        values = {str(log.header[key]) for log in logs}
+        if len(values) > 1:
+            raise LogError("the logs are of different %ss: %s" % (key, ", ".join(sorted(values))))
+    notes: List[str] = []
+    state = _Check(logs, settled, complete, notes)
+    violation = None
+    try:
+        state.run()
+    except BrokenRuleError as error:
+        violation = Violation(error.rule, error.text)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise LogError("a record is damaged (%r)" % error) from None
+    return Verdict(violation, state.length, state.firings, state.robots, len(logs), notes)
+
+
+class _Check:
+    def __init__(self, logs: Sequence[EventLog], settled: bool, complete: bool, notes: List[str]) -> None:
+        self.logs = logs
+        self.settled = settled
+        self.complete = complete
+        self.notes = notes
+        self.length = self.firings = self.robots = 0
+
+    def run(self) -> None:
+        merged = Merged(self.logs)
+        self.length = merged.length
+        for log in self.logs:
+            if log.cut:
+                self.notes.append("the last line of %s was cut off" % log.path)
+        if self.length < len(merged.slots):
+            self.notes.append("no log has slot %d: what is after it cannot be checked" % self.length)
+        replay = Replay(self.logs[0].plan, bool(self.logs[0].header.get("agents")))
+        situations, members = [], []
+        for slot in range(self.length):
+            members.append(replay.members())
+            record = merged.slots[slot]
+            replay.slot(record)
+            self.firings += len(record["firings"])
+            situations.append(replay.situations())
+        self.robots = len(replay.robots)
+        facts = Facts(merged, self.length)
+        check_votes(merged, members, self.complete)
+        invoked: Dict[Any, float] = {}
+        newest = {log.robot: i for i, log in enumerate(self.logs)}
+        for i, log in enumerate(self.logs):
+            check = RobotCheck(log, merged, facts, situations, i)
+            check.check()
+            invoked.update(check.invoked)
+            last = self.settled and newest[log.robot] == i and replay.ended is None
+            if last:
+                check.check_goal_at_end()
+            if check.open:
+                text = "%s: %d facts are not in the log" % (log.robot, len(check.open))
+                here = replay.robots.get(log.robot)
+                wanted = any(o in check.invoked for o in check.open)
+                if last and wanted and here is not None and here.here:
+                    raise BrokenRuleError(9, text)
+                self.notes.append(text)
+        if len({str(log.header.get("host", "")) for log in self.logs}) == 1:
+            check_real_time(merged, facts, invoked)
+        if merged.void:
+            self.notes.append("%d slots were given up by an eviction by force" % len(merged.void))

@@ -1,0 +1,115 @@
+"""The logs of a run laid side by side: one agreed sequence of slots, or the first place where two
+logs differ."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any, Dict, List, Sequence, Set, Tuple
+
+from gspn_framework_package.execution.event_log import EventLog
+from gspn_framework_package.execution.history.replay import BrokenRuleError, Record
+
+COMPARED = ("entries", "origins", "firings", "hash")
+
+
+class Merged:
+    """The agreed log.
+
+    :ivar slots: slot -> its record, from the first log that has it.
+    :ivar heard: slot -> when the first replica had it (s, monotonic clock of the host).
+    :ivar void: (index of the log, index of the record) of slots that the operator gave up by an
+        eviction by force.
+    """
+
+    def __init__(self, logs: Sequence[EventLog]) -> None:
+        self.logs = logs
+        self.slots: Dict[int, Record] = {}
+        self.heard: Dict[int, float] = {}
+        self.void: Set[Tuple[int, int]] = set()
+        self._source: Dict[int, str] = {}
+        cast_out = _cast_out(logs)
+        order = sorted(range(len(logs)), key=lambda i: logs[i].robot in cast_out)
+        for i in order:
+            self._add(i, logs[i], logs[i].robot in cast_out)
+
+    def _add(self, number: int, log: EventLog, cast_out: bool) -> None:
+        """Compare a log with what is there; rule 1."""
+        plan_hash = str(log.header["plan_hash"])
+        length, chain = 0, plan_hash
+        given_up = False
+        for i, record in enumerate(log.records):
+            kind = record["kind"]
+            if kind == "reset":
+                length, chain, given_up = 0, plan_hash, False
+            elif kind == "snapshot":
+                length, chain = record["slot"] + 1, record["hash"]
+                known = self.slots.get(record["slot"])
+                if known is not None and known["hash"] != chain:
+                    raise BrokenRuleError(
+                        1,
+                        "%s took a snapshot after slot %d that does not fit the log" % (log.robot, record["slot"]),
+                    )
+            elif kind == "slot":
+                slot = record["slot"]
+                if slot != length:
+                    raise BrokenRuleError(1, "%s has slot %d where slot %d should be" % (log.robot, slot, length))
+                chain = _link(chain, record)
+                if chain != record["hash"]:
+                    raise BrokenRuleError(1, "slot %d of %s breaks the hash chain" % (slot, log.robot))
+                length += 1
+                known = self.slots.get(slot)
+                if known is not None and any(known[k] != record[k] for k in COMPARED):
+                    given_up = given_up or cast_out
+                    if not given_up:
+                        raise BrokenRuleError(
+                            1,
+                            "%s and %s differ in slot %d: %s and %s"
+                            % (
+                                self._source[slot],
+                                log.robot,
+                                slot,
+                                _short(known),
+                                _short(record),
+                            ),
+                        )
+                if given_up:
+                    self.void.add((number, i))
+                    continue
+                if known is None:
+                    self.slots[slot] = record
+                    self._source[slot] = log.robot
+                time = float(record.get("mono", 0.0))
+                self.heard[slot] = min(self.heard.get(slot, time), time)
+
+    @property
+    def length(self) -> int:
+        """How many slots there are before the first that no log has."""
+        slot = 0
+        while slot in self.slots:
+            slot += 1
+        return slot
+
+
+def _cast_out(logs: Sequence[EventLog]) -> Set[str]:
+    """Robots that were evicted by force."""
+    return {
+        str(e["robot"])
+        for log in logs
+        for r in log.records
+        if r["kind"] == "slot"
+        for e in r["entries"]
+        if e.get("entry") == "evict" and e.get("forced")
+    }
+
+
+def _link(previous: str, record: Record) -> str:
+    parts = [previous, record["entries"], record["origins"], record["firings"]]
+    text = json.dumps(parts, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()[:32]
+
+
+def _short(record: Record) -> str:
+    entries: List[Any] = record["entries"]
+    text = json.dumps(entries, separators=(",", ":"))
+    return text if len(text) < 200 else text[:200] + "..."

@@ -1,0 +1,255 @@
+"""What each robot did, by its own log: its facts, its goals and its private moves, against the
+agreed log."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
+
+from gspn_framework_package.execution.event_log import EventLog
+from gspn_framework_package.execution.history.merge import Merged
+from gspn_framework_package.execution.history.replay import BrokenRuleError, Record, Situation
+
+Origin = Tuple[str, int, int]
+
+
+class Facts:
+    """Where each entry is in the agreed log, by its origin; rule 4.
+
+    :raises BrokenRuleError: one is there twice, or those of one origin are out of order.
+    """
+
+    def __init__(self, merged: Merged, length: int) -> None:
+        self.where: Dict[Origin, Tuple[int, Record]] = {}
+        newest: Dict[str, Tuple[int, int]] = {}
+        moved: Set[Tuple[str, int]] = set()
+        for slot in range(length):
+            record = merged.slots[slot]
+            for entry, origin in zip(record["entries"], record["origins"]):
+                key = (str(origin[0]), int(origin[1]), int(origin[2]))
+                if key in self.where:
+                    raise BrokenRuleError(
+                        4, "%s is in the log twice: slots %d and %d" % (_name(key), self.where[key][0], slot)
+                    )
+                if newest.get(key[0], (-1, -1)) >= key[1:]:
+                    raise BrokenRuleError(4, "%s is in slot %d, after a newer one of that robot" % (_name(key), slot))
+                newest[key[0]] = key[1:]
+                self.where[key] = (slot, entry)
+            for firing in record["firings"]:
+                for robot, source, _, visit in firing["moves"]:
+                    if source is not None and (robot, visit) in moved:
+                        raise BrokenRuleError(4, "%s begins its visit %d twice (slot %d)" % (robot, visit, slot))
+                    moved.add((robot, visit))
+
+    def newest_before(self, key: Origin) -> bool:
+        """Whether a newer fact of the same incarnation is in the log."""
+        return any(k[:2] == key[:2] and k[2] > key[2] for k in self.where)
+
+
+def check_real_time(merged: Merged, facts: Facts, invoked: Mapping[Origin, float]) -> None:
+    """What was in the log before another fact came up is before it in the log; rule 5. Only for
+    logs of one host, whose clocks are one.
+
+    :param invoked: when each (not private) fact came up.
+    """
+    by_time = sorted((time, slot) for slot, time in merged.heard.items())
+    times = [time for time, _ in by_time]
+    latest: List[int] = []
+    for _, slot in by_time:
+        latest.append(max(slot, latest[-1] if latest else -1))
+    for key, time in invoked.items():
+        where = facts.where.get(key)
+        if where is None:
+            continue
+        at = bisect_left(times, time)
+        if at and latest[at - 1] >= where[0]:
+            raise BrokenRuleError(
+                5,
+                "%s came up after slot %d was known, but is in slot %d" % (_name(key), latest[at - 1], where[0]),
+            )
+
+
+class RobotCheck:
+    """One log from its own point of view; rules 4, 8 and 10.
+
+    :param situations: for each slot where every robot is after it.
+    :param moves: private moves of each robot: (place, transition) -> place.
+    """
+
+    def __init__(
+        self,
+        log: EventLog,
+        merged: Merged,
+        facts: Facts,
+        situations: Sequence[Dict[str, Situation]],
+        number: int,
+    ) -> None:
+        self.log = log
+        self.robot = log.robot
+        self.merged = merged
+        self.facts = facts
+        self.situations = situations
+        self.number = number
+        self.plan = log.plan
+        self.invoked: Dict[Origin, float] = {}
+        self.open: List[Origin] = []
+        """Facts that never got into the log."""
+        self._length = 0
+        self._incarnation = 0
+        self._ahead: List[Tuple[Origin, Record, Record]] = []
+        """Private moves that are not in the log yet: origin, entry, firing."""
+        self._goals: Set[Tuple[int, int, int]] = set()
+        self._last_goal: Optional[Tuple[int, int, int]] = None
+        self._void: Set[Origin] = set()
+        self._private: Dict[Origin, Record] = {}
+
+    def check(self) -> None:
+        """Go through the log. :raises BrokenRuleError: a rule is broken."""
+        known: Dict[Origin, Record] = {}
+        given_up = {i for n, i in self.merged.void if n == self.number}
+        if given_up:
+            return  # what it did on its own was given up by the operator
+        for record in self.log.records:
+            kind = record["kind"]
+            if kind == "slot" or kind == "snapshot":
+                self._length = record["slot"] + 1
+                self._ahead = [a for a in self._ahead if not self._in_log(a[0])]
+            elif kind == "reset":
+                self._length = 0
+                self._ahead = []
+                self._void |= set(known)
+            elif kind == "life":
+                self._incarnation = record["incarnation"]
+                self._last_goal = None
+            elif kind == "void":
+                origin = _origin(record)
+                self._void.add(origin)
+                self._ahead = [a for a in self._ahead if a[0] != origin]
+            elif kind in ("invoked", "private"):
+                origin = _origin(record)
+                if origin in known:
+                    raise BrokenRuleError(4, "%s came up twice" % _name(origin))
+                known[origin] = record
+                if kind == "invoked":
+                    self.invoked[origin] = float(record.get("mono", 0.0))
+                else:
+                    self._private_move(origin, record)
+            elif kind == "goal":
+                self._goal(record)
+        for origin, record in known.items():
+            self._fact(origin, record)
+
+    def _in_log(self, origin: Origin) -> bool:
+        where = self.facts.where.get(origin)
+        return where is not None and where[0] < self._length
+
+    def _fact(self, origin: Origin, record: Record) -> None:
+        where = self.facts.where.get(origin)
+        if where is None:
+            private = record["kind"] == "private"
+            if private and origin not in self._void and self.facts.newest_before(origin):
+                raise BrokenRuleError(4, "%s was acknowledged, but was passed over in the log" % _name(origin))
+            if origin not in self._void and not self._overtaken(origin):
+                self.open.append(origin)
+        elif where[1] != record["entry"]:
+            raise BrokenRuleError(4, "%s is in slot %d as something else" % (_name(origin), where[0]))
+        elif record["kind"] == "private":
+            self._merged_move(origin, record, where[0])
+
+    def _overtaken(self, origin: Origin) -> bool:
+        """Whether a newer one of the same robot made it void."""
+        return any(k[0] == origin[0] and k[1:] > origin[1:] for k in self.facts.where)
+
+    # -- private moves -----------------------------------------------------------------------------
+
+    def _position(self) -> Optional[Tuple[str, int, int, int, str]]:
+        """(place, incarnation, visit, attempt, phase) as this log knew it, private moves
+        included."""
+        if not 0 < self._length <= len(self.situations):
+            return None
+        at = self.situations[self._length - 1].get(self.robot)
+        if at is None:
+            return None
+        place, incarnation, visit, attempt, phase = at
+        for _, entry, firing in self._ahead:
+            if (entry["incarnation"], entry["visit"]) != (incarnation, visit):
+                continue
+            place, visit, attempt = firing["moves"][0][2], visit + 1, 1
+        return place, incarnation, visit, attempt, phase
+
+    def _private_move(self, origin: Origin, record: Record) -> None:
+        entry, firing = record["entry"], record["firing"]
+        at = self._position()
+        what = "the private move %s" % _name(origin)
+        if at is None or at[4] != "doing":
+            raise BrokenRuleError(10, "%s: the robot has no action to end" % what)
+        if (entry["incarnation"], entry["visit"]) != at[1:3]:
+            raise BrokenRuleError(10, "%s is of visit %d, the robot is at %d" % (what, entry["visit"], at[2]))
+        self._is_private(what, at[0], firing)
+        self._ahead.append((origin, entry, firing))
+
+    def _is_private(self, what: str, place: str, firing: Record) -> None:
+        """The transition takes this robot from its place and touches nothing else."""
+        arcs = [a for a in self.plan.net.arcs if firing["transition"] in (a.source, a.target)]
+        inputs = [a for a in arcs if a.target == firing["transition"]]
+        outputs = [a for a in arcs if a.source == firing["transition"]]
+        ((_, source, target, _),) = firing["moves"]
+        plain = (
+            len(inputs) == len(outputs) == 1
+            and not inputs[0].inhibitor
+            and inputs[0].weight == outputs[0].weight == 1
+            and (inputs[0].source, outputs[0].target) == (source, target)
+        )
+        if not plain or source != place or target in self.plan.resource_places:
+            raise BrokenRuleError(
+                10, "%s: %s does not move this robot alone from %s" % (what, firing["transition"], place)
+            )
+
+    def _merged_move(self, origin: Origin, record: Record, slot: int) -> None:
+        """A private move has the same effect in the agreed log as it had."""
+        if origin in self._void:
+            return
+        mine = record["firing"]
+        what = ("robot", "visit", "transition")
+        if any(all(firing[k] == mine[k] for k in what) for firing in self.merged.slots[slot]["firings"]):
+            return
+        raise BrokenRuleError(10, "the private move %s did not happen in slot %d" % (_name(origin), slot))
+
+    # -- goals -------------------------------------------------------------------------------------
+
+    def _goal(self, record: Record) -> None:
+        key = (record["incarnation"], record["visit"], record["attempt"])
+        what = "the goal of %s for visit %d, attempt %d" % (self.robot, key[1], key[2])
+        at = self._position()
+        if at is None or at[4] != "doing":
+            raise BrokenRuleError(8, "%s: the robot has no action to start" % what)
+        if (record["place"], *key) != at[:4]:
+            raise BrokenRuleError(
+                8, "%s in %s, but it is in %s at visit %d, attempt %d" % (what, record["place"], at[0], at[2], at[3])
+            )
+        if key in self._goals:
+            raise BrokenRuleError(8, "%s went out twice" % what)
+        self._goals.add(key)
+        self._last_goal = key
+
+    def check_goal_at_end(self) -> None:
+        """The robot does what it should, if its log is as long as all others. To be asked of those
+        whose node is up and takes part; rule 8."""
+        at = self._position()
+        if self._length != len(self.situations) or at is None or at[4] != "doing":
+            return
+        if at[1] != self._incarnation or self.plan.action(self.robot, at[0]) is None:
+            return
+        if self._last_goal != at[1:4]:
+            raise BrokenRuleError(
+                8, "%s has no goal for visit %d, attempt %d in %s" % (self.robot, at[2], at[3], at[0])
+            )
+
+
+def _origin(record: Record) -> Origin:
+    robot, incarnation, number = record["origin"]
+    return str(robot), int(incarnation), int(number)
+
+
+def _name(origin: Any) -> str:
+    return "fact %d of %s (incarnation %d)" % (origin[2], origin[0], origin[1])
