@@ -35,6 +35,9 @@ from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
+_SEARCHED = 100_000
+"""Markings among which one is looked for in a net that has infinitely many."""
+
 _FIRST_TREE = 5_000
 """Nodes of the first coverability tree that is tried, before markings are visited."""
 
@@ -240,14 +243,27 @@ class Analysis:
 
         :raises ExpressionError: it cannot be read, or names an unknown place.
         """
-        space = self.space
         if self._looks_at_counters(condition):
-            space = self._once("full_space", lambda: self._visit(self.net))
-        holds = space.holds(condition)
-        found = np.flatnonzero(holds)
+            return self._search(condition)
+        space = self.space
+        found = np.flatnonzero(space.holds(condition))
         if len(found):
             return Reachability(True, len(found), space.witness(int(found[0])))
         return Reachability(False if space.complete else None, 0, None)
+
+    def _search(self, condition: str) -> Reachability:
+        """Look for a marking in a net that has infinitely many: among more and more of them."""
+        limit = 1_000
+        while True:
+            space = explore(self.net, limit=min(limit, self.limit), cancel=self._cancel, progress=self._progress)
+            found = np.flatnonzero(space.holds(condition))
+            if len(found):
+                return Reachability(True, len(found), space.witness(int(found[0])))
+            if space.complete:
+                return Reachability(False, 0, None)
+            if limit >= min(self.limit, _SEARCHED):
+                return Reachability(None, 0, None)
+            limit *= 10
 
     def cover(self, marking: Mapping[str, int]) -> Reachability:
         """Whether at least these many tokens can be in these places at once."""
@@ -262,9 +278,7 @@ class Analysis:
         if not coverable:
             return Reachability(False, 0, None)
         # The way in the tree leaves out how often its loops are gone; a real one is looked for.
-        space = self._once("full_space", lambda: self._visit(self.net))
-        found = np.flatnonzero(space.holds(condition))
-        return Reachability(True, len(found), space.witness(int(found[0])) if len(found) else None)
+        return self._search(condition)._replace(reachable=True)
 
     def _looks_at_counters(self, condition: str) -> bool:
         """Whether the condition is about places that were left out."""

@@ -1,0 +1,58 @@
+"""Numbers that others published: state counts, throughputs, mean times."""
+
+import numpy as np
+import pytest
+
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.properties import Properties
+from gspn_framework_package.analysis.state_space import explore
+from gspn_framework_package.benchmark.nets import flexible_manufacturing, kanban, philosophers, polling
+
+
+@pytest.mark.parametrize(("n", "states", "arcs"), [(1, 160, 616), (2, 4600, 28120), (3, 58400, 446400)])
+@pytest.mark.parametrize("engine", ["numpy", "auto"])
+def test_kanban_states(n, states, arcs, engine):
+    space = explore(kanban(n), engine=engine)
+    assert (len(space), space.arcs) == (states, arcs)
+
+
+def test_kanban_throughput():
+    """Of one card in each cell: 0.0925846346 parts per hour leave."""
+    throughput = Analysis(kanban(1)).measures.throughput
+    assert throughput["leave"] == pytest.approx(0.0925846346, abs=5e-11)
+    assert throughput["enter"] == pytest.approx(throughput["leave"], rel=1e-12)
+
+
+@pytest.mark.parametrize(("n", "tangible"), [(1, 54), (2, 810), (3, 6520)])
+def test_flexible_manufacturing_states(n, tangible):
+    space = explore(flexible_manufacturing(n))
+    assert len(space) - int(space.is_vanishing.sum()) == tangible
+    assert len(Analysis(flexible_manufacturing(n)).chain) == tangible
+
+
+@pytest.mark.parametrize(("n", "states"), [(4, 34), (12, 39202)])
+def test_philosophers_states(n, states):
+    space = explore(philosophers(n))
+    assert len(space) == states
+    assert len(space.deadlocks) == 1
+    assert sorted(space.path_to(int(space.deadlocks[0]))) == sorted("take_left%d" % i for i in range(1, n + 1))
+
+
+def test_philosophers_starve_in_550_over_101_seconds():
+    passage = Analysis(philosophers(4)).first_passage("deadlock")
+    assert passage.probability == 1.0
+    assert passage.mean_time == pytest.approx(550 / 101, rel=1e-12)
+
+
+@pytest.mark.parametrize("n", range(1, 9))
+def test_polling_states(n):
+    assert len(explore(polling(n))) == 3 * n * 2 ** (n - 1)
+
+
+def test_kanban_is_live_reversible_and_bounded_by_its_cards():
+    properties = Properties(explore(kanban(2)))
+    assert properties.live and properties.reversible
+    assert properties.k_safe == 2 and set(properties.bounds.values()) == {2}
+    assert len(properties.home_states) == 4600
+    assert properties.deadlock_summary() == (0, None, None)
+    assert np.array_equal(properties.home_states, np.arange(4600))
