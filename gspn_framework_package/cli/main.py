@@ -28,6 +28,10 @@ EXIT_BROKEN_PIPE = 141  # 128 + SIGPIPE
 #: Verb -> (its module in this package, its HELP: one line, repeated here so that ``--help`` need
 #: not import the module; a test holds the two together).
 VERBS: Dict[str, Tuple[str, str]] = {
+    "bench": (
+        "bench",
+        "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)",
+    ),
     "analyse": (
         "analyse",
         "analyse a net, or a plan under its policy: structure, state space, time",
@@ -48,6 +52,20 @@ VERBS: Dict[str, Tuple[str, str]] = {
         "open the page: simulate, analyse and execute the nets and plans of a folder",
     ),
     "draw": ("draw", "draw a net, its coverability tree or its Markov chain"),
+    "film": (
+        "film",
+        "film robots in a room, without a display: a recorded run, or a patrol simulated for it",
+    ),
+    "status": ("orders.status", "what every robot of a running team does, and what it waits for"),
+    "pause": ("orders.pause", "let nothing fire, or a robot join no firing, until resume"),
+    "resume": ("orders.resume", "end a pause of the team, or of one robot"),
+    "set-place": ("orders.set_place", "put a robot into a place; its action there begins"),
+    "retry": ("orders.retry", "try the failed action of a robot again"),
+    "fire": ("orders.fire", "fire a transition of the environment"),
+    "evict": ("orders.evict", "take a robot out of the team as lost"),
+    "force-evict": ("orders.force_evict", "the same without a quorum: you assert that the robot is switched off"),
+    "leave": ("orders.leave", "have a robot leave the team, with its token"),
+    "stop": ("orders.stop", "end the run of a team"),
 }
 
 

@@ -1,0 +1,83 @@
+"""``gspn status``: what every robot of a running team does, and what it waits for."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any, Dict, List, Optional, Sequence
+
+from gspn_framework_package.cli.orders import add_team_options, require_ros
+
+NAME = "status"
+HELP = "what every robot of a running team does, and what it waits for"
+
+COLUMNS = ("robot", "place", "state", "visit", "log length", "last contact", "waits for")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    add_team_options(parser)
+    parser.epilog = (
+        "Each robot is told of by its own node; one whose node does not answer, by the others. "
+        "Exit codes: 0 every node answers and has a quorum, 1 not, or there is no team."
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Ask every node; print what they know."""
+    require_ros()
+    from gspn_framework_package.ros.operator_client import OperatorClient
+
+    statuses = {
+        node.namespace: status
+        for node, status in OperatorClient().statuses().items()
+        if status is None or args.run_name in ("", status["run"])
+    }
+    if args.json:
+        print(json.dumps(statuses))
+    else:
+        print_table(statuses)
+    well = all(status is not None and status["quorum"] for status in statuses.values())
+    return 0 if well and statuses else 1
+
+
+def print_table(statuses: Dict[str, Optional[Dict[str, Any]]]) -> None:
+    """A line for each robot of each run."""
+    known = [status for status in statuses.values() if status is not None]
+    for run_name in sorted({status["run"] for status in known}):
+        of_run = [status for status in known if status["run"] == run_name]
+        longest = max(of_run, key=lambda status: int(status["log_length"]))
+        print(
+            "run %s, %s synchronisation%s%s"
+            % (
+                run_name,
+                longest["synchronisation"],
+                ", paused" if longest["paused"] else "",
+                ", over: %s" % longest["ended"] if longest["ended"] else "",
+            )
+        )
+        rows: List[Sequence[str]] = [COLUMNS]
+        for robot in longest["robots"]:
+            own = next((s for s in of_run if s["robot"] == robot["robot"]), None)
+            rows.append(_row(robot, own))
+        widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]
+        for row in rows:
+            print("  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths)).rstrip())
+    for namespace in sorted(n for n, status in statuses.items() if status is None):
+        print("the node in %s does not answer" % namespace)
+
+
+def _row(robot: Dict[str, Any], own: Optional[Dict[str, Any]]) -> Sequence[str]:
+    waits_for = robot["waits_for"] if own is None else own["waits_for"]
+    if own is not None:
+        robot = next((r for r in own["robots"] if r["robot"] == own["robot"]), robot)
+    contact = robot["last_contact"]
+    return (
+        robot["robot"],
+        robot["place"],
+        robot["state"],
+        str(robot["visit"]),
+        str(robot["log_length"]),
+        "now" if own is not None else "never" if contact is None else "%.1f s ago" % contact,
+        waits_for,
+    )

@@ -1,0 +1,129 @@
+"""What an operator's program needs: find the execution nodes, ask them, and give them orders."""
+
+from __future__ import annotations
+
+import json
+import queue
+import time
+import xmlrpc.client
+from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+
+import rosgraph
+import rospy
+
+from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.ros.master_watch import master_proxy
+from gspn_framework_package.ros.node_services import ORDER_TIME
+from gspn_framework_package.ros.service_calls import ServiceCalls
+from gspn_framework_package.srv import Command, CommandRequest
+
+PATIENCE = 2.0
+"""Seconds that a node has for answering a plain question."""
+
+
+class NodeAddress(NamedTuple):
+    """An execution node: the namespace of its robot, and where its services are."""
+
+    namespace: str
+    uri: str
+
+
+class Answer(NamedTuple):
+    """What a node answered to a command."""
+
+    node: NodeAddress
+    success: bool
+    message: str
+
+
+class OperatorClient:
+    """Talks to all execution nodes that the ROS master knows; every call ends at a deadline.
+
+    :raises ExecutionError: no master, or no execution node there.
+    """
+
+    def __init__(self) -> None:
+        self._calls = ServiceCalls(deadline=ORDER_TIME + PATIENCE)
+        if not rospy.core.is_initialized():
+            rospy.init_node("gspn_operator", anonymous=True, disable_signals=True, disable_rosout=True)
+        self.nodes = self._find()
+
+    def _find(self) -> List[NodeAddress]:
+        try:
+            master: Any = master_proxy()
+            _, _, (_, _, services) = master.getSystemState("/gspn_operator")
+            names = {name for name, _ in services}
+            nodes = []
+            for name in names:
+                namespace, _, service = name.rpartition("/")
+                if service == "command" and namespace + "/get_place" in names:
+                    _, _, uri = master.lookupService("/gspn_operator", name)
+                    nodes.append(NodeAddress(namespace or "/", uri))
+        except (OSError, xmlrpc.client.Error) as error:
+            raise ExecutionError("no ROS master answers at %s (%s)" % (rosgraph.get_master_uri(), error)) from None
+        if not nodes:
+            raise ExecutionError("no execution node is known to the ROS master at %s" % rosgraph.get_master_uri())
+        return sorted(nodes)
+
+    def ask_all(self, command: str, seconds: float = PATIENCE) -> Dict[NodeAddress, Optional[Answer]]:
+        """The answers of all nodes to a command without arguments; None for one that is silent."""
+        answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+        for node in self.nodes:
+            self._send(node, CommandRequest(command, "", ""), answers)
+        got: Dict[NodeAddress, Optional[Answer]] = dict.fromkeys(self.nodes)
+        deadline = time.monotonic() + seconds
+        while any(answer is None for answer in got.values()):
+            try:
+                answer = answers.get(timeout=max(0.0, deadline - time.monotonic()))
+            except queue.Empty:
+                break
+            got[answer.node] = answer
+        return got
+
+    def statuses(self) -> Dict[NodeAddress, Optional[Dict[str, Any]]]:
+        """The status of every node, None for one that is silent."""
+        return {
+            node: json.loads(answer.message) if answer is not None else None
+            for node, answer in self.ask_all("status").items()
+        }
+
+    def order(self, command: str, robot: str, argument: str, run: str = "") -> Tuple[bool, str]:
+        """Give an order to a node that answers, the robot's own one where it does: (whether it was
+        carried out, what the node said).
+
+        :param run: only nodes of this run; needed where there are several.
+        :raises ExecutionError: no node answers, or nodes of several runs do.
+        """
+        there = {n: s for n, s in self.statuses().items() if s and run in ("", s["run"])}
+        runs = sorted({status["run"] for status in there.values()})
+        if not there:
+            raise ExecutionError("no execution node answers%s" % (" of run '%s'" % run if run else ""))
+        if len(runs) > 1:
+            raise ExecutionError("there are nodes of several runs: %s" % ", ".join(runs), hint="say which: --run")
+        # its own node first, except where that node is to be cast out; then one with a vote
+        own_last = command in ("evict", "force_evict")
+        node = min(
+            there,
+            key=lambda n: (
+                (there[n]["robot"] == robot) == own_last,
+                not there[n]["active"],
+                there[n]["robot"],
+            ),
+        )
+        answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+        self._send(node, CommandRequest(command, robot, argument), answers)
+        try:
+            answer = answers.get(timeout=ORDER_TIME + PATIENCE)
+        except queue.Empty:
+            raise ExecutionError("%s does not answer" % node.namespace) from None
+        return answer.success, answer.message
+
+    def _send(self, node: NodeAddress, request: Any, answers: queue.SimpleQueue[Answer]) -> None:
+        self._calls.call(
+            node.namespace,
+            node.uri,
+            rospy.names.ns_join(node.namespace, "command"),
+            Command,
+            request,
+            lambda response: answers.put(Answer(node, response.success, response.message)),
+        )

@@ -1,0 +1,159 @@
+#!/usr/bin/env python3
+"""Services called by hand, and the operator's verbs, on a team of two nodes."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import rospy
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
+
+from robots import ROOT, Robot, RobotTestCase, chain  # noqa: E402
+from waiting import wait_for  # noqa: E402
+
+from gspn_framework_package.srv import GetPlace, GetState, SetPlace  # noqa: E402
+
+ACTIONS = """
+from gspn_framework_package.execution.actions import ActionFailed
+
+def work(is_cancelled):
+    is_cancelled.wait(60)
+
+def fails(attempt):
+    if attempt == 1:
+        raise ActionFailed("once")
+"""
+
+
+def gspn(*words):
+    """The command line: (exit code, output)."""
+    done = subprocess.run(
+        [sys.executable, "-m", "gspn_framework_package", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=ROOT,
+        timeout=60,
+    )
+    return done.returncode, done.stdout
+
+
+class ServicesTest(RobotTestCase):
+    def start(self, mode="full"):
+        net = chain(["A", "B", "C"])
+        net["places"].append({"name": "stock", "tokens": 2})
+        net["transitions"].append({"name": "arrives", "timed": True, "servers": None})
+        net["arcs"].append({"from": "arrives", "to": "stock"})
+        plan = {
+            "net": net,
+            "actions": {"A": "actions.work", "B": "actions.fails", "C": None},
+            "resource_places": ["stock"],
+            "robots": {"robot_1": "A", "robot_2": "A"},
+            "synchronisation": mode,
+            "agreement": {"evict_after": 0},
+        }
+        team = self.team(plan, ("robot_1", "robot_2"), actions=ACTIONS).start()
+        for robot in team:
+            wait_for(lambda: robot.state().state == "Doing" and robot.status()["active"],  # noqa: B023
+                     20, "the start")  # fmt: skip
+        return team
+
+    def test_services_answer_by_hand_with_nothing_filled_in(self):
+        for mode in ("full", "partial"):
+            team = self.start(mode)
+            robot = team["robot_1"]
+            place = robot.call("get_place", GetPlace, "", "")
+            self.assertEqual((place.robot, place.place, place.visit), ("robot_1", "A", 1))
+            state = robot.call("get_state", GetState, "", "")
+            self.assertEqual((state.robot, state.place, state.state), ("robot_1", "A", "Doing"))
+            self.assertEqual(dict(zip(state.places, state.counts)),
+                             {"A": 2, "B": 0, "C": 0, "stock": 2})  # fmt: skip
+            nothing = robot.call("set_place", SetPlace, "", "", "")
+            self.assertFalse(nothing.success)
+            self.assertIn("no place was given", nothing.message)
+            unknown = robot.call("set_place", SetPlace, "Z", "", "")
+            self.assertFalse(unknown.success)
+            self.assertIn("Z", unknown.message)
+            moved = robot.call("set_place", SetPlace, "C", "robot_2", "")
+            self.assertTrue(moved.success, moved.message)
+            wait_for(lambda: team["robot_2"].state().place == "C", what="the move")  # noqa: B023
+            self.assertEqual(team["robot_1"].state().place, "A")
+            team.close()
+
+    def test_the_operators_verbs(self):
+        team = self.start()
+        robot_1, robot_2 = team["robot_1"], team["robot_2"]
+
+        code, output = gspn("status")
+        self.assertEqual(code, 0, output)
+        self.assertRegex(output, r"robot_1 +A +Doing +1 ")
+        code, output = gspn("status", "--json")
+        self.assertEqual(json.loads(output)["/robot_2"]["robot"], "robot_2")
+
+        self.assertEqual(gspn("fire", "arrives")[0], 0)
+        self.assertEqual(robot_1.state().counts[3], 3)
+        code, output = gspn("fire", "T1")
+        self.assertEqual(code, 1, output)
+        code, output = gspn("fire", "no_such_transition")
+        self.assertEqual(code, 1, output)
+        self.assertIn("no_such_transition", output)
+
+        self.assertEqual(gspn("pause", "robot_1")[0], 0)
+        wait_for(lambda: robot_1.state().state == "Paused", what="the pause")
+        self.assertEqual(robot_2.state().state, "Doing")
+        self.assertEqual(gspn("resume", "robot_1")[0], 0)
+        wait_for(lambda: robot_1.state().state == "Doing", what="the end of the pause")
+        self.assertEqual(gspn("pause")[0], 0)
+        wait_for(lambda: robot_2.state().state == "Paused", what="the pause of the team")
+        self.assertEqual(gspn("resume")[0], 0)
+
+        code, output = gspn("set-place", "robot_2", "B", "--json")
+        self.assertTrue(json.loads(output)["done"], output)
+        wait_for(lambda: "operator" in robot_2.status()["waits_for"], what="the failure")
+        self.assertEqual(gspn("retry", "robot_2")[0], 0)
+        wait_for(lambda: robot_2.state().place == "C", what="the second attempt")
+        self.assertEqual(team.transitions()[-1], "T2")
+
+        code, output = gspn("set-place", "robot_9", "B")
+        self.assertEqual(code, 1, output)
+        code, output = gspn("retry")
+        self.assertEqual(code, 2, output)
+
+        self.assertEqual(gspn("stop")[0], 0)
+        self.assertEqual([robot.exit_code() for robot in team], [1, 1])
+        code, output = gspn("status")
+        self.assertEqual(code, 1)
+        self.assertIn("no execution node", output)
+
+    def test_join_leave_and_both_kinds_of_eviction(self):
+        team = self.start()
+        team.robots["robot_3"] = Robot(team, "robot_3", "/robot_3", place="A")
+        robot_3 = team["robot_3"].start()
+        wait_for(lambda: robot_3.state().place == "A", 20, "the joining")
+        self.assertEqual(dict(zip(robot_3.state().places, robot_3.state().counts))["A"], 3)
+
+        self.assertEqual(gspn("leave", "robot_2")[0], 0)
+        self.assertEqual(team["robot_2"].exit_code(), 0)
+        wait_for(lambda: robot_3.state().counts[0] == 2, what="the smaller team")
+
+        robot_3.signal(signal.SIGSTOP)
+        code, output = gspn("status")
+        self.assertEqual(code, 1)
+        self.assertIn("the node in /robot_3 does not answer", output)
+        code, output = gspn("force-evict", "robot_3")
+        self.assertEqual(code, 0, output)
+        wait_for(lambda: team["robot_1"].state().counts[0] == 1, what="the eviction")
+        code, output = gspn("fire", "arrives")
+        self.assertEqual(code, 0, output)
+        robot_3.signal(signal.SIGCONT)
+
+
+if __name__ == "__main__":
+    import rostest
+
+    rospy.init_node("test_services")
+    rostest.rosrun("gspn_framework_package", "services", __name__)
