@@ -32,7 +32,7 @@ autodoc_typehints = "signature"
 # Pages are built without ROS, PyBullet and a browser too.
 autodoc_mock_imports = [
     "actionlib", "actionlib_msgs", "diagnostic_msgs", "genpy", "geometry_msgs", "nav_msgs", "numba", "pybullet",
-    "pybullet_utils", "pyrvo", "rosbag", "rosgraph", "rosgraph_msgs", "roslaunch", "roslib", "rosnode", "rospkg", "rospy",
+    "pybullet_utils", "rosbag", "rosgraph", "rosgraph_msgs", "roslaunch", "roslib", "rosnode", "rospkg", "rospy",
     "rosservice", "rostopic", "sensor_msgs", "std_msgs", "std_srvs", "tf2_msgs", "tf2_ros",
     "gspn_framework_package.msg", "gspn_framework_package.srv",
 ]  # fmt: skip

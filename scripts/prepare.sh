@@ -88,14 +88,13 @@ prepare_system() {
 # --- the venv: what the system's packages lack
 
 prepare_venv() {
-    local lists=("$ROOT/scripts/requirements.txt" "$ROOT/scripts/requirements-bare.txt")
-    local key
-    key=$({ echo "$VENV"; /usr/bin/python3 --version; cat "${lists[@]}"; } | sha256sum)
+    local list=$ROOT/scripts/requirements.txt key
+    key=$({ echo "$VENV"; /usr/bin/python3 --version; cat "$list"; } | sha256sum)
     [ "$(cat "$VENV/prepared" 2>/dev/null)" = "$key" ] && return 0
     say "installing Python packages into .workspace/venv"
     [ -x "$VENV/bin/python" ] || /usr/bin/python3 -m venv --system-site-packages "$VENV" || die "cannot make $VENV"
-    local log=$WORKSPACE/pip.log pip=(timeout 1200 "$VENV/bin/python" -m pip install --disable-pip-version-check)
-    { "${pip[@]}" -r "${lists[0]}" && "${pip[@]}" --no-deps -r "${lists[1]}"; } \
+    local log=$WORKSPACE/pip.log
+    timeout 1200 "$VENV/bin/python" -m pip install --disable-pip-version-check -r "$list" \
         </dev/null >"$log" 2>&1 || { tail -n 20 "$log" >&2; die "pip failed; all of its output: $log"; }
     echo "$key" >"$VENV/prepared"
 }

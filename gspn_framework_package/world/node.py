@@ -11,8 +11,9 @@ For all: ``/clock``, ``/tf`` (map -> ROBOT/odom -> ROBOT/base_footprint), ``/map
 ``/world/room`` (std_msgs/String, JSON, latched), ``/world/state`` (JSON, ten a second of wall time at most) and
 ``/world/referee`` (JSON, what the referee has counted, once a second).
 
-Private parameters: ``room`` (file), ``robots`` (how many: robot_1 to robot_N; or their names, with commas), ``real_time_factor`` (1 is real
-time, 0 as fast as it goes), ``gui``, ``duration`` (seconds of world time, 0 without end).
+Private parameters: ``room`` (file), ``robots`` (how many: robot_1 to robot_N; or their names, with commas),
+``real_time_factor`` (1 is real time, 0 as fast as it goes), ``gui``, ``duration`` (seconds of world time, 0 without
+end), ``record`` (file to record the run in, for ``gspn film``).
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ import json
 import queue
 import sys
 import time
-from typing import Any, Callable, Dict, List, Union
+from pathlib import Path
+from typing import Any, Callable, Dict, List, Optional, Union
 
 import rospy
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
@@ -35,6 +37,7 @@ from gspn_framework_package.model.errors import GspnError, InputError
 from gspn_framework_package.world import messages
 from gspn_framework_package.world.move_base import MAP_FRAME, MoveBase
 from gspn_framework_package.world.physics import PALETTE
+from gspn_framework_package.world.recording import Recorder
 from gspn_framework_package.world.referee import Referee
 from gspn_framework_package.world.room import Room
 from gspn_framework_package.world.room_file import load_room
@@ -132,6 +135,7 @@ class WorldNode:
             name: PALETTE[index % len(PALETTE)] for index, name in enumerate(robots)
         }
         self._room.publish(json.dumps(description))
+        self.recorder: Optional[Recorder] = None
         self._steps = 0
         self._reported = 0.0
         self._state_time = 0.0
@@ -146,6 +150,8 @@ class WorldNode:
                 break
         self.team.step()
         self.referee.watch()
+        if self.recorder is not None:
+            self.recorder.record()
         self._steps += 1
         stamp = messages.stamp_of(self.team.time)
         self._clock.publish(Clock(stamp))
@@ -245,7 +251,15 @@ def main() -> int:
             len(robots),
             rospy.get_param("~real_time_factor", 1.0) or "as fast as it goes",
         )
-        node.spin(float(rospy.get_param("~duration", 0.0)))
+        recording = str(rospy.get_param("~record", ""))
+        if recording:
+            text = Path(room_file).read_text(encoding="utf-8")
+            node.recorder = Recorder(recording, text, node.team)
+        try:
+            node.spin(float(rospy.get_param("~duration", 0.0)))
+        finally:
+            if node.recorder is not None:
+                node.recorder.close()
     except GspnError as error:
         rospy.logfatal("world: %s", error)
         return error.exit_code

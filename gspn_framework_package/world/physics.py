@@ -158,7 +158,9 @@ class Physics:
         self._client.createMultiBody(0, -1, look, [middle[0], middle[1], -0.05])
         # contacts with a plane cost a third of those with a box
         shape = self._client.createCollisionShape(pybullet.GEOM_PLANE)
-        floor = self._client.createMultiBody(0, shape)
+        # a plane without looks of its own gets a chequered one
+        nothing = self._client.createVisualShape(pybullet.GEOM_SPHERE, radius=1e-4)
+        floor = self._client.createMultiBody(0, shape, nothing)
         self._client.changeDynamics(floor, -1, lateralFriction=1.0)
         return int(floor)
 
@@ -214,7 +216,7 @@ class Physics:
             (kind.radius * 0.98, 0.045, 0.06, list(light)),
             (kind.radius, 0.012, 0.09, dark),
             (kind.radius * 0.9, 0.03, 0.11, list(light)),
-            (kind.radius, 0.012, 0.135, dark),
+            (kind.radius, 0.012, 0.135, list(light)),
             (0.035, 0.035, _SCANNER_HEIGHT - 0.01, [0.05, 0.05, 0.06, 1.0]),
         ]
         looks = client.createVisualShapeArray(
@@ -296,6 +298,13 @@ class Physics:
         )
         for mode in modes:
             self._client.changeDynamics(body.unique_id, -1, activationState=mode)
+
+    def show(self, robot: str, pose: Pose) -> None:
+        """Put a robot somewhere, for pictures of a recorded run; a simulation never does that."""
+        body = self._bodies[robot].unique_id
+        height = self._client.getBasePositionAndOrientation(body)[0][2]
+        turned = pybullet.getQuaternionFromEuler([0, 0, pose.yaw])
+        self._client.resetBasePositionAndOrientation(body, [pose.x, pose.y, height], turned)
 
     def step(self) -> None:
         """Advance by :data:`TIME_STEP`."""

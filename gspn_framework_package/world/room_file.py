@@ -1,6 +1,6 @@
 """The room file: reads a room from YAML, so that users describe their own.
 
-docs/world.rst lists every field; the critical room of thesis Figure 6.7 is plans/patrol/critical_room.yaml.
+docs/world.md lists every field; the critical room of thesis Figure 6.7 is plans/patrol/critical_room.yaml.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ def parse_room(text: str, file: Optional[str] = None) -> Room:
             file=file,
             line=_line_of(tree, first.path),
             element=_path_text(first.path) or "room",
-            hint="%d more" % (len(problems) - 1) if len(problems) > 1 else "see docs/world.rst",
+            hint="%d more" % (len(problems) - 1) if len(problems) > 1 else "see docs/world.md",
         )
     room = _build(data)
     _check(room, file, tree)

@@ -1,0 +1,113 @@
+"""``gspn film``: films robots in a room, without a display."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import time
+from pathlib import Path
+from typing import Any, Dict, Iterator, Tuple
+
+from gspn_framework_package.cli.progress import ProgressLine
+from gspn_framework_package.model.errors import InputError, UsageError
+
+NAME = "film"
+HELP = "film robots in a room, without a display: a recorded run, or a patrol simulated for it"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    parser.add_argument("film", metavar="FILM", help="what to write: .mp4 (needs ffmpeg), .gif, .webp, or a folder")
+    parser.add_argument("--recording", metavar="FILE", help="film this run (patrol.launch record:=FILE)")
+    parser.add_argument("--room", metavar="FILE", help="without a recording: the room file of the patrol")
+    parser.add_argument("--robots", type=int, default=4, metavar="N", help="without a recording: robots (4)")
+    parser.add_argument("--seed", type=int, default=0, help="without a recording: of what is drawn (0)")
+    parser.add_argument("--seconds", type=float, default=120, metavar="S", help="seconds of the run (120)")
+    parser.add_argument("--from", type=float, default=0, metavar="S", dest="start", help="begin there (0)")
+    parser.add_argument("--speed", type=float, default=8, metavar="X", help="times as fast as the run (8)")
+    parser.add_argument("--rate", type=float, default=20, metavar="N", help="pictures a second (20)")
+    parser.add_argument("--view", default="corner", choices=("corner", "top"), help="from where (corner)")
+    parser.add_argument("--size", default="960x720", metavar="WxH", help="pixels (960x720)")
+    parser.add_argument("--json", action="store_true", help="tell the result as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Film the run; tell how it went."""
+    width, height = _size(args.size)
+    for name in ("seconds", "speed", "rate", "robots"):
+        if getattr(args, name) <= 0:
+            raise UsageError("--%s must be above 0" % name)
+    from gspn_framework_package.world.camera import Camera
+    from gspn_framework_package.world.film import Film
+
+    step = args.speed / args.rate
+    physics, moments = _recorded(args, step) if args.recording else _simulated(args, step)
+    camera = Camera(physics, width, height, args.view)
+    film = Film(Path(args.film), width, height, args.rate)
+    begin = time.monotonic()
+    total = int(args.seconds / step) + 1
+    try:
+        with ProgressLine() as progress:
+            for moment, poses in moments:
+                for name, pose in poses.items():
+                    physics.show(name, pose)
+                film.add(camera.picture(moment, "%g times as fast" % args.speed))
+                progress("of %s pictures" % format(total, ","), film.count, time.monotonic() - begin)
+    finally:
+        film.close()
+    told = {"film": args.film, "pictures": film.count, "seconds": round(time.monotonic() - begin, 1)}
+    if args.json:
+        print(json.dumps(told))
+    else:
+        print("%s: %d pictures in %.0f s" % (args.film, film.count, told["seconds"]))
+    return 0
+
+
+Moments = Iterator[Tuple[float, Dict[str, Any]]]
+"""Times, and the poses to show then; none where the bodies are there already."""
+
+
+def _size(text: str) -> Tuple[int, int]:
+    match = re.match(r"^(\d{2,4})x(\d{2,4})$", text)
+    if match is None:
+        raise UsageError("--size: '%s' is no size" % text, hint="write 960x720")
+    # films want even numbers
+    return (int(match.group(1)) // 2 * 2, int(match.group(2)) // 2 * 2)
+
+
+def _simulated(args: argparse.Namespace, step: float) -> Tuple[Any, Moments]:
+    from gspn_framework_package.benchmark.plans import plans_folder
+    from gspn_framework_package.world.room_file import load_room
+    from gspn_framework_package.world.traffic import Patrol
+
+    file = args.room or str(Path(plans_folder()) / "patrol" / "critical_room.yaml")
+    room = load_room(file)
+    if args.robots > len(room.spawn):
+        raise InputError("only %d robots can start in this room" % len(room.spawn), file=file)
+    patrol = Patrol(room, ["robot_%d" % (i + 1) for i in range(args.robots)], args.seed)
+
+    def moments() -> Moments:
+        patrol.run(args.start)
+        while patrol.team.time <= args.start + args.seconds:
+            yield patrol.team.time, {}
+            patrol.run(step)
+
+    return patrol.team.physics, moments()
+
+
+def _recorded(args: argparse.Namespace, step: float) -> Tuple[Any, Moments]:
+    from gspn_framework_package.world.physics import Physics
+    from gspn_framework_package.world.recording import read_recording
+
+    recording = read_recording(args.recording)
+    if not recording.moments:
+        raise InputError("nothing was recorded", file=args.recording)
+    physics = Physics(recording.room, recording.robots, recording.moments[0][1])
+
+    def moments() -> Moments:
+        for moment, poses in recording.every(step):
+            if args.start <= moment <= args.start + args.seconds:
+                yield moment, poses
+
+    return physics, moments()

@@ -1,0 +1,112 @@
+"""Recorded runs of the world: JSON lines, the first with the room and the robots, then one for each moment."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Dict, Iterator, List, Optional, TextIO, Tuple, Type, Union
+
+from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.world.room import Pose, Room
+from gspn_framework_package.world.room_file import parse_room
+from gspn_framework_package.world.team import Team
+
+FORMAT = "gspn_world_1"
+
+
+class Recorder:
+    """Writes what a team does to a file; a context manager.
+
+    :param file: what to write; an old one is replaced.
+    :param room_text: the text of the room file, so that the recording needs no other file.
+    :param team: the team.
+    :raises InputError: the file cannot be written.
+    """
+
+    def __init__(self, file: Union[str, Path], room_text: str, team: Team) -> None:
+        self._team = team
+        try:
+            self._out: TextIO = open(file, "w", encoding="utf-8")  # noqa: SIM115  # closed by close()
+        except OSError as error:
+            raise InputError("cannot write the recording: %s" % error.strerror, file=str(file)) from None
+        head = {"format": FORMAT, "robots": list(team.robots), "room": room_text}
+        self._out.write(json.dumps(head) + "\n")
+
+    def record(self) -> None:
+        """Write where everyone is now."""
+        poses = [self._team.physics.pose(name) for name in self._team.robots]
+        line = [[round(p.x, 4), round(p.y, 4), round(p.yaw, 4)] for p in poses]
+        self._out.write(json.dumps([round(self._team.time, 3), line]) + "\n")
+
+    def close(self) -> None:
+        """End the recording."""
+        self._out.close()
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self,
+        kind: Optional[Type[BaseException]],
+        error: Optional[BaseException],
+        trace: Optional[TracebackType],
+    ) -> None:
+        self.close()
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recorded run.
+
+    :param room: where.
+    :param robots: who, in the order of the poses.
+    :param moments: time in seconds and the poses then, in order of time.
+    """
+
+    room: Room
+    robots: Tuple[str, ...]
+    moments: Tuple[Tuple[float, Tuple[Pose, ...]], ...]
+
+    def every(self, seconds: float) -> Iterator[Tuple[float, Dict[str, Pose]]]:
+        """Moments that far apart: the latest recorded one at each time."""
+        due = self.moments[0][0] if self.moments else 0.0
+        for (time, poses), after in zip(self.moments, [*self.moments[1:], None]):
+            if after is None or after[0] > due:
+                yield time, dict(zip(self.robots, poses))
+                due += seconds
+
+
+def read_recording(file: Union[str, Path]) -> Recording:
+    """Read a recording; a last line that was cut off is left out.
+
+    :raises InputError: it cannot be read, or is none.
+    """
+    try:
+        lines = Path(file).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError("cannot read the recording: %s" % error, file=str(file)) from None
+    moments: List[Tuple[float, Tuple[Pose, ...]]] = []
+    number = 1
+    try:
+        head = json.loads(lines[0])
+        if head["format"] != FORMAT:
+            raise ValueError("its format is %r" % head["format"])
+        robots = tuple(str(name) for name in head["robots"])
+        room = parse_room(head["room"], str(file))
+        for number, line in enumerate(lines[1:], 2):
+            if number == len(lines) and not line.endswith("]]]"):
+                break  # written while the run was ended
+            time, poses = json.loads(line)
+            if len(poses) != len(robots):
+                raise ValueError("%d poses of %d robots" % (len(poses), len(robots)))
+            moments.append((float(time), tuple(Pose(*map(float, pose)) for pose in poses)))
+    except (ValueError, KeyError, IndexError, TypeError) as error:
+        raise InputError(
+            "no recording of a world: %s" % error,
+            file=str(file),
+            line=number,
+            hint="world.launch writes one with record:=FILE",
+        ) from None
+    return Recording(room, robots, tuple(moments))
