@@ -18,12 +18,18 @@ from gspn_framework_package.model.errors import LogError
 
 
 class Origin(NamedTuple):
-    """Who put an entry into the log: a robot, its incarnation, and a number that it counts up. Of
-    one origin only an entry newer than all before has an effect: that makes repeats harmless."""
+    """Who put an entry into the log: a robot, its incarnation, a number that it counts up, and the
+    (shortened) id of the log that it counts in.
+
+    Of one robot only an entry newer than all before has an effect: that makes repeats harmless. Two
+    lives of a robot that lost its log may claim the same incarnation; the first to get into the
+    agreed log has it.
+    """
 
     robot: str
     incarnation: int
     number: int
+    log: str = ""
 
 
 class Item(NamedTuple):
@@ -42,8 +48,8 @@ class Item(NamedTuple):
     def from_json(cls, data: Any) -> Item:
         """The item of a JSON value. :raises LogError: not one."""
         try:
-            entry, (robot, incarnation, number), private = data
-            origin = Origin(str(robot), int(incarnation), int(number))
+            entry, (robot, incarnation, number, log_id), private = data
+            origin = Origin(str(robot), int(incarnation), int(number), str(log_id))
             return cls(log.from_json(entry), origin, bool(private))
         except (TypeError, ValueError) as error:
             raise LogError("not an entry with its origin: %.200r (%s)" % (data, error)) from None
@@ -56,14 +62,14 @@ class Ledger:
 
     :ivar state: the team after ``length`` slots; changed in place.
     :ivar hash: the end of the hash chain.
-    :ivar seen: robot -> (incarnation, number) of its newest entry in the log.
+    :ivar seen: robot -> (incarnation, number, log) of its newest entry in the log.
     """
 
     def __init__(self, game: TokenGame) -> None:
         self.game = game
         self.state = game.new_state()
         self.hash = first_hash(game.plan)
-        self.seen: Dict[str, Tuple[int, int]] = {}
+        self.seen: Dict[str, Tuple[int, int, str]] = {}
 
     @property
     def length(self) -> int:
@@ -74,11 +80,12 @@ class Ledger:
         """Whether an entry of that origin would have an effect (an entry without a robot has
         one)."""
         known = self.seen.get(origin.robot)
-        return known is None or (origin.incarnation, origin.number) > known
+        if known is None or origin.incarnation > known[0]:
+            return True
+        _, incarnation, number, log_id = origin
+        return incarnation == known[0] and number > known[1] and log_id == known[2]
 
-    def append(
-        self, items: Sequence[Item], ballot: Optional[Sequence[Any]] = None
-    ) -> Tuple[Record, Step]:
+    def append(self, items: Sequence[Item], ballot: Optional[Sequence[Any]] = None) -> Tuple[Record, Step]:
         """Put a batch into the next slot: the ``slot`` record, and what it brought about. Repeated
         items are left out."""
         fresh: List[Item] = []
@@ -102,9 +109,7 @@ class Ledger:
             record["ballot"] = list(ballot)
         return record, step
 
-    def record(
-        self, slot: int, entries: Sequence[log.Entry], origins: List[Any], step: Step
-    ) -> Record:
+    def record(self, slot: int, entries: Sequence[log.Entry], origins: List[Any], step: Step) -> Record:
         """The ``slot`` record of a step that was made already; the chain goes on with it."""
         written = [log.to_json(e) for e in entries]
         firings = [firing_to_json(f, self.game.net) for f in step.firings]
@@ -135,6 +140,6 @@ class Ledger:
         try:
             self.state = TeamState.from_json(record["state"], self.game.net)
             self.hash = str(record["hash"])
-            self.seen = {r: (int(i), int(n)) for r, (i, n) in record["seen"].items()}
+            self.seen = {r: (int(i), int(n), str(x)) for r, (i, n, x) in record["seen"].items()}
         except (KeyError, TypeError, ValueError) as error:
             raise LogError("not a snapshot (%r)" % error) from None

@@ -343,7 +343,7 @@ class World:
         for node in self.alive():
             replica = node.replica
             assert replica is not None
-            if node.suspended:
+            if node.suspended or replica.fenced:
                 return False
             ends.add((replica.ledger.length, replica.ledger.hash))
             if any(not o.item.private for o in replica.pool.own):

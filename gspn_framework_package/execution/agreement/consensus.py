@@ -155,7 +155,7 @@ class Consensus:
         attempt.sent = now
         attempt.tries += 1
         if attempt.batch is None:
-            answered = attempt.answered
+            answered = set(attempt.promises)
             if self._first_phase_over():
                 return
         else:

@@ -266,7 +266,7 @@ class Replica:
     def _known_incarnation(self) -> int:
         """The newest incarnation of ours that the log has heard of, -1 for none."""
         state = self._own_state()
-        seen = self.ledger.seen.get(self.name, (-1, 0))[0]
+        seen = self.ledger.seen.get(self.name, (-1, 0, ""))[0]
         return seen if state is None else max(seen, state.incarnation)
 
     # -- what we know of ourselves -----------------------------------------------------------------
@@ -471,11 +471,9 @@ class Replica:
     def _hear_own_name(self, message: io.Message) -> None:
         if message.get("team") != self._tag or message.get("kind") != "hello":
             return
-        if message["log"] == self.log_id:
-            if message["incarnation"] > self.incarnation:
-                self._halt("another process runs as %s, started later" % self.name)
-        elif self.active and message["active"]:
-            self._fault("another process runs as %s, with another log" % self.name)
+        same = message["log"] == self.log_id
+        if message["incarnation"] > self.incarnation and (same or message["active"]):
+            self._halt("another process runs as %s, and started later" % self.name)
 
     def _hear_stranger(self, sender: str, message: io.Message) -> None:
         run, _, plan = str(message.get("team")).rpartition("|")
@@ -657,8 +655,7 @@ class Replica:
                 self._answer_order(own, own.item.origin in fresh, step)
         state = self._own_state()
         if state is not None and state.incarnation > self.incarnation and self.active:
-            self._halt("another process took over as %s" % self.name)
-            return
+            self._new_life()  # a Join of a former life of ours, late; a second process would be heard
         self._follow()
         if state is not None and state.phase in GONE and self.ledger.state.ended is None:
             self._on_gone(state)
@@ -752,7 +749,7 @@ class Replica:
 
     def _next_origin(self) -> Origin:
         self._number += 1
-        return Origin(self.name, self.incarnation, self._number)
+        return Origin(self.name, self.incarnation, self._number, self.log_id[:8])
 
     def _invoke(self, entry: log.Entry, order_id: str = "", suspect: str = "") -> None:
         """Want a fact in the log."""

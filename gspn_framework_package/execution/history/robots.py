@@ -10,7 +10,7 @@ from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.history.merge import Merged
 from gspn_framework_package.execution.history.replay import BrokenRuleError, Record, Situation
 
-Origin = Tuple[str, int, int]
+Origin = Tuple[str, int, int, str]
 
 
 class Facts:
@@ -26,14 +26,14 @@ class Facts:
         for slot in range(length):
             record = merged.slots[slot]
             for entry, origin in zip(record["entries"], record["origins"]):
-                key = (str(origin[0]), int(origin[1]), int(origin[2]))
+                key = _key(origin)
                 if key in self.where:
                     raise BrokenRuleError(
                         4, "%s is in the log twice: slots %d and %d" % (_name(key), self.where[key][0], slot)
                     )
-                if newest.get(key[0], (-1, -1)) >= key[1:]:
+                if newest.get(key[0], (-1, -1)) >= key[1:3]:
                     raise BrokenRuleError(4, "%s is in slot %d, after a newer one of that robot" % (_name(key), slot))
-                newest[key[0]] = key[1:]
+                newest[key[0]] = key[1:3]
                 self.where[key] = (slot, entry)
             for firing in record["firings"]:
                 for robot, source, _, visit in firing["moves"]:
@@ -43,7 +43,7 @@ class Facts:
 
     def newest_before(self, key: Origin) -> bool:
         """Whether a newer fact of the same incarnation is in the log."""
-        return any(k[:2] == key[:2] and k[2] > key[2] for k in self.where)
+        return any(k[:2] == key[:2] and k[3] == key[3] and k[2] > key[2] for k in self.where)
 
 
 def check_real_time(merged: Merged, facts: Facts, invoked: Mapping[Origin, float]) -> None:
@@ -158,7 +158,7 @@ class RobotCheck:
 
     def _overtaken(self, origin: Origin) -> bool:
         """Whether a newer one of the same robot made it void."""
-        return any(k[0] == origin[0] and k[1:] > origin[1:] for k in self.facts.where)
+        return any(k[0] == origin[0] and k[1:3] >= origin[1:3] for k in self.facts.where)
 
     # -- private moves -----------------------------------------------------------------------------
 
@@ -247,8 +247,12 @@ class RobotCheck:
 
 
 def _origin(record: Record) -> Origin:
-    robot, incarnation, number = record["origin"]
-    return str(robot), int(incarnation), int(number)
+    return _key(record["origin"])
+
+
+def _key(origin: Any) -> Origin:
+    robot, incarnation, number, log_id = origin
+    return str(robot), int(incarnation), int(number), str(log_id)
 
 
 def _name(origin: Any) -> str:
