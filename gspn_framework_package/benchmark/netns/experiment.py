@@ -1,0 +1,184 @@
+"""One team in one network: what every scenario is made of."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import time
+from dataclasses import replace
+from typing import Any, Callable, Dict, List, Sequence
+
+from gspn_framework_package.benchmark.netns.logs import History, LogTail, check_history
+from gspn_framework_package.benchmark.netns.network import Network
+from gspn_framework_package.benchmark.netns.rules import Cuts, one_way, partition
+from gspn_framework_package.benchmark.netns.team import MASTER, Team
+from gspn_framework_package.benchmark.plans import tokens_plan
+from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.model.plan import FunctionAction, Plan, Synchronisation, Timing
+
+WORK = "gspn_framework_package.benchmark.netns.work.work"
+
+SETTLE = 0.5
+"""Seconds after a cut in which what was under way may still be written."""
+
+PATIENCE = 40.0
+"""Seconds until something that must happen counts as not happening."""
+
+
+def plan_for(robots: int, mode: str, evict_after: float) -> Plan:
+    """The net of thesis Figure 6.1 with short actions: of its places, those before a resource or a choice of the
+    policy need the team's agreement in partial synchronisation, the others are private."""
+    plan = tokens_plan().for_robots(robots)
+    return replace(
+        plan,
+        actions={p: None if a is None else FunctionAction(WORK, p) for p, a in plan.actions.items()},
+        synchronisation=Synchronisation(mode),
+        timing=Timing(evict_after, 0.0),
+    )
+
+
+class Experiment:
+    """A team that works, in a network that can be cut; ends with the ``with`` block, which keeps the logs of one that
+    failed.
+
+    :param mode: ``full`` or ``partial``.
+    :param evict_after: see :class:`~gspn_framework_package.model.plan.Timing`.
+    :param delay: seconds from any node to any other.
+    """
+
+    def __init__(self, mode: str, *, robots: int = 3, evict_after: float = 15.0, delay: float = 0.0) -> None:
+        self.partial = mode == "partial"
+        self.cut_at = self.healed_at = 0.0
+        plan = plan_for(robots, mode, evict_after)
+        self.robots = [robot.name for robot in plan.robots]
+        self.network = Network([MASTER, *self.robots], delay)
+        self.folder = tempfile.mkdtemp(prefix="gspn_netns_")
+        self._team = Team(self.network, plan, self.folder)
+
+    def __enter__(self) -> Experiment:
+        try:
+            self.network.__enter__()
+            try:
+                self.network.verify()
+                self._team.__enter__()
+            except BaseException:
+                self.network.__exit__()
+                raise
+        except BaseException:
+            shutil.rmtree(self.folder, ignore_errors=True)
+            raise
+        return self
+
+    def __exit__(self, kind: Any, *_: Any) -> None:
+        try:
+            self._team.__exit__()
+        finally:
+            self.network.__exit__()
+            if kind is None:
+                shutil.rmtree(self.folder, ignore_errors=True)
+
+    # -- what the logs say -------------------------------------------------------------------------
+
+    def read(self) -> Dict[str, LogTail]:
+        """The robots' logs by name, as far as they are written."""
+        return self._team.read()
+
+    def moves(self, robot: str, begin: float, end: float = float("inf")) -> int:
+        """Moves of a robot between two times."""
+        return self.read()[robot].moves(begin, end)
+
+    def slots(self, robots: Sequence[str], begin: float, end: float = float("inf")) -> int:
+        """Slots that got into the logs of these robots between two times, repetitions counted once."""
+        logs = self.read()
+        return len({s["slot"] for r in robots for s in logs[r].of("slot", begin, end)})
+
+    # -- waiting -----------------------------------------------------------------------------------
+
+    def wait(self, condition: Callable[[], bool], what: str, seconds: float = PATIENCE) -> float:
+        """Wait for a condition; when it came true. :raises ExecutionError: it did not within the time."""
+        deadline = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > deadline:
+                raise ExecutionError("waited %g s in vain for %s" % (seconds, what), file=self.folder)
+            time.sleep(0.02)
+        return time.monotonic()
+
+    def wait_for_moves(self, robots: Sequence[str], number: int, what: str) -> float:
+        """Wait until each of these robots has moved ``number`` times from now on; when that was."""
+        now = time.monotonic()
+        return self.wait(lambda: all(self.moves(r, now) >= number for r in robots), "%d moves %s" % (number, what))
+
+    def warm_up(self, moves: int = 8) -> None:
+        """Wait until every robot has moved a few times."""
+        self.wait_for_moves(self.robots, moves, "of each robot before the fault")
+
+    # -- the network -------------------------------------------------------------------------------
+
+    def part(self, *groups: Sequence[str]) -> None:
+        """Cut the network into groups of nodes."""
+        self._cut(partition(groups))
+
+    def drop(self, sources: Sequence[str], targets: Sequence[str]) -> None:
+        """Lose what goes from a source to a target; the other way stays open."""
+        self._cut(one_way(sources, targets))
+
+    def _cut(self, cuts: Cuts) -> None:
+        self.read()
+        self.network.cut(cuts)
+        self.cut_at = time.monotonic()
+        self.network.verify()
+
+    def hold(self, seconds: float) -> None:
+        """Leave the network as it is until ``seconds`` after the cut."""
+        self.wait(lambda: time.monotonic() >= self.cut_at + seconds and bool(self.read()), "the time to pass")
+
+    def heal(self) -> None:
+        """Let everything through again."""
+        self.healed_at = time.monotonic()
+        self.network.heal()
+        self.network.verify()
+
+    def fault(self) -> List[float]:
+        """[begin, end] of the time in which nothing that was under way before the cut can still be written."""
+        return [self.cut_at + SETTLE, self.healed_at]
+
+    # -- what must hold ----------------------------------------------------------------------------
+
+    def require(self, condition: bool, what: str) -> None:
+        """:raises ExecutionError: the condition does not hold."""
+        if not condition:
+            raise ExecutionError(what, file=self.folder)
+
+    def catch_up(self, behind: Sequence[str], ahead: Sequence[str]) -> float:
+        """Wait until the logs of some robots hold all that others knew when the network was healed; the seconds that it
+        took from there."""
+        logs = self.read()
+        known = max(
+            1 + max((s["slot"] for s in logs[r].of("slot", 0, self.healed_at)), default=-1) for r in ahead
+        )
+        caught = self.wait(lambda: all(self.read()[r].length >= known for r in behind), "the others to catch up")
+        return caught - self.healed_at
+
+    def finish(self) -> History:
+        """Have everybody move on, pause the team, see that all replicas end alike, end it, and check the history.
+
+        :raises GspnError: they do not, or the history is not a valid one.
+        """
+        self.wait_for_moves(self.robots, 5, "of each robot at the end")
+        problem = ["not asked"]
+
+        def paused() -> bool:
+            problem[0] = self._team.order(self.robots[0], "pause")
+            return not problem[0]
+
+        try:
+            self.wait(paused, "the team to pause")
+        except ExecutionError as error:
+            raise ExecutionError("%s: %s" % (error.message, problem[0]), file=self.folder) from None
+        self.wait(self._alike, "all logs to end alike")
+        self._team.end()
+        return check_history([self._team.logs[r].path for r in self.robots])
+
+    def _alike(self) -> bool:
+        return len({(log.length, log.hash) for log in self.read().values()}) == 1

@@ -1,0 +1,80 @@
+"""The command: runs scenarios one after the other, and tells what was seen."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+import time
+from typing import Any, Dict, List, Optional, Sequence
+
+from gspn_framework_package.benchmark.machine import describe_machine, machine_line
+from gspn_framework_package.benchmark.netns.network import why_impossible
+from gspn_framework_package.benchmark.netns.scenarios import DELAY, NEEDS_DELAY, SCENARIOS
+from gspn_framework_package.benchmark.netns.team import why_no_ros
+from gspn_framework_package.model.errors import GspnError
+
+MODES = ("full", "partial")
+
+
+def why_not(scenarios: Sequence[str] = ()) -> str:
+    """Why these scenarios cannot run on this machine; "" where they can."""
+    delay = DELAY if NEEDS_DELAY & set(scenarios) else 0.0
+    return why_no_ros() or why_impossible(delay)
+
+
+def main(arguments: Optional[Sequence[str]] = None) -> int:
+    """Run the scenarios; 0: the team did as it must in all, 1: it did not, 2: not possible here, or wrong usage."""
+    parser = argparse.ArgumentParser(
+        prog="benchmark.netns",
+        description="Cuts and slows the network of a robot team, each node in its own network namespace (needs root).",
+        epilog="Exit codes: 0 all as it must be, 1 not so, 2 not possible on this machine, or wrong usage.",
+    )
+    parser.add_argument("--scenario", action="append", choices=list(SCENARIOS), help="only this one (repeatable)")
+    parser.add_argument("--mode", action="append", choices=MODES, help="only this synchronisation")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    args = parser.parse_args(arguments)
+    scenarios = args.scenario or list(SCENARIOS)
+    reason = why_not(scenarios)
+    if reason:
+        print("not possible here: %s" % reason, file=sys.stderr)
+        return 2
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that everything is cleaned up
+    results: List[Dict[str, Any]] = []
+    try:
+        for name in scenarios:
+            for mode in args.mode or MODES:
+                print("%s, %s synchronisation ..." % (name, mode), end=" ", file=sys.stderr, flush=True)
+                results.append(_run(name, mode))
+                print("%(outcome)s, %(seconds).0f s" % results[-1], file=sys.stderr)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+    machine = describe_machine()
+    if args.json:
+        print(json.dumps({"machine": machine, "results": results}, indent=2))
+    else:
+        print(machine_line(machine) + "\n")
+        for result in results:
+            print(_line(result))
+    return 0 if all(r["outcome"] == "ok" for r in results) else 1
+
+
+def _run(name: str, mode: str) -> Dict[str, Any]:
+    begin = time.monotonic()
+    result: Dict[str, Any] = {"scenario": name, "mode": mode, "outcome": "ok"}
+    try:
+        result.update(SCENARIOS[name](mode))
+    except GspnError as error:
+        result.update(outcome="FAILED", why=str(error))
+    return dict(result, seconds=time.monotonic() - begin)
+
+
+def _line(result: Dict[str, Any]) -> str:
+    numbers = {k: v for k, v in result.items() if k not in ("scenario", "mode", "outcome", "seconds")}
+    told = ", ".join(
+        "%s %s" % (key.replace("_", " "), "%.3g" % value if isinstance(value, float) else value)
+        for key, value in numbers.items()
+    )
+    return "%-12s %-8s %-7s %s" % (result["scenario"], result["mode"], result["outcome"], told)

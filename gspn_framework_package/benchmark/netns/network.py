@@ -1,0 +1,226 @@
+"""Network namespaces joined by a bridge. The bridge is in a namespace too: the host's own network is not touched."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from contextlib import contextmanager
+from typing import Any, Dict, Iterator, List, Optional, Sequence
+
+from gspn_framework_package.benchmark.netns import relay
+from gspn_framework_package.benchmark.netns.rules import Cuts, ruleset
+from gspn_framework_package.model.errors import ExecutionError
+
+PREFIX = "gspn-lab-"
+"""What the names of the namespaces begin with; then comes the process id of who made them."""
+
+SUBNET = "10.77.0."
+PROBE_PORT = 7777
+_PATH = os.environ.get("PATH", "") + ":/usr/sbin:/sbin"
+_CLONE_NEWNET = 0x40000000
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+class Network:
+    """Nodes with an address each, which can be kept from reaching one another; ends with the ``with`` block, and with
+    it whatever still runs in its namespaces.
+
+    :param nodes: names, at most 15 characters each.
+    :param delay: seconds that a frame takes from any node to any other.
+    :raises ExecutionError: this machine does not allow it.
+    """
+
+    def __init__(self, nodes: Sequence[str], delay: float = 0.0) -> None:
+        self.nodes = list(nodes)
+        self.delay = delay
+        self.cuts: Cuts = frozenset()
+        self._prefix = "%s%d-" % (PREFIX, os.getpid())
+        self._hub = self._prefix + "hub"
+        self._addresses = {name: SUBNET + str(number) for number, name in enumerate(nodes, 1)}
+        self._relay: Optional[relay.Relay] = None
+
+    def address(self, node: str) -> str:
+        """IPv4 address of a node."""
+        return self._addresses[node]
+
+    def namespace(self, node: str) -> str:
+        """Name of a node's namespace."""
+        return self._prefix + node
+
+    def __enter__(self) -> Network:
+        sweep()
+        try:
+            self._build()
+        except BaseException:
+            self._remove()
+            raise
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self._remove()
+
+    def _build(self) -> None:
+        for namespace in [self._hub] + [self.namespace(n) for n in self.nodes]:
+            _run("ip", "netns", "add", namespace)
+            _run("ip", "-n", namespace, "link", "set", "lo", "up")
+        _run("ip", "-n", self._hub, "link", "add", "name", "bridge", "type", "bridge")
+        _run("ip", "-n", self._hub, "link", "set", "bridge", "up")
+        if self.delay:
+            self._relay = relay.Relay([self._taps(n) for n in self.nodes], self.delay / 2)  # each frame passes twice
+            self._relay.start()
+        for node in self.nodes:
+            here = self.namespace(node)
+            if not self.delay:
+                _run("ip", "-n", self._hub, "link", "add", "name", node, "type", "veth",
+                     "peer", "name", "eth0", "netns", here)  # fmt: skip
+            _run("ip", "-n", self._hub, "link", "set", "dev", node, "master", "bridge", "up")
+            _run("ip", "-n", here, "addr", "add", self.address(node) + "/24", "dev", "eth0")
+            _run("ip", "-n", here, "link", "set", "eth0", "up")
+        self.cut(frozenset())
+
+    def _taps(self, node: str) -> Any:
+        try:
+            with inside(self.namespace(node)):
+                end = relay.open_tap("eth0")
+            with inside(self._hub):
+                return end, relay.open_tap(node)
+        except OSError as error:
+            raise ExecutionError("no TAP device (%s)" % error.strerror, element=relay.DEVICE) from None
+
+    def _remove(self) -> None:
+        remove_namespaces([self.namespace(n) for n in self.nodes] + [self._hub])
+        if self._relay is not None:
+            self._relay.close()
+            self._relay = None
+
+    def cut(self, cuts: Cuts) -> None:
+        """From now on nothing gets through between these, and everything between all others."""
+        _run("ip", "netns", "exec", self._hub, "nft", "-f", "-", text=ruleset(cuts))
+        self.cuts = cuts
+
+    def heal(self) -> None:
+        """Let everything through again."""
+        self.cut(frozenset())
+
+    def command(self, node: str, words: Sequence[str]) -> List[str]:
+        """The command line that runs another one in a node's namespace, as the same process."""
+        return [_program("ip"), "netns", "exec", self.namespace(node), *words]
+
+    def travel_time(self, source: str, target: str, patience: float = 0.3) -> Optional[float]:
+        """Seconds that a datagram takes from one node to the other; None: it did not arrive within ``patience``."""
+        with inside(self.namespace(target)), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+            receiver.bind((self.address(target), PROBE_PORT))
+            receiver.settimeout(patience)
+            with inside(self.namespace(source)), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+                sent = time.monotonic()
+                sender.sendto(b"probe", (self.address(target), PROBE_PORT))
+            try:
+                receiver.recv(16)
+            except socket.timeout:
+                return None
+            return time.monotonic() - sent
+
+    def verify(self) -> None:
+        """See that exactly what is cut does not get through. :raises ExecutionError: it is otherwise."""
+        for source in self.nodes:
+            for target in self.nodes:
+                if source == target:
+                    continue
+                arrived = self.travel_time(source, target, 0.05 + 4 * self.delay) is not None  # ARP too
+                if arrived == ((source, target) in self.cuts):
+                    raise ExecutionError(
+                        "a datagram from %s to %s %s" % (source, target, "arrived" if arrived else "was lost")
+                    )
+
+
+def why_impossible(delay: float = 0.0) -> str:
+    """Why there can be no such network on this machine; "" where there can be one."""
+    for program, package in (("ip", "iproute2"), ("nft", "nftables")):
+        if shutil.which(program, path=_PATH) is None:
+            return "there is no program '%s' (package %s)" % (program, package)
+    if os.geteuid() != 0:
+        return "network namespaces need root"
+    try:
+        with Network(["probe_1", "probe_2"], delay) as network:
+            network.verify()
+    except (ExecutionError, OSError) as error:
+        return str(error)
+    return ""
+
+
+@contextmanager
+def inside(namespace: str) -> Iterator[None]:
+    """This thread is in a network namespace for a while: sockets and devices that it makes there stay there."""
+    home = os.open("/proc/thread-self/ns/net", os.O_RDONLY)
+    try:
+        there = os.open("/run/netns/" + namespace, os.O_RDONLY)
+        try:
+            _enter(there)
+        finally:
+            os.close(there)
+        try:
+            yield
+        finally:
+            _enter(home)
+    finally:
+        os.close(home)
+
+
+def _enter(descriptor: int) -> None:
+    if _libc.setns(descriptor, _CLONE_NEWNET) != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))
+
+
+def sweep() -> None:
+    """Remove what processes that are no more have left behind."""
+    left = []
+    for line in _run("ip", "netns", "list").splitlines():
+        name = line.split(" ")[0]
+        if name.startswith(PREFIX):
+            owner = name[len(PREFIX) :].split("-")[0]
+            if not os.path.exists("/proc/" + owner):
+                left.append(name)
+    remove_namespaces(left)
+
+
+def remove_namespaces(names: Sequence[str]) -> None:
+    """Kill what runs in the namespaces, and remove those that exist."""
+    for name in names:
+        if not os.path.exists("/run/netns/" + name):
+            continue
+        deadline = time.monotonic() + 5
+        while time.monotonic() < deadline:
+            pids = _run("ip", "netns", "pids", name).split()
+            if not pids:
+                break
+            for pid in pids:
+                try:
+                    os.kill(int(pid), signal.SIGKILL)
+                except ProcessLookupError:
+                    continue
+            time.sleep(0.02)
+        _run("ip", "netns", "delete", name)
+
+
+def _program(name: str) -> str:
+    return shutil.which(name, path=_PATH) or name
+
+
+def _run(*words: str, text: str = "") -> str:
+    environment: Dict[str, str] = dict(os.environ, PATH=_PATH)
+    try:
+        done = subprocess.run(
+            [_program(words[0]), *words[1:]], input=text, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            universal_newlines=True, env=environment, timeout=20,
+        )  # fmt: skip
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise ExecutionError("'%s' failed: %s" % (" ".join(words), error)) from None
+    if done.returncode != 0:
+        raise ExecutionError("'%s' failed: %s" % (" ".join(words), done.stderr.strip() or done.stdout.strip()))
+    return done.stdout

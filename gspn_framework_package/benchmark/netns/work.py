@@ -1,0 +1,12 @@
+"""What the robots do while the network fails."""
+
+from __future__ import annotations
+
+PAUSE = 0.05
+"""Seconds that an action takes."""
+
+
+def work(is_cancelled) -> str:  # type: ignore[no-untyped-def]
+    """A short action; what follows is for the net and the policy to say."""
+    is_cancelled.wait(PAUSE)
+    return ""
