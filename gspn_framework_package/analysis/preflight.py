@@ -10,6 +10,7 @@ import itertools
 import time
 from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence
 
+from gspn_framework_package.analysis.coverability import CoverabilityTree
 from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.invariants import invariant_bounds
 from gspn_framework_package.analysis.plan_markings import Finding, PlanMarkings
@@ -23,10 +24,14 @@ from gspn_framework_package.analysis.plan_structure import (
     timeless_transitions,
 )
 from gspn_framework_package.analysis.preflight_report import CheckItem, PreflightReport, Severity
+from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.plan import Action, Plan
 
 MARKING_LIMIT = 200_000
 """Markings that the check may visit when nothing else is said."""
+
+TREE_NODES = 5_000
+"""Nodes of the coverability tree that tells which places grow."""
 
 LISTED = 10
 """Findings of one kind that a report lists; it always tells how many there are."""
@@ -498,6 +503,12 @@ class _Check:
             self._tell_bounds({p: bounds[p] for p in self._resource_bounds}, "exploration")
             return
         unknown = [p for p, bound in self._resource_bounds.items() if bound is None]
+        grows = [p for p in self._growing() if p in unknown]
+        if grows:
+            self._add(
+                "resource_bounds", _WARNING, "%s can grow without bound" % _names(grows), grows=grows, places=unknown
+            )
+            return
         seen = markings.bounds()
         self._add(
             "resource_bounds",
@@ -507,6 +518,16 @@ class _Check:
             places=unknown,
             seen={p: seen[p] for p in unknown},
         )
+
+    def _growing(self) -> List[str]:
+        """The places that can hold any number of tokens, where a coverability tree of some size can tell."""
+        try:
+            tree = CoverabilityTree(
+                self.net.without_places(self._written), untimed=True, limit=TREE_NODES, cancel=self.cancel
+            )
+        except LimitError:
+            return []
+        return tree.unbounded_places
 
     def _decide_dead(self, markings: PlanMarkings) -> None:
         found = list(markings.dead(after_losses=False))
