@@ -32,8 +32,8 @@ autodoc_typehints = "signature"
 # Pages are built without ROS, PyBullet and a browser too.
 autodoc_mock_imports = [
     "actionlib", "actionlib_msgs", "diagnostic_msgs", "genpy", "geometry_msgs", "nav_msgs", "numba", "pybullet",
-    "pybullet_utils", "rosbag", "rosgraph", "rosgraph_msgs", "roslaunch", "roslib", "rosnode", "rospkg", "rospy",
-    "rosservice", "rostopic", "sensor_msgs", "std_msgs", "std_srvs", "tf2_msgs", "tf2_ros",
+    "pybullet_utils", "rosbag", "rosgraph", "rosgraph_msgs", "roslaunch", "roslib", "rosnode", "rospkg",
+    "rospy", "rosservice", "rostopic", "sensor_msgs", "std_msgs", "std_srvs", "tf2_msgs", "tf2_ros",
     "gspn_framework_package.msg", "gspn_framework_package.srv",
 ]  # fmt: skip
 
@@ -61,7 +61,8 @@ def write_api_pages() -> None:
         lines = [title, "=" * len(title), "", summary, ""]
         for name in names:
             short = name[len(prefix) :]
-            lines += [short, "-" * len(short), "", ".. automodule:: " + name, "   :members:", "   :show-inheritance:", ""]
+            lines += [short, "-" * len(short), "", ".. automodule:: " + name]
+            lines += ["   :members:", "   :show-inheritance:", ""]
         text = "\n".join(lines)
         page = folder / (layer + ".rst")
         if not page.exists() or page.read_text(encoding="utf-8") != text:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
@@ -35,9 +36,11 @@ def plans_folder() -> str:
 
 
 def tokens_plan(instant: bool = False) -> Plan:
-    """The plan of ``plans/tokens`` (thesis 6.1.1): seven places, six of them with an action."""
-    name = "instant.json" if instant else "plan.json"
-    return read_plan(os.path.join(plans_folder(), "tokens", name))
+    """The plan of ``plans/tokens`` (thesis 6.1.1): seven places, six of them with an action, which is one of
+    :mod:`~gspn_framework_package.benchmark.load` here, so that the plan can be run from any folder."""
+    plan = read_plan(os.path.join(plans_folder(), "tokens"))
+    function = INSTANT if instant else LOOP
+    return replace(plan, actions={place: FunctionAction(function, place) for place in plan.actions})
 
 
 def ring_plan(places: int, robots: int, instant: bool = False) -> Plan:

@@ -85,7 +85,7 @@ def measure(rows: int, budget: float) -> Dict[str, Any]:
     markings = _markings(policy, random.Random(rows + 1))
     bound.distribution(markings[0], 0)
     build = time.perf_counter() - begin
-    scanned: List[Tuple[Sequence[int], Optional[int]]] = []
+    scanned: List[Tuple[Tuple[int, ...], Optional[int]]] = []
     times: List[float] = []
     end = time.perf_counter() + budget
     for marking in markings:

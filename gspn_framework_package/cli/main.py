@@ -28,13 +28,14 @@ EXIT_BROKEN_PIPE = 141  # 128 + SIGPIPE
 #: Verb -> (its module in this package, its HELP: one line, repeated here so that ``--help`` need
 #: not import the module; a test holds the two together).
 VERBS: Dict[str, Tuple[str, str]] = {
-    "bench": (
-        "bench",
-        "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)",
-    ),
+    "simulate": ("simulate", "simulate many runs of a net or plan, with confidence intervals"),
     "analyse": (
         "analyse",
         "analyse a net, or a plan under its policy: structure, state space, time",
+    ),
+    "bench": (
+        "bench",
+        "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)",
     ),
     "check": ("check", "check whether a plan may run, before any robot moves"),
     "convert": ("convert", "write a net in another format"),

@@ -116,7 +116,7 @@ def _try_gspn(command: Command, words: list, sandbox: Path) -> None:
     environment = dict(os.environ, PYTHON=sys.executable, PYTHONPATH=str(ROOT), PYTHONDONTWRITEBYTECODE="1")
     ended = subprocess.run(
         ["bash", "-c", line], cwd=str(sandbox), env=environment, timeout=120, stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
     assert ended.returncode == command.exit_code, "%s\n%s" % (command, ended.stdout)
     assert "Traceback" not in ended.stdout, "%s\n%s" % (command, ended.stdout)
@@ -134,7 +134,7 @@ def _options_exist(command: Command, program: list, words: list) -> None:
     """The program's help speaks of every option."""
     told = subprocess.run(
         program + ["--help"], cwd=str(ROOT), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, timeout=120, universal_newlines=True,
+        stderr=subprocess.STDOUT, timeout=120, text=True,
     )  # fmt: skip
     assert told.returncode == 0, "%s\n%s" % (command, told.stdout)
     for word in words:

@@ -1,0 +1,96 @@
+"""The figures of the scaling experiments, as the thesis draws them (6.2, 6.4, 6.5, 6.6), and the time to the start."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Dict, List, Sequence
+
+Row = Dict[str, Any]
+
+STYLES = {"process": "o-", "hosted": "s--"}
+
+
+def draw_figures(rows: Sequence[Row], baseline: Dict[str, float], folder: str) -> List[str]:
+    """Draw what the rows have the figures for, as SVG; the names of the files."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    pyplot.rcParams.update({"figure.figsize": (7, 4), "axes.grid": True, "grid.alpha": 0.3, "svg.hashsalt": "gspn"})
+    os.makedirs(folder, exist_ok=True)
+    drawn: List[str] = []
+
+    def save(name: str) -> None:
+        path = os.path.join(folder, name + ".svg")
+        pyplot.tight_layout()
+        pyplot.savefig(path, metadata={"Date": None})
+        pyplot.close()
+        drawn.append(path)
+
+    for experiment, number, key, label in (
+        ("tokens", "6_2", "robots", "robots (tokens)"),
+        ("places", "6_4", "places", "places, five robots"),
+        ("one", "6_6", "places", "places, one robot"),
+    ):
+        for mode, points in _by_mode(rows, experiment).items():
+            _, axis = pyplot.subplots()
+            x = [row[key] for row in points]
+            axis.plot(x, [max(0.0, row["machine_cpu_percent"] - baseline["cpu_percent"]) for row in points],
+                      "o-", label="CPU of the machine, % over the baseline")  # fmt: skip
+            axis.plot(x, [max(0.0, row["machine_memory_percent"] - baseline["memory_percent"]) for row in points],
+                      "s-", label="virtual memory, % over the baseline")  # fmt: skip
+            axis.plot(x, [row["cpu_percent_of_core"] for row in points], "^:",
+                      label="CPU of the robots' processes, % of one core")  # fmt: skip
+            axis.set_xlabel(label)
+            axis.legend()
+            axis.set_title("As Figure %s of the thesis (%s)" % (number.replace("_", "."), _mode_name(mode)))
+            save("figure_%s_%s" % (number, mode))
+    _draw_servers(rows, pyplot, save)
+    _draw_start(rows, pyplot, save)
+    return drawn
+
+
+def _draw_servers(rows: Sequence[Row], pyplot: Any, save: Any) -> None:
+    for mode in STYLES:
+        both = [(name, _by_mode(rows, name).get(mode)) for name in ("tokens", "places")]
+        if not all(points for _, points in both):
+            continue
+        _, axis = pyplot.subplots()
+        for (_, points), style, label in zip(both, ("o-", "s-"), ("test 1: more robots", "test 2: more places")):
+            points = points or []
+            axis.plot([r["servers"] for r in points], [r["cpu_percent_of_core"] for r in points], style, label=label)
+        axis.set_xlabel("action servers")
+        axis.set_ylabel("CPU of the robots' processes, % of one core")
+        axis.legend()
+        axis.set_title("As Figure 6.5 of the thesis (%s)" % _mode_name(mode))
+        save("figure_6_5_" + mode)
+
+
+def _draw_start(rows: Sequence[Row], pyplot: Any, save: Any) -> None:
+    found = _by_mode(rows, "tokens")
+    if not found:
+        return
+    _, axis = pyplot.subplots()
+    for mode, points in found.items():
+        axis.plot([r["robots"] for r in points], [r["all_fired_s"] for r in points], STYLES[mode],
+                  label="all robots fired, " + _mode_name(mode))  # fmt: skip
+    axis.plot([5], [9], "kx", label="published code: 5 robots in 9 s, 13 robots not within 90 s")
+    axis.set_xlabel("robots, seven places each")
+    axis.set_ylabel("s after roslaunch")
+    axis.set_ylim(bottom=0)
+    axis.legend()
+    axis.set_title("From launch to the first firing of the last robot")
+    save("start")
+
+
+def _by_mode(rows: Sequence[Row], experiment: str) -> Dict[str, List[Row]]:
+    found: Dict[str, List[Row]] = {}
+    for row in rows:
+        if row["experiment"] == experiment and row["mode"] in STYLES and row.get("all_fired_s") is not None:
+            found.setdefault(row["mode"], []).append(row)
+    return found
+
+
+def _mode_name(mode: str) -> str:
+    return "a process for each robot" if mode == "process" else "hosted in one process"

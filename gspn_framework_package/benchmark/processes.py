@@ -1,0 +1,83 @@
+"""What processes cost: the machine's figures as the thesis measures them, and those of processes exactly."""
+
+from __future__ import annotations
+
+import time
+from typing import Dict, Iterable, List, NamedTuple
+
+import psutil
+
+SAMPLES = 5
+"""Measurements that are averaged for each figure (thesis 6.1)."""
+
+
+class MachineLoad(NamedTuple):
+    """The two figures of the thesis: percent of all processors, percent of memory in use."""
+
+    cpu_percent: float
+    memory_percent: float
+
+
+class ProcessCost(NamedTuple):
+    """Sums over processes. ``cpu_seconds``: since each began; ``pss_mb``: their proportional share of
+    memory, in MB of 10^6 bytes."""
+
+    processes: int
+    cpu_seconds: float
+    pss_mb: float
+    threads: int
+    descriptors: int
+
+
+def machine_load(period: float) -> MachineLoad:
+    """Five measurements over ``period`` seconds in all, averaged, by ``psutil.cpu_percent`` and
+    ``virtual_memory`` as in the thesis."""
+    cpu: List[float] = []
+    memory: List[float] = []
+    for _ in range(SAMPLES):
+        cpu.append(psutil.cpu_percent(interval=period / SAMPLES))
+        memory.append(psutil.virtual_memory().percent)
+    return MachineLoad(sum(cpu) / SAMPLES, sum(memory) / SAMPLES)
+
+
+def descendants(pid: int) -> List[psutil.Process]:
+    """All processes that ``pid`` started, and theirs."""
+    try:
+        return psutil.Process(pid).children(recursive=True)
+    except psutil.NoSuchProcess:
+        return []
+
+
+def cpu_seconds(processes: Iterable[psutil.Process]) -> Dict[int, float]:
+    """User and system time of each process so far, by process id."""
+    seconds = {}
+    for process in processes:
+        try:
+            times = process.cpu_times()
+        except psutil.NoSuchProcess:
+            continue
+        seconds[process.pid] = times.user + times.system
+    return seconds
+
+
+def cost_of(processes: Iterable[psutil.Process]) -> ProcessCost:
+    """What the processes cost by now. Reading the shared memory takes a few milliseconds for each."""
+    count, cpu, pss, threads, descriptors = 0, 0.0, 0, 0, 0
+    for process in processes:
+        try:
+            with process.oneshot():
+                times = process.cpu_times()
+                pss += process.memory_full_info().pss
+                threads += process.num_threads()
+                descriptors += process.num_fds()
+        except (psutil.NoSuchProcess, psutil.ZombieProcess):
+            continue
+        count += 1
+        cpu += times.user + times.system
+    return ProcessCost(count, cpu, pss / 1e6, threads, descriptors)
+
+
+def quiet_machine(period: float = 5.0) -> MachineLoad:
+    """The baseline: the load before anything is started."""
+    time.sleep(0.5)
+    return machine_load(period)

@@ -1,0 +1,171 @@
+"""The scaling experiments of thesis 6.1, ten times further, and the throughput with instant actions.
+
+Each experiment is a list of points (robots, places); each point is one run with its own ``roslaunch`` on a master that
+the experiments share.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple
+
+from gspn_framework_package.benchmark.plans import ring_plan, tokens_plan
+from gspn_framework_package.benchmark.processes import MachineLoad, quiet_machine
+from gspn_framework_package.benchmark.team_run import Master, Measurement, TeamRun
+from gspn_framework_package.benchmark.token_game import standalone_rate
+from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.model.plan import Plan, Synchronisation
+
+Tell = Callable[[str], None]
+Point = Tuple[int, int]
+
+
+class Experiment(NamedTuple):
+    """``points`` and ``quick`` hold (robots, places); ``plan`` makes the plan of a point."""
+
+    title: str
+    source: str
+    points: Tuple[Point, ...]
+    quick: Tuple[Point, ...]
+    plan: Callable[[int, int], Plan]
+    timeout: float = 90.0
+    """Seconds until a point is given up whose robots have not all fired."""
+
+
+def _tokens(robots: int, places: int) -> Plan:
+    return tokens_plan().for_robots(robots)
+
+
+def _instant(robots: int, places: int) -> Plan:
+    return tokens_plan(instant=True).for_robots(robots)
+
+
+def _ring(robots: int, places: int) -> Plan:
+    return ring_plan(places, robots)
+
+
+def _of_tokens(robots: Iterable[int]) -> Tuple[Point, ...]:
+    return tuple((n, 7) for n in robots)
+
+
+EXPERIMENTS: Dict[str, Experiment] = {
+    "tokens": Experiment(
+        "More robots, seven places", "thesis 6.1.1, Figure 6.2",
+        _of_tokens([*range(1, 16), 20, 30, 40, 50]), _of_tokens([1, 3, 5, 13]), _tokens,
+    ),
+    "places": Experiment(
+        "More places, five robots", "thesis 6.1.2, Figure 6.4",
+        tuple((5, n) for n in [*range(2, 17), 20, 30, 50, 75, 100]), ((5, 2), (5, 7), (5, 16)), _ring,
+    ),
+    "one": Experiment(
+        "More places, one robot", "thesis 6.1.3, Figure 6.6",
+        tuple((1, n) for n in [*range(2, 36), *range(40, 101, 5), 200, 300, 500, 750, 1000]),
+        ((1, 2), (1, 35), (1, 100)), _ring,
+    ),
+    "large": Experiment(
+        "A large team: 50 robots, 20 places each", "1,000 action servers",
+        ((50, 20),), ((20, 20),), _ring, timeout=240.0,
+    ),
+    "throughput": Experiment(
+        "Actions that return at once", "plans/tokens",
+        _of_tokens([1, 2, 3, 5, 8, 13]), _of_tokens([1, 3]), _instant,
+    ),
+}  # fmt: skip
+"""By the name that the command line knows them by."""
+
+
+class Result(NamedTuple):
+    """One point. ``servers``: place servers in the team; ``None`` in ``measured`` where the robots did not start."""
+
+    experiment: str
+    mode: str
+    robots: int
+    places: int
+    servers: int
+    measured: Optional[Measurement]
+    faults: int
+    note: str = ""
+
+    def row(self) -> Dict[str, Any]:
+        """The figures by name, for CSV and JSON."""
+        row: Dict[str, Any] = {
+            "experiment": self.experiment, "mode": self.mode, "robots": self.robots, "places": self.places,
+            "servers": self.servers,
+        }  # fmt: skip
+        m = self.measured
+        if m is not None:
+            row.update(
+                started_s=round(m.started, 2), first_goals_s=round(m.first_goals, 2),
+                all_fired_s=None if m.all_fired is None else round(m.all_fired, 2),
+                firings_per_s=round(m.firings, 2), cpu_percent_of_core=round(100 * m.cpu_of_core, 1),
+                master_cpu_percent_of_core=round(100 * m.master_cpu_of_core, 1),
+                cpu_seconds=round(m.cost.cpu_seconds, 2), processes=m.cost.processes, pss_mb=round(m.cost.pss_mb, 1),
+                threads=m.cost.threads, descriptors=m.cost.descriptors,
+                machine_cpu_percent=round(m.machine.cpu_percent, 1),
+                machine_memory_percent=round(m.machine.memory_percent, 1),
+            )  # fmt: skip
+        row.update(faults=self.faults, note=self.note)
+        return row
+
+
+def run_experiment(
+    name: str, master: Master, modes: Iterable[str], quick: bool, window: float, partial: bool, tell: Tell
+) -> List[Result]:
+    """All points of an experiment, in each mode. A point that fails is a result with a note.
+
+    :param window: seconds that each point is measured for.
+    :param partial: with partial synchronisation.
+    """
+    experiment = EXPERIMENTS[name]
+    results = []
+    for mode in modes:
+        for robots, places in experiment.quick if quick else experiment.points:
+            plan = experiment.plan(robots, places)
+            if partial:
+                plan = replace(plan, synchronisation=Synchronisation.PARTIAL)
+            tell("%s: %d robots, %d places, %s" % (name, robots, places, mode))
+            results.append(_run_point(name, mode, plan, places, master, window, experiment.timeout))
+    return results
+
+
+def _run_point(
+    name: str, mode: str, plan: Plan, places: int, master: Master, window: float, timeout: float
+) -> Result:
+    robots = len(plan.robots)
+    servers = robots * sum(1 for action in plan.actions.values() if action is not None)
+    measured, faults, note = None, 0, ""
+    try:
+        with TeamRun(master, plan, mode) as run:
+            try:
+                measured = run.measure(window, timeout)
+            finally:
+                faults = len(run.faults())
+        if measured.all_fired is None:
+            note = "not all robots fired within %g s" % timeout
+    except ExecutionError as error:
+        note = error.message
+    return Result(name, mode, robots, places, servers, measured, faults, note)
+
+
+def standalone_results(quick: bool, seconds: float, tell: Tell) -> List[Dict[str, Any]]:
+    """Firings per second without ROS, for the teams of the throughput experiment."""
+    experiment = EXPERIMENTS["throughput"]
+    rows = []
+    for robots, _ in experiment.quick if quick else experiment.points:
+        tell("throughput: %d agents, standalone" % robots)
+        began = time.process_time()
+        rate = standalone_rate(_instant(robots, 7), seconds, record=True)
+        spent = (time.process_time() - began) / seconds
+        rows.append(
+            {
+                "experiment": "throughput", "mode": "standalone", "robots": robots, "places": 7,
+                "firings_per_s": round(rate, 1), "cpu_percent_of_core": round(100 * spent, 1),
+            }  # fmt: skip
+        )
+    return rows
+
+
+def baseline() -> MachineLoad:
+    """The machine before anything runs (the thesis's: 0.8 % of the processors, 25.9 % of the memory)."""
+    return quiet_machine()
