@@ -8,17 +8,15 @@ import json
 import math
 import sys
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Mapping, Tuple, Union
+from typing import Any, Dict, Iterator, Mapping, Tuple
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.report import Questions, report, rows
 from gspn_framework_package.analysis.state_space import ENGINES, STATE_LIMIT
-from gspn_framework_package.cli.net_input import add_net_arguments, print_notes, read_net_argument
+from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.progress import ProgressLine
-from gspn_framework_package.formats.plan_file import is_plan, read_plan
+from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import Plan
 
 NAME = "analyse"
 HELP = "analyse a net, or a plan under its policy: structure, state space, time"
@@ -29,7 +27,7 @@ SHOWN = 12
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    add_net_arguments(parser)
+    add_subject_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print all answers as one JSON object")
     parser.add_argument("--csv", metavar="FILE", help="write the numbers to FILE as rows: measure, name, value")
     asking = parser.add_argument_group("questions")
@@ -85,15 +83,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--limit", type=int, default=STATE_LIMIT, metavar="N", help="markings to visit at most (default %(default)s)"
     )
     effort.add_argument("--engine", choices=ENGINES, default="auto", help="who explores (default: auto)")
-    effort.add_argument(
-        "--only-net", action="store_true", help="of a plan, analyse the net by its weights instead of the policy"
-    )
     parser.epilog = "Exit codes: 0 answered (what was not decided is said), 2 wrong input or usage."
 
 
 def run(args: argparse.Namespace) -> int:
     """Analyse, and print the answers."""
-    subject, notes = _subject(args)
+    subject, notes = read_subject(args)
     questions = Questions(
         at=tuple(t for group in args.at for t in group),
         reach=tuple(args.reach),
@@ -122,15 +117,6 @@ def run(args: argparse.Namespace) -> int:
         print_notes(notes)
         print("\n".join(_text(data)))
     return 0
-
-
-def _subject(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]:
-    if args.source_format is None and not args.only_net and is_plan(args.net_file):
-        if args.const or args.net is not None:
-            raise UsageError("--net and --const are for nets; a plan says them itself")
-        plan = read_plan(args.net_file)
-        return plan, list(plan.notes)
-    return read_net_argument(args)
 
 
 def _marking(text: str) -> Dict[str, int]:

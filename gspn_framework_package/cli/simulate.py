@@ -1,0 +1,92 @@
+"""``gspn simulate``: many simulated runs of a net, or of a plan under its policy."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Iterator, Tuple
+
+from gspn_framework_package.analysis.simulation import Simulation, simulate
+from gspn_framework_package.cli.net_input import print_notes
+from gspn_framework_package.cli.progress import ProgressLine
+from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
+
+NAME = "simulate"
+HELP = "simulate many runs of a net or plan, with confidence intervals"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    add_subject_arguments(parser)
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    parser.add_argument("--csv", metavar="FILE", help="write the numbers to FILE: measure, name, mean, half width")
+    parser.add_argument("--time", type=float, default=math.inf, metavar="T", help="length of a run (s)")
+    parser.add_argument("--until", metavar="CONDITION", help='a condition that ends a run, e.g. "done >= 3"')
+    parser.add_argument("--warmup", type=float, default=0.0, metavar="T", help="time (s) that means leave out")
+    parser.add_argument("--replications", type=int, default=1000, metavar="N", help="runs (default %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the random numbers (default 0)")
+    parser.add_argument("--confidence", type=float, default=0.95, metavar="P",
+                        help="level of the confidence intervals (default %(default)s)")  # fmt: skip
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate, and print the means."""
+    subject, notes = read_subject(args)
+    with ProgressLine() as progress:
+        result = simulate(
+            subject,
+            time=args.time,
+            replications=args.replications,
+            seed=args.seed,
+            warmup=args.warmup,
+            until=args.until,
+            confidence=args.confidence,
+            progress=progress,
+        )
+    if args.csv:
+        with Path(args.csv).open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(("measure", "name", "mean", "half_width"))
+            writer.writerows(_rows(result))
+    if args.json:
+        json.dump({**result.to_json(), "notes": notes}, sys.stdout, indent=2, allow_nan=False)
+        print()
+    else:
+        print_notes(notes)
+        print("\n".join(_text(result)))
+    return 0
+
+
+def _rows(result: Simulation) -> Iterator[Tuple[str, str, float, float]]:
+    for name, value in result.mean_tokens.items():
+        yield "mean_tokens", name, value.mean, value.half_width
+    for name, value in result.throughput.items():
+        yield "throughput", name, value.mean, value.half_width
+    for measure in ("end_time", "reached", "time_to_condition"):
+        estimate = getattr(result, measure)
+        if estimate is not None:
+            yield measure, "", estimate.mean, estimate.half_width
+
+
+def _text(result: Simulation) -> Iterator[str]:
+    yield "%d runs%s, seed %d, %s events; intervals of %g %% confidence" % (
+        result.replications,
+        " of %g s" % result.time if math.isfinite(result.time) else "",
+        result.seed,
+        format(result.events, ","),
+        100 * result.confidence,
+    )
+    yield "%-32s %s" % ("place", "mean tokens")
+    for name, value in result.mean_tokens.items():
+        yield "%-32s %s" % (name, value)
+    yield "%-32s %s" % ("transition", "throughput (1/s)")
+    for name, value in result.throughput.items():
+        yield "%-32s %s" % (name, value)
+    if result.reached is not None:
+        yield "share of the runs that came to the condition: %s" % (result.reached,)
+    if result.time_to_condition is not None:
+        yield "time until then, of those (s): %s" % (result.time_to_condition,)
