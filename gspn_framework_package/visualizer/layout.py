@@ -33,6 +33,18 @@ CHARACTER_WIDTH = 6.4
 DEADLINE = 8.0
 """Seconds that Graphviz may take."""
 
+DOT_NODES = 2500
+"""Nets with more nodes are not laid out in layers, which would take too long."""
+
+SCREEN = (1000.0, 620.0)
+"""Room for the net on a usual screen, in pixels."""
+
+LEGIBLE = 0.35
+"""A layout that fits on the screen at this zoom is taken; otherwise the next engine is tried too, and its
+layout is taken if it comes out :data:`MUCH_LARGER`."""
+
+MUCH_LARGER = 1.5
+
 ROUTED_NODES = 400
 """Arcs are routed around nodes in nets up to this size; in larger ones they are straight."""
 
@@ -94,12 +106,23 @@ def _compute(net: Net, anew: bool, deadline: float) -> Layout:
             routed = _graphviz(net, "neato", deadline / 4, given)
             routes = routed.routes if routed is not None else {}
         return Layout(given, routes, "file")
-    engines = ["dot", "sfdp"] if nodes <= 2500 else ["sfdp"]
-    for engine in engines:
-        layout = _graphviz(net, engine, deadline)
-        if layout is not None:
-            return layout
-    return Layout(_grid(net), {}, "grid")
+    best: Optional[Layout] = None
+    for engine in ("dot", "sfdp"):
+        layout = None
+        if engine != "dot" or nodes <= DOT_NODES:
+            layout = _graphviz(net, engine, deadline)
+        if layout is not None and (best is None or _zoom(layout) > MUCH_LARGER * _zoom(best)):
+            best = layout
+        if best is not None and _zoom(best) >= LEGIBLE:
+            break
+    return best or Layout(_grid(net), {}, "grid")
+
+
+def _zoom(layout: Layout) -> float:
+    """The zoom at which the whole net fits on a screen."""
+    xs = [x for x, _ in layout.positions.values()]
+    ys = [y for _, y in layout.positions.values()]
+    return min(SCREEN[0] / (max(xs) - min(xs) + 120), SCREEN[1] / (max(ys) - min(ys) + 120))
 
 
 def _names(net: Net) -> List[str]:

@@ -3,7 +3,7 @@
 import { h, $ } from "./dom.js";
 
 const ROW = 26; // px, as in panels.css
-const ROWS_DRAWN = 400; // more are found by searching
+const ROWS_DRAWN = 150; // more are found by searching
 
 /** Fires "choose" (detail {kind, index}) and "fire" (detail index, Shift+Enter). */
 export class NodeList extends EventTarget {
@@ -46,6 +46,7 @@ export class NodeList extends EventTarget {
   update() {
     clearTimeout(this.timer);
     this.timer = 0;
+    const begun = performance.now();
     const { scene, board } = this.model;
     if (!board) return;
     const wanted = this.search.value.trim().toLowerCase();
@@ -70,6 +71,7 @@ export class NodeList extends EventTarget {
     if (!this.items.length) rows.push(h("li", { class: "heading", role: "presentation", text: wanted ? "Nothing of that name" : "The net is empty" }));
     this.list.replaceChildren(...rows);
     this.mark();
+    this.cost = performance.now() - begun;
   }
 
   row(item, enabled) {
@@ -80,9 +82,9 @@ export class NodeList extends EventTarget {
       tokens > 0 && h("span", { class: "tokens", text: String(tokens) }));
   }
 
-  /** The board changed: drawn anew a few times a second at most. */
+  /** The board changed: drawn anew a few times a second at most, and for a small part of the time. */
   later() {
-    if (!this.timer) this.timer = setTimeout(() => this.update(), 200);
+    if (!this.timer) this.timer = setTimeout(() => this.update(), Math.max(250, 25 * (this.cost || 0)));
   }
 
   move(steps, fly) {

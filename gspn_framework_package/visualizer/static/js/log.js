@@ -2,7 +2,7 @@
 
 import { h, $, seconds } from "./dom.js";
 
-const ROWS = 250;
+const ROWS = 120;
 
 /** Fires "visit" (detail n) when a line is chosen. */
 export class FiringLog extends EventTarget {
@@ -21,7 +21,7 @@ export class FiringLog extends EventTarget {
   }
 
   later() {
-    if (!this.timer) this.timer = setTimeout(() => { this.timer = 0; this.update(); }, 150);
+    if (!this.timer) this.timer = setTimeout(() => this.update(), Math.max(150, 25 * (this.cost || 0)));
   }
 
   say(event) {
@@ -45,6 +45,7 @@ export class FiringLog extends EventTarget {
     this.timer = 0;
     const { model } = this;
     if (!model.board) return;
+    const begun = performance.now();
     const wanted = this.filter.value.trim().toLowerCase();
     const rows = [];
     for (let i = model.indexAfter(model.board.n) - 1; i >= 0 && rows.length < ROWS; i--) {
@@ -56,5 +57,6 @@ export class FiringLog extends EventTarget {
     }
     if (!rows.length) rows.push(h("li", {}, h("time"), h("span", { class: "what-happened muted", text: wanted ? "nothing like that" : "nothing has fired yet" })));
     this.list.replaceChildren(...rows);
+    this.cost = performance.now() - begun;
   }
 }

@@ -246,6 +246,10 @@ class Page {
   showRun() {
     const { model } = this;
     const { status } = model.head;
+    if (model.mode === "LIVE") {
+      const says = status.ended ? `over: ${status.ended}` : model.info.says || MODE_SAYS.LIVE;
+      $("frame-name").replaceChildren(h("b", { text: "LIVE" }), ` — ${says}`);
+    }
     const { session, mode } = model;
     $("execution").hidden = !(session.executable || (mode === "LIVE" && model.info.commands?.includes("stop")));
     $("start").hidden = !session.executable || Boolean(status.running);

@@ -1,13 +1,16 @@
 // The net as SVG: three layers (arcs, nodes, travelling tokens) under one transform.
 // All arcs of a kind are one path; changes are gathered and drawn once per frame.
 
-import { s } from "./dom.js";
+import { h, s } from "./dom.js";
 import { RADIUS, BAR, arcShape, arcPaths, dots, discs } from "./geometry.js";
 import { colourOf, shortName } from "./colours.js";
 import { Travel } from "./travel.js";
 import { Labels } from "./labels.js";
 
 const CULL = 800; // nets with more nodes draw only what is in the view
+const FAR = 0.18; // below this zoom tokens are too small to be told apart: a place with any is filled
+const TILE = 40; // nodes that are drawn together in a large net
+const MANY = 2000; // nets with more nodes are drawn every other frame
 
 /** Fires "select" (detail {kind, index}), "activate" (double click) and "frame" (detail.n, after drawing). */
 export class NetView extends EventTarget {
@@ -36,25 +39,17 @@ export class NetView extends EventTarget {
     this.key = `gspn-layout-${scene.hash}`;
     this.nodes = [];
     this.place(scene.layout);
-    this.svg = { arcs: s("svg", { class: "arcs" }), nodes: s("svg", { class: "nodes" }), travel: s("svg", { class: "travel" }) };
-    this.svg.arcs.setAttribute("aria-hidden", "true");
-    this.svg.travel.setAttribute("aria-hidden", "true");
-    this.svg.nodes.setAttribute("role", "img");
-    this.svg.nodes.setAttribute("aria-label",
-      `The net: ${scene.places.length} places, ${scene.transitions.length} transitions. Use the list to go through it.`);
-    this.layer = {};
-    for (const name of Object.keys(this.svg)) {
-      this.layer[name] = s("g");
-      this.svg[name].append(this.layer[name]);
-    }
-    this.svg.nodes.prepend(s("defs", {}, [1, 2, 3, 4, 5, 6, 7, 8, 9].map((count) =>
-      s("g", { id: `dots-${count}` }, dots(count).map(([x, y]) => s("circle", { cx: x, cy: y, r: count === 1 ? 5 : 3.4 }))))));
-    const fragment = document.createDocumentFragment();
+    this.layer = { arcs: s("g"), travel: s("g") };
+    const sheet = (name, ...content) => s("svg", { class: name, "aria-hidden": "true" }, ...content);
+    const patterns = s("defs", {}, [1, 2, 3, 4, 5, 6, 7, 8, 9].map((count) =>
+      s("g", { id: `dots-${count}` }, dots(count).map(([x, y]) => s("circle", { cx: x, cy: y, r: count === 1 ? 5 : 3.4 })))));
+    this.tiles = new Map();
     for (const node of this.nodes) {
       node.element = node.kind === "place" ? this.buildPlace(node) : this.buildTransition(node);
-      fragment.append(node.element);
+      this.tileOf(node).append(node.element);
     }
-    this.layer.nodes.append(fragment);
+    const says = `The net: ${scene.places.length} places, ${scene.transitions.length} transitions. Use the list to go through it.`;
+    const nodes = h("div", { class: "nodes", role: "img", "aria-label": says }, [...this.tiles.values()].map((tile) => sheet("tile", tile)));
     this.path = {};
     for (const name of ["lines", "inhibitor", "near", "heads", "circles"]) {
       this.path[name] = s("path", { class: { inhibitor: "lines inhibitor", near: "lines near" }[name] || name });
@@ -62,7 +57,8 @@ export class NetView extends EventTarget {
     }
     this.weights = s("g");
     this.layer.arcs.append(this.weights);
-    this.container.replaceChildren(this.svg.arcs, this.svg.nodes, this.svg.travel);
+    this.container.replaceChildren(sheet("arcs", patterns, this.layer.arcs), nodes, sheet("travel", this.layer.travel));
+    this.moving = [...Object.values(this.layer), ...this.tiles.values()];
     this.routeArcs();
   }
 
@@ -84,6 +80,18 @@ export class NetView extends EventTarget {
     this.nodes = [...places, ...transitions];
     this.places = places;
     this.transitions = transitions;
+  }
+
+  /** The group that a node is drawn in, with the nodes around it: what does not change is not drawn again. */
+  tileOf(node) {
+    const many = this.nodes.length > CULL;
+    if (many && !this.tileSize) {
+      const [x0, y0, x1, y1] = this.bounds();
+      this.tileSize = Math.sqrt(((x1 - x0) * (y1 - y0) * TILE) / this.nodes.length);
+    }
+    const key = many ? `${Math.floor(node.x / this.tileSize)},${Math.floor(node.y / this.tileSize)}` : "";
+    if (!this.tiles.has(key)) this.tiles.set(key, s("g"));
+    return this.tiles.get(key);
   }
 
   movedPositions() {
@@ -219,7 +227,12 @@ export class NetView extends EventTarget {
     this.viewDirty = false;
     const { k, x, y } = this.view;
     const transform = `translate(${x.toFixed(1)} ${y.toFixed(1)}) scale(${k.toFixed(4)})`;
-    for (const layer of Object.values(this.layer)) layer.setAttribute("transform", transform);
+    for (const layer of this.moving) layer.setAttribute("transform", transform);
+    const far = k < FAR;
+    if (far !== this.far) {
+      this.far = far;
+      this.container.classList.toggle("far", far);
+    }
     this.cull();
     this.labels.later();
   }
@@ -277,8 +290,15 @@ export class NetView extends EventTarget {
     this.frame = requestAnimationFrame(() => this.draw());
   }
 
+  /** Whether this frame is left out: only the view of a large net that stands still. */
+  skips() {
+    this.odd = !this.odd;
+    return this.odd && this.nodes.length > MANY && !this.viewDirty && !this.gesture;
+  }
+
   draw() {
     this.frame = 0;
+    if (this.skips()) { this.request(); return; }
     const { board } = this.model;
     if (this.viewDirty) this.drawView();
     if (!board) return;
@@ -303,7 +323,7 @@ export class NetView extends EventTarget {
     const node = this.places[p];
     const count = Math.max(0, tokens);
     if (robots.length && robots.length >= count && robots.length <= 9) {
-      this.drawDots(node, 0);
+      this.drawDots(node, 0, true);
       this.drawRobots(node, robots);
     } else {
       if (node.robots) this.drawRobots(node, []);
@@ -311,8 +331,9 @@ export class NetView extends EventTarget {
     }
   }
 
-  drawDots(node, count) {
+  drawDots(node, count, robotsHere = false) {
     if (node.count === count) return;
+    if ((node.count > 0) !== (count > 0)) node.element.classList.toggle("marked", count > 0 || robotsHere);
     node.count = count;
     if (node.dots) { node.dots.remove(); node.dots = null; }
     if (count === 0) return;

@@ -26,7 +26,7 @@ export class TimeLine extends EventTarget {
   }
 
   later() {
-    if (!this.timer) this.timer = setTimeout(() => { this.timer = 0; requestAnimationFrame(() => this.update()); }, 90);
+    if (!this.timer) this.timer = setTimeout(() => { this.timer = 0; requestAnimationFrame(() => this.update()); }, Math.max(90, 25 * (this.cost || 0)));
   }
 
   /** What each robot did in the events at hand: name -> [[from, to, place, phase], ...]. */
@@ -44,7 +44,7 @@ export class TimeLine extends EventTarget {
       l.phase = phase;
     };
     const last = model.indexAfter(model.board.n);
-    for (let i = 0; i < last; i++) {
+    for (let i = this.firstAt(begin, last); i < last; i++) {
       const event = model.events[i];
       if (event.k === "fire") {
         for (const [name, from, to] of event.m) {
@@ -70,7 +70,19 @@ export class TimeLine extends EventTarget {
     return lanes;
   }
 
+  /** Index of the first event at hand that is not before `t`. */
+  firstAt(t, last) {
+    const { events } = this.model;
+    let low = 0, high = last;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (events[middle].t < t) low = middle + 1; else high = middle;
+    }
+    return low;
+  }
+
   update() {
+    const begun = performance.now();
     const { model, canvas } = this;
     if (!model.board) return;
     const ratio = window.devicePixelRatio || 1;
@@ -157,6 +169,7 @@ export class TimeLine extends EventTarget {
       }
     });
     this.drawScrubber();
+    this.cost = performance.now() - begun;
   }
 
   drawScrubber() {
