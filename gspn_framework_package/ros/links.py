@@ -14,6 +14,7 @@ from gspn_framework_package.execution.agreement.interface import (
     Message,
     Send,
 )
+from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.msg import Agreement
 from gspn_framework_package.ros.service_calls import ServiceCalls
 from gspn_framework_package.srv import (
@@ -39,8 +40,8 @@ class _Peer(NamedTuple):
     service_uri: str
 
 
-class TopicLink:
-    """Sends and receives everything on the agreement topic (full synchronisation).
+class Link:
+    """What both ways have in common: the agreement topic, on which everybody hears everybody.
 
     Publishes and subscribes to ``/gspn_agreement`` (gspn_framework_package/Agreement).
 
@@ -62,25 +63,16 @@ class TopicLink:
         """Tell peers that this robot's services are at that address."""
         self._service_uri = service_uri
 
-    @property
-    def connections(self) -> int:
-        """How many others listen to what this robot sends."""
-        return int(self._publisher.get_num_connections())
-
     def send(self, sends: List[Send]) -> None:
-        """Send messages; the same one to several robots goes out once, to everybody."""
-        while sends:
-            to, message = sends[0]
-            same = [s for s in sends if s.message is message or s.message == message]
-            sends = [s for s in sends if s not in same]
-            self._publish(to if len(same) == 1 else EVERYBODY, message)
+        """Send messages."""
+        raise NotImplementedError
 
     def close(self) -> None:
         """Unregister from the topic."""
         self._subscriber.unregister()
         self._publisher.unregister()
 
-    def _publish(self, to: str, message: Message) -> None:
+    def _news(self, to: str, message: Message) -> Agreement:
         news = Agreement(
             run=self.run,
             sender=self.robot,
@@ -90,7 +82,7 @@ class TopicLink:
             body=json.dumps(message, separators=(",", ":")),
         )
         news.header.stamp = rospy.get_rostime()
-        self._publisher.publish(news)
+        return news
 
     def _on_message(self, news: Agreement) -> None:
         if news.run != self.run or news.to not in ("", self.robot):
@@ -104,7 +96,59 @@ class TopicLink:
             self._received(message)
 
 
-class ServiceLink(TopicLink):
+class TopicLink(Link):
+    """Sends everything on topics (full synchronisation): what is for several robots on the
+    agreement topic, what is for one into its *inbox*, so that the others need not read it.
+
+    Subscribes to ``NAMESPACE/agreement`` and publishes on the inboxes of the robots that it has
+    something to say to (gspn_framework_package/Agreement). An inbox that is not connected (yet) is
+    no loss: the message goes on the agreement topic then.
+    """
+
+    def __init__(self, robot: str, run: str, namespace: str, received: Callable[[Message], None]) -> None:
+        super().__init__(robot, run, namespace, received)
+        self._inboxes: Dict[str, Any] = {}
+        self._pool = WorkerPool("inboxes")
+        self._inbox = rospy.Subscriber(_inbox_of(namespace), Agreement, self._on_message, tcp_nodelay=True)
+
+    def send(self, sends: List[Send]) -> None:
+        """Send messages; the same one to several robots goes out once, to everybody."""
+        while sends:
+            to, message = sends[0]
+            same = [s for s in sends if s.message is message or s.message == message]
+            sends = [s for s in sends if s not in same]
+            one = to if len(same) == 1 else EVERYBODY
+            inbox = self._connected_inbox(one) if one else None
+            (inbox or self._publisher).publish(self._news(one, message))
+
+    def close(self) -> None:
+        """Unregister from all topics."""
+        self._inbox.unregister()
+        for inbox in list(self._inboxes.values()):
+            if inbox is not None:
+                inbox.unregister()
+        super().close()
+
+    def _connected_inbox(self, robot: str) -> Any:
+        peer = self._peers.get(robot)
+        if peer is None:
+            return None
+        name = _inbox_of(peer.namespace)
+        if name not in self._inboxes:
+            self._inboxes[name] = None
+            self._pool.submit(lambda: self._open(name))  # the master may be away, and block this
+        inbox = self._inboxes[name]
+        return inbox if inbox is not None and inbox.get_num_connections() else None
+
+    def _open(self, name: str) -> None:
+        self._inboxes[name] = rospy.Publisher(name, Agreement, queue_size=1000)
+
+
+def _inbox_of(namespace: str) -> str:
+    return str(rospy.names.ns_join(namespace, "agreement"))
+
+
+class ServiceLink(Link):
     """Sends through the services of the robots that are meant; only what is for everybody goes on
     the topic (partial synchronisation).
 
@@ -121,7 +165,7 @@ class ServiceLink(TopicLink):
         for to, message in sends:
             service = SERVICE_OF_MESSAGE.get(message.get("kind", ""))
             if service is None:
-                self._publish(to, message)
+                self._publisher.publish(self._news(to, message))
                 continue
             body = json.dumps(message, separators=(",", ":"))
             for name in [to] if to else list(self._peers):

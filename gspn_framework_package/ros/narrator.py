@@ -10,7 +10,7 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import String
 
-LINES_PER_SECOND = 10
+LINES_PER_SECOND = 4
 """Lines on the screen; what is more is counted instead."""
 
 ACTIVITY_PERIOD = 0.1
