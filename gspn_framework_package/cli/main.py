@@ -28,6 +28,7 @@ EXIT_BROKEN_PIPE = 141  # 128 + SIGPIPE
 #: Verb -> (its module in this package, its HELP: one line, repeated here so that ``--help`` need
 #: not import the module; a test holds the two together).
 VERBS: Dict[str, Tuple[str, str]] = {
+    "plot": ("plot", "plot results of the analysis: tokens over time, distributions, throughput"),
     "simulate": ("simulate", "simulate many runs of a net or plan, with confidence intervals"),
     "analyse": (
         "analyse",

@@ -1,0 +1,111 @@
+"""``gspn plot``: pictures of results, as files."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any, List
+
+import numpy as np
+
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.state_space import STATE_LIMIT
+from gspn_framework_package.cli.net_input import print_notes
+from gspn_framework_package.cli.progress import ProgressLine
+from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
+from gspn_framework_package.model.errors import UsageError
+
+NAME = "plot"
+HELP = "plot results of the analysis: tokens over time, distributions, throughput"
+
+KINDS = ("tokens", "throughput", "distribution", "passage")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    add_subject_arguments(parser)
+    parser.add_argument("-o", "--output", required=True, metavar="FILE", help="the picture: .png, .svg or .pdf")
+    parser.add_argument(
+        "--what",
+        choices=KINDS,
+        default="tokens",
+        help="mean tokens or throughput over time, the distribution of tokens in the steady state, or the probability "
+        "to come to a condition over time (default: tokens)",
+    )
+    parser.add_argument("--time", type=float, metavar="T", help="until when (s); by default, until it has settled")
+    parser.add_argument("--points", type=int, default=60, metavar="N", help="points in time (default %(default)s)")
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="only these places or transitions")
+    parser.add_argument("--condition", metavar="CONDITION", help="of --what passage")
+    parser.add_argument("--limit", type=int, default=STATE_LIMIT, metavar="N", help="markings to visit at most")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make the picture."""
+    if Path(args.output).suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise UsageError("a picture ends in .png, .svg or .pdf, not as '%s' does" % args.output)
+    if (args.what == "passage") != (args.condition is not None):
+        raise UsageError("--what passage and --condition belong together")
+    if args.points < 2:
+        raise UsageError("--points %d: at least 2" % args.points)
+    try:
+        import matplotlib
+    except ImportError:
+        raise UsageError("matplotlib is not installed", hint="install python3-matplotlib") from None
+    matplotlib.use("Agg")
+    subject, notes = read_subject(args)
+    with ProgressLine() as progress:
+        analysis = Analysis(subject, limit=args.limit, progress=progress)
+        figure = _figure(analysis, args)
+    figure.savefig(args.output, dpi=150)
+    print_notes(notes)
+    return 0
+
+
+def _figure(analysis: Analysis, args: argparse.Namespace) -> Any:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 5), constrained_layout=True)
+    axes = figure.add_subplot()
+    axes.set_title(analysis.plan.name if analysis.plan else analysis.net.name)
+    if args.what == "distribution":
+        _distribution(axes, analysis, args)
+        return figure
+    end = args.time if args.time is not None else 1.2 * analysis.time_to_steady_state() or 1.0
+    times = np.linspace(0.0, end, args.points)
+    axes.set_xlabel("time [s]")
+    axes.set_xlim(0, end)
+    if args.what == "passage":
+        axes.plot(times, analysis.first_passage(args.condition, times.tolist()).within)
+        axes.set_ylabel("probability of %s until then" % args.condition)
+        axes.set_ylim(0, 1.02)
+        return figure
+    found = analysis.at(times.tolist())
+    series = [m.mean_tokens if args.what == "tokens" else m.throughput for _, m in found]
+    axes.set_ylabel("mean tokens" if args.what == "tokens" else "throughput [1/s]")
+    for name in _chosen(list(series[0]), args.only):
+        axes.plot(times, [values[name] for values in series], label=name)
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize="small", ncol=2)
+    return figure
+
+
+def _distribution(axes: Any, analysis: Analysis, args: argparse.Namespace) -> None:
+    found = analysis.measures.token_distribution
+    names = _chosen(list(found), args.only)
+    most = max((n for name in names for n in found[name]), default=0)
+    left = np.zeros(len(names))
+    for count in range(most + 1):
+        shares = np.array([found[name].get(count, 0.0) for name in names])
+        if shares.any():
+            axes.barh(names, shares, left=left, label="%d" % count)
+        left += shares
+    axes.invert_yaxis()
+    axes.set_xlabel("probability in the steady state")
+    axes.legend(title="tokens", fontsize="small")
+
+
+def _chosen(names: List[str], only: List[str]) -> List[str]:
+    for name in only:
+        if name not in names:
+            raise UsageError("there is no '%s' to plot" % name, hint="there are: %s" % ", ".join(names[:12]))
+    return only or names

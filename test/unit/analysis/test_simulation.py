@@ -1,0 +1,124 @@
+"""Simulation: agrees with the exact results inside its confidence intervals, at the stated rate; is reproducible."""
+
+import math
+from pathlib import Path
+
+import pytest
+from scipy import stats
+
+from gspn_framework_package.analysis import simulation
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.simulation import simulate
+from gspn_framework_package.benchmark.nets import flexible_manufacturing, kanban, philosophers
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.errors import CancelledError, ExpressionError, RefusedError, UsageError
+
+PLANS = Path(__file__).parents[3] / "plans"
+
+
+def test_intervals_hold_the_truth_at_the_stated_rate():
+    """Of 400 intervals of 90 % about 360 hold the mean time to starvation, 550/101 s; the bounds are those outside
+    of which a right program would be once in a million."""
+    held = 0
+    for seed in range(400):
+        estimate = simulate(
+            philosophers(4), until="think1+think2+think3+think4+eat1+eat2+eat3+eat4 == 0",
+            replications=40, seed=seed, confidence=0.9,
+        ).time_to_condition  # fmt: skip
+        held += abs(estimate.mean - 550 / 101) <= estimate.half_width
+    low, high = stats.binom.ppf([5e-7, 1 - 5e-7], 400, 0.9)
+    assert low <= held <= high
+
+
+def plan(name):
+    return read_plan(PLANS / name)
+
+
+SUBJECTS = [kanban(1), flexible_manufacturing(1), plan("rendezvous"), plan("measure"), plan("patrol")]
+
+
+@pytest.mark.parametrize("subject", SUBJECTS, ids=lambda s: s.name)
+def test_long_runs_agree_with_the_steady_state(subject):
+    measures = Analysis(subject).measures
+    settled = Analysis(subject).time_to_steady_state(1e-4)
+    result = simulate(subject, time=6 * settled, warmup=settled, replications=1500, seed=1, confidence=0.99999)
+    for name, exact in measures.mean_tokens.items():
+        estimate = result.mean_tokens[name]
+        assert abs(estimate.mean - exact) <= estimate.half_width + 1e-9, name
+    for name, exact in measures.throughput.items():
+        estimate = result.throughput[name]
+        assert abs(estimate.mean - exact) <= estimate.half_width + 1e-9, name
+    for name, exact in measures.token_distribution.items():
+        for count, probability in exact.items():
+            assert result.token_distribution[name].get(count, 0.0) == pytest.approx(probability, abs=0.05)
+
+
+def test_first_passage_of_a_counter():
+    subject = plan("measure")
+    exact = Analysis(subject).first_passage("P3 >= 4", [2.0])
+    result = simulate(subject, until="P3 >= 4", replications=4000, seed=3, confidence=0.99999)
+    assert result.reached.mean == 1.0
+    assert abs(result.time_to_condition.mean - exact.mean_time) <= result.time_to_condition.half_width
+    short = simulate(subject, until="P3 >= 4", time=2.0, replications=4000, seed=3, confidence=0.99999)
+    assert abs(short.reached.mean - exact.within[0]) <= short.reached.half_width
+
+
+def test_the_same_seed_gives_the_same_result():
+    results = [simulate(kanban(1), time=50, replications=20, seed=seed) for seed in (5, 5, 6)]
+    assert results[0] == results[1] != results[2]
+
+
+def test_forgetting_markings_changes_nothing(monkeypatch):
+    whole = simulate(kanban(1), time=50, replications=20, seed=5)
+    monkeypatch.setattr(simulation, "REMEMBERED", 40)
+    forgetful = simulate(kanban(1), time=50, replications=20, seed=5)
+    assert forgetful.mean_tokens == whole.mean_tokens and forgetful.throughput == whole.throughput
+    for place, shares in whole.token_distribution.items():
+        assert forgetful.token_distribution[place] == pytest.approx(shares)
+
+
+def test_an_unbounded_net():
+    net = NetBuilder().place("jobs").exponential("arrive", rate=2.0, outputs="jobs").build()
+    result = simulate(net, time=10.0, replications=2000, confidence=0.99999)
+    assert abs(result.throughput["arrive"].mean - 2.0) <= result.throughput["arrive"].half_width
+    assert abs(result.mean_tokens["jobs"].mean - 10.0) <= result.mean_tokens["jobs"].half_width
+
+
+def test_a_dead_marking_is_kept_until_the_end():
+    net = NetBuilder().place("a", tokens=1).place("b").exponential("t", rate=1e6, inputs="a", outputs="b").build()
+    result = simulate(net, time=10.0, replications=10)
+    assert result.mean_tokens["b"].mean == pytest.approx(1.0, abs=1e-4)
+    assert result.end_time == (10.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({}, UsageError, "how long is a run"),
+        ({"time": 0}, UsageError, "a run of 0 s"),
+        ({"time": 10, "warmup": 10}, UsageError, "warm-up"),
+        ({"time": 10, "replications": 0}, UsageError, "replications"),
+        ({"time": 10, "confidence": 1}, UsageError, "confidence"),
+        ({"until": "nowhere > 1"}, ExpressionError, "no place 'nowhere'"),
+        ({"until": "left1 > 1"}, RefusedError, "stays for ever"),
+    ],
+)
+def test_what_makes_no_sense(options, error, message):
+    with pytest.raises(error, match=message):
+        simulate(philosophers(3), **options)
+
+
+def test_a_timeless_trap_is_noticed():
+    net = (NetBuilder().place("a", tokens=1).place("b").immediate("ab", inputs="a", outputs="b")
+           .immediate("ba", inputs="b", outputs="a").build())  # fmt: skip
+    with pytest.raises(RefusedError, match="without time"):
+        simulate(net, time=1.0, replications=2)
+
+
+def test_cancel_and_json():
+    with pytest.raises(CancelledError):
+        simulate(kanban(2), time=1e6, replications=10, cancel=lambda: True)
+    one = simulate(kanban(1), time=1.0, replications=1).to_json()
+    assert one["mean_tokens"]["free1"]["half_width"] is None
+    assert math.isfinite(one["mean_tokens"]["free1"]["mean"])
