@@ -172,12 +172,19 @@ class EventLog:
     :ivar cut: whether a cut last line was dropped.
     """
 
-    def __init__(self, path: str, header: Record, records: List[Record], cut: bool) -> None:
+    def __init__(
+        self,
+        path: str,
+        header: Record,
+        records: List[Record],
+        cut: bool = False,
+        plan: Optional[Plan] = None,
+    ) -> None:
         self.path = path
         self.header = header
         self.records = records
         self.cut = cut
-        self._plan: Optional[Plan] = None
+        self._plan = plan
 
     @property
     def plan(self) -> Plan:

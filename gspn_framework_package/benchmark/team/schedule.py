@@ -20,8 +20,9 @@ from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.team_state import Phase
+from gspn_framework_package.model.plan import Plan
 
-FAULTS_END = 1.0
+FAULTS_END = 0.6
 """Seconds of simulated time with faults."""
 
 BOUND = 6.0
@@ -57,13 +58,14 @@ class Outcome(NamedTuple):
     messages: int
     faults: Dict[str, int]
     blocked: bool
+    plan: Plan
     logs: List[Disk]
 
 
 class _Run:
     def __init__(self, schedule: Schedule, replica_type: Type[Replica]) -> None:
         self.random = source = random.Random("%d|%d|%d" % schedule)
-        evict_after = source.choice([0.0, 0.4])
+        evict_after = source.choice([0.0, 0.35])
         fence_after = source.choice([0.0, 0.25]) if evict_after else 0.0
         witness = schedule.robots == 2 and source.random() < 0.3
         plan = make_plan(
@@ -117,12 +119,12 @@ class _Run:
         up = self._up()
         if up:
             node = self.random.choice(up)
-            node.doomed = self.random.randint(1, 40)
+            node.doomed = self.random.randint(1, 30)
             self._count("crash")
 
     def on_crash(self, node: Node) -> None:
         node.crash()
-        self._later(0.01, 0.7, lambda: self._restart(node))
+        self._later(0.01, 0.4, lambda: self._restart(node))
 
     def _restart(self, node: Node) -> None:
         if node.replica is None and node.name not in self.left:
@@ -166,7 +168,7 @@ class _Run:
             node.suspended = True
             life = node.life
             self._count("suspend")
-            self._later(0.05, 1.0, lambda: node.resume() if node.life == life else None)
+            self._later(0.05, 0.5, lambda: node.resume() if node.life == life else None)
 
     def _partition(self) -> None:
         names = list(self.world.nodes)
@@ -177,7 +179,7 @@ class _Run:
         cut = {(a, b) for a in names for b in names if (a in side) != (b in side) and (both or a in side)}
         self.world.blocked |= cut
         self._count("partition" if both else "one-way partition")
-        self._later(0.05, 1.0, lambda: self.world.blocked.difference_update(cut))
+        self._later(0.05, 0.5, lambda: self.world.blocked.difference_update(cut))
 
     def _order(self) -> None:
         up = self._up()
@@ -272,6 +274,7 @@ class _Run:
             world.messages,
             self.faults,
             blocked,
+            world.plan,
             world.logs(),
         )
 
@@ -316,7 +319,7 @@ def check_logs(outcome: Outcome) -> None:
 
     :raises ViolationError: a rule was broken.
     """
-    logs = [EventLog(str(d.header["log"]), d.header, d.records(), False) for d in outcome.logs]
+    logs = [EventLog(str(d.header["log"]), d.header, d.records(), plan=outcome.plan) for d in outcome.logs]
     verdict = verify(logs, settled=not outcome.blocked)
     if verdict.violation is not None:
         raise ViolationError("rule %d: %s" % verdict.violation)

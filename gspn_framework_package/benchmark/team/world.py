@@ -17,7 +17,7 @@ from gspn_framework_package.execution.event_log import Record, header
 from gspn_framework_package.execution.firing import Ended, StartAction
 from gspn_framework_package.model.plan import Plan, Synchronisation
 
-PACE = Pace(heartbeat=0.1, retry=0.03, takeover=0.06, backoff=0.01)
+PACE = Pace(heartbeat=0.15, retry=0.03, takeover=0.06, backoff=0.01)
 """Times of the protocol in a simulated world, where messages take some milliseconds."""
 
 

@@ -88,7 +88,8 @@ class _Check:
                 self.notes.append("the last line of %s was cut off" % log.path)
         if self.length < len(merged.slots):
             self.notes.append("no log has slot %d: what is after it cannot be checked" % self.length)
-        replay = Replay(self.logs[0].plan, bool(self.logs[0].header.get("agents")))
+        plan = self.logs[0].plan
+        replay = Replay(plan, bool(self.logs[0].header.get("agents")))
         situations, members = [], []
         for slot in range(self.length):
             members.append(replay.members())
@@ -102,7 +103,7 @@ class _Check:
         invoked: Dict[Any, float] = {}
         newest = {log.robot: i for i, log in enumerate(self.logs)}
         for i, log in enumerate(self.logs):
-            check = RobotCheck(log, merged, facts, situations, i)
+            check = RobotCheck(log, merged, facts, situations, i, plan)
             check.check()
             invoked.update(check.invoked)
             last = self.settled and newest[log.robot] == i and replay.ended is None

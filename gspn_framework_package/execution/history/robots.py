@@ -9,6 +9,7 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.history.merge import Merged
 from gspn_framework_package.execution.history.replay import BrokenRuleError, Record, Situation
+from gspn_framework_package.model.plan import Plan
 
 Origin = Tuple[str, int, int, str]
 
@@ -83,6 +84,7 @@ class RobotCheck:
         facts: Facts,
         situations: Sequence[Dict[str, Situation]],
         number: int,
+        plan: Plan,
     ) -> None:
         self.log = log
         self.robot = log.robot
@@ -90,7 +92,7 @@ class RobotCheck:
         self.facts = facts
         self.situations = situations
         self.number = number
-        self.plan = log.plan
+        self.plan = plan
         self.invoked: Dict[Origin, float] = {}
         self.open: List[Origin] = []
         """Facts that never got into the log."""

@@ -1,0 +1,129 @@
+"""Many simulated teams, each under a seed of its own, each looked at by the history checker.
+
+``python3 -m gspn_framework_package.benchmark.agreement --schedules 10000``
+
+Exit codes: 0 no violation, 1 a violation (told with the schedule that shows it), 2 wrong usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import platform
+import random
+import sys
+import time
+from typing import Any, Dict, Iterator, List, Optional
+
+from gspn_framework_package.benchmark.team.schedule import Schedule, run_schedule
+from gspn_framework_package.benchmark.team.world import ViolationError
+from gspn_framework_package.cli.progress import ProgressLine
+
+SIZES = {2: 36, 3: 54, 5: 8, 8: 2}
+"""Robots in a team, and how many of a hundred schedules have that many."""
+
+
+def draw_schedules(first_seed: int, number: int, sizes: Optional[List[int]] = None) -> Iterator[Schedule]:
+    """Schedules with the seeds from ``first_seed`` on; sizes and modes are drawn by the seed."""
+    for seed in range(first_seed, first_seed + number):
+        source = random.Random(seed)
+        if sizes:
+            robots = source.choice(sizes)
+        else:
+            robots = source.choices(list(SIZES), list(SIZES.values()))[0]
+        yield Schedule(seed, robots, source.random() < 0.5)
+
+
+def main(arguments: Optional[List[str]] = None) -> int:
+    """Run the benchmark; the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--schedules", type=int, default=2000, metavar="N", help="how many (default %(default)s)")
+    parser.add_argument("--seed", type=int, metavar="S", help="the first seed (default: by the clock)")
+    parser.add_argument("--robots", type=int, nargs="+", metavar="N", help="team sizes (default: 2, 3, 5 and 8)")
+    parser.add_argument("--only", metavar="SEED:N:MODE", help="run just this schedule, e.g. 17:3:full")
+    parser.add_argument("--seconds", type=float, metavar="S", help="stop after that time")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    args = parser.parse_args(arguments)
+    if args.only:
+        schedules: Iterator[Schedule] = iter([Schedule.parse(args.only)])
+        args.schedules = 1
+    else:
+        first = args.seed if args.seed is not None else int(time.time()) % 10**8 * 1000
+        schedules = draw_schedules(first, args.schedules, args.robots)
+    result = run(schedules, args.schedules, args.seconds)
+    if args.json:
+        print(json.dumps(result))
+    else:
+        tell(result)
+    return 1 if result["violations"] else 0
+
+
+def run(schedules: Iterator[Schedule], number: int, seconds: Optional[float] = None) -> Dict[str, Any]:
+    """Run the schedules; the sums over all of them, and every violation."""
+    sums: Dict[str, Any] = {"schedules": 0, "blocked": 0, "slots": 0, "firings": 0, "messages": 0, "steps": 0}
+    faults: Dict[str, int] = {}
+    sizes: Dict[str, int] = {}
+    violations = []
+    gc.freeze()
+    begin, cpu = time.perf_counter(), time.process_time()
+    with ProgressLine() as progress:
+        for schedule in schedules:
+            try:
+                outcome = run_schedule(schedule)
+            except ViolationError as error:
+                violations.append({"schedule": str(schedule), "text": str(error)})
+                outcome = None
+            sums["schedules"] += 1
+            kind = "%d %s" % (schedule.robots, "partial" if schedule.partial else "full")
+            sizes[kind] = sizes.get(kind, 0) + 1
+            if outcome is not None:
+                for key in ("blocked", "slots", "firings", "messages", "steps"):
+                    sums[key] += getattr(outcome, key)
+                for fault, count in outcome.faults.items():
+                    faults[fault] = faults.get(fault, 0) + count
+            passed = time.perf_counter() - begin
+            if sums["schedules"] % 20 == 0:
+                rate = sums["schedules"] / passed * 60
+                what = "of %d schedules, %d violations, %.0f a minute" % (number, len(violations), rate)
+                progress(what, sums["schedules"], passed)
+            if seconds is not None and passed > seconds:
+                break
+    passed = time.perf_counter() - begin
+    return {
+        **sums,
+        "faults": faults,
+        "teams": dict(sorted(sizes.items())),
+        "seconds": round(passed, 1),
+        "cpu_seconds": round(time.process_time() - cpu, 1),
+        "schedules_per_minute": round(sums["schedules"] / passed * 60),
+        "machine": "%s, Python %s" % (platform.machine(), platform.python_version()),
+        "violations": violations,
+    }
+
+
+def tell(result: Dict[str, Any]) -> None:
+    """Print a result for people."""
+    for key in (
+        "schedules",
+        "violations",
+        "blocked",
+        "slots",
+        "firings",
+        "messages",
+        "steps",
+        "seconds",
+        "cpu_seconds",
+        "schedules_per_minute",
+        "machine",
+    ):
+        value = result[key]
+        print("%-22s %s" % (key.replace("_", " "), len(value) if isinstance(value, list) else value))
+    for title in ("teams", "faults"):
+        print("%-22s %s" % (title, ", ".join("%s: %d" % pair for pair in result[title].items())))
+    for violation in result["violations"][:20]:
+        print("VIOLATION in %(schedule)s: %(text)s" % violation)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
