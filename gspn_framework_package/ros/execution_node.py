@@ -124,10 +124,14 @@ class ExecutionNode(Worker):
         """End soon, without leaving the team: the action under way is cancelled."""
         self._enqueue(self._end)
 
-    def join(self, timeout: Optional[float] = None) -> bool:
-        """Wait until the node has ended; whether it has."""
-        self._thread.join(timeout)
-        return not self._thread.is_alive()
+    def is_running(self) -> bool:
+        """Whether the node was started and has not ended."""
+        return self._thread.is_alive()
+
+    def join(self, timeout: Optional[float] = None) -> None:
+        """Wait until the node has ended; at once where it was never started."""
+        if self._thread.ident is not None:
+            self._thread.join(timeout)
 
     def _enqueue(self, function: Callable[..., Any], *arguments: Any) -> None:
         self._tasks.put((function, arguments))

@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 import time
-from typing import Any, Callable, Iterable, List, Optional, Tuple
+from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple
 
 import rospy
 
@@ -20,6 +20,12 @@ from gspn_framework_package.ros.options import NodeOptions, read_options
 def run_execution_node() -> int:
     """The execution node of a robot; returns the exit code of the process."""
     return _node("gspn_executor", _execute)
+
+
+def run_hosted_robots() -> int:
+    """A node that hosts the execution nodes of a whole simulated team, each in a namespace of its
+    own; returns the exit code of the process."""
+    return _node("gspn_hosted", _host)
 
 
 def run_place_servers() -> int:
@@ -130,33 +136,62 @@ def _node(name: str, body: Callable[[NodeOptions, threading.Event], int]) -> int
 
 
 def _execute(options: NodeOptions, ending: threading.Event) -> int:
+    plan, robot = robot_of(read_plan(options.plan), options)
+    return _run_robots(plan, {robot: _own_namespace()}, options, ending)
+
+
+def _host(options: NodeOptions, ending: threading.Event) -> int:
+    plan = read_plan(options.plan)
+    if options.robots:
+        plan = plan.for_robots(options.robots)
+    names = {
+        robot.name: rospy.names.ns_join(_own_namespace(), "%s%d" % (options.prefix, number))
+        for number, robot in enumerate(plan.robots, 1)
+    }
+    return _run_robots(plan, names, options, ending)
+
+
+def _own_namespace() -> str:
+    return rospy.get_namespace().rstrip("/") or "/"
+
+
+def _run_robots(plan: Plan, namespaces: Dict[str, str], options: NodeOptions, ending: threading.Event) -> int:
+    """Execute a plan for some robots, each with its own replica, until the run is over for all of them.
+
+    :param namespaces: robot -> its absolute namespace.
+    :returns: the largest of their exit codes.
+    """
     from gspn_framework_package.ros.execution_node import ExecutionNode
     from gspn_framework_package.ros.master_watch import MasterWatch
 
-    plan, robot = robot_of(read_plan(options.plan), options)
     for note in plan.notes:
         rospy.loginfo("%s: %s", plan.name, note)
     if options.check:
         check_plan(plan)
-    node = ExecutionNode(plan, robot, rospy.get_namespace().rstrip("/") or "/", options)
-    rospy.loginfo(
-        "%s: plan %s, run %s, %d robots; log: %s",
-        robot, plan.name, options.run, len(plan.robots), options.log_file(robot),
-    )  # fmt: skip
-    if options.check:
-        await_servers(node.foreign_servers, options.server_timeout, ending)
-    watch = MasterWatch()
-    watch.start()
-    node.start()
-    while not node.join(0.1):
-        if ending.wait(0.1):
+    nodes = []
+    try:
+        for robot, namespace in namespaces.items():
+            nodes.append(ExecutionNode(plan, robot, namespace, options))
+            rospy.loginfo(
+                "%s: plan %s, run %s, %d robots; log: %s",
+                robot, plan.name, options.run, len(plan.robots), options.log_file(robot),
+            )  # fmt: skip
+        if options.check:
+            servers = {server for node in nodes for server in node.foreign_servers}
+            await_servers(servers, options.server_timeout, ending)
+        watch = MasterWatch()
+        watch.start()
+        for node in nodes:
+            node.start()
+        while not ending.wait(0.1) and any(node.is_running() for node in nodes):
+            pass
+        watch.stop()
+    finally:
+        for node in nodes:
             node.stop()
+        for node in nodes:
             node.join(5.0)
-            break
-    watch.stop()
-    if node.exit_code is None:
-        return 0
-    return node.exit_code
+    return max(node.exit_code or 0 for node in nodes)
 
 
 def _serve(options: NodeOptions, ending: threading.Event) -> int:
@@ -164,7 +199,7 @@ def _serve(options: NodeOptions, ending: threading.Event) -> int:
     from gspn_framework_package.ros.place_servers import PlaceServers
 
     plan, robot = robot_of(read_plan(options.plan), options)
-    servers = PlaceServers(plan, robot, rospy.get_namespace().rstrip("/") or "/")
+    servers = PlaceServers(plan, robot, _own_namespace())
     servers.start()
     rospy.loginfo("%s: serves %s", robot, ", ".join(servers.names) or "nothing")
     watch = MasterWatch()

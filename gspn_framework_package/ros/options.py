@@ -24,6 +24,8 @@ class NodeOptions(NamedTuple):
     """Size of the team; 0: the plan's own."""
     place: str = ""
     """Where a robot that is not in the plan joins the running team."""
+    prefix: str = "robot_"
+    """Hosted robots: what their namespaces begin with; the number of the robot follows."""
     run: str = "run"
     """Name of the run: the robots of one run agree among themselves, and a node that starts again
     under the same name goes on where it was."""
