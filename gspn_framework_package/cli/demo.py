@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import glob
 import os
 import shutil
 import signal
+import socket
 import sys
 import threading
 import time
 import uuid
-from typing import Any, List, Optional, Sequence, Tuple
+import webbrowser
+from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError, GspnError, UsageError
@@ -22,6 +26,9 @@ HELP = "run a plan on a team of robots (needs ROS and a master), and show what h
 LINES = 8
 """Firings that the live view shows."""
 
+WORLD_SPEED = 3.0
+"""How much faster than real time the simulated room runs at most: a TurtleBot3 is slow to watch."""
+
 START_TIME = 60.0
 """Seconds within which the first transition must fire, where ``--seconds`` does not end the demo."""
 
@@ -31,7 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--robots", type=int, default=3, metavar="N", help="number of robots (3)")
     parser.add_argument("--plan", required=True, metavar="FOLDER", help="folder of the plan")
     parser.add_argument("--seconds", type=float, default=0, metavar="S", help="end after S seconds; 0: at Ctrl-C")
-    parser.add_argument("--headless", action="store_true", help="open no window")
+    parser.add_argument("--headless", action="store_true", help="open no window (the page is served all the same)")
+    parser.add_argument("--no-world", action="store_true", help="no simulated room, where the plan's folder has one")
+    parser.add_argument("--port", type=int, default=8090, metavar="P", help="port of the page, or the next free (8090)")
     parser.epilog = "Exit codes: 0 the team ran, 1 a node died or nothing fired, 2 not a plan or wrong usage."
 
 
@@ -39,8 +48,10 @@ def run(args: argparse.Namespace) -> int:
     """Start the team, show it, end it, and tell how it went."""
     if args.seconds < 0:
         raise UsageError("--seconds must not be below 0")
-    plan = read_plan(args.plan).for_robots(args.robots)
-    demo = _Demo(plan, args.plan, args.seconds)
+    room = None if args.no_world else find_room(args.plan)
+    path = room.plan if room else args.plan
+    plan = read_plan(path).for_robots(args.robots)
+    demo = _Demo(plan, path, args.seconds, room, _free_port(args.port), _has_display() and not args.headless)
     try:
         demo.start()
         demo.show()
@@ -49,9 +60,39 @@ def run(args: argparse.Namespace) -> int:
     return demo.summary()
 
 
+class Room(NamedTuple):
+    """A room that a plan's folder brings along: its file, and the plan whose robots drive in it."""
+
+    world: str
+    plan: str
+
+
+def find_room(folder: str) -> Optional[Room]:
+    """The room of a plan's folder: a ``room.json`` beside one YAML file; None where there is none."""
+    plan = os.path.join(folder, "room.json")
+    worlds = sorted(glob.glob(os.path.join(glob.escape(folder), "*.yaml")))
+    return Room(os.path.abspath(worlds[0]), plan) if len(worlds) == 1 and os.path.isfile(plan) else None
+
+
+def _free_port(first: int) -> int:
+    """The first port from ``first`` on that nobody listens on."""
+    for port in range(first, first + 100):
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) != 0:
+                return port
+    raise UsageError("no port from %d to %d is free" % (first, first + 99), hint="choose another with --port")
+
+
+def _has_display() -> bool:
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 class _Demo:
-    def __init__(self, plan: Plan, path: str, seconds: float) -> None:
+    def __init__(
+        self, plan: Plan, path: str, seconds: float, room: Optional[Room], port: int, open_browser: bool
+    ) -> None:
         self._plan, self._path, self._seconds = plan, os.path.abspath(path), seconds
+        self._room, self._port, self._open_browser = room, port, open_browser
         self._run = "demo_" + uuid.uuid4().hex[:8]
         self._ending = threading.Event()
         self._died: List[str] = []
@@ -76,15 +117,15 @@ class _Demo:
         rospy.init_node("gspn_demo", anonymous=True, disable_signals=True)
         robots = [(robot.name, "/robot_%d" % number, robot.place) for number, robot in enumerate(self._plan.robots, 1)]
         self._monitor = TeamMonitor(robots, self._run)
-        file = os.path.join(rospkg.RosPack().get_path("gspn_framework_package"), "launch", "team.launch")
-        words = ["plan:=" + self._path, "robots:=%d" % len(robots), "run:=" + self._run]
+        folder = os.path.join(rospkg.RosPack().get_path("gspn_framework_package"), "launch")
+        files = [(os.path.join(folder, name), words) for name, words in self._launch_files(len(robots))]
         run_id = rospy.get_param("/run_id", None) or str(uuid.uuid4())
         roslaunch.configure_logging(run_id)
         roslaunch.core.clear_printlog_handlers()
         with _silent():
             self._launch = roslaunch.parent.ROSLaunchParent(
                 run_id,
-                [(file, words)],
+                files,
                 process_listeners=[_Listener(self._node_ended)],
                 force_log=True,
                 show_summary=False,
@@ -92,14 +133,39 @@ class _Demo:
             self._launch.start(auto_terminate=False)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, lambda *_: self._ending.set())
-        print("%s: %d robots, run %s" % (self._plan.name, len(robots), self._run), flush=True)
+        where = ""
+        if self._room:
+            where = " in %s, up to %g times real time" % (os.path.basename(self._room.world), WORLD_SPEED)
+        print("%s: %d robots%s, run %s" % (self._plan.name, len(robots), where, self._run))
+        address = "http://127.0.0.1:%d/" % self._port
+        print("the page: %s" % address, flush=True)
+        if self._open_browser:
+            threading.Thread(target=self._browse, args=(address,), daemon=True).start()
+
+    def _launch_files(self, robots: int) -> List[Tuple[str, List[str]]]:
+        """The launch files of the demo, with their arguments: the team, the page, the room."""
+        team = ["plan:=" + self._path, "robots:=%d" % robots, "run:=" + self._run]
+        files = [("team.launch", team), ("visualizer.launch", [*team, "port:=%d" % self._port])]
+        if self._room is not None:
+            speed = "real_time_factor:=%g" % WORLD_SPEED
+            files.append(("world.launch", ["world:=" + self._room.world, "robots:=%d" % robots, speed]))
+        return files
+
+    def _browse(self, address: str) -> None:
+        """Open the browser once the page answers."""
+        while not self._ending.wait(0.2):
+            with socket.socket() as probe:
+                if probe.connect_ex(("127.0.0.1", self._port)) == 0:
+                    webbrowser.open(address)
+                    return
 
     def _node_ended(self, name: str, code: Optional[int]) -> None:
         """On the thread of roslaunch."""
         if self._ending.is_set():
             return
         name = name.rsplit("-", 1)[0]
-        (self._died if code else self._over).append(name)
+        is_robot = name not in ("world", "visualizer")
+        (self._over if is_robot and not code else self._died).append(name)
         if self._died or len(self._over) >= len(self._plan.robots):
             self._ending.set()
 
@@ -126,6 +192,15 @@ class _Demo:
         if self._launch is not None:
             with _silent():
                 self._launch.shutdown()
+            self._forget_parameters()
+
+    def _forget_parameters(self) -> None:
+        """Leave a master that outlives the demo as it was: a clock that has stopped stops everybody."""
+        import rospy
+
+        for name in ("/use_sim_time", "/room") if self._room is not None else ():
+            with contextlib.suppress(Exception):  # the master may be gone already, and then all is well
+                rospy.delete_param(name)
 
     def summary(self) -> int:
         """Print what happened; the exit code."""

@@ -133,6 +133,14 @@ class PlaceServers:
         finally:
             with self._lock:
                 self._running.pop(goal_id, None)
+        try:
+            self._tell_result(goal, result, failure)
+        except rospy.ROSException:
+            if not self._stopping.is_set():  # else the publisher is closed: nobody is there to be told
+                raise
+
+    @staticmethod
+    def _tell_result(goal: _RunningGoal, result: str, failure: Optional[str]) -> None:
         if goal.cancellation():
             goal.handle.set_canceled(ExecGSPNResult(result), failure or "cancelled")
         elif failure is not None:
