@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
+import logging.handlers
+import queue
 import resource
 import signal
 import sys
@@ -10,6 +14,7 @@ import time
 from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple
 
 import rospy
+from rospy.impl.rosout import RosOutHandler
 
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError, GspnError, UsageError
@@ -103,6 +108,25 @@ def await_servers(names: Iterable[str], seconds: float, ending: threading.Event)
         ending.wait(0.2)
 
 
+class _Lines(logging.handlers.QueueHandler):
+    """Hands on lines of the log; drops what is too much, rather than wait."""
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        with contextlib.suppress(queue.Full):
+            self.queue.put_nowait(record)
+
+
+def publish_log_lines_on_a_thread() -> None:
+    """Publish on ``/rosout`` from a thread of its own. rospy asks the master for a parameter at every line, with no
+    limit of time: a master that is out of reach (a partition, not a death) would hold whoever logs, for minutes."""
+    logger = logging.getLogger("rosout")
+    for handler in [h for h in logger.handlers if isinstance(h, RosOutHandler)]:
+        lines: queue.Queue[logging.LogRecord] = queue.Queue(1000)
+        logger.removeHandler(handler)
+        logger.addHandler(_Lines(lines))
+        logging.handlers.QueueListener(lines, handler).start()
+
+
 def _node(name: str, body: Callable[[NodeOptions, threading.Event], int]) -> int:
     """Start a ROS node, and end it in order on SIGINT, SIGTERM and ``rosnode kill``."""
     raise_descriptor_limit()
@@ -122,6 +146,7 @@ def _node(name: str, body: Callable[[NodeOptions, threading.Event], int]) -> int
     signal.signal(signal.SIGTERM, on_signal)
     try:
         rospy.init_node(name, disable_signals=True)
+        publish_log_lines_on_a_thread()
         rospy.core.add_preshutdown_hook(on_shutdown)
         code = body(read_options(), ending)
     except GspnError as error:
