@@ -38,6 +38,8 @@ FAULTS = (
     "two_in_one_location",
     "overtakings",
     "failed_actions",
+    "policy_misses",
+    "rule_broken_in_marking",
 )
 """The figures that are 0 in a good run."""
 
@@ -90,9 +92,10 @@ def measure_apart(args: argparse.Namespace, robots: int, seed: int) -> Dict[str,
 
 def show(results: Sequence[Dict[str, Any]]) -> str:
     """The results as a table."""
-    head = ("robots", "seed", "laps of each", "locations", "metres", "touches", "with walls")
-    head += ("min stuck", "aborted", "two in one", "overtaken", "real-time factor")
-    head += ("CPU s/min", "MB")
+    head = (
+        "robots", "seed", "laps of each", "locations", "metres", "touches", "with walls", "min stuck",
+        "aborted", "two in one", "overtaken", "misses", "real-time factor", "CPU s/min", "MB",
+    )  # fmt: skip
     rows = [
         [
             str(r["robots"]),
@@ -106,6 +109,7 @@ def show(results: Sequence[Dict[str, Any]]) -> str:
             r["goals_aborted"] + r["failed_actions"],
             r["two_in_one_location"],
             r["overtakings"],
+            r.get("policy_misses"),
             r["real_time_factor"],
             r["cpu_seconds_per_minute"],
             r["memory_mb"],
@@ -152,7 +156,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         print(machine_line(machine) + "\n")
         print("%g minutes of world time each\n" % args.minutes)
         print(show(results))
-    return int(any(result[fault] for result in results for fault in FAULTS))
+    return int(any(result.get(fault) for result in results for fault in FAULTS))
 
 
 if __name__ == "__main__":

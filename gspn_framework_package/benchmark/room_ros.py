@@ -1,0 +1,179 @@
+"""The critical room with the whole system: ``patrol.launch``, watched from outside (see :mod:`.room`)."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import threading
+import time
+from typing import Any, Dict, List, Optional, Tuple
+
+from gspn_framework_package.benchmark.plans import plans_folder
+from gspn_framework_package.benchmark.processes import cost_of, descendants
+from gspn_framework_package.benchmark.team_run import Master, need_ros
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.world.referee import EntryOrder
+
+START = 60.0
+"""Seconds within which the first robot must have driven."""
+
+_CHECK = re.compile(r"Go_Check_(\w+)$")
+_PLACE = re.compile(r"(Check_Temperature|Alarm|Decide)_(\w+)$")
+
+
+class Watcher:
+    """Listens to a patrol: the referee's report, what the plan grants, where it misses a policy row."""
+
+    def __init__(self, robots: List[str]) -> None:
+        import rospy
+        from std_msgs.msg import String
+
+        from gspn_framework_package.msg import FiredTransition
+
+        self._lock = threading.Lock()
+        self.report: Dict[str, Any] = {}
+        self.world: Dict[str, Any] = {"time": 0.0}
+        self.firings: Dict[Tuple[int, int], Tuple[str, str]] = {}
+        self.misses = 0
+        self.rule_broken = 0
+        rospy.Subscriber("/world/referee", String, self._on_report, queue_size=1)
+        rospy.Subscriber("/world/state", String, self._on_state, queue_size=1)
+        rospy.Subscriber("/fired_transitions", FiredTransition, self._on_firing, queue_size=1000)
+        for robot in robots:
+            rospy.Subscriber("/%s/activity" % robot, String, self._on_activity, queue_size=100)
+
+    def _on_report(self, message: Any) -> None:
+        report = json.loads(message.data)
+        with self._lock:
+            self.report = report
+
+    def _on_state(self, message: Any) -> None:
+        world = json.loads(message.data)
+        with self._lock:
+            self.world = world
+
+    def _on_firing(self, message: Any) -> None:
+        inside: Dict[str, int] = {}
+        for place, count in zip(message.places, message.counts):
+            match = _PLACE.search(place)
+            if match is not None and match.group(1) != "Decide":
+                inside[match.group(2)] = inside.get(match.group(2), 0) + count
+        with self._lock:
+            self.firings[(message.slot, message.index)] = (message.transition, message.robot)
+            self.rule_broken += any(count > 1 for count in inside.values())
+
+    def _on_activity(self, message: Any) -> None:
+        if "no row" in message.data:
+            with self._lock:
+                self.misses += 1
+
+    @property
+    def time(self) -> float:
+        """Seconds of world time."""
+        with self._lock:
+            return float(self.world["time"])
+
+    def grants(self) -> List[Tuple[str, str]]:
+        """Robot and location of each check that the plan granted, in the order of the log."""
+        with self._lock:
+            fired = [self.firings[position] for position in sorted(self.firings)]
+        found = [(robot, _CHECK.search(transition)) for transition, robot in fired]
+        return [(robot, match.group(1)) for robot, match in found if match is not None]
+
+
+def measure_ros(room: str, robots: int, seed: int, minutes: float, factor: float) -> Dict[str, Any]:
+    """One run of the whole system.
+
+    :param room: the room file.
+    :param robots: size of the team.
+    :param seed: names the run; what is drawn is drawn by the plan, how the threads meet by the machine.
+    :param minutes: of world time.
+    :param factor: the real-time factor asked for.
+    :raises UsageError: no ROS. :raises ExecutionError: the team does not start, or ends by itself.
+    """
+    need_ros()
+    plan = read_plan(os.path.join(plans_folder(), "patrol", "room.json")).for_robots(robots)
+    names = [robot.name for robot in plan.robots]
+    with Master() as master:
+        os.environ.update(master.environment)
+        import rospy
+
+        rospy.init_node("bench_room", anonymous=True, disable_signals=True)
+        watcher = Watcher(names)
+        output = os.path.join(master.folder, "patrol.txt")
+        words = ["roslaunch", "gspn_framework_package", "patrol.launch", "robots:=%d" % robots]
+        words += ["world:=" + os.path.abspath(room), "real_time_factor:=%g" % factor, "run:=room_%d" % seed]
+        with open(output, "wb") as log:
+            launch = subprocess.Popen(
+                words, stdout=log, stderr=subprocess.STDOUT, env=master.environment, start_new_session=True
+            )
+        try:
+            return _watch(watcher, launch, plan, seed, minutes, output)
+        finally:
+            _end(launch)
+            rospy.signal_shutdown("measured")
+
+
+def _watch(
+    watcher: Watcher, launch: subprocess.Popen[bytes], plan: Any, seed: int, minutes: float, output: str
+) -> Dict[str, Any]:
+    from gspn_framework_package.benchmark.room import figures
+
+    begin = time.monotonic()
+    first: Optional[Tuple[float, float, float]] = None
+    while watcher.time < minutes * 60:
+        if launch.poll() is not None:
+            raise ExecutionError("the patrol ended by itself", hint=_last_lines(output))
+        if first is None and watcher.firings:
+            cost = cost_of(descendants(launch.pid))
+            first = (time.monotonic(), watcher.time, cost.cpu_seconds)
+        if first is None and time.monotonic() - begin > START:
+            raise ExecutionError("nothing fired within %g s" % START, hint=_last_lines(output))
+        time.sleep(0.2)
+    assert first is not None
+    cost = cost_of(descendants(launch.pid))
+    wall, simulated = time.monotonic() - first[0], watcher.time - first[1]
+    order = EntryOrder()
+    for robot in plan.robots:
+        match = _PLACE.search(robot.place)
+        if match is not None:
+            order.grant(robot.name, match.group(2))
+    for robot_name, location in watcher.grants():
+        order.grant(robot_name, location)
+    for moment, robot_name, location in watcher.report["entry_log"]:
+        order.enter(robot_name, location, moment)
+    return {
+        "robots": len(plan.robots),
+        "seed": seed,
+        **figures(watcher.report),
+        "overtakings": len(order.out_of_turn),
+        "failed_actions": 0,
+        "policy_misses": watcher.misses,
+        "rule_broken_in_marking": watcher.rule_broken,
+        "firings": len(watcher.firings),
+        "start_seconds": first[0] - begin,
+        "real_time_factor": simulated / wall,
+        "cpu_seconds_per_minute": (cost.cpu_seconds - first[2]) / (simulated / 60),
+        "memory_mb": cost.pss_mb,
+        "processes": cost.processes,
+    }
+
+
+def _end(launch: subprocess.Popen[bytes]) -> None:
+    for number, patience in ((signal.SIGINT, 20), (signal.SIGTERM, 5), (signal.SIGKILL, 5)):
+        if launch.poll() is not None:
+            return
+        os.killpg(launch.pid, number)
+        try:
+            launch.wait(patience)
+        except subprocess.TimeoutExpired:
+            continue
+
+
+def _last_lines(file: str) -> str:
+    with open(file, encoding="utf-8", errors="replace") as log:
+        return " / ".join(log.read().strip().splitlines()[-3:])

@@ -1,0 +1,167 @@
+#!/usr/bin/env python3
+"""The world as a ROS node: what a robot's namespace offers, and a patrol by two execution nodes in it."""
+
+import json
+import math
+import sys
+import threading
+import time
+import unittest
+
+import actionlib
+import rospy
+import rostest
+from actionlib_msgs.msg import GoalStatus
+from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
+from move_base_msgs.msg import MoveBaseAction, MoveBaseGoal
+from nav_msgs.msg import OccupancyGrid, Odometry
+from sensor_msgs.msg import LaserScan, Temperature
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+
+DEADLINE = 150.0
+"""Seconds of wall time; far more than any test here needs."""
+
+
+class Latest:
+    """The latest message of a topic, and a wait for one that satisfies a condition."""
+
+    def __init__(self, topic, kind):
+        self.message = None
+        self._news = threading.Condition()
+        self._subscriber = rospy.Subscriber(topic, kind, self._heard, queue_size=10)
+
+    def _heard(self, message):
+        with self._news:
+            self.message = message
+            self._news.notify_all()
+
+    def wait(self, condition=lambda message: True, deadline=DEADLINE):
+        end = time.monotonic() + deadline
+        with self._news:
+            while self.message is None or not condition(self.message):
+                left = end - time.monotonic()
+                if left <= 0:
+                    raise AssertionError("not seen in time; last: %s" % self.message)
+                self._news.wait(left)
+            return self.message
+
+
+class Drive:
+    """A goal for ``move_base`` of robot_3."""
+
+    def __init__(self, client, x, y, frame="map", w=1.0):
+        self._done = threading.Event()
+        self.feedback = []
+        goal = MoveBaseGoal()
+        goal.target_pose.header.frame_id = frame
+        goal.target_pose.pose.position.x, goal.target_pose.pose.position.y = x, y
+        goal.target_pose.pose.orientation.w = w
+        self.handle = client.send_goal(goal, self._changed, lambda _, feedback: self.feedback.append(feedback))
+
+    def _changed(self, handle):
+        if handle.get_comm_state() == actionlib.CommState.DONE:
+            self._done.set()
+
+    def result(self):
+        assert self._done.wait(DEADLINE), "the goal has not ended"
+        return self.handle.get_terminal_state(), self.handle.get_goal_status_text()
+
+
+class TestWorld(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.client = actionlib.ActionClient("/robot_3/move_base", MoveBaseAction)
+        end = time.monotonic() + DEADLINE
+        while not cls.client.wait_for_server(rospy.Duration(0.5)):
+            assert time.monotonic() < end, "no move_base"
+
+    def test_1_the_interface_is_that_of_a_real_robot(self):
+        self.assertGreater(Latest("/robot_3/odom", Odometry).wait().header.stamp.to_sec(), 0)
+        pose = Latest("/robot_3/amcl_pose", PoseWithCovarianceStamped).wait()
+        self.assertEqual(pose.header.frame_id, "map")
+        reading = Latest("/robot_3/temperature", Temperature).wait()
+        self.assertAlmostEqual(reading.temperature, 21.0, delta=1.0)
+        scan = Latest("/robot_3/scan", LaserScan).wait()
+        self.assertEqual(len(scan.ranges), 120)
+        self.assertTrue(all(scan.range_min <= r for r in scan.ranges))
+        frames = Latest("/tf", TFMessage).wait()
+        self.assertIn(
+            ("robot_3/odom", "robot_3/base_footprint"),
+            [(t.header.frame_id, t.child_frame_id) for t in frames.transforms],
+        )
+        grid = Latest("/map", OccupancyGrid).wait()
+        self.assertEqual(len(grid.data), grid.info.width * grid.info.height)
+        self.assertIn(100, grid.data)
+        room = json.loads(Latest("/world/room", String).wait().data)
+        self.assertEqual(sorted(room["locations"]), ["L1", "L2", "L3", "L4"])
+        state = json.loads(Latest("/world/state", String).wait().data)
+        self.assertEqual(sorted(state["robots"]), ["robot_1", "robot_2", "robot_3"])
+
+    def test_2_a_goal_is_driven_to_and_a_newer_one_preempts_it(self):
+        first = Drive(self.client, 0.55, 0.55)
+        rospy.sleep(0.5)
+        second = Drive(self.client, 0.55, 1.7)
+        self.assertEqual(first.result()[0], GoalStatus.PREEMPTED)
+        self.assertEqual(second.result(), (GoalStatus.SUCCEEDED, "reached"))
+        self.assertTrue(second.feedback)
+        where = Latest("/robot_3/amcl_pose", PoseWithCovarianceStamped).wait().pose.pose.position
+        self.assertLess(math.hypot(where.x - 0.55, where.y - 1.7), 0.12)
+
+    def test_3_goals_that_cannot_be_are_refused_or_aborted_with_a_reason(self):
+        for goal, status, words in (
+            (Drive(self.client, 0.0, 0.0), GoalStatus.ABORTED, "no way leads there"),
+            (Drive(self.client, 0.5, 0.5, frame="odom"), GoalStatus.REJECTED, "frame"),
+            (Drive(self.client, 0.5, 0.5, w=0.0), GoalStatus.REJECTED, "quaternion"),
+            (Drive(self.client, math.nan, 0.5), GoalStatus.REJECTED, "finite"),
+        ):
+            ended, text = goal.result()
+            self.assertEqual(ended, status)
+            self.assertIn(words, text)
+
+    def test_4_a_cancelled_goal_stops_the_robot(self):
+        goal = Drive(self.client, 0.55, -0.55)
+        odometry = Latest("/robot_3/odom", Odometry)
+        odometry.wait(lambda m: m.twist.twist.linear.x > 0.1)
+        goal.handle.cancel()
+        self.assertEqual(goal.result()[0], GoalStatus.PREEMPTED)
+        odometry.wait(lambda m: m.twist.twist.linear.x == 0.0 and m.twist.twist.angular.z == 0.0)
+
+    def test_5_cmd_vel_drives_a_robot_without_a_goal(self):
+        odometry = Latest("/robot_3/odom", Odometry)
+        hand = rospy.Publisher("/robot_3/cmd_vel", Twist, queue_size=1)
+        twist = Twist()
+        twist.angular.z = 1.0
+        end = time.monotonic() + DEADLINE
+        while odometry.message is None or odometry.message.twist.twist.angular.z < 0.9:
+            self.assertLess(time.monotonic(), end)
+            hand.publish(twist)
+            time.sleep(0.01)
+        # no more commands: it stops by itself
+        odometry.wait(lambda m: m.twist.twist.angular.z == 0.0)
+
+    def test_6_two_robots_patrol_a_lap_by_the_rules(self):
+        # out of the way of the patrol, among the cylinders
+        self.assertEqual(Drive(self.client, 0.55, 0.55).result()[0], GoalStatus.SUCCEEDED)
+        before = rospy.get_time(), time.monotonic()
+
+        def lap(message):
+            robots = json.loads(message.data)["robots"]
+            return min(robots["robot_%d" % n]["laps"] for n in (1, 2)) >= 1
+
+        referee = Latest("/world/referee", String)
+        report = json.loads(referee.wait(lap).data)
+        faster = (rospy.get_time() - before[0]) / (time.monotonic() - before[1])
+        self.assertGreater(faster, 1.0)
+        for nothing in (
+            "contacts_between_robots", "contacts_with_solids", "two_in_one_location", "stuck_minutes",
+        ):  # fmt: skip
+            self.assertEqual(report[nothing], 0, nothing)
+        for name in ("robot_1", "robot_2"):
+            self.assertEqual(report["robots"][name]["aborted"], 0)
+            self.assertGreater(report["robots"][name]["distance"], 8.0)
+
+
+if __name__ == "__main__":
+    rospy.init_node("test_world")
+    rostest.rosrun("gspn_framework_package", "world", TestWorld, sys.argv)
