@@ -41,7 +41,7 @@ FLAGS = [
     "--disable-gpu",
     "--force-device-scale-factor=1",
 ]
-SCREEN = {"width": 1440, "height": 900}
+SCREEN: Any = {"width": 1440, "height": 900}
 
 MEASURE = """async (seconds) => {
   const { model, page } = window.gspn;
@@ -210,7 +210,7 @@ def follow(port: int, seconds: float, out: List[Dict[str, Any]]) -> None:
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
     connection.request("GET", "/api/stream?id=feed")
     stream = connection.getresponse()
-    seen, gaps, delays = None, 0, []
+    seen, gaps, delays = -1, 0, []
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         line = stream.readline()
@@ -219,7 +219,7 @@ def follow(port: int, seconds: float, out: List[Dict[str, Any]]) -> None:
         news = json.loads(line[6:])
         now = time.time() * 1000
         if "snapshot" in news:
-            gaps += seen is not None
+            gaps += seen >= 0
             seen = news["snapshot"]["board"]["n"]
         for event in news.get("events", ()):
             gaps += event["n"] != seen + 1

@@ -16,7 +16,7 @@ import flask
 from flask import Response, request
 
 from gspn_framework_package import __version__
-from gspn_framework_package.model.errors import GspnError, InputError, RefusedError, UsageError
+from gspn_framework_package.model.errors import GspnError, InputError, UsageError
 from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
 from gspn_framework_package.visualizer.documents import Document, read_upload
 from gspn_framework_package.visualizer.guard import COOKIE, SECURITY_HEADERS, Guard
@@ -190,9 +190,9 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
 
 def _body(limit: int) -> Dict[str, Any]:
-    """The JSON object of a request. :raises UsageError: it is none."""
+    """The JSON object of a request, of up to ``limit`` bytes. :raises UsageError: it is none."""
     if (request.content_length or 0) > limit:
-        raise RefusedError("the request is too large")
+        flask.abort(413)
     if request.mimetype != "application/json":
         raise UsageError("a request is JSON (Content-Type: application/json)")
     try:

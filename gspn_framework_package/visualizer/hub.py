@@ -85,7 +85,8 @@ class Hub:
             self._board = board
             self._events: Deque[Event] = deque()
             self._texts: Deque[str] = deque()
-            self._keyframes: Deque[Board] = deque([board.copy()])
+            self._oldest = board.copy()
+            self._keyframes: Deque[Board] = deque()
             self._started = time.monotonic()
             self._latest: Dict[str, Tuple[int, str]] = {}
             self._latest_number = 0
@@ -107,10 +108,9 @@ class Hub:
                 if event["n"] % KEYFRAME == 0:
                     self._keyframes.append(self._board.copy())
                 if len(self._events) > self._ring_size:
-                    self._events.popleft()
+                    self._oldest.apply(self._events.popleft())
                     self._texts.popleft()
-            oldest = self._board.n - len(self._events)
-            while len(self._keyframes) > 1 and self._keyframes[1].n <= oldest:
+            while self._keyframes and self._keyframes[0].n <= self._oldest.n:
                 self._keyframes.popleft()
             self._last_event = time.monotonic()
             self._condition.notify_all()
@@ -153,8 +153,11 @@ class Hub:
         otherwise."""
         with self._condition:
             now = Cursor(self.epoch, self._board.n, self._latest_number)
-            oldest = self._board.n - len(self._events)
-            fresh = cursor is None or cursor.epoch != self.epoch or not oldest <= cursor.n <= now.n
+            fresh = (
+                cursor is None
+                or cursor.epoch != self.epoch
+                or not self._oldest.n <= cursor.n <= now.n
+            )
             since = 0 if fresh or cursor is None else cursor.latest
             latest = ",".join(
                 "%s:%s" % (json.dumps(key), text)
@@ -175,7 +178,7 @@ class Hub:
             "epoch": self.epoch,
             "mode": self.mode,
             "info": self.info,
-            "oldest": self._board.n - len(self._events),
+            "oldest": self._oldest.n,
             "board": self._board.to_json(),
             "age": round(time.monotonic() - self._last_event, 3) if self._events else None,
             "clock": round(time.monotonic() - self._started, 3),
@@ -190,9 +193,8 @@ class Hub:
         """The board after event ``n``; the nearest there is, where ``n`` has left the ring or has
         not come yet."""
         with self._condition:
-            oldest = self._board.n - len(self._events)
-            n = max(oldest, min(n, self._board.n))
-            base = self._keyframes[0]
+            n = max(self._oldest.n, min(n, self._board.n))
+            base = self._oldest
             for keyframe in self._keyframes:
                 if keyframe.n > n:
                     break
@@ -211,7 +213,6 @@ class Hub:
             return self._slice(max(after, to - limit), to)
 
     def _slice(self, after: int, to: int) -> List[Event]:
-        oldest = self._board.n - len(self._events)
-        first = max(0, after - oldest)
-        last = max(0, min(to, self._board.n) - oldest)
+        first = max(0, after - self._oldest.n)
+        last = max(0, min(to, self._board.n) - self._oldest.n)
         return [self._events[i] for i in range(first, last)]

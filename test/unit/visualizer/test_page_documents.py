@@ -1,0 +1,164 @@
+"""What the page opens: files of the served folder, and uploads that reach for nothing else."""
+
+import base64
+import json
+import os
+
+import pytest
+from page_client import PageClient, folder_project, small_net
+
+from gspn_framework_package.formats.plan_json import plan_to_json
+from gspn_framework_package.formats.registry import write_net
+from gspn_framework_package.model.errors import GspnError, LimitError, RefusedError
+from gspn_framework_package.model.plan import Plan, RobotSpec
+from gspn_framework_package.visualizer import documents
+from gspn_framework_package.visualizer.documents import Folder, read_upload
+
+
+@pytest.fixture(name="served")
+def _served(tmp_path):
+    folder = tmp_path / "served"
+    folder.mkdir()
+    write_net(small_net(), folder / "net.xml")
+    (folder / "plan.json").write_text(json.dumps(plan_of("net.xml")))
+    write_net(small_net(), tmp_path / "secret.xml")
+    return folder
+
+
+def plan_of(net):
+    plan = Plan(small_net(), actions={"a": None, "b": None}, robots=(RobotSpec("r1", "a"),))
+    return {**plan_to_json(plan), "net": net}
+
+
+def sent(**files):
+    return [
+        {"name": name.replace("__", "."), "content": base64.b64encode(data).decode()}
+        for name, data in files.items()
+    ]
+
+
+def xml(net=None, tmp="/tmp"):
+    path = os.path.join(tmp, "page_test_%d.xml" % os.getpid())
+    write_net(net or small_net(), path)
+    with open(path, "rb") as file:
+        data = file.read()
+    os.unlink(path)
+    return data
+
+
+def test_the_folder_lists_nets_and_plans(served):
+    assert [(e.path, e.kind) for e in Folder(str(served)).entries()] == [("net.xml", "net"), ("plan.json", "plan")]
+
+
+@pytest.mark.parametrize("path", ["../secret.xml", "./../secret.xml", "x/../../secret.xml", "/etc/passwd", "a\0b"])
+def test_nothing_outside_the_folder_is_opened(served, path):
+    with pytest.raises(RefusedError, match="served folder"):
+        Folder(str(served)).open(path)
+    client = PageClient(folder_project(served))
+    assert client.post("/api/open", {"path": path}).status_code == 409
+    assert client.get("/api/session?id=file-" + path.replace("\0", "%00")).status_code == 409
+
+
+def test_a_link_that_leads_out_is_not_followed(served, tmp_path):
+    (served / "link.xml").symlink_to(tmp_path / "secret.xml")
+    (served / "out").symlink_to(tmp_path)
+    folder = Folder(str(served))
+    assert "link.xml" not in [e.path for e in folder.entries()]
+    for path in ("link.xml", "out/secret.xml"):
+        with pytest.raises(RefusedError, match="served folder"):
+            folder.open(path)
+
+
+def test_only_plans_of_the_folder_are_executable(served):
+    folder = Folder(str(served))
+    assert folder.open("plan.json").executable
+    assert not folder.open("net.xml").executable
+    plan = json.dumps(plan_of("net.xml")).encode()
+    uploaded = read_upload(sent(plan__json=plan, net__xml=xml()))
+    assert uploaded.plan is not None and not uploaded.executable
+
+
+def test_an_uploaded_plan_cannot_be_started(served):
+    started = []
+    client = PageClient(folder_project(served), start_execution=started.append)
+    client.project._start_execution = started.append
+    plan = json.dumps(plan_of("net.xml")).encode()
+    key = client.post("/api/upload", {"files": sent(plan__json=plan, net__xml=xml())}).get_json()["id"]
+    answer = client.do("start", session=key, confirmed=True)
+    assert answer.status_code == 409 and "simulated, not executed" in answer.get_json()["error"]
+    assert not started
+    assert client.do("step", session=key).status_code == 200
+
+
+@pytest.mark.parametrize("where", ["{secret}", "../secret.xml", "/etc/passwd", "..\\..\\secret.xml"])
+@pytest.mark.parametrize("form", ["own", "own file", "policy", "thesis"])
+def test_an_uploaded_plan_reads_no_file_of_this_machine(tmp_path, where, form):
+    secret = tmp_path / "secret.xml"
+    write_net(small_net(), secret)
+    path = where.format(secret=secret)
+    if form == "own":
+        plan = plan_of(path)
+    elif form == "own file":
+        plan = plan_of({"file": path})
+    elif form == "policy":
+        plan = {**plan_of("net.xml"), "policy": path}
+    else:
+        plan = {
+            "gspn": path,
+            "place_to_client_mapping": "{}",
+            "resources_list": "[]",
+            "places_tuple": "('a','b')",
+            "policy_dictionary": "{}",
+            "full_synchronization": "True",
+        }
+    with pytest.raises(GspnError, match="was not sent"):
+        read_upload(sent(plan__json=json.dumps(plan).encode(), net__xml=xml()))
+
+
+def test_an_uploaded_net_that_a_plan_names_is_found():
+    plan = plan_of("C:\\somewhere\\net.xml")
+    assert read_upload(sent(p__json=json.dumps(plan).encode(), net__xml=xml())).plan is not None
+
+
+BOMB = b'<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "%s">]><pnml><net>&b;</net></pnml>' % (b"&a;" * 50)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        BOMB,
+        b'<!DOCTYPE x SYSTEM "file:///etc/passwd"><pnml><net id="n"/></pnml>',
+        b'<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]><pnml><net id="&e;"/></pnml>',
+        b"<pnml><net>",
+        b"",
+        b"\x00\xff\xfe",
+        b"{}",
+    ],
+)
+def test_hostile_and_broken_uploads_get_one_message(data):
+    client = PageClient()
+    answer = client.post("/api/upload", {"files": sent(net__xml=data)})
+    assert answer.status_code in (400, 409)
+    assert "root:" not in answer.get_json()["error"] and "gspn_upload_" not in answer.get_json()["error"]
+
+
+@pytest.mark.parametrize("name", ["../x.xml", "/etc/x.xml", "a/b.xml", "..", "", "x\\y.xml", "a\0.xml"])
+def test_names_of_uploads_are_names_only(name):
+    with pytest.raises(GspnError, match="proper name"):
+        read_upload([{"name": name, "content": base64.b64encode(xml()).decode()}])
+
+
+@pytest.mark.parametrize("files", [None, [], [1], [{"name": "x.xml", "content": "***"}], [{}] * 11, "x"])
+def test_uploads_that_make_no_sense_are_refused(files):
+    with pytest.raises(GspnError):
+        read_upload(files)
+
+
+def test_a_net_that_is_too_large_to_show_is_refused(monkeypatch):
+    monkeypatch.setattr(documents, "NODES", 3)
+    with pytest.raises(LimitError, match="too large for the page"):
+        read_upload(sent(net__xml=xml()))
+    monkeypatch.setattr(documents, "NODES", 4)
+    monkeypatch.setattr(documents, "ARCS", 3)
+    with pytest.raises(LimitError, match="too large for the page"):
+        read_upload(sent(net__xml=xml()))
