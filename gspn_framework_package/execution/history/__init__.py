@@ -91,19 +91,22 @@ class _Check:
         plan = self.logs[0].plan
         replay = Replay(plan, bool(self.logs[0].header.get("agents")))
         situations, members = [], []
+        ended_at: Optional[int] = None
         for slot in range(self.length):
             members.append(replay.members())
             record = merged.slots[slot]
             replay.slot(record)
             self.firings += len(record["firings"])
             situations.append(replay.situations())
+            if ended_at is None and replay.ended is not None:
+                ended_at = slot
         self.robots = len(replay.robots)
         facts = Facts(merged, self.length)
         check_votes(merged, members, self.complete)
         invoked: Dict[Any, float] = {}
         newest = {log.robot: i for i, log in enumerate(self.logs)}
         for i, log in enumerate(self.logs):
-            check = RobotCheck(log, merged, facts, situations, i, plan)
+            check = RobotCheck(log, merged, facts, situations, i, plan, ended_at)
             check.check()
             invoked.update(check.invoked)
             last = self.settled and newest[log.robot] == i and replay.ended is None

@@ -74,7 +74,7 @@ class RobotCheck:
     """One log from its own point of view; rules 4, 8 and 10.
 
     :param situations: for each slot where every robot is after it.
-    :param moves: private moves of each robot: (place, transition) -> place.
+    :param ended_at: the slot in which the run ended, None if it did not.
     """
 
     def __init__(
@@ -85,6 +85,7 @@ class RobotCheck:
         situations: Sequence[Dict[str, Situation]],
         number: int,
         plan: Plan,
+        ended_at: Optional[int],
     ) -> None:
         self.log = log
         self.robot = log.robot
@@ -93,6 +94,8 @@ class RobotCheck:
         self.situations = situations
         self.number = number
         self.plan = plan
+        self._ended_at = ended_at
+        self._jumped = False
         self.invoked: Dict[Origin, float] = {}
         self.open: List[Origin] = []
         """Facts that never got into the log."""
@@ -115,6 +118,7 @@ class RobotCheck:
             kind = record["kind"]
             if kind == "slot" or kind == "snapshot":
                 self._length = record["slot"] + 1
+                self._jumped = kind == "snapshot"
                 self._ahead = [a for a in self._ahead if not self._in_log(a[0])]
             elif kind == "reset":
                 self._length = 0
@@ -125,6 +129,7 @@ class RobotCheck:
                 self._last_goal = None
             elif kind == "void":
                 origin = _origin(record)
+                self._ruled_out(origin, known)
                 self._void.add(origin)
                 self._ahead = [a for a in self._ahead if a[0] != origin]
             elif kind in ("invoked", "private"):
@@ -140,6 +145,18 @@ class RobotCheck:
                 self._goal(record)
         for origin, record in known.items():
             self._fact(origin, record)
+
+    def _ruled_out(self, origin: Origin, known: Mapping[Origin, Record]) -> None:
+        """A private move is void only where the robot was lost or has left, or the run is over."""
+        record = known.get(origin)
+        if record is None or record["kind"] != "private" or self._jumped:
+            return
+        over = self._ended_at is not None and self._length > self._ended_at
+        at = self._position()
+        if not over and at is not None and at[4] not in ("lost", "left"):
+            raise BrokenRuleError(
+                10, "the private move %s was taken back, though the robot was never lost" % _name(origin)
+            )
 
     def _in_log(self, origin: Origin) -> bool:
         where = self.facts.where.get(origin)

@@ -1,0 +1,34 @@
+"""The simulation and the checker find faults that were put there on purpose (some; all of them:
+``python3 -m gspn_framework_package.benchmark.mutants``)."""
+
+from __future__ import annotations
+
+import pytest
+
+from gspn_framework_package.benchmark.team.mutants import MUTANTS, hunt
+
+QUICK = (
+    "bare half",
+    "promises",
+    "accepted values",
+    "amnesia",
+    "any vote",
+    "repeats",
+    "dropped facts",
+    "all private",
+    "local dice",
+    "loaded dice",
+    "enabling",
+    "early goals",
+    "mixed results",
+)
+
+
+@pytest.mark.parametrize("mutant", [m for m in MUTANTS if m.name in QUICK], ids=lambda m: m.name)
+def test_a_seeded_fault_is_caught(mutant) -> None:
+    caught = hunt(mutant, 400)
+    assert caught.schedules is not None, caught.text
+
+
+def test_no_quick_mutant_was_renamed() -> None:
+    assert set(QUICK) <= {m.name for m in MUTANTS}
