@@ -67,10 +67,9 @@ class Faults:
         """Pause the team, see that all replicas agree, end it, and verify the logs."""
         answer = wait_for(lambda: self.pause(team), 30, "the pause")
         self.assertTrue(answer.success, answer.message)
-        team.wait_for_agreement(30)
+        team.wait_for_agreement()
         team.close()
-        code, output = team.verify()
-        self.assertEqual(code, 0, output)
+        self.assertIsNone(team.verify(settled=True))
 
     def pause(self, team):
         answer = team["robot_1"].command("pause")

@@ -107,6 +107,9 @@ class Meeting:
         counts = {tuple(robot.state().counts) for robot in self.shared}
         self.assertEqual(len(counts), 1)
 
+    def test_the_logs_tell_one_valid_story(self):
+        self.assertIsNone(self.shared.verify(settled=True))
+
 
 class FullTest(Meeting, unittest.TestCase):
     MODE = "full"

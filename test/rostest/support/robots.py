@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 import unittest
 import uuid
 
@@ -15,6 +16,7 @@ import rospy
 from waiting import wait_for
 
 from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.history import verify
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.srv import Command, GetState
 
@@ -140,15 +142,21 @@ class Team:
         wanted = len(self.fired) + number
         wait_for(lambda: len(self.fired) >= wanted, seconds, "%d more firings" % number)
 
-    def wait_for_agreement(self, seconds=20):
-        """Wait until every live replica tells the same marking at the same position."""
+    def wait_for_agreement(self, seconds=30, quiet=1.0):
+        """Wait until every live replica has told the same marking at the same position for
+        ``quiet`` seconds, and wants nothing more in the log."""
+        last, since = None, time.monotonic()
 
         def answers():
+            nonlocal last, since
             states = [r.state() for r in self if r.process.poll() is None]
+            pending = sum(r.status()["pending"] for r in self if r.process.poll() is None)
             seen = {(s.slot, s.hash, tuple(s.counts)) for s in states}
-            return states[0] if len(seen) == 1 else None
+            if len(seen) > 1 or pending or seen != last:
+                last, since = seen, time.monotonic()
+            return states[0] if time.monotonic() - since >= quiet else None
 
-        return wait_for(answers, seconds, "all replicas at one position")
+        return wait_for(answers, seconds, "all replicas to rest at one position")
 
     def close(self):
         """End everything, whatever state it is in."""
@@ -175,18 +183,10 @@ class Team:
                 texts.append("--- %s\n%s" % (os.path.basename(path), file.read()[-4000:]))
         return "\n".join(texts)
 
-    def verify(self):
-        """Run ``gspn verify`` over the logs: (exit code, output)."""
-        logs = sorted(glob.glob(os.path.join(self.folder, self.run, "*.jsonl")))
-        done = subprocess.run(
-            [sys.executable, "-m", "gspn_framework_package", "verify"] + logs,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            cwd=ROOT,
-            timeout=120,
-        )
-        return done.returncode, done.stdout
+    def verify(self, settled=False):
+        """What the history checker says of the logs: None, or the rule that was broken."""
+        paths = sorted(glob.glob(os.path.join(self.folder, self.run, "*.jsonl")))
+        return verify([read_log(path) for path in paths], settled=settled).violation
 
 
 def write_plan(plan, actions=""):
