@@ -41,6 +41,7 @@ VERBS: Dict[str, Tuple[str, str]] = {
     "check": ("check", "check whether a plan may run, before any robot moves"),
     "convert": ("convert", "write a net in another format"),
     "run": ("run", "execute a plan without ROS, its agents on threads"),
+    "verify": ("verify", "check the logs of a run against the rules, from the logs alone"),
     "demo": (
         "demo",
         "run a plan on a team of robots (needs ROS and a master), and show what happens",

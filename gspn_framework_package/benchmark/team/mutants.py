@@ -1,0 +1,359 @@
+"""Seeded faults in the protocol, the token game and the host, to see that they are caught.
+
+A simulation and a checker that find nothing prove nothing until they find what was put there. Each
+mutant breaks one rule on purpose; :func:`hunt` runs schedules until one fails.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import random
+from typing import Any, Callable, ContextManager, Dict, Iterator, List, NamedTuple, Optional, Sequence
+from unittest import mock
+
+from gspn_framework_package.benchmark.team.schedule import Schedule, run_schedule
+from gspn_framework_package.benchmark.team.world import Node, ViolationError
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import token_game as token_game_module
+from gspn_framework_package.execution import turn
+from gspn_framework_package.execution.agreement import consensus as consensus_module
+from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement import replica as replica_module
+from gspn_framework_package.execution.agreement.consensus import Consensus
+from gspn_framework_package.execution.agreement.own_robot import OwnRobot
+from gspn_framework_package.execution.agreement.private import PrivateMoves
+from gspn_framework_package.execution.agreement.quorum import Ballot
+from gspn_framework_package.execution.agreement.replica import Replica
+from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.team_state import TeamState
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.model.net import Net
+
+
+class Mutant(NamedTuple):
+    """A fault: ``part`` it is in (protocol, token game, host), what it does, how to put it in, and
+    the mode it shows in (None: either)."""
+
+    name: str
+    part: str
+    text: str
+    apply: Callable[[], ContextManager[Any]]
+    partial: Optional[bool] = None
+    robots: int = 3
+    """How many robots most of the teams have."""
+
+
+class Caught(NamedTuple):
+    """What came of a hunt: after how many schedules (None: not caught), in which, and what was
+    said."""
+
+    schedules: Optional[int]
+    schedule: str
+    text: str
+
+
+def hunt(mutant: Mutant, limit: int, first_seed: int = 0, sizes: Sequence[int] = (2, 3, 5)) -> Caught:
+    """Run schedules with the mutant until one fails, ``limit`` at most; mostly teams of three."""
+    with mutant.apply():
+        for i in range(limit):
+            seed = first_seed + i
+            source = random.Random("mutants|%d" % seed)
+            robots = source.choice([*sizes, mutant.robots, mutant.robots])
+            partial = source.random() < 0.5 if mutant.partial is None else mutant.partial
+            schedule = Schedule(seed, robots, partial)
+            try:
+                run_schedule(schedule)
+            except ViolationError as error:
+                return Caught(i + 1, str(schedule), str(error))
+            except Exception as error:  # a mutant may well break the program itself: caught too
+                return Caught(i + 1, str(schedule), "%s: %s" % (type(error).__name__, error))
+    return Caught(None, "", "not caught in %d schedules" % limit)
+
+
+@contextlib.contextmanager
+def _all(*patches: ContextManager[Any]) -> Iterator[None]:
+    with contextlib.ExitStack() as stack:
+        for patch in patches:
+            stack.enter_context(patch)
+        yield
+
+
+def _wrap(owner: Any, name: str, make: Callable[[Any], Any]) -> ContextManager[Any]:
+    return mock.patch.object(owner, name, make(getattr(owner, name)))
+
+
+# -- protocol --------------------------------------------------------------------------------------
+
+
+def _bare_half() -> ContextManager[Any]:
+    def half(voters: Any, members: Sequence[str]) -> bool:
+        return 2 * sum(1 for m in members if m in voters) >= len(members)
+
+    return _all(
+        mock.patch.object(consensus_module, "is_quorum", half),
+        mock.patch.object(replica_module, "is_quorum", half),
+    )
+
+
+def _forgets_promises() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def on_accept(self: Consensus, message: Any, now: float) -> None:
+            self.promised = min(self.promised, Ballot.from_json(message["ballot"]))
+            original(self, message, now)
+
+        return on_accept
+
+    return _wrap(Consensus, "on_accept", make)
+
+
+def _ignores_accepted() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def on_promise(self: Consensus, message: Any, now: float) -> None:
+            original(self, dict(message, accepted=None), now)
+
+        return on_promise
+
+    return _wrap(Consensus, "on_promise", make)
+
+
+def _amnesia() -> ContextManager[Any]:
+    return mock.patch.object(Consensus, "restore", lambda self, record, slot: None)
+
+
+def _counts_any_vote() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def on_accepted(self: Consensus, message: Any, now: float) -> None:
+            if self.attempt is not None:
+                ballot = list(self.attempt.ballot)
+                message = dict(message, ballot=ballot, slot=self.host.ledger.length)
+            original(self, dict(message, hash=self.host.ledger.hash), now)
+
+        return on_accepted
+
+    return _wrap(Consensus, "on_accepted", make)
+
+
+def _keeps_leading() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def _promise(self: Consensus, ballot: Ballot) -> None:
+            followers, promised = self._followers, self.promised
+            original(self, ballot)
+            if followers is not None and ballot.robot != self.host.name:
+                self._followers, self.promised = followers, promised
+
+        return _promise
+
+    return _wrap(Consensus, "_promise", make)
+
+
+def _believes_any_next() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def on_accept(self: Consensus, message: Any, now: float) -> None:
+            if self.accepted is not None and message["slot"] == self.host.ledger.length + 1:
+                self.host.decided(self.accepted[1], self.accepted[0], mine=False)
+            original(self, message, now)
+
+        return on_accept
+
+    return _wrap(Consensus, "on_accept", make)
+
+
+def _votes_without_memory() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def _consider_active(self: Replica) -> None:
+            if not self.active and not self.joining and self.ledger.length:
+                self.forgetful = False
+                self._become_active()
+
+        return _consider_active
+
+    return _wrap(Replica, "_consider_active", make)
+
+
+def _no_deduplication() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def append(self: Ledger, items: Any, ballot: Any = None) -> Any:
+            self.seen = {}
+            return original(self, items, ballot)
+
+        return append
+
+    return _wrap(Ledger, "append", make)
+
+
+def _asks_only_a_quorum() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def first_phase_over(self: Consensus) -> bool:
+            if self.attempt is not None:
+                self.attempt.answered |= set(self.host.electorate())
+            return bool(original(self))
+
+        return first_phase_over
+
+    return _wrap(Consensus, "_first_phase_over", make)
+
+
+def _does_not_freeze() -> ContextManager[Any]:
+    return mock.patch.object(Consensus, "is_frozen", lambda self: False)
+
+
+def _everything_private() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def init(self: PrivateMoves, game: TokenGame, robot: str) -> None:
+            original(self, game, robot)
+            resources = game.plan.resource_places
+            for t, ends in enumerate(game.net.outputs):
+                places = [p for p, _ in game.net.inputs[t] if game.net.places[p].name not in resources]
+                targets = [p for p, _ in ends if game.net.places[p].name not in resources]
+                if len(places) == 1 and targets and game.net.transitions[t].timed:
+                    self._target[places[0], t] = targets[0]
+
+        return init
+
+    return _wrap(PrivateMoves, "__init__", make)
+
+
+def _drops_facts() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def on_nack(self: Consensus, message: Any, now: float) -> bool:
+            beaten = bool(original(self, message, now))
+            if beaten:
+                self.host.pool.own = []  # type: ignore[attr-defined]
+            return beaten
+
+        return on_nack
+
+    return _wrap(Consensus, "on_nack", make)
+
+
+# -- token game ------------------------------------------------------------------------------------
+
+
+def _no_visit_check() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def current(self: Any, name: str, incarnation: int, visit: int) -> Any:
+            robot = self.state.robots.get(name)
+            return original(self, name, incarnation, robot.visit if robot else visit)
+
+        return current
+
+    owner = next(c for c in vars(token_game_module).values() if isinstance(c, type) and "_current" in vars(c))
+    return _wrap(owner, "_current", make)
+
+
+def _last_comes_first() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def add_waiting(self: TeamState, robot: Any) -> None:
+            original(self, robot)
+            self.waiting = {robot.name: None, **self.waiting}
+            here = self.done_in[robot.place]
+            self.done_in[robot.place] = {robot.name: None, **here}
+
+        return add_waiting
+
+    return _wrap(TeamState, "add_waiting", make)
+
+
+def _local_randomness() -> ContextManager[Any]:
+    return mock.patch.object(turn, "uniform", lambda *_: random.random())
+
+
+def _biased_draw() -> ContextManager[Any]:
+    return mock.patch.object(turn, "choose", lambda choices, number: choices[0][0])
+
+
+def _forgets_inhibitors() -> ContextManager[Any]:
+    def careless(self: Net, marking: Sequence[int], t: int) -> bool:
+        return all(marking[p] >= weight for p, weight in self.inputs[t])
+
+    return mock.patch.object(Net, "is_enabled", careless)
+
+
+# -- host ------------------------------------------------------------------------------------------
+
+
+def _writes_late() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def carry_out(self: Node, effects: List[io.Effect]) -> None:
+            late = [e for e in effects if isinstance(e, io.Persist)]
+            original(self, [e for e in effects if not isinstance(e, io.Persist)] + late)
+
+        return carry_out
+
+    return _wrap(Node, "carry_out", make)
+
+
+def _starts_goals_twice() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def commands(self: OwnRobot, ledger: Ledger, delays: Any) -> Any:
+            out = original(self, ledger, delays)
+            if random.Random(ledger.length).random() < 0.05:
+                self.started = None
+            return out
+
+        return commands
+
+    return _wrap(OwnRobot, "commands", make)
+
+
+def _acts_before_joining() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def commands(self: OwnRobot, ledger: Ledger, delays: Any) -> Any:
+            mine = self.incarnation
+            if self.position is not None:
+                self.incarnation = self.position.incarnation
+            try:
+                return original(self, ledger, delays)
+            finally:
+                self.incarnation = mine
+
+        return commands
+
+    return _wrap(OwnRobot, "commands", make)
+
+
+def _wrong_results() -> ContextManager[Any]:
+    """The host mixes results up: that of the visit before is given for the present one."""
+    last: Dict[str, str] = {}
+
+    def make(original: Any) -> Any:
+        def invoke(self: Replica, entry: log.Entry, order_id: str = "", suspect: str = "") -> None:
+            original(self, entry, order_id, suspect)
+            own = self.pool.own[-1]
+            if isinstance(entry, log.Done):
+                before = last.get(self.name, entry.result)
+                last[self.name] = entry.result
+                item = own.item._replace(entry=entry._replace(result=before))
+                self.pool.own[-1] = own._replace(item=item)
+
+        return invoke
+
+    return _wrap(Replica, "_invoke", make)
+
+
+MUTANTS = [
+    Mutant("bare half", "protocol", "exactly half of the members is a quorum", _bare_half),
+    Mutant("promises", "protocol", "an acceptor does not keep its promises", _forgets_promises),
+    Mutant("accepted values", "protocol", "a proposer ignores what others have accepted", _ignores_accepted),
+    Mutant("amnesia", "protocol", "promises and votes are not read back after a restart", _amnesia),
+    Mutant("any vote", "protocol", "votes of other slots and ballots count", _counts_any_vote),
+    Mutant("keeps leading", "protocol", "a leader does not notice that it was replaced", _keeps_leading, False),
+    Mutant(
+        "any next", "protocol", "any Accept of the next slot confirms what was held", _believes_any_next, False, 5
+    ),
+    Mutant("no memory", "protocol", "a robot that lost its log votes at once", _votes_without_memory),
+    Mutant("repeats", "protocol", "repeated entries are not left out", _no_deduplication),
+    Mutant("dropped facts", "protocol", "a proposer that gives way forgets its facts", _drops_facts),
+    Mutant("quorum only", "partial", "the first phase does not wait for every member", _asks_only_a_quorum, True),
+    Mutant("no freeze", "partial", "private moves do not stop for orders", _does_not_freeze, True),
+    Mutant("all private", "partial", "moves that touch resources count as private", _everything_private, True),
+    Mutant("visit check", "token game", "a Done of any visit counts for the present one", _no_visit_check),
+    Mutant("order", "token game", "the robot done last moves first", _last_comes_first),
+    Mutant("local dice", "token game", "draws are local randomness", _local_randomness),
+    Mutant("loaded dice", "token game", "the first choice is always drawn", _biased_draw),
+    Mutant("enabling", "token game", "inhibitor arcs and capacities are not looked at", _forgets_inhibitors),
+    Mutant("late writes", "host", "records are written after the messages went out", _writes_late),
+    Mutant("two goals", "host", "a goal now and then goes out twice", _starts_goals_twice),
+    Mutant("early goals", "host", "a restarted robot acts before the team knows", _acts_before_joining),
+    Mutant("mixed results", "host", "a result is given for the wrong visit", _wrong_results),
+]

@@ -1,0 +1,63 @@
+"""``gspn verify``: whether the logs of a run tell one valid story."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from typing import List
+
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.history import verify
+from gspn_framework_package.model.errors import LogError
+
+NAME = "verify"
+HELP = "check the logs of a run against the rules, from the logs alone"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="event logs of one run, or a folder of them")
+    parser.add_argument(
+        "--settled",
+        action="store_true",
+        help="the run was left alone until nothing was pending: a fact that is not in the log is a violation",
+    )
+    parser.add_argument(
+        "--incomplete", action="store_true", help="logs of some robots are missing: do not count votes"
+    )
+    parser.add_argument("--json", action="store_true", help="print the verdict as one JSON object")
+    parser.epilog = "Exit codes: 0 valid, 1 a rule is broken (the first one is explained), 2 not logs of one run."
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check the logs and print the verdict."""
+    logs = [read_log(path) for path in _files(args.logs)]
+    verdict = verify(logs, settled=args.settled, complete=not args.incomplete)
+    if args.json:
+        print(json.dumps(verdict.to_json(), indent=2))
+    else:
+        for note in verdict.notes:
+            print("note       %s" % note)
+        print(
+            "%d logs, %d robots, %d slots, %d firings"
+            % (verdict.logs, verdict.robots, verdict.slots, verdict.firings)
+        )
+        if verdict.violation is not None:
+            print("VIOLATION  rule %d: %s" % verdict.violation)
+        else:
+            print("valid")
+    return 0 if verdict.violation is None else 1
+
+
+def _files(paths: List[str]) -> List[str]:
+    found = []
+    for path in paths:
+        if os.path.isdir(path):
+            inside = sorted(os.path.join(path, f) for f in os.listdir(path) if f.endswith(".jsonl"))
+            if not inside:
+                raise LogError("holds no event logs (*.jsonl)", file=path)
+            found += inside
+        else:
+            found.append(path)
+    return found
