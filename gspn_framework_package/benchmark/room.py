@@ -23,6 +23,7 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
 from gspn_framework_package.benchmark.plans import plans_folder
+from gspn_framework_package.model.errors import ExecutionError
 
 TEAMS: Tuple[Tuple[int, int], ...] = ((1, 2), (2, 2), (3, 2), (4, 10), (6, 2), (8, 2))
 """Robots, and how many seeds with so many."""
@@ -86,7 +87,10 @@ def measure_apart(args: argparse.Namespace, robots: int, seed: int) -> Dict[str,
     words = [sys.executable, "-m", __spec__.name, "--json", "--room", args.room]
     words += ["--robots", str(robots), "--seed", str(seed), "--minutes", str(args.minutes)]
     words += ["--ros", "--factor", str(args.factor)] if args.ros else []
-    ended = subprocess.run(words, stdout=subprocess.PIPE, check=True)
+    # 1 says that there were faults, which the results tell
+    ended = subprocess.run(words, stdout=subprocess.PIPE)
+    if ended.returncode not in (0, 1):
+        raise ExecutionError("the run with %d robots and seed %d failed" % (robots, seed))
     return dict(json.loads(ended.stdout)["results"][0])
 
 
@@ -149,6 +153,9 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
             told = "%d of %d: %d robots, seed %d" % (count + 1, len(runs), robots, seed)
             print(told, file=sys.stderr, flush=True)
             results.append(measure_apart(args, robots, seed))
+            faults = {name: results[-1].get(name) for name in FAULTS if results[-1].get(name)}
+            found = "%d locations, faults: %s" % (results[-1]["entries"], faults or "none")
+            print(found, file=sys.stderr, flush=True)
     machine = describe_machine(LIBRARIES)
     if args.json:
         print(json.dumps({"machine": machine, "minutes": args.minutes, "results": results}, indent=2))

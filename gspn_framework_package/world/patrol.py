@@ -77,8 +77,8 @@ def check_temperature(
 ) -> Action:
     """Sweep a location and read the thermometer.
 
-    It goes to the entry and starts only once nobody else is in the location, seen from the poses: a robot that is
-    leaving, or one that was lost there, still occupies it.
+    It enters only once nobody else is in the location, seen from the poses, and waits at the entry until then: a
+    robot that is leaving, or one that was lost there, still occupies it.
 
     :param location: name of the location.
     :param threshold: degrees Celsius above which it is too hot.
@@ -88,13 +88,13 @@ def check_temperature(
     """
     place = room.locations[location]
     radius = room.robot.radius
-    if place.area.distance((robot.pose().x, robot.pose().y)) >= radius:
-        yield from drive(robot, place.entry)
-    while True:
-        who = occupant(place, robot.others(), radius)
-        if who is None:
-            break
+    who = occupant(place, robot.others(), radius)
+    if who is not None:
+        # if the entry cannot be reached, because a lost robot stands there, any place outside will do
+        robot.go(place.entry)
+    while who is not None:
         yield "waiting at the entry of %s, %s is in it" % (location, who)
+        who = occupant(place, robot.others(), radius)
     hottest = robot.temperature()
     for count, (x, y) in enumerate(place.sweep):
         for feedback in drive(robot, Pose(x, y, robot.pose().yaw)):

@@ -14,10 +14,29 @@ import sys
 from dataclasses import dataclass, field
 from typing import Dict, Iterator, List, Optional, Sequence, Set, Tuple
 
-import pybullet
-from pybullet_utils.bullet_client import BulletClient
-
 from gspn_framework_package.world.room import Box, Cylinder, Pose, Room
+
+
+@contextlib.contextmanager
+def _quiet(stream: int) -> Iterator[None]:
+    """Keep PyBullet's own chatter off standard output (1) or standard error (2), which belong to others."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    kept = os.dup(stream)
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), stream)
+        yield
+    finally:
+        # the C library keeps its own buffer, which would come out later
+        ctypes.CDLL(None).fflush(None)
+        os.dup2(kept, stream)
+        os.close(kept)
+
+
+with _quiet(2):
+    import pybullet
+    from pybullet_utils.bullet_client import BulletClient
 
 TIME_STEP = 1.0 / 120.0
 """Seconds of one physics step."""
@@ -38,22 +57,6 @@ _FLOOR_COLOR = (0.86, 0.88, 0.90, 1.0)
 _BODY_HEIGHT = 0.15
 _BODY_BOTTOM = 0.012
 _SCANNER_HEIGHT = 0.172
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep PyBullet's own chatter off standard output, which belongs to results."""
-    sys.stdout.flush()
-    kept = os.dup(1)
-    try:
-        with open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), 1)
-        yield
-    finally:
-        # the C library keeps its own buffer, which would come out later
-        ctypes.CDLL(None).fflush(None)
-        os.dup2(kept, 1)
-        os.close(kept)
 
 
 def rgba(color: str) -> Tuple[float, float, float, float]:
@@ -117,7 +120,7 @@ class Physics:
         self.contacts = Contacts()
         self._steps = 0
         self._touching: Set[Tuple[str, str]] = set()
-        with _quiet():
+        with _quiet(1):
             self._client = BulletClient(connection_mode=pybullet.GUI if gui else pybullet.DIRECT)
         self._client.setGravity(0, 0, -9.81)
         self._client.setTimeStep(TIME_STEP)

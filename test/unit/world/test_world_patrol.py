@@ -41,7 +41,7 @@ def test_a_team_patrols_by_the_rules(count, seconds):
 def test_the_same_seed_gives_the_same_patrol():
     def report(seed):
         run = Patrol(ROOM, names(2), seed=seed)
-        run.run(40)
+        run.run(12)
         run.team.close()
         return run.referee.report()
 
@@ -158,8 +158,7 @@ def test_a_check_sweeps_the_location_and_reads_the_thermometer(location, answer)
     action = patrol.check_temperature(base, ROOM, location, 30.0, "high", "low")
     assert finish(action)[0] == answer
     place = ROOM.locations[location]
-    assert base.goals[0] == place.entry
-    assert [(goal.x, goal.y) for goal in base.goals[1:]] == list(place.sweep)
+    assert [(goal.x, goal.y) for goal in base.goals] == list(place.sweep)
 
 
 def test_a_check_waits_at_the_entry_until_the_location_is_clear():
@@ -172,6 +171,20 @@ def test_a_check_waits_at_the_entry_until_the_location_is_clear():
     assert base.goals == [ROOM.locations["L1"].entry]
     base.neighbours["other"] = Pose(0.95, -1.9)
     assert finish(action)[0] == "low"
+
+
+def test_a_check_begins_even_where_a_lost_robot_stands_at_the_entry():
+    run = Patrol(ROOM, names(2), seed=4)
+    # robot_1 is to check L1; robot_2 is dead, on the entry of L1
+    run.kill("robot_2")
+    entry = ROOM.locations["L1"].entry
+    run.team.physics.show("robot_2", entry)
+    run.run(40)
+    report = run.referee.report()
+    run.team.close()
+    assert run.failures == []
+    assert report["robots"]["robot_1"]["entries"] >= 1
+    assert report["contacts_between_robots"] == 0
 
 
 def test_waiting_takes_a_slot_that_is_free():
