@@ -1,6 +1,6 @@
 // The analysis panel: asks the server, shows how far it is, and paints what it found on the net.
 
-import { $, h, attempt, seconds } from "./dom.js";
+import { $, h, attempt, seconds, toast } from "./dom.js";
 import { get, post } from "./api.js";
 import { AnswerViews } from "./analysis_views.js";
 
@@ -22,7 +22,7 @@ export class AnalysisPanel extends EventTarget {
     const plan = this.model.scene.plan;
     const field = (id, label, input) => [h("label", { for: id, text: label }), input];
     const text = (id, placeholder) => h("input", { id, type: "text", placeholder, spellcheck: "false", autocomplete: "off" });
-    const ask = (label, request) => h("button", { text: label, onclick: () => this.ask(request()) });
+    const ask = (label, request) => h("button", { text: label, onclick: () => attempt(() => this.ask(request())) });
     this.settings = {
       limit: h("input", { id: "an-limit", type: "number", min: 1, max: 2000000, value: 100000 }),
       seconds: h("input", { id: "an-seconds", type: "number", min: 1, max: 120, value: 60 }),
@@ -72,15 +72,15 @@ export class AnalysisPanel extends EventTarget {
   }
 
   async ask(request) {
-    if (this.job) return;
+    if (this.job) { toast("an analysis is running: wait, or cancel it", true); return; }
     const { limit, seconds: most, from, policy } = this.settings;
     const body = { ...request, limit: Math.round(Number(limit.value)), seconds: Number(most.value), from: from.value, policy: policy.checked && Boolean(this.model.scene.plan) && from.value === "initial" };
     this.job = "starting";
     this.views.unpaint();
-    const started = await attempt(() => post("analysis", body, { id: this.model.session.id }));
-    if (!started) { this.job = null; return; }
-    this.job = started.job;
     this.showProgress({ seconds: 0, progress: {} });
+    const started = await attempt(() => post("analysis", body, { id: this.model.session.id }));
+    if (!started) { this.job = null; this.status.replaceChildren(); return; }
+    this.job = started.job;
     this.follow(request, body);
   }
 
@@ -110,7 +110,7 @@ export class AnalysisPanel extends EventTarget {
       return;
     }
     this.progressText = h("span", { class: "muted", text });
-    this.cancelButton = h("button", { id: "an-cancel", text: "Cancel", onclick: () => attempt(() => post(`analysis/${this.job}/cancel`)) });
+    this.cancelButton = h("button", { id: "an-cancel", text: "Cancel", onclick: () => this.job !== "starting" && attempt(() => post(`analysis/${this.job}/cancel`)) });
     this.status.replaceChildren(bar, h("div", { class: "buttons" }, this.cancelButton, this.progressText));
   }
 

@@ -1,0 +1,130 @@
+"""A real browser (Debian's Chromium) on a real server. Whatever a page logs as an error, or asks for elsewhere,
+fails its test."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from gspn_framework_package.visualizer.documents import Document, Folder
+from gspn_framework_package.visualizer.project import Project
+from gspn_framework_package.visualizer.serving import WebServer
+from gspn_framework_package.visualizer.session import Session
+from gspn_framework_package.visualizer.standalone_run import StandaloneRun
+
+sync_api = pytest.importorskip("playwright.sync_api")
+
+CHROMIUM = next((p for p in map(shutil.which, ("chromium", "chromium-browser")) if p), None)
+FLAGS = ["--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--force-device-scale-factor=1"]
+ROOT = Path(__file__).resolve().parents[2]
+PICTURES = ROOT / ".workspace" / "screenshots"
+DEADLINE = 15_000  # ms that any condition may take
+
+
+@pytest.fixture(scope="session", name="browser")
+def _browser():
+    if CHROMIUM is None:
+        pytest.fail("these tests need Chromium: apt install chromium")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+class Site:
+    """A server with something open, and its address."""
+
+    def __init__(self, project, **options):
+        self.server = WebServer(project, port=0, **options)
+        self.project = project
+        self.server.start()
+
+    @property
+    def address(self):
+        return self.server.address
+
+    def session(self, key="net"):
+        return self.project.sessions.get(key)
+
+    def board(self, key="net"):
+        return self.session(key).hub.board()
+
+
+@pytest.fixture(name="site")
+def _site():
+    """Makes sites; they end with the test."""
+    made = []
+
+    def make(project, **options):
+        made.append(Site(project, **options))
+        return made[-1]
+
+    yield make
+    for site in made:
+        site.server.stop()
+
+
+@pytest.fixture(name="show_net")
+def _show_net(site):
+    def make(net, plan=None, activity=None, **options):
+        project = Project()
+        document = Document(net.name or "net", net, plan)
+        project.show(Session("net", document, activity))
+        return site(project, **options)
+
+    return make
+
+
+@pytest.fixture(name="serve_folder")
+def _serve_folder(site, tmp_path):
+    def make(folder=None, **options):
+        folder = folder or ROOT / "plans"
+        runs = str(tmp_path / "runs")
+        return site(Project(Folder(str(folder)), lambda document: StandaloneRun(document, runs)), **options)
+
+    return make
+
+
+@pytest.fixture(name="open_page")
+def _open_page(browser):
+    """Opens pages, each in a context of its own: ``open_page(address, **context options)``."""
+    contexts, faults = [], []
+
+    def make(address, ready=True, expect_errors=False, **options):
+        options.setdefault("viewport", {"width": 1440, "height": 900})
+        options.setdefault("color_scheme", "light")
+        context = browser.new_context(**options)
+        contexts.append(context)
+        context.set_default_timeout(DEADLINE)
+        page = context.new_page()
+        origin = "/".join(address.split("/")[:3])
+        page.on("pageerror", lambda error: faults.append("uncaught: %s" % error))
+        page.on("dialog", lambda dialog: faults.append("a dialog: %s" % dialog.message))
+        page.on(
+            "request",
+            lambda request: request.url.startswith((origin, "blob:", "data:"))
+            or faults.append("asked for %s" % request.url),
+        )
+        if not expect_errors:
+            page.on("console", lambda m: m.type == "error" and faults.append("console: %s" % m.text))
+        page.goto(address)
+        if ready:
+            page.wait_for_selector("body[data-ready]")
+        return page
+
+    yield make
+    for context in contexts:
+        context.close()
+    assert not faults, faults
+
+
+@pytest.fixture(name="picture")
+def _picture():
+    """Keeps a picture of a page, for people to look at."""
+
+    def take(page, name):
+        os.makedirs(PICTURES, exist_ok=True)
+        page.screenshot(path=str(PICTURES / (name + ".png")))
+
+    return take

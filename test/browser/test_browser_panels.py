@@ -1,0 +1,182 @@
+"""The analysis panel, the input screen, and the page by keyboard alone."""
+
+from page_reading import settle
+
+from gspn_framework_package.benchmark.nets import kanban, philosophers
+from gspn_framework_package.formats.registry import write_net
+from gspn_framework_package.model.builder import NetBuilder
+
+
+def flawed():
+    """A net with a transition that never fires, a deadlock and a trap."""
+    return (
+        NetBuilder("flawed")
+        .place("a", 2)
+        .place("b")
+        .place("sink")
+        .exponential("go", 2.0, inputs="a", outputs="b")
+        .exponential("back", 1.0, inputs="b", outputs="a")
+        .exponential("fall", 0.1, inputs="b", outputs="sink")
+        .exponential("never", 1.0, inputs={"b": 5}, outputs="sink")
+        .build()
+    )
+
+
+def analysed(page):
+    page.wait_for_selector("[data-state='done']", timeout=60_000)
+
+
+def test_everything_is_analysed_and_painted(show_net, open_page, picture):
+    page = open_page(show_net(flawed()).address)
+    page.keyboard.press("3")
+    page.click("#an-all")
+    analysed(page)
+    text = page.inner_text("#analysis")
+    for expected in ("Conservative", "Siphons", "P-invariants", "Deadlocks", "Live", "Mean", "Throughput"):
+        assert expected.lower() in text.lower()
+    assert "never" in text
+    page.click("text=Show the dead transitions")
+    assert page.evaluate("() => [...document.querySelectorAll('.paint-bad')].map((g) => g.dataset.transition)") == ["3"]
+    assert "never fire" in page.inner_text("#legend")
+    page.click("text=Show mean tokens")
+    assert page.evaluate("() => [...document.querySelectorAll('.value')].map((v) => v.textContent)") == ["0", "0", "2"]
+    picture(page, "analysis")
+    page.click("#legend button")
+    assert page.locator(".value, .paint-bad").count() == 0
+
+
+def test_questions_are_answered(show_net, open_page):
+    page = open_page(show_net(flawed()).address)
+    page.keyboard.press("3")
+    page.click("summary:has-text('Can it come to this?')")
+    page.fill("#an-reach", "sink == 2")
+    page.click("button:has-text('Reachable?')")
+    analysed(page)
+    page.wait_for_selector("#answers:has-text('By firing')")
+    page.fill("#an-cover", "sink = 3")
+    page.click("button:has-text('Coverable?')")
+    page.wait_for_selector("#answers .badge.bad:has-text('no')")
+    analysed(page)
+    page.click("summary:has-text('How long until?')")
+    page.fill("#an-passage", "sink == 1")
+    page.click("button:has-text('Mean time')")
+    page.wait_for_selector("#answers:has-text('Mean time') svg.plot")
+    analysed(page)
+    page.click("summary:has-text('How does it evolve?')")
+    page.click("button:has-text('Tokens over time')")
+    page.wait_for_selector("#answers:has-text('Mean tokens over time') svg.plot path")
+    analysed(page)
+    page.fill("#an-reach", "nonsense == 2")
+    page.click("button:has-text('Reachable?')")
+    page.wait_for_selector("[data-state='failed']:has-text(\"no place 'nonsense'\")")
+
+
+def test_a_long_analysis_shows_progress_and_is_cancelled(show_net, open_page):
+    site = show_net(kanban(6))
+    page = open_page(site.address)
+    page.keyboard.press("3")
+    page.click("summary:has-text('Settings')")
+    page.fill("#an-limit", "2000000")
+    page.click("button:has-text('State space')")
+    page.wait_for_selector("#an-cancel")
+    page.wait_for_selector("#analysis:has-text(' states')", timeout=60_000)
+    page.click("#an-cancel")
+    page.wait_for_selector("[data-state='cancelled']")
+    jobs = site.server._app.extensions["gspn_jobs"]
+    assert not any(job.running for job in jobs._jobs.values()) or _ends(jobs)
+
+
+def _ends(jobs):
+    for job in jobs._jobs.values():
+        job._process.wait(5)
+    return True
+
+
+def test_an_analysis_has_limits_on_states_and_time(show_net, open_page):
+    page = open_page(show_net(philosophers(14)).address)
+    page.keyboard.press("3")
+    page.click("summary:has-text('Settings')")
+    page.fill("#an-limit", "500")
+    page.click("button:has-text('State space')")
+    analysed(page)
+    page.wait_for_selector("#answers:has-text('not decided within')")
+    page.fill("#an-limit", "2000000")
+    page.fill("#an-seconds", "1")
+    page.click("button:has-text('State space')")
+    page.wait_for_selector("[data-state='failed']:has-text('not decided within 1 s')")
+
+
+def test_a_net_is_uploaded_simulated_and_never_executed(serve_folder, open_page, tmp_path):
+    write_net(flawed(), tmp_path / "mine.xml")
+    (tmp_path / "empty").mkdir()
+    page = open_page(serve_folder(tmp_path / "empty").address, ready=False)
+    page.wait_for_selector("#opening:has-text('There is no net')")
+    page.set_input_files("#chooser", str(tmp_path / "mine.xml"))
+    page.wait_for_selector("body[data-mode='SIMULATE'][data-ready]")
+    assert page.inner_text("#title") == "flawed" or page.inner_text("#subtitle") == "mine.xml"
+    assert page.is_hidden("#start")
+    page.click("#step")
+    settle(page, 1)
+
+
+def test_a_broken_upload_says_what_is_wrong(serve_folder, open_page, tmp_path):
+    (tmp_path / "broken.xml").write_text("<pnml><net>")
+    page = open_page(serve_folder().address, ready=False, expect_errors=True)
+    page.wait_for_selector("#chooser", state="attached")
+    page.set_input_files("#chooser", str(tmp_path / "broken.xml"))
+    page.wait_for_selector("#toast:has-text('broken.xml')")
+
+
+def test_by_keyboard_alone(serve_folder, open_page):
+    site = serve_folder()
+    page = open_page(site.address, ready=False)
+    page.wait_for_selector("#opening button")
+    for _ in range(40):
+        if page.evaluate("() => document.activeElement.textContent.includes('measure/plan.json')"):
+            break
+        page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("body[data-ready]")
+    page.keyboard.press("/")
+    page.keyboard.type("T1")
+    page.keyboard.press("ArrowDown")
+    assert page.evaluate("() => document.activeElement.id") == "list"
+    page.keyboard.press("ArrowDown")
+    page.wait_for_selector("#inspector h2:has-text('T1')")
+    page.keyboard.press("Shift+Enter")
+    settle(page, 1)
+    assert site.session("file-measure/plan.json").hub.board().counts[0] == 1
+    page.keyboard.press("ArrowUp")
+    page.keyboard.press("Escape")
+    page.keyboard.press("3")
+    page.focus("#tab-analysis")
+    page.keyboard.press("ArrowLeft")
+    assert page.get_attribute("#tab-robots", "aria-selected") == "true"
+    page.focus("#start")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("dialog[open]")
+    page.keyboard.press("Escape")
+    page.wait_for_selector("dialog:not([open])", state="attached")
+    assert page.get_attribute("body", "data-mode") == "SIMULATE"
+
+
+def test_everything_has_a_name_for_a_screen_reader(serve_folder, open_page):
+    page = open_page(serve_folder().address + "#file-measure%2Fplan.json")
+    nameless = page.evaluate(
+        """() => [...document.querySelectorAll("button, input, select, canvas, [role]")].filter((e) => {
+        if (e.closest("[hidden]") || e.getAttribute("role") === "presentation") return false;
+        const label = e.labels && e.labels.length;
+        return !(e.getAttribute("aria-label") || e.getAttribute("aria-labelledby") || e.textContent.trim() || label
+          || e.getAttribute("title")); }).map((e) => e.outerHTML.slice(0, 120))"""
+    )
+    assert nameless == []
+
+
+def test_a_theme_is_chosen_and_kept(show_net, open_page):
+    page = open_page(show_net(flawed()).address)
+    assert page.get_attribute("html", "data-theme") == "light"
+    page.click("#theme")
+    assert page.get_attribute("html", "data-theme") == "dark"
+    page.reload()
+    page.wait_for_selector("body[data-ready]")
+    assert page.get_attribute("html", "data-theme") == "dark"
