@@ -18,7 +18,7 @@ from gspn_framework_package.execution import token_game as token_game_module
 from gspn_framework_package.execution import turn
 from gspn_framework_package.execution.agreement import consensus as consensus_module
 from gspn_framework_package.execution.agreement import interface as io
-from gspn_framework_package.execution.agreement import replica as replica_module
+from gspn_framework_package.execution.agreement import pacing as pacing_module
 from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.own_robot import OwnRobot
 from gspn_framework_package.execution.agreement.private import PrivateMoves
@@ -91,7 +91,7 @@ def _bare_half() -> ContextManager[Any]:
 
     return _all(
         mock.patch.object(consensus_module, "is_quorum", half),
-        mock.patch.object(replica_module, "is_quorum", half),
+        mock.patch.object(pacing_module, "is_quorum", half),
     )
 
 
@@ -338,9 +338,7 @@ MUTANTS = [
     Mutant("amnesia", "protocol", "promises and votes are not read back after a restart", _amnesia),
     Mutant("any vote", "protocol", "votes of other slots and ballots count", _counts_any_vote),
     Mutant("keeps leading", "protocol", "a leader does not notice that it was replaced", _keeps_leading, False),
-    Mutant(
-        "any next", "protocol", "any Accept of the next slot confirms what was held", _believes_any_next, False, 5
-    ),
+    Mutant("any next", "protocol", "any Accept of the next slot confirms what was held", _believes_any_next, False, 5),
     Mutant("no memory", "protocol", "a robot that lost its log votes at once", _votes_without_memory),
     Mutant("repeats", "protocol", "repeated entries are not left out", _no_deduplication),
     Mutant("dropped facts", "protocol", "a proposer that gives way forgets its facts", _drops_facts),

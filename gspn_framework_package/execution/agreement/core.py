@@ -1,0 +1,253 @@
+"""What every part of a replica stands on: what it knows, whom it counts, and how it puts out
+effects."""
+
+from __future__ import annotations
+
+import random
+from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement.catch_up import History
+from gspn_framework_package.execution.agreement.consensus import Consensus
+from gspn_framework_package.execution.agreement.own_robot import OwnRobot, goal_record
+from gspn_framework_package.execution.agreement.peers import Peers
+from gspn_framework_package.execution.agreement.pool import Own, Pool
+from gspn_framework_package.execution.agreement.private import PrivateMoves
+from gspn_framework_package.execution.draw import uniform
+from gspn_framework_package.execution.environment import Environment
+from gspn_framework_package.execution.event_log import Record
+from gspn_framework_package.execution.firing import (
+    Fault,
+)
+from gspn_framework_package.execution.ledger import Item, Ledger, Origin
+from gspn_framework_package.execution.team_state import GONE, RobotState
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.model.plan import Plan, Synchronisation
+
+
+class Pace(NamedTuple):
+    """Times of the protocol (s). None matters for safety."""
+
+    heartbeat: float = 0.5
+    """How often a replica tells that it is there."""
+    retry: float = 0.1
+    """After which a message without an answer is sent again (longer and longer, up to 1 s)."""
+    takeover: float = 0.3
+    """For which a fact waits for the leader before its robot proposes itself."""
+    backoff: float = 0.02
+    """For which a proposer gives way after its first defeat; doubled at each one in a row."""
+
+
+class Core:
+    """The state of a replica (see :class:`~gspn_framework_package.execution.agreement.replica.Replica`
+    for the parameters), and the questions and effects that all parts of it share."""
+
+    consensus: Consensus
+
+    def __init__(
+        self,
+        plan: Plan,
+        robot: str,
+        run: str,
+        log_id: str,
+        records: Sequence[Record] = (),
+        *,
+        joining: bool = False,
+        place: str = "",
+        pace: Optional[Pace] = None,
+    ) -> None:
+        self.plan = plan
+        self.name = robot
+        self.run = run
+        self.log_id = log_id
+        self.pace = pace or Pace()
+        self.partial = plan.synchronisation is Synchronisation.PARTIAL
+        self.witness = robot in plan.witness
+        self.place = place
+        self.incarnation = 0
+        self.active = False
+        """We take part: we are known as fresh by everybody, or were admitted by a Join."""
+        self.forgetful = False
+        """We may have voted in this run and do not remember it."""
+        self.fenced = False
+        self.leaving = False
+        """We have left, and stay until those who go on know."""
+        self.halted: Optional[str] = None
+        game = TokenGame(plan)
+        self.ledger = Ledger(game)
+        self.pool = Pool()
+        self.peers = Peers()
+        self.history = History()
+        team = [r.name for r in plan.robots] + list(plan.witness)
+        self.joining = joining or robot not in team
+        self.first = "" if self.joining or not team else team[0]
+        moves = PrivateMoves(game, robot) if self.partial and not self.witness else None
+        self.own = OwnRobot(robot, moves)
+        self.forced: Set[str] = set()
+        self.cast_out: Set[str] = set()
+        self._environment = Environment(game, random.Random("%d|%s" % (plan.seed, robot)))
+        self._tag = "%s|%s" % (run, plan.hash()[:12])
+        self._number = 0
+        self._out: List[io.Effect] = []
+        self._request = ""
+        self._now = 0.0
+        self._started = False
+        self._next_hello = 0.0
+        self._asked_until = (-1, 0.0)
+        self._told: Tuple[Any, ...] = ()
+        self._wait_until: Optional[float] = None
+        self._defeats = 0
+        self._hold_since: Optional[float] = None
+        self._first_hash = ""
+        self._members: Tuple[Optional[Ledger], int, List[str]] = (None, 0, [])
+        self._strangers: Set[str] = set()
+        self._voteless: Set[str] = set()
+        self._text = ""
+        self._records = list(records)
+
+    # -- who we are, and who the others are -----------------------------------------------------------
+
+    def _own_state(self) -> Optional[RobotState]:
+        return self.ledger.state.robots.get(self.name)
+
+    def _known_incarnation(self) -> int:
+        """The newest incarnation of ours that the log has heard of, -1 for none."""
+        state = self._own_state()
+        seen = self.ledger.seen.get(self.name, (-1, 0, ""))[0]
+        return seen if state is None else max(seen, state.incarnation)
+
+    def _member_names(self) -> List[str]:
+        known = self._members
+        if known[0] is not self.ledger or known[1] != self.ledger.length:
+            known = self._members = (self.ledger, self.ledger.length, self.ledger.state.members())
+        return known[2]
+
+    def electorate(self) -> List[str]:
+        """The members whose votes count in the open slot, in the order of the log."""
+        return [m for m in self._member_names() if m not in self.forced]
+
+    def others(self) -> List[str]:
+        """The electorate without us."""
+        return [m for m in self.electorate() if m != self.name]
+
+    def _all_others(self) -> List[str]:
+        return [m for m in self._member_names() if m != self.name]
+
+    def is_member(self) -> bool:
+        """Whether the log counts us in."""
+        return self.name in self._member_names()
+
+    def may_vote(self) -> bool:
+        """Whether we are a member, and know what we promised before."""
+        return self.active and self.halted is None and self.is_member()
+
+    def is_settled(self) -> bool:
+        """Whether the log knows this incarnation of our robot, so that it may act."""
+        state = self._own_state()
+        return self.active and state is not None and state.phase not in GONE and state.incarnation == self.incarnation
+
+    # -- effects --------------------------------------------------------------------------------------
+
+    def _put(self, *effects: io.Effect) -> None:
+        self._out += effects
+
+    def _flush(self) -> List[io.Effect]:
+        out, self._out = self._out, []
+        return out
+
+    def persist(self, record: Record) -> None:
+        """Write a record before anything else leaves the process."""
+        self._put(io.Persist(record))
+
+    _persist = persist
+
+    def _signed(self, message: io.Message) -> io.Message:
+        message["from"] = self.name
+        message["team"] = self._tag
+        message["length"] = self.ledger.length
+        message["hash"] = self.ledger.hash
+        return message
+
+    def send_all(self, to: List[str], message: io.Message) -> None:
+        """Send a message to each of these."""
+        signed = self._signed(message)
+        for robot in to:
+            self._put(io.Send(robot, signed))
+
+    def answer(self, to: io.Message, message: io.Message) -> None:
+        """Answer a message: with the reply of a call, where it was one."""
+        if self._request:
+            self._put(io.Reply(self._request, self._signed(message)))
+            self._request = ""
+        else:
+            self.send_all([to["from"]], message)
+
+    def _fault(self, message: str) -> None:
+        self._put(Fault(self.name, message))
+
+    def _halt(self, reason: str) -> None:
+        self.halted = reason
+        self._stop_acting()
+        self._put(io.Halted(reason))
+
+    # -- what is wanted in the log --------------------------------------------------------------------
+
+    def own_items(self) -> List[Item]:
+        """What we want in the log ourselves."""
+        return self.pool.own_items()
+
+    def add_foreign(self, items: Iterable[Any]) -> None:
+        """Keep what another wants in the log, items as JSON values."""
+        if items:
+            self.pool.add_foreign(map(Item.from_json, items), self.ledger.is_news)
+
+    def batch(self, frozen: bool) -> List[Any]:
+        """What should go into the open slot, items as JSON values."""
+        frozen = frozen or not self.partial
+        return [i.to_json() for i in self.pool.batch(self._member_names(), frozen=frozen)]
+
+    def _next_origin(self) -> Origin:
+        self._number += 1
+        return Origin(self.name, self.incarnation, self._number, self.log_id[:8])
+
+    def _invoke(self, entry: log.Entry, order_id: str = "", suspect: str = "") -> None:
+        """Want a fact in the log."""
+        item = Item(entry, self._next_origin())
+        if not suspect:  # a suspicion may be withdrawn, and is never taken up again
+            origin = list(item.origin)
+            self._persist({"kind": "invoked", "entry": log.to_json(entry), "origin": origin})
+        self.pool.own.append(Own(item, order_id, suspect))
+
+    # -- our robot, and its lives ---------------------------------------------------------------------
+
+    def _new_life(self) -> None:
+        """We start again, or come back: a new incarnation, which the log must hear of."""
+        self.incarnation = max(self.incarnation, self._known_incarnation()) + 1
+        self._number = 0
+        record = {"kind": "life", "incarnation": self.incarnation, "joining": self.joining}
+        self._persist(record)
+        self.own.incarnation = self.incarnation
+
+    def _become_active(self) -> None:
+        self.active = True
+        self.forgetful = False
+        self._persist({"kind": "active"})
+
+    def _act(self, delays: Dict[Tuple[int, int], float]) -> None:
+        """Start and cancel actions as the log (and our private moves) say."""
+        if not self.active or self.fenced or self.halted is not None:
+            return
+        for command in self.own.commands(self.ledger, delays):
+            self._persist(goal_record(command))
+            self._put(command)
+
+    def _stop_acting(self) -> None:
+        for command in self.own.stop():
+            self._persist(goal_record(command))
+            self._put(command)
+
+    def _draw(self) -> float:
+        """A number in [0, 1) that differs from robot to robot and from time to time."""
+        counter = self.consensus.highest.counter
+        return uniform(self.plan.seed, self.ledger.length, counter, "wait of " + self.name)
