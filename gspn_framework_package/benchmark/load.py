@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+
 ROUNDS = 4
 """Rounds of the loop in one action."""
 
@@ -16,6 +18,12 @@ def loop(is_cancelled) -> str:  # type: ignore[no-untyped-def]
         total += number
         if is_cancelled.wait(PAUSE):
             break
+    return ""
+
+
+def brief(is_cancelled) -> str:  # type: ignore[no-untyped-def]
+    """A tenth of a second, more or less: a team that is busy but not out of breath."""
+    is_cancelled.wait(random.uniform(0.05, 0.15))
     return ""
 
 

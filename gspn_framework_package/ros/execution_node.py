@@ -326,7 +326,7 @@ class ExecutionNode(Worker):
 
     def status(self) -> Dict[str, Any]:
         """See :class:`Worker`."""
-        status = dict(self._replica.status(), log_file=self._log.path)
+        status = dict(self._replica.status(), log_file=self._log.path, messages_sent=self._link.sent)
         status["waits_for"] = self._waits_for()
         return status
 

@@ -47,6 +47,8 @@ class Link:
 
     :param received: told each message of another robot that is meant for this one; called on
         rospy's threads.
+
+    :ivar sent: how many messages this robot has sent; one to several robots counts once.
     """
 
     def __init__(self, robot: str, run: str, namespace: str, received: Callable[[Message], None]) -> None:
@@ -55,6 +57,7 @@ class Link:
         self._received = received
         self._node = rospy.get_name()
         self._service_uri = ""
+        self.sent = 0
         self._peers: Dict[str, _Peer] = {}
         self._publisher = rospy.Publisher(TOPIC, Agreement, queue_size=1000)
         self._subscriber = rospy.Subscriber(TOPIC, Agreement, self._on_message, tcp_nodelay=True)
@@ -73,6 +76,7 @@ class Link:
         self._publisher.unregister()
 
     def _news(self, to: str, message: Message) -> Agreement:
+        self.sent += 1
         news = Agreement(
             run=self.run,
             sender=self.robot,
@@ -175,6 +179,7 @@ class ServiceLink(Link):
         peer = self._peers.get(name)
         if peer is None or not peer.service_uri:
             return  # never heard of: as good as a message that was lost
+        self.sent += 1
         service_class, request = _SERVICES[service]
         self._calls.call(
             name,
