@@ -291,13 +291,13 @@ class _Run:
             self._restart(node)
 
     def _is_blocked(self) -> bool:
-        """Whether a lost log (and nothing else) keeps the team from a quorum."""
+        """Whether a lost log, or robots that left while cut off, keep the team from a quorum."""
         nodes = self.world.alive()
         best = max((n.replica.ledger for n in nodes if n.replica), key=lambda x: x.length)
         voters = [n.name for n in nodes if n.replica is not None and n.replica.active]
         if not best.state.members():
             return True  # all left, or were evicted while the last one left
-        return self.lost_logs and not is_quorum(voters, best.state.members())
+        return bool(self.lost_logs or self.left) and not is_quorum(voters, best.state.members())
 
     def _why(self) -> str:
         return "; ".join(

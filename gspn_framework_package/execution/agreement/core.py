@@ -71,6 +71,7 @@ class Core:
         self.forgetful = False
         """We may have voted in this run and do not remember it."""
         self.fenced = False
+        self._leaving_since: Optional[float] = None
         self.leaving = False
         """We have left, and stay until those who go on know."""
         self.halted: Optional[str] = None

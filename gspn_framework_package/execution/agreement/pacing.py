@@ -15,6 +15,9 @@ from gspn_framework_package.execution.team_state import POLICY
 FLUSH_AT = 100
 """Private moves that wait before they are brought into the log for their number alone."""
 
+LINGER = 20
+"""Heartbeats for which a robot that leaves waits for a quorum of the others to hear of it."""
+
 
 class Pacing(Conduct):
     """Looks at the clock. Nothing here matters for safety."""
@@ -208,10 +211,13 @@ class Pacing(Conduct):
             self._invoke(log.Fire(transition))
 
     def _part(self) -> None:
-        """End once a quorum of those who stay knows that we have left."""
+        """End once a quorum of those who stay knows that we have left, or none can be reached."""
         members = self._member_names()
         know = [m for m in members if self.peers.get(m).length >= self.ledger.length]
-        if members and not is_quorum(know, members):
+        if self._leaving_since is None:
+            self._leaving_since = self._now
+        lingered = self._now - self._leaving_since
+        if members and not is_quorum(know, members) and lingered < LINGER * self.pace.heartbeat:
             return
         self.halted = "%s has left the team" % self.name
         self._put(Ended(self.halted, True))
