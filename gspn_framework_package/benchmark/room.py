@@ -87,6 +87,7 @@ def measure_apart(args: argparse.Namespace, robots: int, seed: int) -> Dict[str,
     words = [sys.executable, "-m", __spec__.name, "--json", "--room", args.room]
     words += ["--robots", str(robots), "--seed", str(seed), "--minutes", str(args.minutes)]
     words += ["--ros", "--factor", str(args.factor)] if args.ros else []
+    words += ["--lose"] if args.lose else []
     # 1 says that there were faults, which the results tell
     ended = subprocess.run(words, stdout=subprocess.PIPE)
     if ended.returncode not in (0, 1):
@@ -133,6 +134,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--room", help="the room file (plans/patrol/critical_room.yaml)")
     parser.add_argument("--ros", action="store_true", help="the whole system, with execution nodes")
     parser.add_argument("--factor", type=float, default=5.0, help="with --ros: real-time factor (5)")
+    parser.add_argument("--lose", action="store_true", help="with --ros: kill a robot in mid-patrol; it returns")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args(arguments)
     args.room = args.room or os.path.join(plans_folder(), "patrol", "critical_room.yaml")
@@ -143,7 +145,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         if args.ros:
             from gspn_framework_package.benchmark.room_ros import measure_ros
 
-            results.append(measure_ros(args.room, args.robots, args.seed, args.minutes, args.factor))
+            results.append(measure_ros(args.room, args.robots, args.seed, args.minutes, args.factor, args.lose))
         else:
             results.append(measure(args.room, args.robots, args.seed, args.minutes))
     else:

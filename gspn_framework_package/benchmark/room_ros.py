@@ -17,6 +17,8 @@ from gspn_framework_package.benchmark.team_run import Master, need_ros
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.world.referee import EntryOrder
+from gspn_framework_package.world.room import Room
+from gspn_framework_package.world.room_file import load_room
 
 START = 60.0
 """Seconds within which the first robot must have driven."""
@@ -28,13 +30,14 @@ _PLACE = re.compile(r"(Check_Temperature|Alarm|Decide)_(\w+)$")
 class Watcher:
     """Listens to a patrol: the referee's report, what the plan grants, where it misses a policy row."""
 
-    def __init__(self, robots: List[str]) -> None:
+    def __init__(self, robots: List[str], room: Room) -> None:
         import rospy
         from std_msgs.msg import String
 
         from gspn_framework_package.msg import FiredTransition
 
         self._lock = threading.Lock()
+        self._room = room
         self.report: Dict[str, Any] = {}
         self.world: Dict[str, Any] = {"time": 0.0}
         self.firings: Dict[Tuple[int, int], Tuple[str, str]] = {}
@@ -77,6 +80,22 @@ class Watcher:
         with self._lock:
             return float(self.world["time"])
 
+    def is_between(self, robot: str) -> bool:
+        """Whether a robot is driving, and in no location."""
+        with self._lock:
+            seen = self.world.get("robots", {}).get(robot)
+        if seen is None or seen["status"] != "driving":
+            return False
+        x, y, _ = seen["pose"]
+        return all(place.area.distance((x, y)) > 0.2 for place in self._room.locations.values())
+
+    def entries(self, robot: str) -> Tuple[int, int]:
+        """Locations entered so far: by a robot, and by all others together."""
+        with self._lock:
+            tallies = self.report.get("robots", {})
+        own = int(tallies[robot]["entries"]) if robot in tallies else 0
+        return own, sum(int(tally["entries"]) for tally in tallies.values()) - own
+
     def grants(self) -> List[Tuple[str, str]]:
         """Robot and location of each check that the plan granted, in the order of the log."""
         with self._lock:
@@ -85,7 +104,65 @@ class Watcher:
         return [(robot, match.group(1)) for robot, match in found if match is not None]
 
 
-def measure_ros(room: str, robots: int, seed: int, minutes: float, factor: float) -> Dict[str, Any]:
+class Loss:
+    """Kills the execution node of one robot in mid-patrol, and starts it again later.
+
+    It dies (SIGKILL) in the second third of the run, on its way between two locations, so that its body is in the way
+    of the others; it returns in the last third.
+
+    :param robot: the one that is lost, the second of the team.
+    """
+
+    def __init__(self, robot: str, minutes: float, command: List[str], environment: Dict[str, str]) -> None:
+        self.robot, self._end = robot, minutes * 60
+        self._command, self._environment = command, environment
+        self._launch: Optional[subprocess.Popen[bytes]] = None
+        self.killed: Optional[Tuple[float, int, int]] = None
+        self.returned: Optional[Tuple[float, int, int]] = None
+
+    def poll(self, watcher: Watcher, processes: List[Any]) -> None:
+        """Do what is due."""
+        if self.killed is None and watcher.time > self._end / 3 and watcher.is_between(self.robot):
+            for process in processes:
+                # roslaunch tells a node its namespace through the environment
+                namespace = process.environ().get("ROS_NAMESPACE", "").strip("/")
+                if namespace == self.robot and "gspn_executor" in " ".join(process.cmdline()):
+                    process.kill()
+                    self.killed = (watcher.time, *watcher.entries(self.robot))
+        elif self.killed and self.returned is None and watcher.time > self._end * 2 / 3:
+            self._launch = subprocess.Popen(
+                self._command,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env=self._environment,
+                start_new_session=True,
+            )
+            self.returned = (watcher.time, *watcher.entries(self.robot))
+
+    def end(self) -> None:
+        """End the node that was started again."""
+        if self._launch is not None:
+            _end(self._launch)
+
+    def report(self, watcher: Watcher) -> Dict[str, Any]:
+        """When it was lost, and how many locations were entered before, meanwhile, and after."""
+        if self.killed is None or self.returned is None:
+            raise ExecutionError("%s was never between two locations" % self.robot, hint="give more minutes")
+        last = watcher.entries(self.robot)
+        return {
+            "robot": self.robot,
+            "lost_at": self.killed[0],
+            "returned_at": self.returned[0],
+            "entries_of_others_meanwhile": self.returned[2] - self.killed[2],
+            "own_entries_meanwhile": self.returned[1] - self.killed[1],
+            "entries_of_others_after": last[1] - self.returned[2],
+            "own_entries_after": last[0] - self.returned[1],
+        }
+
+
+def measure_ros(
+    room: str, robots: int, seed: int, minutes: float, factor: float, lose: bool = False
+) -> Dict[str, Any]:
     """One run of the whole system.
 
     :param room: the room file.
@@ -93,17 +170,19 @@ def measure_ros(room: str, robots: int, seed: int, minutes: float, factor: float
     :param seed: names the run; what is drawn is drawn by the plan, how the threads meet by the machine.
     :param minutes: of world time.
     :param factor: the real-time factor asked for.
+    :param lose: kill a robot in mid-patrol, and start it again: :class:`Loss`.
     :raises UsageError: no ROS. :raises ExecutionError: the team does not start, or ends by itself.
     """
     need_ros()
-    plan = read_plan(os.path.join(plans_folder(), "patrol", "room.json")).for_robots(robots)
+    path = os.path.join(plans_folder(), "patrol", "room.json")
+    plan = read_plan(path).for_robots(robots)
     names = [robot.name for robot in plan.robots]
     with Master() as master:
         os.environ.update(master.environment)
         import rospy
 
         rospy.init_node("bench_room", anonymous=True, disable_signals=True)
-        watcher = Watcher(names)
+        watcher = Watcher(names, load_room(room))
         output = os.path.join(master.folder, "patrol.txt")
         words = ["roslaunch", "gspn_framework_package", "patrol.launch", "robots:=%d" % robots]
         words += ["world:=" + os.path.abspath(room), "real_time_factor:=%g" % factor, "run:=room_%d" % seed]
@@ -111,15 +190,26 @@ def measure_ros(room: str, robots: int, seed: int, minutes: float, factor: float
             launch = subprocess.Popen(
                 words, stdout=log, stderr=subprocess.STDOUT, env=master.environment, start_new_session=True
             )
+        again = ["roslaunch", "gspn_framework_package", "robot.launch", "plan:=" + path, "number:=2"]
+        again += ["robots:=%d" % robots, "run:=room_%d" % seed]
+        loss = Loss(names[1], minutes, again, master.environment) if lose else None
         try:
-            return _watch(watcher, launch, plan, seed, minutes, output)
+            return _watch(watcher, launch, plan, seed, minutes, output, loss)
         finally:
+            if loss is not None:
+                loss.end()
             _end(launch)
             rospy.signal_shutdown("measured")
 
 
 def _watch(
-    watcher: Watcher, launch: subprocess.Popen[bytes], plan: Any, seed: int, minutes: float, output: str
+    watcher: Watcher,
+    launch: subprocess.Popen[bytes],
+    plan: Any,
+    seed: int,
+    minutes: float,
+    output: str,
+    loss: Optional[Loss],
 ) -> Dict[str, Any]:
     from gspn_framework_package.benchmark.room import figures
 
@@ -133,6 +223,8 @@ def _watch(
             first = (time.monotonic(), watcher.time, cost.cpu_seconds)
         if first is None and time.monotonic() - begin > START:
             raise ExecutionError("nothing fired within %g s" % START, hint=_last_lines(output))
+        if loss is not None:
+            loss.poll(watcher, descendants(launch.pid))
         time.sleep(0.2)
     assert first is not None
     cost = cost_of(descendants(launch.pid))
@@ -146,7 +238,9 @@ def _watch(
         order.grant(robot_name, location)
     for moment, robot_name, location in watcher.report["entry_log"]:
         order.enter(robot_name, location, moment)
+    lost = {"loss": loss.report(watcher)} if loss is not None else {}
     return {
+        **lost,
         "robots": len(plan.robots),
         "seed": seed,
         **figures(watcher.report),
