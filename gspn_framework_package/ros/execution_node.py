@@ -76,8 +76,10 @@ class ExecutionNode(Worker):
         self._narrator = Narrator(robot, namespace)
         self._fired = rospy.Publisher(FIRED_TOPIC, FiredTransition, queue_size=1000)
         self._open_log()
-        targets = action_targets(plan, robot, namespace)
-        self._servers = PlaceServers(plan, robot, namespace) if options.place_servers else None
+        witness = robot in plan.witness  # votes, and has no token that could do anything
+        targets = {} if witness else action_targets(plan, robot, namespace)
+        serves = options.place_servers and not witness
+        self._servers = PlaceServers(plan, robot, namespace) if serves else None
         served = set(self._servers.names) if self._servers else set()
         self.foreign_servers = sorted({t.server for t in targets.values()} - served)
         self._caller = ActionCaller(

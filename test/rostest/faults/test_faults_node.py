@@ -46,12 +46,13 @@ def start_master():
 class Faults:
     """The tests of one mode of synchronisation."""
 
-    def start(self, evict_after):
-        folder = copy_plan("plans/tokens", synchronisation=self.MODE, agreement={"evict_after": evict_after})
+    def start(self, evict_after, names=TEAM, size=3, witnesses=()):
+        timing = {"evict_after": evict_after, "witnesses": list(witnesses)}
+        folder = copy_plan("plans/tokens", synchronisation=self.MODE, agreement=timing)
         os.replace(os.path.join(folder, "instant.json"), os.path.join(folder, "unused.json"))
         with open(os.path.join(folder, "actions.py"), "w") as file:
             file.write(ACTIONS.replace("def instant", "def loop"))
-        team = self.team(folder, TEAM, robots=len(TEAM)).start()
+        team = self.team(folder, names, robots=size).start()
         team.wait_for_firings(20, 40)
         return team
 
@@ -136,6 +137,17 @@ class Faults:
 
 class FullTest(Faults, RobotTestCase):
     MODE = "full"
+
+    def test_with_a_witness_either_of_two_robots_may_die(self):
+        team = self.start(2.0, ("robot_1", "robot_2", "judge"), 2, ["judge"])
+        team["robot_1"].kill()
+        self.wait_for_moves(team, "robot_2", 40)
+        judge = team["judge"].state()
+        self.assertEqual((judge.place, dict(zip(judge.places, judge.counts))["p1"] in (0, 1)), ("", True))
+        lost = [r["robot"] for r in team["judge"].status()["robots"] if r["state"] == "Lost"]
+        self.assertEqual(lost, ["robot_1"])
+        team.close()
+        self.assertIsNone(team.verify())
 
 
 class PartialTest(Faults, RobotTestCase):

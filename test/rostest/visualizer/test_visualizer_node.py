@@ -1,0 +1,117 @@
+#!/usr/bin/env python3
+"""The node ``visualizer`` beside a team of two, in both modes of synchronisation."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+
+import rospy
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
+
+from robots import RobotTestCase, copy_plan, start_node  # noqa: E402
+from waiting import wait_for  # noqa: E402
+
+
+class Page:
+    """The node ``visualizer``, and what its page is told."""
+
+    def __init__(self, plan):
+        self.plan = plan
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+        self.address = "http://127.0.0.1:%d" % self.port
+        self.start()
+
+    def start(self):
+        self.process = start_node(
+            "visualizer_node", "/", subprocess.DEVNULL, "visualizer", plan=self.plan, robots=2, port=self.port
+        )
+        wait_for(self.snapshot, 30, "the page")
+
+    def snapshot(self):
+        try:
+            with urllib.request.urlopen(self.address + "/api/poll?id=live", timeout=5) as answer:
+                return json.load(answer)["snapshot"]
+        except OSError:
+            return None
+
+    def board(self):
+        return self.snapshot()["board"]
+
+    def phases(self):
+        return {robot["name"]: robot.get("phase") for robot in self.board()["robots"]}
+
+    def order(self, command):
+        request = urllib.request.Request(
+            self.address + "/api/do?id=live",
+            json.dumps({"command": command}).encode(),
+            {"Content-Type": "application/json", "X-Gspn-Page": "1"},
+        )
+        with urllib.request.urlopen(request, timeout=15) as answer:
+            return json.load(answer)
+
+    def end(self):
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+            self.process.wait(15)
+
+
+class VisualizerTest(RobotTestCase):
+    def watch(self, mode):
+        plan = copy_plan("plans/patrol", synchronisation=mode, agreement={"evict_after": 3})
+        team = self.team(plan, ["robot_1", "robot_2"], robots=2).start()
+        team.wait_for_firings(6)
+        page = Page(plan)
+        self.addCleanup(page.end)
+        self.assertEqual(page.snapshot()["mode"], "LIVE")
+        self.sees_the_marking(team, page)
+
+        page.process.kill()  # nobody waits for it
+        page.process.wait()
+        team.wait_for_firings(6)
+        page.start()
+        self.sees_the_marking(team, page)
+        self.assertEqual(len(team["robot_1"].status()["members"]), 2)
+
+        team["robot_2"].kill()
+        wait_for(lambda: page.phases().get("robot_2") == "lost", 30, "the page to show the loss")
+        wait_for(lambda: sum(page.board()["marking"]) == 1, 15, "the token to be taken out")
+        self.assertEqual(page.phases()["robot_1"] in ("doing", "done"), True)
+
+        page.order("stop")
+        self.assertEqual(team["robot_1"].exit_code(30), 1)
+        wait_for(lambda: page.board()["status"]["ended"] or not page.snapshot(), 15, "the end on the page")
+        team.close()
+
+    def sees_the_marking(self, team, page):
+        """While nothing fires, the page and the replicas have one marking; meanwhile it has firings."""
+        wait_for(lambda: set(page.phases()) == {"robot_1", "robot_2"}, 20, "both robots on the page")
+        before = page.board()["n"]
+        team.wait_for_firings(4)
+        wait_for(lambda: page.board()["n"] > before + 3, 20, "firings on the page")
+        page.order("pause")
+        state = team.wait_for_agreement()
+        wait_for(lambda: page.board()["marking"] == list(state.counts), 15, "the team's marking on the page")
+        wait_for(lambda: page.board()["status"]["paused"], 15, "the pause on the page")
+        page.order("resume")
+        wait_for(lambda: not page.board()["status"]["paused"], 15, "the end of the pause on the page")
+
+    def test_full_synchronisation(self):
+        self.watch("full")
+
+    def test_partial_synchronisation(self):
+        self.watch("partial")
+
+
+if __name__ == "__main__":
+    import rostest
+
+    rospy.init_node("test_visualizer")
+    rostest.rosrun("gspn_framework_package", "visualizer", VisualizerTest)
