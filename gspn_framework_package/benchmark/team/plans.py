@@ -167,14 +167,14 @@ def make_plan(kind: int, robots: int, partial: bool, evict_after: float, fence_a
     ).validate()
 
 
-def random_result(plan: Plan, place: str, source: random.Random) -> str:
+def random_result(plan: Plan, place: str, source: random.Random, *, nonsense: bool = True) -> str:
     """What an action could come back with in ``place``: the name of a transition that leaves it, or
     "" where the policy decides; now and then nonsense."""
     net = plan.net
     leaving = [net.transitions[t] for t in net.consumers[net.place_number(place)]]
     timed = [t.name for t in leaving if t.timed]
     immediate = [t.name for t in leaving if not t.timed]
-    if source.random() < 0.01:
+    if nonsense and source.random() < 0.01:
         return "nonsense"
     if immediate and (not timed or source.random() < 0.7):
         return "" if source.random() < 0.9 else source.choice(immediate)

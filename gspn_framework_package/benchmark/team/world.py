@@ -211,6 +211,8 @@ class World:
         self.steps = 0
         self.messages = 0
         self.acting = True
+        self.mishaps = True
+        """Some actions fail, or come back with nonsense."""
         self.blocked: Set[Tuple[str, str]] = set()
         self._heap: List[Tuple[float, int, Callable[[], None]]] = []
         self._count = itertools.count()
@@ -289,8 +291,8 @@ class World:
         low, high = self.action_time
         life = node.life
         time = goal.delay + low + (high - low) * self.random.random()
-        failed = self.random.random() < 0.02
-        result = random_result(self.plan, goal.place, self.random)
+        failed = self.mishaps and self.random.random() < 0.02
+        result = random_result(self.plan, goal.place, self.random, nonsense=self.mishaps)
 
         def end() -> None:
             if node.life != life:

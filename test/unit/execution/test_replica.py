@@ -1,0 +1,344 @@
+"""The agreement core, case by case; its behaviour under faults is in test/simulation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, List, Optional
+
+import pytest
+
+from gspn_framework_package.benchmark.team.plans import make_plan
+from gspn_framework_package.benchmark.team.world import Node, World
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement.private import PrivateMoves
+from gspn_framework_package.execution.agreement.quorum import is_quorum
+from gspn_framework_package.execution.agreement.replica import Replica
+from gspn_framework_package.execution.event_log import EventLog
+from gspn_framework_package.execution.firing import Ended, StartAction
+from gspn_framework_package.execution.history import verify
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec, Synchronisation
+
+TOUR, MEET, TOKENS, CROWD = range(4)
+
+
+class Team(World):
+    """A team without faults but those that the test makes; a replica that halts does not raise."""
+
+    def on_halted(self, node: Node) -> None:
+        pass
+
+    def status(self, name: str) -> Any:
+        return self.nodes[name].replica.status()
+
+    def order(self, name: str, entry: log.Entry) -> Optional[io.OrderResult]:
+        self.nodes[name].give(io.Order("the order", entry))
+        self.run(self.now + 1.0)
+        return self.nodes[name].results.get("the order")
+
+    def check(self, **how: Any) -> None:
+        logs = [EventLog(d.header["log"], d.header, d.records()) for d in self.logs()]
+        verdict = verify(logs, **how)
+        assert verdict.violation is None, verdict.violation
+
+
+def team(kind: int, robots: int, partial: bool = False, **how: Any) -> Team:
+    fields = {"evict_after": 0.0, "fence_after": 0.0, "witness": False, **how}
+    world = Team(make_plan(kind, robots, partial, **fields), 1)
+    world.mishaps = False
+    for node in world.nodes.values():
+        node.start()
+    return world
+
+
+def settle(world: Team) -> None:
+    world.acting = False
+    assert world.run(world.now + 5, world.has_settled)
+
+
+@pytest.mark.parametrize("size", range(1, 9))
+def test_any_two_quorums_share_a_member(size: int) -> None:
+    members = ["m%d" % i for i in range(size)]
+    subsets = [{m for i, m in enumerate(members) if bits >> i & 1} for bits in range(1 << size)]
+    quorums = [s for s in subsets if is_quorum(s, members)]
+    assert all(a & b for a in quorums for b in quorums)
+    assert not is_quorum([], members)
+    assert is_quorum(members, members)
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_one_robot_needs_no_messages(partial: bool) -> None:
+    replica = Replica(make_plan(TOKENS, 1, partial, 0.0, 0.0, False), "r1", "run", "log")
+    effects = replica.start(0.0)
+    for result in ["t1", "t2", "t3", "t4"]:
+        (goal,) = [e for e in effects if isinstance(e, StartAction)]
+        effects = replica.step(io.ActionDone(goal.incarnation, goal.visit, goal.attempt, result), 0.1)
+        assert not [e for e in effects if isinstance(e, io.Send) and e.to]
+        assert [e.firing.transition for e in effects if isinstance(e, io.Fired) and e.publish] == [result]
+
+
+def test_a_record_is_written_before_anything_that_depends_on_it() -> None:
+    world = team(TOKENS, 3)
+    seen: List[List[io.Effect]] = []
+    for node in world.nodes.values():
+        carry_out = node.carry_out
+        node.carry_out = lambda effects, go=carry_out: (seen.append(effects), go(effects))[1]
+    world.run(0.5)
+    votes = 0
+    for effects in seen:
+        for i, effect in enumerate(effects):
+            if isinstance(effect, io.Send) and effect.message["kind"] in ("accept", "accepted"):
+                slot = effect.message["slot"]
+                written = [e.record for e in effects[:i] if isinstance(e, io.Persist)]
+                votes += any(r["kind"] == "accepted" and r["slot"] == slot for r in written)
+    assert votes > 20
+
+
+def test_nobody_acts_before_all_are_there() -> None:
+    world = Team(make_plan(TOKENS, 3, False, 0.0, 0.0, False), 1)
+    for name in ("r1", "r2"):
+        world.nodes[name].start()
+    world.run(1.0)
+    assert world.status("r1")["waits_for"] == "waits for r3 to start"
+    assert world.length() == 1
+    world.nodes["r3"].start()
+    world.run(2.0)
+    assert world.length() > 5
+
+
+def test_the_operator_can_start_without_a_robot_that_never_came() -> None:
+    world = Team(make_plan(TOKENS, 3, False, 0.0, 0.0, False), 1)
+    for name in ("r1", "r2"):
+        world.nodes[name].start()
+    world.run(0.5)
+    world.nodes["r1"].give(io.ForceEvict("f", "r3"))
+    world.run(1.5)
+    assert world.nodes["r1"].results["f"].ok
+    assert world.status("r1")["members"] == ["r1", "r2"]
+    assert world.length() > 5
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_a_pause_stops_the_team_and_a_resume_lets_it_go_on(partial: bool) -> None:
+    world = team(TOUR, 3, partial)
+    world.run(0.4)
+    assert world.order("r2", log.Pause()).ok
+    fired = len(world.published)
+    world.run(world.now + 0.5)
+    assert len(world.published) == fired
+    assert all(r["state"] == "Paused" for r in world.status("r1")["robots"])
+    assert world.order("r3", log.Resume()).ok
+    assert len(world.published) > fired
+    settle(world)
+    world.check(settled=True)
+
+
+@pytest.mark.parametrize(
+    ("entry", "why"),
+    [
+        (log.SetPlace("r1", "nowhere"), "not an action place"),
+        (log.SetPlace("r9", "A"), "no robot 'r9'"),
+        (log.Fire("nothing"), "no transition 'nothing'"),
+        (log.Retry("r1"), "did not fail"),
+        (log.Evict("r7", -1), "no robot 'r7'"),
+    ],
+)
+def test_orders_that_make_no_sense_are_refused_at_once(entry: log.Entry, why: str) -> None:
+    world = team(TOUR, 2)
+    world.run(0.3)
+    result = world.order("r1", entry)
+    assert not result.ok
+    assert why in result.text
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_a_silent_robot_is_evicted_and_comes_back(partial: bool) -> None:
+    world = team(MEET, 3, partial, evict_after=0.4)
+    world.run(0.5)
+    world.nodes["r2"].suspended = True
+    world.run(2.0)
+    assert world.status("r1")["members"] == ["r1", "r3"]
+    world.nodes["r2"].resume()
+    world.run(3.0)
+    assert world.status("r1")["members"] == ["r1", "r2", "r3"]
+    assert world.status("r2")["incarnation"] == 1
+    settle(world)
+    world.check(settled=True)
+
+
+def test_of_two_the_first_goes_on_alone_and_the_second_says_what_it_waits_for() -> None:
+    world = team(MEET, 2, evict_after=0.4)
+    world.run(0.5)
+    world.nodes["r2"].crash()
+    world.run(1.5)
+    assert world.status("r1")["members"] == ["r1"]
+    world = team(MEET, 2, evict_after=0.4)
+    world.run(0.5)
+    world.nodes["r1"].crash()
+    world.run(2.0)
+    assert world.status("r2")["members"] == ["r1", "r2"]
+    assert not world.status("r2")["quorum"]
+    assert "r1" in world.status("r2")["waits_for"]
+    world.nodes["r2"].give(io.ForceEvict("f", "r1"))
+    world.run(3.0)
+    assert world.nodes["r2"].results["f"].ok
+    assert world.status("r2")["members"] == ["r2"]
+
+
+def test_a_witness_keeps_two_robots_going_whichever_dies() -> None:
+    for dead in ("r1", "r2"):
+        world = team(MEET, 2, evict_after=0.4, witness=True)
+        world.run(0.5)
+        world.nodes[dead].crash()
+        world.run(2.0)
+        (left,) = {"r1", "r2"} - {dead}
+        assert world.status(left)["members"] == [left, "w"]
+
+
+def test_a_robot_given_up_by_force_that_knew_more_learns_the_log_anew() -> None:
+    world = team(TOKENS, 2)
+    world.run(0.3)
+    world.blocked = {("r1", "r2"), ("r2", "r1")}
+    world.run(1.0)  # r1 alone is a quorum, and goes on
+    ahead = world.nodes["r1"].replica.ledger.length
+    assert ahead > world.nodes["r2"].replica.ledger.length
+    world._chain.clear()  # from here on the two tell different stories, as the operator decided
+    world.on_record = lambda node, record: None  # type: ignore[method-assign]
+    world.nodes["r2"].give(io.ForceEvict("f", "r1"))
+    world.run(2.0)
+    assert world.status("r2")["members"] == ["r2"]
+    world.blocked.clear()
+    world.run(4.0)
+    assert world.status("r2")["members"] == ["r1", "r2"]
+    settle(world)
+    assert world.status("r1")["hash"] == world.status("r2")["hash"]
+    world.check()
+
+
+def test_a_fenced_robot_stops_its_action_and_starts_it_again() -> None:
+    world = team(TOUR, 3, evict_after=3.0, fence_after=0.4)
+    world.action_time = (10.0, 10.0)
+    world.run(0.5)
+    world.blocked = {(a, b) for a in world.nodes for b in world.nodes if "r3" in (a, b)}
+    world.run(1.5)
+    assert world.status("r3")["fenced"]
+    assert "no contact to a quorum" in world.status("r3")["waits_for"]
+    assert world.nodes["r3"].replica.own.running is None
+    world.blocked.clear()
+    world.run(3.0)
+    assert not world.status("r3")["fenced"]
+    running = world.nodes["r3"].replica.own.running
+    assert running is not None
+    assert running.attempt == 2
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_a_restarted_robot_takes_its_visit_up_with_the_next_attempt(partial: bool) -> None:
+    world = team(TOKENS, 3, partial)
+    world.run(0.5)
+    world.action_time = (10.0, 10.0)
+    world.run(1.0)
+    before = world.nodes["r2"].replica.own.position
+    world.nodes["r2"].crash()
+    world.run(1.3)
+    world.nodes["r2"].start()
+    world.run(2.0)
+    after = world.nodes["r2"].replica.own.position
+    assert (after.place, after.visit) == (before.place, before.visit)
+    assert (after.incarnation, after.attempt) == (before.incarnation + 1, before.attempt + 1)
+    world.check()
+
+
+def test_another_plan_is_not_let_in() -> None:
+    world = team(TOKENS, 2)
+    world.run(0.3)
+    other = replace(world.plan, seed=7)
+    stranger = Replica(other, "r2", "sim", "other log")
+    stranger.start(0.0)
+    hello = {"kind": "hello", "from": "r1", "team": "sim|%s" % world.plan.hash()[:12]}
+    effects = stranger.step(io.Received(hello), 0.1)
+    (halted,) = [e for e in effects if isinstance(e, io.Halted)]
+    assert "r1 has another plan" in halted.reason
+
+
+def test_messages_of_other_runs_are_ignored() -> None:
+    world = team(TOKENS, 2)
+    world.run(0.3)
+    replica = world.nodes["r1"].replica
+    length = replica.ledger.length
+    message = {
+        "kind": "learn",
+        "from": "r2",
+        "team": "old|%s" % world.plan.hash()[:12],
+        "at": length,
+        "slots": [[[9, "r2"], []]],
+        "length": length + 1,
+        "hash": "",
+    }
+    effects = replica.step(io.Received(message), world.now)
+    assert not [e for e in effects if isinstance(e, (io.Persist, io.Halted))]
+    assert replica.ledger.length == length
+
+
+def test_a_joiner_far_behind_takes_a_snapshot(monkeypatch) -> None:
+    from gspn_framework_package.execution.agreement import catch_up
+
+    monkeypatch.setattr(catch_up, "KEPT", 5)
+    world = team(TOKENS, 2)
+    world.run(1.0)
+    assert world.length() > 10
+    node = world.nodes["j0"] = Node(world, "j0")
+    node.joins = True
+    node.start()
+    world.run(2.0)
+    assert "j0" in world.status("r1")["members"]
+    assert [r["kind"] for r in node.disk.records()].count("snapshot") == 1
+    settle(world)
+    world.check(settled=True)
+
+
+def test_a_robot_that_left_ends_and_the_others_go_on() -> None:
+    world = team(TOUR, 3)
+    world.run(0.3)
+    effects = []
+    node = world.nodes["r1"]
+    carry_out = node.carry_out
+    node.carry_out = lambda given: (effects.extend(given), carry_out(given))[1]
+    assert world.order("r1", log.Leave("r1")).ok
+    assert [e for e in effects if isinstance(e, Ended)]
+    length = world.nodes["r2"].replica.ledger.length
+    world.run(world.now + 0.5)
+    assert world.nodes["r2"].replica.ledger.length > length
+
+
+def private_places(net: NetBuilder, resources=(), idle=(), **fields: Any) -> Any:
+    built = net.build()
+    actions = {p.name: None if p.name in idle else FunctionAction("f", p.name) for p in built.places}
+    plan = Plan(
+        net=built,
+        actions=actions,
+        resource_places=frozenset(resources),
+        synchronisation=Synchronisation.PARTIAL,
+        **fields,
+    )
+    plan = plan.with_robots([RobotSpec("a", built.places[0].name)])
+    return PrivateMoves(TokenGame(plan), "a").places
+
+
+def test_which_places_are_private() -> None:
+    def line() -> NetBuilder:
+        net = NetBuilder().place("P").place("Q").place("R")
+        return net.exponential("pq", inputs="P", outputs="Q").exponential("qr", inputs="Q", outputs="R")
+
+    assert private_places(line()) == {"P", "Q"}
+    assert private_places(line(), idle=["Q"]) == {"Q"}
+    assert private_places(line(), until="R >= 1") == {"P"}
+    assert private_places(line().exponential("x", inputs="R", outputs="P", inhibitors="Q")) == frozenset()
+    shared = line().place("tool", tokens=1).exponential("take", inputs=["P", "tool"], outputs="Q")
+    assert private_places(shared, resources=["tool"]) == {"Q"}
+    meeting = line().exponential("meet", inputs=["P", "Q"], outputs=["Q", "R"])
+    assert private_places(meeting) == frozenset()
+    weights = line().exponential("two", inputs={"R": 2}, outputs={"P": 2})
+    assert private_places(weights) == {"P", "Q"}
