@@ -34,11 +34,12 @@ class History:
             self._first += 1
 
     def since(self, slot: int) -> Optional[List[Any]]:
-        """Some slots as [ballot, batch] from ``slot`` on; None where they are not kept any more."""
+        """Some slots from ``slot`` on as [ballot, batch, hash chain before it]; None where they are
+        not kept any more."""
         if slot < self._first:
             return None
         at = slot - self._first
-        return [[self._slots[i][0], self._slots[i][1]] for i in range(at, min(at + CHUNK, len(self._slots)))]
+        return [list(self._slots[i]) for i in range(at, min(at + CHUNK, len(self._slots)))]
 
     def hash_before(self, slot: int) -> Optional[str]:
         """The end of the hash chain before ``slot``, None where it is not kept."""

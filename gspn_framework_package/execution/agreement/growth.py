@@ -181,12 +181,7 @@ class Growth(Core):
             return
         self.answer(
             message,
-            {
-                "kind": "learn",
-                "at": message["length"],
-                "before": self.history.hash_before(message["length"]),
-                "slots": slots,
-            },
+            {"kind": "learn", "at": message["length"], "slots": slots},
         )
 
     def _on_pull(self, message: io.Message) -> None:
@@ -199,12 +194,13 @@ class Growth(Core):
                 self._take_snapshot(message["snapshot"])
         elif "slots" in message:
             at = message["at"]
-            for slot, (ballot, batch) in enumerate(message["slots"], at):
-                if slot == at and slot == self.ledger.length and (message["before"] != self.ledger.hash):
+            for slot, (ballot, batch, before) in enumerate(message["slots"], at):
+                if slot != self.ledger.length or self.halted is not None:
+                    continue
+                if before != self.ledger.hash:
                     self._conflict(message["from"], slot)
                     return
-                if slot == self.ledger.length and self.halted is None:
-                    self.decided(batch, Ballot.from_json(ballot), mine=False)
+                self.decided(batch, Ballot.from_json(ballot), mine=False)
         elif message["slot"] == self.ledger.length and not self.consensus.on_chosen(
             Ballot.from_json(message["ballot"])
         ):

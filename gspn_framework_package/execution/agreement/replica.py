@@ -137,6 +137,8 @@ class Replica(Pacing):
         if self.pool.own:
             self.pool.withdraw_suspicion([sender])
         kind = message["kind"]
+        if sender in self.cast_out and kind not in ("hello", "pull", "event"):
+            return  # what it knows was given up, until it joins again
         if kind == "hello":
             self._on_hello(message)
         elif kind == "pull":

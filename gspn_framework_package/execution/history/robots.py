@@ -226,8 +226,11 @@ class RobotCheck:
 
     def _merged_move(self, origin: Origin, record: Record, slot: int) -> None:
         """A private move has the same effect in the agreed log as it had."""
-        if origin in self._void:
-            return
+        before = self.situations[slot - 1].get(self.robot) if slot else None
+        after = self.situations[slot].get(self.robot)
+        gone = ("lost", "left")
+        if origin in self._void or (before and before.phase in gone) or (after and after.phase in gone):
+            return  # it came into the log after the robot was lost: void
         mine = record["firing"]
         what = ("robot", "visit", "transition")
         if any(all(firing[k] == mine[k] for k in what) for firing in self.merged.slots[slot]["firings"]):

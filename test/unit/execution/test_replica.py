@@ -273,7 +273,7 @@ def test_messages_of_other_runs_are_ignored() -> None:
         "from": "r2",
         "team": "old|%s" % world.plan.hash()[:12],
         "at": length,
-        "slots": [[[9, "r2"], []]],
+        "slots": [[[9, "r2"], [], replica.ledger.hash]],
         "length": length + 1,
         "hash": "",
     }
