@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
 import time
 from dataclasses import replace
-from typing import Any, Callable, Dict, List, Sequence
+from typing import Any, Callable, Dict, Sequence, Tuple
 
 from gspn_framework_package.benchmark.netns.logs import History, LogTail, check_history
 from gspn_framework_package.benchmark.netns.network import Network
@@ -49,9 +48,10 @@ class Experiment:
 
     def __init__(self, mode: str, *, robots: int = 3, evict_after: float = 15.0, delay: float = 0.0) -> None:
         self.partial = mode == "partial"
-        self.cut_at = self.healed_at = 0.0
+        self.began = self.cut_at = self.healed_at = 0.0
         plan = plan_for(robots, mode, evict_after)
         self.robots = [robot.name for robot in plan.robots]
+        self._places = plan.action_places
         self.network = Network([MASTER, *self.robots], delay)
         self.folder = tempfile.mkdtemp(prefix="gspn_netns_")
         self._team = Team(self.network, plan, self.folder)
@@ -61,6 +61,7 @@ class Experiment:
             self.network.__enter__()
             try:
                 self.network.verify()
+                self.began = time.monotonic()
                 self._team.__enter__()
             except BaseException:
                 self.network.__exit__()
@@ -95,8 +96,10 @@ class Experiment:
 
     # -- waiting -----------------------------------------------------------------------------------
 
-    def wait(self, condition: Callable[[], bool], what: str, seconds: float = PATIENCE) -> float:
-        """Wait for a condition; when it came true. :raises ExecutionError: it did not within the time."""
+    def wait(self, condition: Callable[[], bool], what: str, seconds: float = 0.0) -> float:
+        """Wait for a condition; when it came true. :raises ExecutionError: it did not within ``seconds``, or the usual
+        time: after a fault TCP may keep still for as long again as the fault lasted."""
+        seconds = seconds or PATIENCE + self.healed_at - self.cut_at
         deadline = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > deadline:
@@ -113,6 +116,19 @@ class Experiment:
         """Wait until every robot has moved a few times."""
         self.wait_for_moves(self.robots, moves, "of each robot before the fault")
 
+    def all_were_everywhere(self) -> bool:
+        """Whether each robot has begun an action in every action place: it is connected to all of its servers."""
+        return all({g["place"] for g in log.of("goal")} >= set(self._places) for log in self.read().values())
+
+    def pass_time(self, seconds: float, since: float = 0.0) -> Tuple[float, float]:
+        """Let time pass while the nodes are watched: (begin, end).
+
+        :param since: when it began; 0: now.
+        """
+        begin = since or time.monotonic()
+        self.wait(lambda: bool(self.read()) and time.monotonic() >= begin + seconds, "the time to pass", seconds + 60)
+        return begin, begin + seconds
+
     # -- the network -------------------------------------------------------------------------------
 
     def part(self, *groups: Sequence[str]) -> None:
@@ -126,12 +142,12 @@ class Experiment:
     def _cut(self, cuts: Cuts) -> None:
         self.read()
         self.network.cut(cuts)
-        self.cut_at = time.monotonic()
+        self.cut_at = self.healed_at = time.monotonic()
         self.network.verify()
 
     def hold(self, seconds: float) -> None:
         """Leave the network as it is until ``seconds`` after the cut."""
-        self.wait(lambda: time.monotonic() >= self.cut_at + seconds and bool(self.read()), "the time to pass")
+        self.pass_time(seconds, self.cut_at)
 
     def heal(self) -> None:
         """Let everything through again."""
@@ -139,9 +155,9 @@ class Experiment:
         self.network.heal()
         self.network.verify()
 
-    def fault(self) -> List[float]:
-        """[begin, end] of the time in which nothing that was under way before the cut can still be written."""
-        return [self.cut_at + SETTLE, self.healed_at]
+    def fault(self) -> Tuple[float, float]:
+        """(begin, end) of the time in which nothing that was under way before the cut can still be written."""
+        return self.cut_at + SETTLE, self.healed_at
 
     # -- what must hold ----------------------------------------------------------------------------
 
@@ -154,9 +170,7 @@ class Experiment:
         """Wait until the logs of some robots hold all that others knew when the network was healed; the seconds that it
         took from there."""
         logs = self.read()
-        known = max(
-            1 + max((s["slot"] for s in logs[r].of("slot", 0, self.healed_at)), default=-1) for r in ahead
-        )
+        known = max(1 + max((s["slot"] for s in logs[r].of("slot", 0, self.healed_at)), default=-1) for r in ahead)
         caught = self.wait(lambda: all(self.read()[r].length >= known for r in behind), "the others to catch up")
         return caught - self.healed_at
 

@@ -11,7 +11,7 @@ from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line
 from gspn_framework_package.benchmark.netns.network import why_impossible
-from gspn_framework_package.benchmark.netns.scenarios import DELAY, NEEDS_DELAY, SCENARIOS
+from gspn_framework_package.benchmark.netns.scenarios import DELAY, HOLD, NEED_DELAY, SCENARIOS, TAKE_HOLD
 from gspn_framework_package.benchmark.netns.team import why_no_ros
 from gspn_framework_package.model.errors import GspnError
 
@@ -20,7 +20,7 @@ MODES = ("full", "partial")
 
 def why_not(scenarios: Sequence[str] = ()) -> str:
     """Why these scenarios cannot run on this machine; "" where they can."""
-    delay = DELAY if NEEDS_DELAY & set(scenarios) else 0.0
+    delay = DELAY if NEED_DELAY & set(scenarios) else 0.0
     return why_no_ros() or why_impossible(delay)
 
 
@@ -33,8 +33,11 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     )
     parser.add_argument("--scenario", action="append", choices=list(SCENARIOS), help="only this one (repeatable)")
     parser.add_argument("--mode", action="append", choices=MODES, help="only this synchronisation")
+    parser.add_argument("--hold", type=float, default=HOLD, metavar="S", help="keep the network cut for S seconds (4)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args(arguments)
+    if args.hold < 2:
+        parser.error("--hold must be at least 2 seconds")
     scenarios = args.scenario or list(SCENARIOS)
     reason = why_not(scenarios)
     if reason:
@@ -46,7 +49,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         for name in scenarios:
             for mode in args.mode or MODES:
                 print("%s, %s synchronisation ..." % (name, mode), end=" ", file=sys.stderr, flush=True)
-                results.append(_run(name, mode))
+                results.append(_run(name, mode, args.hold))
                 print("%(outcome)s, %(seconds).0f s" % results[-1], file=sys.stderr)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
@@ -61,11 +64,11 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     return 0 if all(r["outcome"] == "ok" for r in results) else 1
 
 
-def _run(name: str, mode: str) -> Dict[str, Any]:
+def _run(name: str, mode: str, hold: float) -> Dict[str, Any]:
     begin = time.monotonic()
     result: Dict[str, Any] = {"scenario": name, "mode": mode, "outcome": "ok"}
     try:
-        result.update(SCENARIOS[name](mode))
+        result.update(SCENARIOS[name](mode, hold) if name in TAKE_HOLD else SCENARIOS[name](mode))
     except GspnError as error:
         result.update(outcome="FAILED", why=str(error))
     return dict(result, seconds=time.monotonic() - begin)

@@ -100,7 +100,7 @@ class Network:
 
     def cut(self, cuts: Cuts) -> None:
         """From now on nothing gets through between these, and everything between all others."""
-        _run("ip", "netns", "exec", self._hub, "nft", "-f", "-", text=ruleset(cuts))
+        _run("ip", "netns", "exec", self._hub, "nft", "-f", "-", given=ruleset(cuts))
         self.cuts = cuts
 
     def heal(self) -> None:
@@ -212,12 +212,12 @@ def _program(name: str) -> str:
     return shutil.which(name, path=_PATH) or name
 
 
-def _run(*words: str, text: str = "") -> str:
+def _run(*words: str, given: str = "") -> str:
     environment: Dict[str, str] = dict(os.environ, PATH=_PATH)
     try:
         done = subprocess.run(
-            [_program(words[0]), *words[1:]], input=text, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            universal_newlines=True, env=environment, timeout=20,
+            [_program(words[0]), *words[1:]], input=given, capture_output=True, text=True,
+            env=environment, timeout=20,
         )  # fmt: skip
     except (OSError, subprocess.TimeoutExpired) as error:
         raise ExecutionError("'%s' failed: %s" % (" ".join(words), error)) from None

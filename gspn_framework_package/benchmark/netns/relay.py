@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import select
@@ -66,10 +67,8 @@ class Relay(threading.Thread):
                 waiting.extend((now + self._delay, self._other[descriptor], f) for f in _frames(descriptor))
             while waiting and waiting[0][0] <= now:
                 _, descriptor, frame = waiting.popleft()
-                try:
+                with contextlib.suppress(OSError):  # its queue is full, or it is down: a network loses such a frame
                     os.write(descriptor, frame)
-                except OSError:
-                    pass  # its queue is full, or it is down: a network loses such a frame
 
 
 def _frames(descriptor: int) -> List[bytes]:

@@ -27,7 +27,7 @@ def minority(mode: str, hold: float = HOLD) -> Numbers:
     It finishes its action and waits. With full synchronisation the other two go on; with partial synchronisation they
     make private moves, but what needs everybody's answer waits. After healing it catches up, and nobody was evicted.
     """
-    with Experiment(mode) as lab:
+    with _experiment(mode, hold) as lab:
         lab.warm_up()
         numbers = _lose_robot_3(lab, hold, [MASTER, "robot_1", "robot_2"], ["robot_3"])
         return _finish(lab, numbers)
@@ -36,7 +36,7 @@ def minority(mode: str, hold: float = HOLD) -> Numbers:
 def master_side(mode: str, hold: float = HOLD) -> Numbers:
     """First the master is alone, and all robots go on; then it is with one robot, and the two others without it behave
     as any majority."""
-    with Experiment(mode) as lab:
+    with _experiment(mode, hold) as lab:
         lab.warm_up()
         lab.part([MASTER], lab.robots)
         lab.wait_for_moves(lab.robots, 10, "of each robot without the master")
@@ -91,7 +91,7 @@ def mute(mode: str, hold: float = HOLD) -> Numbers:
 
 
 def _one_way(mode: str, hold: float, hears: bool) -> Numbers:
-    with Experiment(mode) as lab:
+    with _experiment(mode, hold) as lab:
         lab.warm_up()
         others = [MASTER, "robot_1", "robot_2"]
         if hears:
@@ -119,7 +119,7 @@ def _finished(lab: Experiment, robot: str, begin: float, end: float) -> List[Any
 
 def scattered(mode: str, hold: float = HOLD) -> Numbers:
     """All three robots and the master are alone: nothing is decided anywhere, and after healing all go on."""
-    with Experiment(mode) as lab:
+    with _experiment(mode, hold) as lab:
         lab.warm_up()
         lab.part([MASTER], *([name] for name in lab.robots))
         lab.hold(hold)
@@ -140,15 +140,14 @@ def delay(mode: str, window: float = WINDOW) -> Numbers:
         with Experiment(mode, delay=seconds) as lab:
             times = [lab.network.travel_time("robot_1", "robot_2") for _ in range(9)]
             lab.require(None not in times, "a datagram was lost in the relay")
-            lab.warm_up()
-            begin = lab.wait(lambda: True, "now")
-            lab.cut_at = begin
-            lab.hold(window)
-            end = begin + window
+            began = lab.wait_for_moves(lab.robots, 1, "of each robot") - lab.began
+            lab.wait(lab.all_were_everywhere, "each robot to act in every place", 120.0)
+            begin, end = lab.pass_time(window)
             commits = [t for log in lab.read().values() for t in log.commit_times(begin, end)]
             moves = sum(lab.moves(r, begin, end) for r in lab.robots)
             lab.require(all(lab.moves(r, begin, end) > 0 for r in lab.robots), "not every robot moves")
             measured = {
+                "first_moves_after": began,
                 "one_way_ms": 1e3 * statistics.median(t for t in times if t is not None),
                 "moves_per_s": moves / window,
                 "commit_ms_median": 1e3 * statistics.median(commits),
@@ -157,6 +156,11 @@ def delay(mode: str, window: float = WINDOW) -> Numbers:
             _finish(lab, numbers)
     numbers["throughput_ratio"] = numbers["delayed_moves_per_s"] / numbers["none_moves_per_s"]
     return numbers
+
+
+def _experiment(mode: str, hold: float) -> Experiment:
+    """A team in which nobody is evicted while the network is cut for ``hold`` seconds."""
+    return Experiment(mode, evict_after=max(15.0, 3 * hold))
 
 
 def _lose_robot_3(lab: Experiment, hold: float, majority: List[str], rest: List[str]) -> Numbers:
@@ -188,11 +192,11 @@ def _progress_of_others(lab: Experiment, others: List[str]) -> Numbers:
 
 def _finish(lab: Experiment, numbers: Numbers) -> Numbers:
     history = lab.finish()
-    numbers.update(slots=history.slots, firings=history.firings, marking=history.marking, verified=history.verified)
+    numbers.update(slots=history.slots, firings=history.firings, marking=history.marking)
     return numbers
 
 
-SCENARIOS: Dict[str, Callable[[str], Numbers]] = {
+SCENARIOS: Dict[str, Callable[..., Numbers]] = {
     "minority": minority,
     "eviction": eviction,
     "master_side": master_side,
@@ -201,6 +205,8 @@ SCENARIOS: Dict[str, Callable[[str], Numbers]] = {
     "scattered": scattered,
     "delay": delay,
 }
-"""Name -> what is done, for a mode of synchronisation. :raises GspnError: the team did what it must not."""
+"""Name -> what is done, for a mode of synchronisation; those that take ``hold`` leave the network cut for so many
+seconds. :raises GspnError: the team did what it must not."""
 
-NEEDS_DELAY = {"delay"}
+TAKE_HOLD = frozenset(SCENARIOS) - {"eviction", "delay"}
+NEED_DELAY = frozenset({"delay"})

@@ -89,7 +89,7 @@ class Team:
         try:
             done = subprocess.run(
                 words, env=self._environment(robot), stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                universal_newlines=True, timeout=20,
+                text=True, timeout=20,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             return "no answer"
