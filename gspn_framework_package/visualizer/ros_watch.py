@@ -55,6 +55,9 @@ PHASES = {
     "Left": "left",
 }
 
+SILENT = 3
+"""Questions without any answer, after which the run is taken to be over."""
+
 TOLD_BY_OTHERS = ("lost", "left", "failed")
 """Phases that a robot does not tell itself."""
 
@@ -90,7 +93,7 @@ class RosWatch(Activity):
         self._stop = threading.Event()
         self._asking, self._ordering = ServiceCalls(ANSWER_TIME), ServiceCalls(ORDER_TIME)
         self._ask_now = threading.Event()
-        self._turn = 0
+        self._turn = self._silent = 0
         self._before: Optional[TeamSeen] = None
         self.commands = {
             name: self._ordered(name) for name in ("stop", "pause", "resume", "retry")
@@ -215,9 +218,13 @@ class RosWatch(Activity):
     def _on_answers(self, asked: Tuple[bool, List[Dict[str, Any]]]) -> None:
         lost_track, answers = asked
         if not answers:
+            self._silent += 1
             if lost_track:
                 self._hub.publish(*self._follower.give_up("firings were missed"))
+            if self._silent >= SILENT and self._status["running"]:
+                self._set_status(running=False, ended="no robot answers any more", stalled="")
             return
+        self._silent = 0
         newest = max(answers, key=lambda a: int(a["log_length"]))
         self._run = self._run or str(newest["run"])
         team, before = self._team_seen(newest, answers), self._before
@@ -236,11 +243,12 @@ class RosWatch(Activity):
 
     def _askable(self) -> List[str]:
         """Whom to ask: in full synchronisation one robot knows all, in partial each knows itself."""
-        namespaces = sorted(self._names)
-        if self._follower.full and self._before is not None and namespaces:
+        gone = [n for n, name in self._names.items() if name in self._follower.gone]
+        namespaces = sorted(set(self._names) - set(gone)) or sorted(self._names)
+        if self._follower.full and self._before is not None and namespaces and not self._silent:
             self._turn += 1  # another one each time: one that died would not answer
             return [namespaces[self._turn % len(namespaces)]]
-        return namespaces
+        return sorted(self._names)
 
     def _ask(self, namespaces: List[str]) -> List[Dict[str, Any]]:
         """What the robots say of the team; those that do not answer in time say nothing."""
@@ -359,6 +367,7 @@ class RosWatch(Activity):
                 continue
             if not response.success:
                 raise RefusedError(response.message)
+            self._ask_now.set()  # the page soon shows what came of it
             return {"message": response.message}
         raise RefusedError(
             "no robot of the team answers" if self._names else "no robot has been heard of yet"

@@ -65,7 +65,7 @@ class Page:
 
 class VisualizerTest(RobotTestCase):
     def watch(self, mode):
-        plan = copy_plan("plans/patrol", synchronisation=mode, agreement={"evict_after": 3})
+        plan = copy_plan("plans/patrol", synchronisation=mode, agreement={"evict_after": 5})
         team = self.team(plan, ["robot_1", "robot_2"], robots=2).start()
         team.wait_for_firings(6)
         page = Page(plan)
@@ -113,5 +113,5 @@ class VisualizerTest(RobotTestCase):
 if __name__ == "__main__":
     import rostest
 
-    rospy.init_node("test_visualizer")
-    rostest.rosrun("gspn_framework_package", "visualizer", VisualizerTest)
+    rospy.init_node("page_test")
+    rostest.rosrun("gspn_framework_package", "page", VisualizerTest)
