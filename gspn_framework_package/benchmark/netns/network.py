@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 import os
 import shutil
 import signal
@@ -23,6 +24,7 @@ SUBNET = "10.77.0."
 PROBE_PORT = 7777
 _PATH = os.environ.get("PATH", "") + ":/usr/sbin:/sbin"
 _CLONE_NEWNET = 0x40000000
+_numbers = itertools.count(1)
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
@@ -39,7 +41,7 @@ class Network:
         self.nodes = list(nodes)
         self.delay = delay
         self.cuts: Cuts = frozenset()
-        self._prefix = "%s%d-" % (PREFIX, os.getpid())
+        self._prefix = "%s%d-%d-" % (PREFIX, os.getpid(), next(_numbers))
         self._hub = self._prefix + "hub"
         self._addresses = {name: SUBNET + str(number) for number, name in enumerate(nodes, 1)}
         self._relay: Optional[relay.Relay] = None
