@@ -7,10 +7,10 @@ import pytest
 from gspn_framework_package.benchmark.netns import rules
 
 pytest.importorskip("rospy", reason="ROS is not here")
-from gspn_framework_package.benchmark.netns.main import why_not  # noqa: E402
-from gspn_framework_package.benchmark.netns.network import Network, why_impossible  # noqa: E402
-from gspn_framework_package.benchmark.netns.scenarios import DELAY, minority, mute  # noqa: E402
-from gspn_framework_package.model.errors import ExecutionError  # noqa: E402
+from gspn_framework_package.benchmark.netns.main import why_not
+from gspn_framework_package.benchmark.netns.network import Network, why_impossible
+from gspn_framework_package.benchmark.netns.scenarios import DELAY, minority, mute
+from gspn_framework_package.model.errors import ExecutionError
 
 
 def test_a_partition_cuts_between_groups_both_ways_and_not_within():
