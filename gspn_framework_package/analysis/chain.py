@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, List, NamedTuple, Optional
+from typing import Any, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 from scipy import sparse
@@ -11,7 +11,7 @@ from gspn_framework_package.analysis.graph import components
 from gspn_framework_package.analysis.plan_analysis import PlanSpace
 from gspn_framework_package.analysis.rated_graph import RatedGraph, rate
 from gspn_framework_package.analysis.state_space import StateSpace
-from gspn_framework_package.analysis.vanishing import eliminate
+from gspn_framework_package.analysis.vanishing import Elimination, eliminate
 
 
 class Chain:
@@ -31,27 +31,41 @@ class Chain:
         :raises RefusedError: there is a timeless trap.
         """
         self.graph = graph
-        kept, self.elimination = eliminate(graph, absorbing)
+        self.elimination: Optional[Elimination] = None
+        if graph.vanishing.any():
+            kept, self.elimination = eliminate(graph, absorbing)
+            rates, initial = self._without_vanishing(kept, self.elimination, absorbing)
+        else:
+            kept = np.ones(len(graph), dtype=bool)
+            rates, initial = self._as_it_is(absorbing)
         self.states = np.flatnonzero(kept)
-        ends = self.elimination.ends
+        self.rates = _without_loops(rates)
+        self.exit_rates = np.asarray(self.rates.sum(axis=1)).reshape(-1)
+        self.initial = initial
+
+    def _as_it_is(self, absorbing: Optional[Any]) -> Tuple[Any, Any]:
+        """Rates and initial distribution where no state is vanishing."""
+        graph = self.graph
+        values = graph.values if absorbing is None else np.where(absorbing[graph.sources], 0.0, graph.values)
+        offsets = np.searchsorted(graph.sources, np.arange(len(graph) + 1))
+        rates = sparse.csr_matrix((values, graph.targets, offsets), shape=(len(graph), len(graph)), copy=True)
+        initial = np.zeros(len(graph))
+        initial[0] = 1.0
+        return rates, initial
+
+    def _without_vanishing(self, kept: Any, elimination: Elimination, absorbing: Optional[Any]) -> Tuple[Any, Any]:
+        graph = self.graph
         leaving = kept[graph.sources]
         if absorbing is not None:
             leaving &= ~absorbing[graph.sources]
         arcs = np.flatnonzero(leaving)
         number = np.cumsum(kept) - 1
-        nodes = len(self.states)
-        sources, targets = number[graph.sources[arcs]], graph.targets[arcs]
-        values = graph.values[arcs]
-        direct = kept[targets]
-        if direct.all():
-            rates = sparse.coo_matrix((values, (sources, number[targets])), shape=(nodes, nodes))
-        else:
-            step = sparse.csr_matrix((values, (sources, targets)), shape=(nodes, len(graph)))
-            rates = (step @ ends).tocoo()
-        other = rates.row != rates.col
-        self.rates = sparse.csr_matrix((rates.data[other], (rates.row[other], rates.col[other])), shape=(nodes, nodes))
-        self.exit_rates = np.asarray(self.rates.sum(axis=1)).reshape(-1)
-        self.initial = np.asarray(ends[0].todense()).reshape(-1)
+        step = sparse.csr_matrix(
+            (graph.values[arcs], (number[graph.sources[arcs]], graph.targets[arcs])),
+            shape=(int(kept.sum()), len(graph)),
+        )
+        initial = np.asarray(elimination.ends[0].todense()).reshape(-1)
+        return (step @ elimination.ends).tocsr(), initial
 
     @classmethod
     def of(cls, space: StateSpace) -> Chain:
@@ -76,6 +90,16 @@ class Chain:
 
     def __repr__(self) -> str:
         return "<Chain of %s: %d states, %d rates>" % (self.graph.net.name or "a net", len(self), self.rates.nnz)
+
+
+def _without_loops(rates: Any) -> Any:
+    """The matrix with parallel arcs added up, and without its diagonal and explicit zeros."""
+    rates.sum_duplicates()
+    rows = np.repeat(np.arange(rates.shape[0], dtype=rates.indices.dtype), np.diff(rates.indptr))
+    rates.data[rows == rates.indices] = 0.0
+    if not rates.data.all():
+        rates.eliminate_zeros()
+    return rates
 
 
 class Component(NamedTuple):

@@ -69,7 +69,7 @@ class Measures:
             weight[chain.states] = self.distribution
             timed = ~graph.vanishing[graph.sources]
             flow = np.where(timed, weight[graph.sources] * graph.values, 0.0)
-            if graph.vanishing.any():
+            if chain.elimination is not None:
                 inflow = np.bincount(graph.targets, weights=flow, minlength=len(graph))
                 visits = chain.elimination.visits(inflow)
                 flow[~timed] = (visits[graph.sources] * graph.values)[~timed]

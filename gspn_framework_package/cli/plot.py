@@ -101,7 +101,7 @@ def _distribution(axes: Any, analysis: Analysis, args: argparse.Namespace) -> No
         left += shares
     axes.invert_yaxis()
     axes.set_xlabel("probability in the steady state")
-    axes.legend(title="tokens", fontsize="small")
+    axes.legend(title="tokens", fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
 def _chosen(names: List[str], only: List[str]) -> List[str]:

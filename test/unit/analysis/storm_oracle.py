@@ -1,48 +1,16 @@
 """The model checker Storm as an independent oracle: the same net through its own GSPN translation and checkers."""
 
 import stormpy
-from stormpy import environments, gspn, transformations
+from stormpy import environments, transformations
 
-
-def storm_jani(net, clock):
-    """The net as a JANI model that Storm made itself; with a clock that never stops on the side, if wanted."""
-    builder = gspn.GspnBuilder()
-    builder.set_gspn_name("net")
-    for place in net.places:
-        builder.add_place(None, place.tokens, place.name)  # Storm's translation does not enforce capacities
-    for t, transition in enumerate(net.transitions):
-        if transition.timed:
-            builder.add_timed_transition(0, transition.rate, transition.servers, transition.name)
-        else:
-            builder.add_immediate_transition(transition.priority, transition.weight, transition.name)
-        for p, weight in net.inputs[t]:
-            builder.add_input_arc(net.places[p].name, transition.name, weight)
-        for p, weight in net.outputs[t]:
-            builder.add_output_arc(transition.name, net.places[p].name, weight)
-        for p, weight in net.inhibitors[t]:
-            builder.add_inhibition_arc(net.places[p].name, transition.name, weight)
-        for p, change in net.effect(t):
-            capacity = net.places[p].capacity
-            if capacity is not None and change > 0:
-                builder.add_inhibition_arc(net.places[p].name, transition.name, capacity - change + 1)
-    if clock:
-        # Storm lets no time pass in a deadlock, and takes the long run of a single state for 0; a clock that ticks on
-        # the side keeps every state of the net as it is, and gives it company.
-        for name, tokens in (("tick", 1), ("tock", 0)):
-            builder.add_place(None, tokens, name)
-        for name, before, after in (("to_tock", "tick", "tock"), ("to_tick", "tock", "tick")):
-            builder.add_timed_transition(0, 1.0, 1, name)
-            builder.add_input_arc(before, name, 1)
-            builder.add_output_arc(name, after, 1)
-    jani, _ = gspn.build_jani_model(builder.build_gspn())
-    return jani
+from gspn_framework_package.benchmark.storm import storm_jani
 
 
 class Storm:
     """Answers of Storm about one net. Long-run and first-passage values are exact (rational arithmetic)."""
 
     def __init__(self, net, clock=True):
-        self._jani = storm_jani(net, clock)
+        self._jani = storm_jani(net, clock=clock)
 
     def _model(self, properties, exact):
         options = stormpy.BuilderOptions(properties, self._jani)

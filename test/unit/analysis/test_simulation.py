@@ -18,16 +18,16 @@ PLANS = Path(__file__).parents[3] / "plans"
 
 
 def test_intervals_hold_the_truth_at_the_stated_rate():
-    """Of 400 intervals of 90 % about 360 hold the mean time to starvation, 550/101 s; the bounds are those outside
+    """Of 200 intervals of 90 % about 180 hold the mean time to starvation, 550/101 s; the bounds are those outside
     of which a right program would be once in a million."""
     held = 0
-    for seed in range(400):
+    for seed in range(200):
         estimate = simulate(
             philosophers(4), until="think1+think2+think3+think4+eat1+eat2+eat3+eat4 == 0",
             replications=40, seed=seed, confidence=0.9,
         ).time_to_condition  # fmt: skip
         held += abs(estimate.mean - 550 / 101) <= estimate.half_width
-    low, high = stats.binom.ppf([5e-7, 1 - 5e-7], 400, 0.9)
+    low, high = stats.binom.ppf([5e-7, 1 - 5e-7], 200, 0.9)
     assert low <= held <= high
 
 

@@ -20,7 +20,7 @@ from gspn_framework_package.model.errors import RefusedError
 pytest.importorskip("stormpy", reason="stormpy has no wheel for this Python; it is an oracle of the tests only")
 from storm_oracle import Storm
 
-EXAMPLES = int(os.environ.get("GSPN_STORM_EXAMPLES", "40"))
+EXAMPLES = int(os.environ.get("GSPN_STORM_EXAMPLES", "25"))
 relaxed = settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
 
 
@@ -94,5 +94,5 @@ def test_first_passage(net, time, which, count):
     else:
         assert math.isinf(passage.mean_time)
     theirs, kind = storm.within("(%s)" % condition, time)
-    if "CTMC" in kind:
+    if "CTMC" in kind and not space.is_vanishing[0]:  # see test_transient
         assert passage.within[0] == pytest.approx(theirs, abs=1e-5)
