@@ -43,7 +43,7 @@ export class Labels {
       return keys;
     };
     const put = (box) => { for (const key of cells(box)) { if (!grid.has(key)) grid.set(key, []); grid.get(key).push(box); } };
-    const free = (box) => cells(box).every((key) => (grid.get(key) || []).every((b) => b[0] >= box[2] || b[2] <= box[0] || b[1] >= box[3] || b[3] <= box[1]));
+    const free = (box) => box[0] > 2 && box[1] > 2 && box[2] < width - 2 && box[3] < height - 2 && cells(box).every((key) => (grid.get(key) || []).every((b) => b[0] >= box[2] || b[2] <= box[0] || b[1] >= box[3] || b[3] <= box[1]));
     const clear = (box) => cells(box).every((key) => (lines.get(key) || []).every(([px, py]) => px <= box[0] - 1 || px >= box[2] + 1 || py <= box[1] + 1 || py >= box[3] - 2));
     const seen = [];
     for (const node of view.nodes) {

@@ -7,6 +7,7 @@ import { colourOf, shortName } from "./colours.js";
 import { Travel } from "./travel.js";
 import { Labels } from "./labels.js";
 
+const MARGIN = [52, 56, 42, 30]; // px left, right, above and below a net that is fitted
 const CULL = 800; // nets with more nodes draw only what is in the view
 const FAR = 0.18; // below this zoom tokens are too small to be told apart: a place with any is filled
 const TILE = 40; // nodes that are drawn together in a large net
@@ -167,16 +168,19 @@ export class NetView extends EventTarget {
     for (const { x, y } of this.nodes) {
       x0 = Math.min(x0, x); y0 = Math.min(y0, y); x1 = Math.max(x1, x); y1 = Math.max(y1, y);
     }
-    return this.nodes.length ? [x0 - 70, y0 - 74, x1 + 70, y1 + 62] : [0, 0, 100, 100];
+    return this.nodes.length ? [x0 - 24, y0 - 32, x1 + 24, y1 + 24] : [0, 0, 100, 100];
   }
 
+  /** The whole net, clear of the buttons and of the words in the corner. */
   fit() {
     const { width, height } = this.container.getBoundingClientRect();
     if (!width || !height) return;
     const [x0, y0, x1, y1] = this.bounds();
-    const k = Math.min(width / (x1 - x0), height / (y1 - y0), 1.6);
+    const [left, right, top, bottom] = MARGIN;
+    const w = Math.max(50, width - left - right), h = Math.max(50, height - top - bottom);
+    const k = Math.min(w / (x1 - x0), h / (y1 - y0), 1.6);
     this.fitted = true;
-    this.setView(k, width / 2 - (k * (x0 + x1)) / 2, height / 2 - (k * (y0 + y1)) / 2);
+    this.setView(k, left + w / 2 - (k * (x0 + x1)) / 2, top + h / 2 - (k * (y0 + y1)) / 2);
   }
 
   setView(k, x, y) {
