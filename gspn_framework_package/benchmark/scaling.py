@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.benchmark.plans import ring_plan, tokens_plan
 from gspn_framework_package.benchmark.processes import MachineLoad, quiet_machine
@@ -31,6 +31,14 @@ class Experiment(NamedTuple):
     plan: Callable[[int, int], Plan]
     timeout: float = 90.0
     """Seconds until a point is given up whose robots have not all fired."""
+
+    def chosen(self, quick: bool, sizes: Sequence[int]) -> Tuple[Point, ...]:
+        """The points to run: all, the quick ones, or those whose growing number is among ``sizes``, which may go
+        beyond the points that are listed."""
+        if not sizes:
+            return self.quick if quick else self.points
+        first, last = self.points[0], self.points[-1]
+        return tuple((n, first[1]) if first[0] != last[0] else (first[0], n) for n in sizes)
 
 
 def _tokens(robots: int, places: int) -> Plan:
@@ -110,17 +118,18 @@ class Result(NamedTuple):
 
 
 def run_experiment(
-    name: str, master: Master, modes: Iterable[str], quick: bool, window: float, partial: bool, tell: Tell
+    name: str, master: Master, modes: Iterable[str], points: Iterable[Point], window: float, partial: bool, tell: Tell
 ) -> List[Result]:
-    """All points of an experiment, in each mode. A point that fails is a result with a note.
+    """Points of an experiment, in each mode. A point that fails is a result with a note.
 
     :param window: seconds that each point is measured for.
     :param partial: with partial synchronisation.
     """
     experiment = EXPERIMENTS[name]
     results = []
+    points = list(points)
     for mode in modes:
-        for robots, places in experiment.quick if quick else experiment.points:
+        for robots, places in points:
             plan = experiment.plan(robots, places)
             if partial:
                 plan = replace(plan, synchronisation=Synchronisation.PARTIAL)

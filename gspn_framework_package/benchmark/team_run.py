@@ -92,7 +92,8 @@ class Master:
 
     def _answers(self) -> bool:
         try:
-            return bool(xmlrpc.client.ServerProxy(self.uri).getPid("/bench")[0] == 1)
+            answer: Any = xmlrpc.client.ServerProxy(self.uri).getPid("/bench")
+            return bool(answer[0] == 1)
         except (OSError, xmlrpc.client.Error):
             return False
 

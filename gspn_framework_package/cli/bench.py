@@ -6,6 +6,7 @@ import argparse
 import csv
 import json
 import os
+import signal
 import sys
 import time
 from typing import Any, Dict, List, Sequence
@@ -36,6 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         % ", ".join("%s (%s)" % (name, e.source) for name, e in scaling.EXPERIMENTS.items()),
     )
     parser.add_argument("--quick", action="store_true", help="a few points of each")
+    parser.add_argument("--sizes", type=_sizes, default=(), metavar="N,N,...",
+                        help="these points instead: robots, or places where places grow")  # fmt: skip
     parser.add_argument("--mode", choices=[*LAUNCH_FILES, "both"], default="process",
                         help="a process for each robot, or all hosted in one (default: %(default)s)")  # fmt: skip
     parser.add_argument("--partial", action="store_true", help="with partial synchronisation")
@@ -64,12 +67,12 @@ def run(args: argparse.Namespace) -> int:
     on_ros = [name for name in wanted if name != "standalone"]
     if on_ros:
         need_ros()
+        signal.signal(signal.SIGTERM, _terminated)  # so that the robots under way are ended in order
         modes = list(LAUNCH_FILES) if args.mode == "both" else [args.mode]
         with Master() as master:
             for name in on_ros:
-                results = scaling.run_experiment(
-                    name, master, modes, args.quick, args.window, args.partial, _tell
-                )
+                points = scaling.EXPERIMENTS[name].chosen(args.quick, args.sizes)
+                results = scaling.run_experiment(name, master, modes, points, args.window, args.partial, _tell)
                 rows += [result.row() for result in results]
                 if not args.json:
                     _print(name, rows, baseline)
@@ -94,6 +97,18 @@ def run(args: argparse.Namespace) -> int:
         print("%(experiment)s, %(robots)d robots, %(places)d places, %(mode)s: %(faults)d faults %(note)s" % row,
               file=sys.stderr)  # fmt: skip
     return 1 if failed else 0
+
+
+def _sizes(text: str) -> List[int]:
+    """Numbers with commas. :raises ValueError: not that; argparse tells it."""
+    numbers = [int(part) for part in text.split(",")]
+    if min(numbers) < 1:
+        raise ValueError(text)
+    return numbers
+
+
+def _terminated(*_: Any) -> None:
+    raise KeyboardInterrupt
 
 
 def _tell(text: str) -> None:
