@@ -1,0 +1,186 @@
+"""``gspn analyse``, ``simulate``, ``plot`` and ``check`` as one calls them."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from gspn_framework_package.benchmark.nets import kanban, philosophers
+from gspn_framework_package.cli.main import main
+from gspn_framework_package.formats import write_net
+from gspn_framework_package.model.builder import NetBuilder
+
+PLANS = Path(__file__).parents[3] / "plans"
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*words):
+        code = main([str(word) for word in words])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+@pytest.fixture
+def saved(tmp_path):
+    def save(net):
+        path = tmp_path / ("%s.pnpro" % net.name)
+        write_net(net, path)
+        return path
+
+    return save
+
+
+def test_the_json_of_a_net(run, saved):
+    code, out, err = run("analyse", saved(kanban(1)), "--json", "--servers", "single")
+    assert (code, err) == (0, "")
+    data = json.loads(out)
+    assert (data["kind"], data["places"], data["transitions"]) == ("net", 16, 16)
+    assert data["states"] == {"total": 160, "tangible": 160, "vanishing": 0, "arcs": 616}
+    assert data["bounded"] is True and set(data["bounds"].values()) == {1} and data["k_safe"] == 1
+    assert data["deadlocks"] == {"count": 0, "witness": None, "marking": None}
+    assert data["live"] is True and set(data["liveness"].values()) == {"L4"}
+    assert data["reversible"] is True and data["conservative"] is True
+    assert len(data["place_invariants"]) == 6
+    assert {"weights": {"free1": 1, "machine1": 1, "rework1": 1, "out1": 1}, "value": 1} in data["place_invariants"]
+    assert {"weights": {"fail1": 1, "back1": 1}} in data["transition_invariants"]
+    assert len(data["siphons"]) == 6 and all(s["marked"] for s in data["siphons"] + data["traps"])
+    steady = data["steady_state"]
+    assert steady["throughput"]["leave"] == pytest.approx(0.0925846346, abs=5e-11)
+    assert sum(steady["token_distribution"]["out4"].values()) == pytest.approx(1)
+    assert steady["mean_tokens"]["out4"] == pytest.approx(steady["token_distribution"]["out4"]["1"])
+    assert steady["residual"] < 1e-12
+    assert data["undecided"] == {}
+
+
+def test_questions(run, saved):
+    code, out, _ = run(
+        "analyse", saved(philosophers(4)), "--json", "--no-structure", "--at", 1, 5, "--reach", "deadlock",
+        "--reach", "eat1 + eat2 + eat3 + eat4 == 3", "--cover", "eat1=1,eat3=1", "--mean-time-to", "deadlock",
+        "--time-to-steady-state", "--reward", "eat1=2", "--reward", "put1=1",
+    )  # fmt: skip
+    data = json.loads(out)
+    assert code == 0 and "siphons" not in data
+    assert [r["reachable"] for r in data["reach"]] == [True, False]
+    assert sorted(data["reach"][0]["witness"]) == ["take_left%d" % i for i in range(1, 5)]
+    assert data["reach"][0]["marking"] == {"left%d" % i: 1 for i in range(1, 5)}
+    assert data["cover"][0]["coverable"] is True
+    (mean,) = data["mean_time_to"]
+    assert mean["mean_time"] == pytest.approx(550 / 101) and mean["probability"] == 1
+    assert [w["time"] for w in mean["within"]] == [1.0, 5.0]
+    assert [t["time"] for t in data["transient"]] == [1.0, 5.0]
+    assert data["time_to_steady_state"] > 5
+    assert data["steady_state"]["reward"] == 0
+    assert data["transient"][0]["reward"] > 0
+
+
+def test_a_plan_is_analysed_under_its_policy(run):
+    _, out, _ = run("analyse", PLANS / "measure", "--json")
+    plan = json.loads(out)
+    _, out, _ = run("analyse", PLANS / "measure", "--only-net", "--json")
+    net = json.loads(out)
+    assert (plan["kind"], net["kind"]) == ("plan", "net")
+    assert plan["left_out"] == ["P3"] and plan["bounds"]["P3"] == "infinite" and plan["bounded"] is False
+    assert plan["steady_state"]["throughput"] != net["steady_state"]["throughput"]
+    assert plan["undecided"].keys() == {"steady_state.mean_tokens.P3"}
+
+
+def test_what_is_not_decided_is_null_with_its_reason(run, saved):
+    net = (NetBuilder("growing").place("a", tokens=1).place("heap").place("free").place("end")
+           .exponential("add", inputs="a", outputs=["a", "heap"]).exponential("take", inputs={"heap": 2})
+           .immediate("x", weight=0, inputs="free", outputs="end")
+           .immediate("y", weight=0, inputs="free").build())  # fmt: skip
+    code, out, _ = run("analyse", saved(net), "--json", "--limit", 200, "--reach", "end >= 1")
+    data = json.loads(out)
+    assert code == 0 and data["bounded"] is False and data["bounds"]["heap"] == "infinite"
+    for key in ("states", "deadlocks", "liveness", "reversible", "steady_state"):
+        assert data[key] is None and data["undecided"][key]
+    assert data["reach"][0]["reachable"] is None and "reach.end >= 1" in data["undecided"]
+    assert data["dead_transitions"] == ["x", "y"] and data["live"] is False
+
+
+def test_nobody_decides(run, saved):
+    net = (NetBuilder("open").place("a", tokens=1).place("b").immediate("x", weight=0, inputs="a", outputs="b")
+           .immediate("y", weight=0, inputs="a", outputs="b").build())  # fmt: skip
+    code, out, _ = run("analyse", saved(net), "--json")
+    data = json.loads(out)
+    assert code == 0 and data["steady_state"] is None
+    assert "no weight decides between x, y" in data["undecided"]["steady_state"]
+
+
+def test_text_and_csv(run, saved, tmp_path):
+    code, out, _ = run("analyse", saved(kanban(1)), "--csv", tmp_path / "numbers.csv", "--servers", "single")
+    assert code == 0
+    assert "states: 160 (160 tangible, 0 vanishing), 616 arcs" in out
+    assert "live: yes, reversible: yes" in out
+    with (tmp_path / "numbers.csv").open(newline="") as file:
+        rows = {(row["measure"], row["name"]): row["value"] for row in csv.DictReader(file)}
+    assert float(rows["steady_state throughput", "leave"]) == pytest.approx(0.0925846346, abs=5e-11)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--reach", "nowhere > 0"], "there is no place 'nowhere'"),
+        (["--reach", "free1 >"], "was expected at the end"),
+        (["--mean-time-to", "free1"], "is a number, not a condition"),
+        (["--cover", "free1"], "NAME=NUMBER was expected"),
+        (["--cover", "free1=0.5"], "whole and not negative"),
+        (["--cover", "nowhere=1"], "there is no place 'nowhere'"),
+        (["--reward", "nowhere=1"], "there is no transition 'nowhere'"),
+        (["--at", "-1"], "at least 0"),
+        (["--limit", "0"], "limit of 0"),
+        (["--time-to-steady-state", "2"], "tolerance of 2"),
+        (["--robots", "2"], "for plans"),
+    ],
+)
+def test_wrong_usage_is_one_clear_message(run, saved, words, message):
+    code, out, err = run("analyse", saved(kanban(1)), *words)
+    assert code == 2 and out == "" and message in err and len(err.splitlines()) == 1
+
+
+def test_simulate(run, saved, tmp_path):
+    words = ["simulate", saved(kanban(1)), "--servers", "single", "--time", 200, "--warmup", 100, "--replications", 50]
+    code, out, _ = run(*words, "--json", "--seed", 4, "--csv", tmp_path / "runs.csv")
+    data = json.loads(out)
+    assert code == 0 and data["seed"] == 4 and data["replications"] == 50
+    leave = data["throughput"]["leave"]
+    assert abs(leave["mean"] - 0.0925846346) < 3 * leave["half_width"]
+    assert run(*words, "--json", "--seed", 4)[1] == out
+    assert "intervals of 95 % confidence" in run(*words)[1]
+    code, _, err = run("simulate", saved(kanban(1)))
+    assert code == 2 and "how long is a run" in err
+    code, out, _ = run("simulate", PLANS / "measure", "--until", "P3 >= 2", "--json", "--replications", 20)
+    assert json.loads(out)["reached"]["mean"] == 1.0 and json.loads(out)["time"] is None
+
+
+@pytest.mark.parametrize("words", [[], ["--what", "throughput", "--only", "Fetched"], ["--what", "distribution"],
+                                   ["--what", "passage", "--condition", "Low == 1", "--time", "5"]])  # fmt: skip
+def test_plot(run, tmp_path, words):
+    pytest.importorskip("matplotlib", reason="plots are optional")
+    code, _, err = run("plot", PLANS / "rendezvous", "-o", tmp_path / "picture.svg", "--points", 5, *words)
+    assert (code, err) == (0, "")
+    assert "<svg" in (tmp_path / "picture.svg").read_text()
+
+
+def test_plot_wrong_usage(run, tmp_path):
+    assert run("plot", PLANS / "rendezvous", "-o", tmp_path / "picture.txt")[0] == 2
+    assert run("plot", PLANS / "rendezvous", "-o", tmp_path / "a.svg", "--what", "passage")[0] == 2
+    code, _, err = run("plot", PLANS / "rendezvous", "-o", tmp_path / "a.svg", "--only", "nothing")
+    assert code == 2 and "there is no 'nothing'" in err
+
+
+def test_check(run, tmp_path):
+    code, out, _ = run("check", PLANS / "rendezvous", "--json")
+    data = json.loads(out)
+    assert code == 0 and data["accepted"] is True and data["items"][0]["check"] == "dead_after_loss"
+    code, out, _ = run("check", PLANS / "fork_join")
+    assert code == 1 and "fork_join refused" in out
+    assert run("check", PLANS / "fork_join", "--standalone")[0] == 0
+    assert run("check", PLANS / "patrol", "--robots", 2)[0] == 0
+    (tmp_path / "plan.json").write_text('{"net": ')
+    code, out, err = run("check", tmp_path)
+    assert code == 2 and out == "" and "plan.json" in err
