@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import itertools
 import time
-from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence
+from typing import TYPE_CHECKING, Any, Callable, Dict, Iterable, List, Optional, Sequence
 
 from gspn_framework_package.analysis.coverability import CoverabilityTree
 from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.invariants import invariant_bounds
-from gspn_framework_package.analysis.plan_markings import Finding, PlanMarkings
 from gspn_framework_package.analysis.plan_structure import (
     PolicyCover,
     always_leavable,
@@ -26,6 +25,9 @@ from gspn_framework_package.analysis.plan_structure import (
 from gspn_framework_package.analysis.preflight_report import CheckItem, PreflightReport, Severity
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.plan import Action, Plan
+
+if TYPE_CHECKING:  # loads SciPy, which a plan that structure decides has no need of: robots start sooner
+    from gspn_framework_package.analysis.plan_markings import Finding, PlanMarkings
 
 MARKING_LIMIT = 200_000
 """Markings that the check may visit when nothing else is said."""
@@ -438,6 +440,8 @@ class _Check:
                 self._add("never_fire", _WARNING, "%s can never fire" % _names(never), transitions=never)
 
     def _visit(self, losses: bool) -> PlanMarkings:
+        from gspn_framework_package.analysis.plan_markings import PlanMarkings
+
         return PlanMarkings(self.plan, self.limit, losses=losses, progress=self.progress, cancel=self.cancel)
 
     def _decide_conservative(self, markings: PlanMarkings) -> None:
