@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from typing import Optional
 
 from gspn_framework_package.model.errors import InputError, UsageError
 
@@ -56,6 +57,7 @@ def add_address_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted."""
+    from gspn_framework_package.formats.plan_file import PLAN_FILE
     from gspn_framework_package.visualizer.documents import Folder
     from gspn_framework_package.visualizer.project import Project
     from gspn_framework_package.visualizer.standalone_run import RUNS, StandaloneRun
@@ -63,9 +65,12 @@ def run(args: argparse.Namespace) -> int:
     if not os.path.exists(args.path):
         raise InputError("there is no such file or folder", file=args.path)
     whole = os.path.realpath(args.path)
-    alone = not os.path.isdir(whole) or os.path.isfile(os.path.join(whole, "plan.json"))
-    folder = Folder(os.path.dirname(whole) if alone else whole)
-    first = os.path.basename(whole) if alone else None
+    first: Optional[str] = None
+    if not os.path.isdir(whole):
+        whole, first = os.path.split(whole)
+    elif os.path.isfile(os.path.join(whole, PLAN_FILE)):
+        first = PLAN_FILE
+    folder = Folder(whole)
     if first is not None and not folder.kind(first):
         raise InputError("neither a net, a plan nor a recorded run", file=args.path)
     runs = args.record or os.path.join(folder.root, RUNS)

@@ -32,7 +32,7 @@ export class Labels {
     const { view } = this;
     if (!view.view || !view.nodes.length) return;
     const { k, x, y } = view.view;
-    const { width, height } = view.container.getBoundingClientRect();
+    const { left, top, width, height } = view.container.getBoundingClientRect();
     this.drawn = true;
     const grid = new Map(), lines = new Map();
     const cells = ([x0, y0, x1, y1]) => {
@@ -65,6 +65,10 @@ export class Labels {
       put([sx - w * k, sy - (h + flag) * k, sx + w * k, sy + h * k]);
     }
     if (view.arcs.length <= ARCS) this.sampleArcs(lines, view.view);
+    for (const element of view.container.parentElement.querySelectorAll(".zoom, .frame-name")) {
+      const box = element.getBoundingClientRect();
+      put([box.left - left, box.top - top, box.right - left, box.bottom - top]);
+    }
     const chosen = view.selection && view.nodeOf(view.selection);
     seen.sort((a, b) => (b[0] === chosen) - (a[0] === chosen) || (a[0].kind === "place" ? 0 : 1) - (b[0].kind === "place" ? 0 : 1));
     let drawn = 0;

@@ -9,7 +9,7 @@ import { Labels } from "./labels.js";
 
 const MARGIN = [52, 56, 42, 30]; // px left, right, above and below a net that is fitted
 const CULL = 800; // nets with more nodes draw only what is in the view
-const FAR = 0.18; // below this zoom tokens are too small to be told apart: a place with any is filled
+const FAR = 0.14; // below this zoom tokens are too small to be told apart: a place with any is filled
 const TILE = 40; // nodes that are drawn together in a large net
 const MANY = 2000; // nets with more nodes are drawn every other frame
 

@@ -1,0 +1,197 @@
+"""The page's own web server, over real sockets: streams, stalled viewers, limits; and the verbs that start it."""
+
+import http.client
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import psutil
+import pytest
+from page_client import small_net
+
+from gspn_framework_package.cli.main import main
+from gspn_framework_package.visualizer.documents import Document
+from gspn_framework_package.visualizer.project import Project
+from gspn_framework_package.visualizer.serving import WebServer
+from gspn_framework_package.visualizer.session import Session
+
+
+@pytest.fixture(name="serve")
+def _serve():
+    servers = []
+
+    def make(**options):
+        project = Project()
+        project.show(Session("small", Document("small", small_net())))
+        servers.append(WebServer(project, port=0, **options))
+        servers[-1].start()
+        return servers[-1]
+
+    yield make
+    for server in servers:
+        server.stop()
+
+
+def stream(server, since=None):
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+    headers = {"Last-Event-ID": since} if since else {}
+    connection.request("GET", "/api/stream?id=small", headers=headers)
+    return connection, connection.getresponse()
+
+
+def next_news(response):
+    while True:
+        line = response.readline()
+        assert line, "the stream has ended"
+        if line.startswith(b"data: {"):
+            found = json.loads(line[6:])
+            if found:
+                return found
+
+
+def step(server, steps=1):
+    server.project.session("small").command("step", {"steps": steps})
+
+
+def test_a_stream_gives_a_snapshot_and_then_the_events(serve):
+    server = serve()
+    _, response = stream(server)
+    first = next_news(response)
+    assert first["snapshot"]["board"]["n"] == 0
+    step(server, 3)
+    events = []
+    while len(events) < 3:
+        events += next_news(response)["events"]
+    assert [e["n"] for e in events] == [1, 2, 3]
+
+
+def test_a_stream_that_broke_goes_on_where_it_was(serve):
+    server = serve()
+    connection, response = stream(server)
+    cursor = next_news(response)["cursor"]
+    connection.close()
+    step(server, 4)
+    _, response = stream(server, since=cursor)
+    assert [e["n"] for e in next_news(response)["events"]] == [1, 2, 3, 4]
+
+
+def test_a_silent_stream_says_that_it_is_alive(serve, monkeypatch):
+    monkeypatch.setattr("gspn_framework_package.visualizer.app.PING", 0.1)
+    _, response = stream(serve())
+    next_news(response)
+    seen = b""
+    while b"event: ping" not in seen:
+        seen += response.readline()
+
+
+def test_more_streams_than_viewers_are_refused_and_freed_again(serve, monkeypatch):
+    monkeypatch.setattr("gspn_framework_package.visualizer.app.PING", 0.05)
+    server = serve(viewers=1)
+    connection, response = stream(server)
+    next_news(response)
+    _, second = stream(server)
+    assert second.status == 503
+    response.close()
+    connection.close()
+    deadline = time.monotonic() + 20
+    while stream(server)[1].status != 200:
+        assert time.monotonic() < deadline
+
+
+def test_a_stalled_viewer_grows_no_memory_and_stops_nobody(serve):
+    server = serve()
+    with socket.socket() as stalled:
+        stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        stalled.connect(("127.0.0.1", server.port))
+        stalled.sendall(b"GET /api/stream?id=small HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n\r\n" % server.port)
+        _, response = stream(server)
+        next_news(response)
+        hub = server.project.session("small").hub
+        fire = {"k": "note", "level": "info", "robot": "", "text": "x" * 400}
+        for _ in range(25_000):  # fill the ring, so that it grows no more
+            hub.publish(dict(fire))
+        process = psutil.Process()
+        before = process.memory_info().rss
+        for _ in range(40_000):
+            hub.publish(dict(fire))
+        grown = process.memory_info().rss - before
+        assert grown < 12_000_000  # 40,000 events are 20 MB and more, were they kept for the stalled viewer
+        last = 0
+        while last < 65_000:
+            news = next_news(response)
+            last = news["snapshot"]["board"]["n"] if "snapshot" in news else news["events"][-1]["n"]
+
+
+def test_many_viewers_get_every_event(serve):
+    server = serve(viewers=20)
+    results = []
+
+    def follow():
+        _, response = stream(server)
+        seen = next_news(response)["snapshot"]["board"]["n"]
+        while seen < 200:
+            for event in next_news(response)["events"]:
+                assert event["n"] == seen + 1
+                seen = event["n"]
+        results.append(seen)
+
+    threads = [threading.Thread(target=follow) for _ in range(20)]
+    for thread in threads:
+        thread.start()
+    for _ in range(20):
+        step(server, 10)
+    for thread in threads:
+        thread.join(60)
+    assert results == [200] * 20
+
+
+def test_a_host_header_is_checked_on_the_wire(serve):
+    server = serve()
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+    connection.request("GET", "/api/hello", headers={"Host": "evil.example"})
+    assert connection.getresponse().status == 421
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["serve", "nowhere"],
+        ["serve", "README.md"],
+        ["serve", "plans", "--port", "99999"],
+        ["serve", "plans", "--viewers", "0"],
+        ["serve", "plans", "--host", "203.0.113.99", "--port", "0"],
+        ["replay", "nowhere.jsonl"],
+        ["replay", "README.md"],
+        ["replay", "plans/patrol/net.xml"],
+    ],
+)
+def test_wrong_usage_is_one_message_and_exit_code_2(words, capsys):
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("gspn: error: ") and "Traceback" not in said
+
+
+def test_a_port_that_is_taken_is_told(serve, capsys):
+    assert main(["serve", "plans", "--port", str(serve().port)]) == 2
+    assert "another with --port" in capsys.readouterr().err
+
+
+def test_serve_serves_until_it_is_interrupted():
+    command = [sys.executable, "-m", "gspn_framework_package", "serve", "plans/patrol", "--port", "0"]
+    environment = {**os.environ, "PYTHONPATH": os.getcwd()}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
+        try:
+            line = process.stdout.readline()
+            port = int(line.split("127.0.0.1:")[1].split("/")[0])
+            connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+            connection.request("GET", "/api/hello")
+            assert json.load(connection.getresponse())["first"] == "file-plan.json"
+            process.send_signal(signal.SIGINT)
+            assert process.wait(15) == 0
+        finally:
+            process.kill()
