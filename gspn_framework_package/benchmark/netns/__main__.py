@@ -4,4 +4,5 @@ import sys
 
 from gspn_framework_package.benchmark.netns.main import main
 
-sys.exit(main())
+if __name__ == "__main__":  # the documents import every module
+    sys.exit(main())
