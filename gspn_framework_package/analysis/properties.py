@@ -7,7 +7,7 @@
 ...        .exponential("leave", inputs="b", outputs="end").build())
 >>> properties = Properties(explore(net))
 >>> properties.deadlocks, properties.reversible, properties.bounds["a"]
-([3], False, 1)
+([2], False, 1)
 >>> properties.liveness["go"].name, properties.liveness["leave"].name
 ('L3', 'L1')
 """
