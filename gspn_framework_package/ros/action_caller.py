@@ -202,17 +202,17 @@ class ActionCaller:
 
     def _poll_active(self, goal: _Goal, now: float) -> Optional[float]:
         assert goal.connection is not None and goal.acknowledged_by is not None
-        last = goal.connection.last_status.get(goal.acknowledged_by, goal.sent_at)
         if not goal.connection.is_connected(goal.acknowledged_by):
             # connected again within the time for a result, or else it is gone
             goal.result_by = now + self._patience.result
             return goal.result_by
-        silent_at = last + self._patience.status
-        if now >= silent_at:
-            detail = "%s has been silent for %.1f s" % (goal.target.server, now - last)
+        silence = goal.connection.silence(goal.acknowledged_by)
+        if silence >= self._patience.status:
+            detail = "%s has been silent for %.1f s" % (goal.target.server, silence)
             self._fail(goal, "server died", detail, cancel=True)
             return None
-        return min(silent_at, now + 0.5, goal.cut_off_at or silent_at)
+        look_again = now + min(0.5, self._patience.status - silence)
+        return min(look_again, goal.cut_off_at or look_again)
 
     def _poll_ended(self, goal: _Goal, now: float) -> Optional[float]:
         """No result came of a goal that has ended, or of which the server does not know."""

@@ -67,6 +67,7 @@ class ActionConnection:
         self._cancelled: Dict[str, bool] = {}
         self.last_status: Dict[str, float] = {}
         """Caller id of each server of this name -> monotonic time of its last status."""
+        self._last_status_ros: Dict[str, float] = {}
         subscribe = rospy.Subscriber
         self._goal = rospy.Publisher(server + "/goal", self._goal_type, queue_size=10)
         self._cancel = rospy.Publisher(server + "/cancel", GoalID, queue_size=10)
@@ -102,6 +103,14 @@ class ActionConnection:
             )
         )
 
+    def silence(self, caller: str) -> float:
+        """Seconds since the last status of that server. In simulated time, whose clock servers go
+        by, a simulation that is slow or halted is no silence."""
+        seconds = time.monotonic() - self.last_status[caller]
+        if not rospy.rostime.is_wallclock():
+            seconds = min(seconds, rospy.get_time() - self._last_status_ros[caller])
+        return seconds
+
     def send(self, goal_id: str, goal: Any, incarnation: int) -> None:
         """Send a goal and watch it; sending the same one again does no harm.
 
@@ -132,6 +141,7 @@ class ActionConnection:
     def _on_status(self, message: GoalStatusArray) -> None:
         caller = message._connection_header.get("callerid", "")
         first = caller not in self.last_status
+        self._last_status_ros[caller] = rospy.get_time()
         self.last_status[caller] = time.monotonic()
         watched, known = self._watched, False
         for status in message.status_list:

@@ -72,6 +72,7 @@ class ExecutionNode(Worker):
         self._running = True
         self._progress: List[int] = []
         self._attempt = 0
+        self._told_visit = 0
         self._plan_hash = plan.hash()
         self._narrator = Narrator(robot, namespace)
         self._fired = rospy.Publisher(FIRED_TOPIC, FiredTransition, queue_size=1000)
@@ -234,14 +235,10 @@ class ExecutionNode(Worker):
         if effect.publish or effect.private:
             self._fired.publish(fired_message(effect, self.plan.net, self._plan_hash, self.options.run))
         for move in effect.firing.moves:
-            if move.robot == self.robot and (effect.private or not self._was_told(move.visit)):
+            # a private move comes a second time, when it is in the agreed log
+            if move.robot == self.robot and move.visit > self._told_visit:
                 self._told_visit = move.visit
                 self._narrator.say("%s fires, %s -> %s" % (effect.firing.transition, move.source, move.target))
-
-    _told_visit = 0
-
-    def _was_told(self, visit: int) -> bool:
-        return visit <= self._told_visit
 
     def _start_action(self, command: StartAction) -> None:
         again = " again, attempt %d" % command.attempt if command.attempt > 1 else ""

@@ -61,7 +61,7 @@ class FailuresTest(RobotTestCase):
             "%s to wait in %s" % (robot.name, place),
         )
 
-    def test_every_rule(self):
+    def test_11_every_rule(self):
         places = ["retried", "fired", "timed_out", "used_up", "waits", "nonsense", "end"]
         team = self.team(
             {
@@ -134,7 +134,7 @@ class FailuresTest(RobotTestCase):
         self.assertIn("the run is over: robot_1: the action of P1 failed", team["robot_2"].said())
         self.assertEqual(team.transitions(), [])
 
-    def test_a_server_that_is_not_there_refuses_the_start(self):
+    def test_12_a_server_that_is_not_there_refuses_the_start(self):
         team = self.team(
             {
                 "net": chain(["P1", "P2"]),
@@ -148,7 +148,7 @@ class FailuresTest(RobotTestCase):
         self.assertIn("no such action server: /robot_1/nobody_serves_this", robot.said())
         self.assertNotIn("Traceback", robot.said())
 
-    def test_servers_in_a_node_of_their_own_may_die_and_come_back(self):
+    def test_12_servers_in_a_node_of_their_own_may_die_and_come_back(self):
         team = self.team(
             {
                 "net": chain(["P1", "P2", "P3"]),

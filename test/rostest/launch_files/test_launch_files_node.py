@@ -1,0 +1,77 @@
+#!/usr/bin/env python3
+"""The teams that launch files start do what the files promise."""
+
+import os
+import shutil
+import signal
+import sys
+import unittest
+import xmlrpc.client
+from collections import Counter
+
+import rosgraph
+import rospy
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
+
+from waiting import wait_for  # noqa: E402
+
+from gspn_framework_package.msg import FiredTransition  # noqa: E402
+from gspn_framework_package.srv import GetState  # noqa: E402
+
+
+class LaunchFilesTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.moves = Counter()
+        cls.subscriber = rospy.Subscriber("/fired_transitions", FiredTransition, cls.on_fired)
+
+    @classmethod
+    def tearDownClass(cls):
+        shutil.rmtree(rospy.get_param("/log_dir"), ignore_errors=True)
+
+    @classmethod
+    def on_fired(cls, message):
+        cls.moves.update((message.run, robot) for robot in message.robots)
+
+    def run_of(self, size):
+        """The run whose team has that many robots."""
+        robots = Counter(run for run, _ in list(self.moves))
+        return next((run for run, number in robots.items() if number == size), None)
+
+    def wait_for_moves(self, run, robot, number):
+        wanted = self.moves[run, robot] + number
+        wait_for(lambda: self.moves[run, robot] >= wanted, 40, "moves of %s" % robot)
+
+    def state(self, namespace):
+        rospy.wait_for_service(namespace + "/get_state", 20)
+        return rospy.ServiceProxy(namespace + "/get_state", GetState)()
+
+    def test_a_team_moves_and_a_robot_that_dies_is_started_again_and_goes_on(self):
+        run = wait_for(lambda: self.run_of(2), 40, "both robots of the team to move")
+        for robot in ("robot_1", "robot_2"):
+            self.wait_for_moves(run, robot, 3)
+        before = self.state("/team/robot_2")
+        master = rosgraph.Master("/test")
+        self.assertTrue(master.lookupNode("/team/robot_2/place_servers"))
+        node = xmlrpc.client.ServerProxy(master.lookupNode("/team/robot_2/executor"))
+        os.kill(node.getPid("/test")[2], signal.SIGKILL)
+        self.wait_for_moves(run, "robot_2", 3)
+        after = self.state("/team/robot_2")
+        self.assertEqual((before.incarnation, after.incarnation), (0, 1))
+        self.assertGreater(after.visit, before.visit)
+
+    def test_hosted_robots_move_each_in_a_namespace_of_its_own(self):
+        run = wait_for(lambda: self.run_of(3), 40, "the three hosted robots to move")
+        for number in (1, 2, 3):
+            robot = "robot_%d" % number
+            self.wait_for_moves(run, robot, 3)
+            self.assertEqual(self.state("/hosted/" + robot).robot, robot)
+
+
+if __name__ == "__main__":
+    import rostest
+
+    rospy.init_node("test_launch_files")
+    rostest.rosrun("gspn_framework_package", "launch_files", LaunchFilesTest)

@@ -1,0 +1,83 @@
+"""The private parameters of a node."""
+
+import os
+
+import pytest
+
+pytest.importorskip("rospy")
+
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.plan import Plan, RobotSpec
+from gspn_framework_package.ros.node_main import robot_of
+from gspn_framework_package.ros.options import options_from
+
+
+def test_what_is_not_given_has_its_default():
+    options = options_from({"plan": "folder", "robot": "robot_1"})
+    assert (options.run, options.robots, options.place_servers, options.server_timeout) == ("run", 0, True, 10.0)
+
+
+def test_numbers_and_names_of_yaml_are_taken_as_meant():
+    options = options_from({"plan": "folder", "run": 42, "robot": 7, "server_timeout": 3})
+    assert (options.run, options.robot, options.patience.server) == ("42", "7", 3.0)
+
+
+@pytest.mark.parametrize(
+    "given, message",
+    [
+        ({}, "no plan was given"),
+        ({"plan": "p", "plam": "q"}, "~plam: there is no such parameter .there are: plan, robot"),
+        ({"plan": "p", "robots": "three"}, "~robots: 'three' is not of type int"),
+        ({"plan": "p", "robots": True}, "~robots: True is not of type int"),
+        ({"plan": "p", "check": "no"}, "~check: 'no' is not of type bool"),
+        ({"plan": True}, "~plan: True is not of type str"),
+        ({"plan": "p", "run": "a/b"}, "~run: 'a/b' cannot be the name of a run"),
+        ({"plan": "p", "run": ".."}, "cannot be the name of a run"),
+    ],
+)
+def test_what_is_wrong_is_said(given, message):
+    with pytest.raises(UsageError, match=message):
+        options_from(given)
+
+
+def test_the_log_is_in_the_folder_of_the_run(monkeypatch):
+    monkeypatch.setenv("ROS_HOME", "/home/of/ros")
+    options = options_from({"plan": "p", "run": "monday"})
+    assert options.log_file("carol") == os.path.join("/home/of/ros", "gspn", "monday", "carol.jsonl")
+    assert options._replace(log_dir="/logs").log_file("carol") == os.path.join("/logs", "monday", "carol.jsonl")
+
+
+@pytest.fixture
+def plan():
+    net = NetBuilder().place("P1", tokens=2).build()
+    robots = (RobotSpec("carol", "P1"), RobotSpec("dave", "P1"))
+    return Plan(net, robots=robots, spawn=("P1",), witness=("judge",))
+
+
+@pytest.mark.parametrize(
+    "given, robot",
+    [
+        ({"robot": "dave"}, "dave"),
+        ({"number": 1}, "carol"),
+        ({"robots": 3, "number": 3}, "robot_3"),
+        ({"robot": "judge"}, "judge"),
+        ({"robot": "erin", "place": "P1"}, "erin"),
+    ],
+)
+def test_which_robot_is_meant(plan, given, robot):
+    assert robot_of(plan, options_from({"plan": "p", **given}))[1] == robot
+
+
+@pytest.mark.parametrize(
+    "given, message",
+    [
+        ({}, "which robot is this"),
+        ({"robot": "erin"}, "the plan has no robot 'erin'.*carol, dave"),
+        ({"number": 3}, "no robot 3 in a team of 2"),
+        ({"robots": 1, "robot": "dave"}, "no robot 'dave'"),
+    ],
+)
+def test_a_robot_that_cannot_be_meant(plan, given, message):
+    with pytest.raises(UsageError, match=message):
+        robot_of(plan, options_from({"plan": "p", **given}))
