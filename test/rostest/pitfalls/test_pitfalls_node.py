@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Where the published framework breaks, on teams of real nodes; named after docs/pitfalls.md."""
+"""Where the published framework breaks, on teams of real nodes; named after the numbers of its faults."""
 
 import os
 import signal
