@@ -1,13 +1,17 @@
 """The simulated world: a room, robots that really move in it, and their ROS interface.
 
-``room``
-    the room file: walls, obstacles, locations, waiting bays, temperature field.
-``physics``
+``room``, ``room_file``
+    walls, obstacles, locations, waiting bays, temperature field, and the file that tells them.
+``bodies``, ``physics``
     the room and the robots as PyBullet bodies with wheels and contacts.
-``grid``, ``avoidance``, ``navigation``
-    the way from a pose to a goal: global path, velocity among other robots, the navigator of one robot.
-``traffic``, ``referee``
-    the world without ROS: N robots that drive, and the one who watches the rules.
-``node``, ``move_base``, ``patrol_actions``
+``grid``, ``avoidance``, ``yielding``, ``navigation``
+    the way from a pose to a goal: global path, velocity among other robots, making room for them,
+    the navigator of one robot.
+``team``, ``patrol``, ``traffic``, ``referee``
+    the world without ROS: robots that drive, the patrol's actions, the rule of the plan, and the one
+    who watches.
+``node``, ``messages``, ``move_base``, ``base_client``, ``patrol_actions``
     the world as a ROS node, and plan actions on it.
+``camera``, ``recording``, ``film``
+    pictures of it.
 """

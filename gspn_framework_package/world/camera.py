@@ -8,10 +8,10 @@ from collections import deque
 from typing import Any, Deque, Dict, Optional, Tuple
 
 import numpy as np
-import pybullet
 from PIL import Image, ImageDraw, ImageFont
 
-from gspn_framework_package.world.physics import PALETTE, Physics, rgba
+from gspn_framework_package.world.bodies import PALETTE, rgba
+from gspn_framework_package.world.physics import Physics
 from gspn_framework_package.world.room import Point
 
 VIEWS: Dict[str, Tuple[float, float]] = {"corner": (28.0, -50.0), "top": (0.0, -89.9)}
@@ -47,8 +47,8 @@ class Camera:
         across = max(high - low for low, high in zip(bounds.low, bounds.high)) + 2 * physics.room.wall_thickness
         distance = across / 2 / math.tan(math.radians(FIELD_OF_VIEW / 2)) * (1.04 if pitch < -80 else 1.3)
         target = [middle[0], middle[1], 0.0]
-        self._view = pybullet.computeViewMatrixFromYawPitchRoll(target, distance, yaw, pitch, 0, 2)
-        self._projection = pybullet.computeProjectionMatrixFOV(FIELD_OF_VIEW, width / height, 0.5, 3 * distance)
+        self._view = self._physics.client.computeViewMatrixFromYawPitchRoll(target, distance, yaw, pitch, 0, 2)
+        self._projection = self._physics.client.computeProjectionMatrixFOV(FIELD_OF_VIEW, width / height, 0.5, 3 * distance)
         # both are stored column by column
         self._matrix = np.reshape(self._projection, (4, 4)).T @ np.reshape(self._view, (4, 4)).T
         self._font = _font(max(12, height // 42))
@@ -62,7 +62,7 @@ class Camera:
             half = [(high - low) / 2 for low, high in zip(place.area.low, place.area.high)]
             middle = [(high + low) / 2 for low, high in zip(place.area.low, place.area.high)]
             look = client.createVisualShape(
-                pybullet.GEOM_BOX,
+                self._physics.client.GEOM_BOX,
                 halfExtents=[half[0], half[1], 0.001],
                 rgbaColor=rgba(_AREA_COLOR),
                 specularColor=[0, 0, 0],
@@ -79,7 +79,7 @@ class Camera:
         rim = [[radius * math.cos(a), radius * math.sin(a), 0.0] for a in corners]
         triangles = [index for i in range(40) for index in (0, 1 + i, 1 + (i + 1) % 40)]
         look = client.createVisualShape(
-            pybullet.GEOM_MESH,
+            self._physics.client.GEOM_MESH,
             vertices=[[0.0, 0.0, 0.0], *rim],
             indices=triangles,
             normals=[[0.0, 0.0, 1.0]] * 41,
@@ -120,7 +120,7 @@ class Camera:
             lightDiffuseCoeff=0.45,
             lightSpecularCoeff=0.0,
             shadow=0,
-            renderer=pybullet.ER_TINY_RENDERER,
+            renderer=self._physics.client.ER_TINY_RENDERER,
         )
         pixels = np.reshape(np.asarray(taken[2], dtype=np.uint8), (height, width, 4))[:, :, :3].copy()
         pixels[np.reshape(np.asarray(taken[4]), (height, width)) < 0] = _SKY

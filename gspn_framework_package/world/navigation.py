@@ -21,12 +21,16 @@ import random
 from dataclasses import dataclass
 from typing import Dict, List, Optional, Sequence, Tuple
 
-import numpy as np
-
 from gspn_framework_package.world import avoidance
 from gspn_framework_package.world.avoidance import GAP, Peer, Rank, wrap
 from gspn_framework_package.world.grid import Disc, Field, Grid
 from gspn_framework_package.world.room import Point, Pose
+from gspn_framework_package.world.yielding import (
+    distance_to_path,
+    spot_at_random,
+    spot_off_the_path,
+    standing_for,
+)
 
 STUCK_AFTER = 2.5
 """Seconds without getting nearer to the goal after which a robot says that it is stuck."""
@@ -330,7 +334,7 @@ class Navigator:
             and peer.stuck
             and peer.rank < rank
             and (now is None or peer.name != now.to)
-            and _distance_to_path(peer, (pose.x, pose.y))
+            and distance_to_path(peer, (pose.x, pose.y))
             < 2 * self._grid.room.robot.radius + GAP + 0.02
         ]
         if asking:
@@ -357,81 +361,26 @@ class Navigator:
         # the way on is free once the other's path no longer crosses the next piece of it
         ahead = self._field.path((seen.pose.x, seen.pose.y), 0.5)
         apart = 2 * self._grid.room.robot.radius + GAP
-        return all(_distance_to_path(other, point) > apart for point in ahead)
+        return all(distance_to_path(other, point) > apart for point in ahead)
 
     def _make_room(self, other: Peer, seen: Observation) -> None:
         """Go to the nearest spot off the path of ``other``."""
-        grid, apart = self._grid, 2 * self._grid.room.robot.radius
-        here = (seen.pose.x, seen.pose.y)
-        blocked = [
-            (peer.pose.x, peer.pose.y, apart + 0.01)
-            for peer in seen.peers
-            if not peer.active or peer.name == other.name
-        ]
-        field = grid.field(here, blocked)
-        cost = field.costs
-        cells = np.flatnonzero(np.isfinite(cost) & (cost < 4.0))
-        if len(cells) == 0:
-            return
-        xs, ys = grid.xs[cells], grid.ys[cells]
-        good = grid.clearance[cells] > grid.room.robot.radius + 0.02
-        good &= _distances_to_path(other, xs, ys) > apart + GAP + 0.04
-        price = cost[cells].copy()
-        for peer in seen.peers:
-            away = np.hypot(xs - peer.pose.x, ys - peer.pose.y)
-            good &= (away > apart + 0.03) | (peer.active & (peer.name != other.name))
-            # a spot that someone stands in can be had, but only by making room once more
-            price += np.where(away < apart + 0.05, 1.0, 0.0)
-        if not good.any():
-            return
-        best = int(cells[good][int(np.argmin(price[good]))])
-        spot = (float(grid.xs[best]), float(grid.ys[best]))
-        self._yield = _Yield(
-            to=other.name,
-            rank=(*other.rank, 1.0, float(self._index)),
-            field=grid.field(spot, blocked),
-            spot=spot,
-            since=seen.time,
-        )
-        self.status = Status.YIELDING
+        spot = spot_off_the_path(self._grid, (seen.pose.x, seen.pose.y), other, seen.peers)
+        if spot is not None:
+            blocked = standing_for(other, seen.peers, 2 * self._grid.room.robot.radius)
+            rank = (*other.rank, 1.0, float(self._index))
+            self._step_aside(other.name, rank, spot, blocked, seen.time)
 
     def _escape(self, seen: Observation) -> None:
         """Step aside at random, the last thing that may help."""
         self._escaped = seen.time
-        grid, apart = self._grid, 2 * self._grid.room.robot.radius
-        cells = grid.cells_near((seen.pose.x, seen.pose.y), 0.7)
-        good = grid.clearance[cells] > grid.room.robot.radius + 0.02
-        for peer in seen.peers:
-            good &= (
-                np.hypot(grid.xs[cells] - peer.pose.x, grid.ys[cells] - peer.pose.y) > apart + 0.03
-            )
-        if not good.any():
-            return
-        best = int(self._random.choice(list(cells[good])))
-        spot = (float(grid.xs[best]), float(grid.ys[best]))
-        self._yield = _Yield(
-            to="", rank=self.rank, field=grid.field(spot), spot=spot, since=seen.time
-        )
+        here = (seen.pose.x, seen.pose.y)
+        spot = spot_at_random(self._grid, here, seen.peers, self._random)
+        if spot is not None:
+            self._step_aside("", self.rank, spot, (), seen.time)
+
+    def _step_aside(
+        self, to: str, rank: Rank, spot: Point, blocked: Sequence[Disc], time: float
+    ) -> None:
+        self._yield = _Yield(to, rank, self._grid.field(spot, blocked), spot, time)
         self.status = Status.YIELDING
-
-
-def _path_of(peer: Peer) -> np.ndarray:
-    return np.array([(peer.pose.x, peer.pose.y), *peer.path])
-
-
-def _distance_to_path(peer: Peer, point: Point) -> float:
-    return float(_distances_to_path(peer, np.array([point[0]]), np.array([point[1]]))[0])
-
-
-def _distances_to_path(peer: Peer, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
-    """How near the announced path of a peer comes to each point, metres."""
-    path = _path_of(peer)
-    nearest = np.hypot(xs - path[0, 0], ys - path[0, 1])
-    for (x1, y1), (x2, y2) in zip(path, path[1:]):
-        dx, dy = x2 - x1, y2 - y1
-        length = dx * dx + dy * dy
-        if length < 1e-12:
-            continue
-        part = np.clip(((xs - x1) * dx + (ys - y1) * dy) / length, 0.0, 1.0)
-        nearest = np.minimum(nearest, np.hypot(xs - x1 - part * dx, ys - y1 - part * dy))
-    return nearest

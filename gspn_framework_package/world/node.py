@@ -35,8 +35,8 @@ from tf2_msgs.msg import TFMessage
 
 from gspn_framework_package.model.errors import GspnError, InputError
 from gspn_framework_package.world import messages
+from gspn_framework_package.world.bodies import PALETTE
 from gspn_framework_package.world.move_base import MAP_FRAME, MoveBase
-from gspn_framework_package.world.physics import PALETTE
 from gspn_framework_package.world.recording import Recorder
 from gspn_framework_package.world.referee import Referee
 from gspn_framework_package.world.room import Room

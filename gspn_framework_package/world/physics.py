@@ -6,63 +6,23 @@ nothing here ever sets a pose after the start. Stepping is by a fixed time step,
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 import math
-import os
-import sys
 from dataclasses import dataclass, field
-from typing import Dict, Iterator, List, Optional, Sequence, Set, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Set, Tuple
 
-from gspn_framework_package.world.room import Box, Cylinder, Pose, Room
-
-
-@contextlib.contextmanager
-def _quiet(stream: int) -> Iterator[None]:
-    """Keep PyBullet's own chatter off standard output (1) or standard error (2), which belong to others."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    kept = os.dup(stream)
-    try:
-        with open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), stream)
-        yield
-    finally:
-        # the C library keeps its own buffer, which would come out later
-        ctypes.CDLL(None).fflush(None)
-        os.dup2(kept, stream)
-        os.close(kept)
-
-
-with _quiet(2):
-    import pybullet
-    from pybullet_utils.bullet_client import BulletClient
+from gspn_framework_package.world.bodies import (
+    BODY_BOTTOM,
+    BODY_HEIGHT,
+    PALETTE,
+    connect,
+    make_floor,
+    make_robot,
+    make_solid,
+)
+from gspn_framework_package.world.room import Pose, Room
 
 TIME_STEP = 1.0 / 120.0
 """Seconds of one physics step."""
-
-PALETTE = (
-    "#e63946",
-    "#1d78d6",
-    "#2a9d4e",
-    "#f4a100",
-    "#8e44ad",
-    "#00a6a6",
-    "#d6508f",
-    "#7a5c3e",
-)
-"""Colours of the robots, in the order of the team."""
-
-_FLOOR_COLOR = (0.86, 0.88, 0.90, 1.0)
-_BODY_HEIGHT = 0.15
-_BODY_BOTTOM = 0.012
-_SCANNER_HEIGHT = 0.172
-
-
-def rgba(color: str) -> Tuple[float, float, float, float]:
-    """``#rrggbb`` as four numbers from 0 to 1."""
-    red, green, blue = (int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
-    return (red, green, blue, 1.0)
 
 
 @dataclass
@@ -120,17 +80,17 @@ class Physics:
         self.contacts = Contacts()
         self._steps = 0
         self._touching: Set[Tuple[str, str]] = set()
-        with _quiet(1):
-            self._client = BulletClient(connection_mode=pybullet.GUI if gui else pybullet.DIRECT)
+        self._client = connect(gui)
         self._client.setGravity(0, 0, -9.81)
         self._client.setTimeStep(TIME_STEP)
-        self._floor = self._make_floor()
+        self._floor = make_floor(self._client, room)
         for solid in room.solids():
-            self._make_solid(solid)
+            make_solid(self._client, solid)
         self._bodies: Dict[str, _Body] = {}
         for index, (name, pose) in enumerate(zip(robots, starts)):
-            self._bodies[name] = _Body(self._make_robot(pose, PALETTE[index % len(PALETTE)]))
-            self._bodies[name].odometry = pose
+            color = PALETTE[index % len(PALETTE)]
+            unique_id = make_robot(self._client, room.robot, pose, color)
+            self._bodies[name] = _Body(unique_id, odometry=pose)
         self._names = {body.unique_id: name for name, body in self._bodies.items()}
         # let the bodies settle on their wheels, so that the first measured second is like the others
         for body in self._bodies.values():
@@ -144,126 +104,6 @@ class Physics:
     def close(self) -> None:
         """Give the simulation's memory back."""
         self._client.disconnect()
-
-    # ---- building ----------------------------------------------------------------------------
-
-    def _make_floor(self) -> int:
-        bounds = self.room.bounds()
-        half = [
-            (high - low) / 2 + self.room.wall_thickness
-            for low, high in zip(bounds.low, bounds.high)
-        ]
-        middle = [(high + low) / 2 for low, high in zip(bounds.low, bounds.high)]
-        extents = [half[0] + 0.3, half[1] + 0.3, 0.05]
-        look = self._client.createVisualShape(
-            pybullet.GEOM_BOX, halfExtents=extents, rgbaColor=_FLOOR_COLOR, specularColor=[0, 0, 0]
-        )
-        self._client.createMultiBody(0, -1, look, [middle[0], middle[1], -0.05])
-        # contacts with a plane cost a third of those with a box
-        shape = self._client.createCollisionShape(pybullet.GEOM_PLANE)
-        # a plane without looks of its own gets a chequered one
-        nothing = self._client.createVisualShape(pybullet.GEOM_SPHERE, radius=1e-4)
-        floor = self._client.createMultiBody(0, shape, nothing)
-        self._client.changeDynamics(floor, -1, lateralFriction=1.0)
-        return int(floor)
-
-    def _make_solid(self, solid: Cylinder | Box) -> None:
-        if isinstance(solid, Cylinder):
-            yaw = 0.0
-            shape = self._client.createCollisionShape(
-                pybullet.GEOM_CYLINDER, radius=solid.radius, height=solid.height
-            )
-            look = self._client.createVisualShape(
-                pybullet.GEOM_CYLINDER,
-                radius=solid.radius,
-                length=solid.height,
-                rgbaColor=rgba(solid.color),
-                specularColor=[0.1, 0.1, 0.1],
-            )
-        else:
-            yaw = solid.yaw
-            half = [solid.size[0] / 2, solid.size[1] / 2, solid.height / 2]
-            shape = self._client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half)
-            look = self._client.createVisualShape(
-                pybullet.GEOM_BOX, halfExtents=half, rgbaColor=rgba(solid.color)
-            )
-        self._client.createMultiBody(
-            0,
-            shape,
-            look,
-            [solid.at[0], solid.at[1], solid.height / 2],
-            pybullet.getQuaternionFromEuler([0, 0, yaw]),
-        )
-
-    def _make_robot(self, pose: Pose, color: str) -> int:
-        kind, client = self.room.robot, self._client
-        dark, light = [0.13, 0.14, 0.16, 1.0], rgba(color)
-        # the casters are part of the base, without friction, and hang a millimetre above the floor, so that the
-        # wheels carry the robot
-        ball, lift = 0.01, 0.001
-        front = kind.radius * 0.7
-        body = client.createCollisionShapeArray(
-            shapeTypes=[pybullet.GEOM_CYLINDER, pybullet.GEOM_SPHERE, pybullet.GEOM_SPHERE],
-            radii=[kind.radius, ball, ball],
-            lengths=[_BODY_HEIGHT, 0.0, 0.0],
-            halfExtents=[[0, 0, 0]] * 3,
-            collisionFramePositions=[
-                [0, 0, _BODY_BOTTOM + _BODY_HEIGHT / 2],
-                [front, 0, ball + lift],
-                [-front, 0, ball + lift],
-            ],
-        )
-        # looks: plates, a coloured ring, the scanner
-        plates = [
-            (kind.radius, 0.02, 0.022, dark),
-            (kind.radius * 0.98, 0.045, 0.06, list(light)),
-            (kind.radius, 0.012, 0.09, dark),
-            (kind.radius * 0.9, 0.03, 0.11, list(light)),
-            (kind.radius, 0.012, 0.135, list(light)),
-            (0.035, 0.035, _SCANNER_HEIGHT - 0.01, [0.05, 0.05, 0.06, 1.0]),
-        ]
-        looks = client.createVisualShapeArray(
-            shapeTypes=[pybullet.GEOM_CYLINDER] * len(plates) + [pybullet.GEOM_BOX],
-            radii=[p[0] for p in plates] + [0.0],
-            lengths=[p[1] for p in plates] + [0.0],
-            halfExtents=[[0, 0, 0]] * len(plates) + [[0.03, 0.012, 0.004]],
-            rgbaColors=[p[3] for p in plates] + [[1.0, 1.0, 1.0, 1.0]],
-            visualFramePositions=[[0, 0, p[2]] for p in plates] + [[kind.radius * 0.65, 0, 0.145]],
-        )
-        wheel = client.createCollisionShape(
-            pybullet.GEOM_CYLINDER, radius=kind.wheel_radius, height=0.018
-        )
-        wheel_look = client.createVisualShape(
-            pybullet.GEOM_CYLINDER, radius=kind.wheel_radius, length=0.018, rgbaColor=dark
-        )
-        side = kind.wheel_separation / 2
-        level = pybullet.getQuaternionFromEuler([0, 0, 0])
-        # the frame of a cylinder is along z; a wheel's is along y
-        lying = pybullet.getQuaternionFromEuler([-math.pi / 2, 0, 0])
-        unique_id = client.createMultiBody(
-            baseMass=kind.mass,
-            baseCollisionShapeIndex=body,
-            baseVisualShapeIndex=looks,
-            basePosition=[pose.x, pose.y, 0.0],
-            baseOrientation=pybullet.getQuaternionFromEuler([0, 0, pose.yaw]),
-            baseInertialFramePosition=[0, 0, 0.04],
-            linkMasses=[0.03, 0.03],
-            linkCollisionShapeIndices=[wheel, wheel],
-            linkVisualShapeIndices=[wheel_look, wheel_look],
-            linkPositions=[[0, side, kind.wheel_radius], [0, -side, kind.wheel_radius]],
-            linkOrientations=[lying, lying],
-            linkInertialFramePositions=[[0, 0, 0]] * 2,
-            linkInertialFrameOrientations=[level] * 2,
-            linkParentIndices=[0, 0],
-            linkJointTypes=[pybullet.JOINT_REVOLUTE] * 2,
-            linkJointAxis=[[0, 0, 1]] * 2,
-        )
-        for link in (0, 1):
-            client.changeDynamics(unique_id, link, lateralFriction=1.0, jointDamping=0.0)
-        client.changeDynamics(
-            unique_id, -1, lateralFriction=0.0, linearDamping=0.0, angularDamping=0.0
-        )
-        return int(unique_id)
 
     # ---- running -----------------------------------------------------------------------------
 
@@ -292,11 +132,11 @@ class Physics:
         Awake, Bullet's contacts creep by a millimetre in a few seconds.
         """
         modes = (
-            [pybullet.ACTIVATION_STATE_ENABLE_SLEEPING]
+            [self._client.ACTIVATION_STATE_ENABLE_SLEEPING]
             if body.rests
             else [
-                pybullet.ACTIVATION_STATE_WAKE_UP,
-                pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+                self._client.ACTIVATION_STATE_WAKE_UP,
+                self._client.ACTIVATION_STATE_DISABLE_SLEEPING,
             ]
         )
         for mode in modes:
@@ -306,7 +146,7 @@ class Physics:
         """Put a robot somewhere, for pictures of a recorded run; a simulation never does that."""
         body = self._bodies[robot].unique_id
         height = self._client.getBasePositionAndOrientation(body)[0][2]
-        turned = pybullet.getQuaternionFromEuler([0, 0, pose.yaw])
+        turned = self._client.getQuaternionFromEuler([0, 0, pose.yaw])
         self._client.resetBasePositionAndOrientation(body, [pose.x, pose.y, height], turned)
 
     def step(self) -> None:
@@ -338,7 +178,7 @@ class Physics:
         self._client.setJointMotorControlArray(
             body.unique_id,
             [0, 1],
-            pybullet.VELOCITY_CONTROL,
+            self._client.VELOCITY_CONTROL,
             targetVelocities=[
                 (body.speed - difference) / kind.wheel_radius,
                 (body.speed + difference) / kind.wheel_radius,
@@ -417,7 +257,7 @@ class Physics:
         # rays start outside of the robot's own body
         start = kind.radius + 0.005
         directions = [pose.yaw + math.tau * i / kind.scan_rays for i in range(kind.scan_rays)]
-        height = _BODY_BOTTOM + _BODY_HEIGHT - 0.02
+        height = BODY_BOTTOM + BODY_HEIGHT - 0.02
         cosines = [(math.cos(a), math.sin(a)) for a in directions]
         hits = self._client.rayTestBatch(
             [[pose.x + c * start, pose.y + s * start, height] for c, s in cosines],
@@ -430,6 +270,6 @@ class Physics:
         return [start + hit[2] * span if hit[0] >= 0 else math.inf for hit in hits]
 
     @property
-    def client(self) -> BulletClient:
+    def client(self) -> Any:
         """The PyBullet connection, for a camera."""
         return self._client

@@ -11,9 +11,9 @@ from PIL import Image
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.world.bodies import PALETTE, rgba
 from gspn_framework_package.world.camera import Camera
 from gspn_framework_package.world.film import Film, find_ffmpeg
-from gspn_framework_package.world.physics import PALETTE, rgba
 from gspn_framework_package.world.recording import Recorder, read_recording
 from gspn_framework_package.world.room import Pose
 from gspn_framework_package.world.room_file import parse_room

@@ -1,0 +1,194 @@
+"""What the world is made of, for PyBullet: the floor, walls and obstacles, and robots on wheels."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import math
+import os
+import sys
+from typing import Any, Iterator, Tuple
+
+from gspn_framework_package.world.room import Cylinder, Obstacle, Pose, RobotType, Room
+
+
+@contextlib.contextmanager
+def quiet(stream: int) -> Iterator[None]:
+    """Keep PyBullet's own chatter off standard output (1) or standard error (2), which belong to others."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    kept = os.dup(stream)
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), stream)
+        yield
+    finally:
+        # the C library keeps its own buffer, which would come out later
+        ctypes.CDLL(None).fflush(None)
+        os.dup2(kept, stream)
+        os.close(kept)
+
+
+with quiet(2):
+    import pybullet
+    from pybullet_utils.bullet_client import BulletClient
+
+
+def connect(gui: bool) -> BulletClient:
+    """A new, empty world of PyBullet's.
+
+    :param gui: open its window.
+    """
+    with quiet(1):
+        return BulletClient(connection_mode=pybullet.GUI if gui else pybullet.DIRECT)
+
+
+PALETTE = (
+    "#e63946",
+    "#1d78d6",
+    "#2a9d4e",
+    "#f4a100",
+    "#8e44ad",
+    "#00a6a6",
+    "#d6508f",
+    "#7a5c3e",
+)
+"""Colours of the robots, in the order of the team."""
+
+BODY_BOTTOM = 0.012
+"""Metres from the floor to a robot's body."""
+
+BODY_HEIGHT = 0.15
+"""Metres."""
+
+_FLOOR_COLOR = (0.86, 0.88, 0.90, 1.0)
+_TOP = 0.172
+
+
+def rgba(color: str) -> Tuple[float, float, float, float]:
+    """``#rrggbb`` as four numbers from 0 to 1."""
+    red, green, blue = (int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
+    return (red, green, blue, 1.0)
+
+
+def make_floor(client: Any, room: Room) -> int:
+    """The floor, a little larger than the room; its id."""
+    bounds = room.bounds()
+    half = [
+        (high - low) / 2 + room.wall_thickness
+        for low, high in zip(bounds.low, bounds.high)
+    ]
+    middle = [(high + low) / 2 for low, high in zip(bounds.low, bounds.high)]
+    extents = [half[0] + 0.3, half[1] + 0.3, 0.05]
+    look = client.createVisualShape(
+        pybullet.GEOM_BOX, halfExtents=extents, rgbaColor=_FLOOR_COLOR, specularColor=[0, 0, 0]
+    )
+    client.createMultiBody(0, -1, look, [middle[0], middle[1], -0.05])
+    # contacts with a plane cost a third of those with a box
+    shape = client.createCollisionShape(pybullet.GEOM_PLANE)
+    # a plane without looks of its own gets a chequered one
+    nothing = client.createVisualShape(pybullet.GEOM_SPHERE, radius=1e-4)
+    floor = client.createMultiBody(0, shape, nothing)
+    client.changeDynamics(floor, -1, lateralFriction=1.0)
+    return int(floor)
+
+
+def make_solid(client: Any, solid: Obstacle) -> None:
+    """A wall or an obstacle."""
+    if isinstance(solid, Cylinder):
+        yaw = 0.0
+        shape = client.createCollisionShape(
+            pybullet.GEOM_CYLINDER, radius=solid.radius, height=solid.height
+        )
+        look = client.createVisualShape(
+            pybullet.GEOM_CYLINDER,
+            radius=solid.radius,
+            length=solid.height,
+            rgbaColor=rgba(solid.color),
+            specularColor=[0.1, 0.1, 0.1],
+        )
+    else:
+        yaw = solid.yaw
+        half = [solid.size[0] / 2, solid.size[1] / 2, solid.height / 2]
+        shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half)
+        look = client.createVisualShape(
+            pybullet.GEOM_BOX, halfExtents=half, rgbaColor=rgba(solid.color)
+        )
+    client.createMultiBody(
+        0,
+        shape,
+        look,
+        [solid.at[0], solid.at[1], solid.height / 2],
+        pybullet.getQuaternionFromEuler([0, 0, yaw]),
+    )
+
+
+def make_robot(client: Any, kind: RobotType, pose: Pose, color: str) -> int:
+    """A robot: a disc on two wheels (joints 0, left, and 1, right) and two casters; its id."""
+    dark, light = [0.13, 0.14, 0.16, 1.0], rgba(color)
+    # the casters are part of the base, without friction, and hang a millimetre above the floor, so that the
+    # wheels carry the robot
+    ball, lift = 0.01, 0.001
+    front = kind.radius * 0.7
+    body = client.createCollisionShapeArray(
+        shapeTypes=[pybullet.GEOM_CYLINDER, pybullet.GEOM_SPHERE, pybullet.GEOM_SPHERE],
+        radii=[kind.radius, ball, ball],
+        lengths=[BODY_HEIGHT, 0.0, 0.0],
+        halfExtents=[[0, 0, 0]] * 3,
+        collisionFramePositions=[
+            [0, 0, BODY_BOTTOM + BODY_HEIGHT / 2],
+            [front, 0, ball + lift],
+            [-front, 0, ball + lift],
+        ],
+    )
+    # looks: plates, a coloured ring, the scanner
+    plates = [
+        (kind.radius, 0.02, 0.022, dark),
+        (kind.radius * 0.98, 0.045, 0.06, list(light)),
+        (kind.radius, 0.012, 0.09, dark),
+        (kind.radius * 0.9, 0.03, 0.11, list(light)),
+        (kind.radius, 0.012, 0.135, list(light)),
+        (0.035, 0.035, _TOP - 0.01, [0.05, 0.05, 0.06, 1.0]),
+    ]
+    looks = client.createVisualShapeArray(
+        shapeTypes=[pybullet.GEOM_CYLINDER] * len(plates) + [pybullet.GEOM_BOX],
+        radii=[p[0] for p in plates] + [0.0],
+        lengths=[p[1] for p in plates] + [0.0],
+        halfExtents=[[0, 0, 0]] * len(plates) + [[0.03, 0.012, 0.004]],
+        rgbaColors=[p[3] for p in plates] + [[1.0, 1.0, 1.0, 1.0]],
+        visualFramePositions=[[0, 0, p[2]] for p in plates] + [[kind.radius * 0.65, 0, 0.145]],
+    )
+    wheel = client.createCollisionShape(
+        pybullet.GEOM_CYLINDER, radius=kind.wheel_radius, height=0.018
+    )
+    wheel_look = client.createVisualShape(
+        pybullet.GEOM_CYLINDER, radius=kind.wheel_radius, length=0.018, rgbaColor=dark
+    )
+    side = kind.wheel_separation / 2
+    level = pybullet.getQuaternionFromEuler([0, 0, 0])
+    # the frame of a cylinder is along z; a wheel's is along y
+    lying = pybullet.getQuaternionFromEuler([-math.pi / 2, 0, 0])
+    unique_id = client.createMultiBody(
+        baseMass=kind.mass,
+        baseCollisionShapeIndex=body,
+        baseVisualShapeIndex=looks,
+        basePosition=[pose.x, pose.y, 0.0],
+        baseOrientation=pybullet.getQuaternionFromEuler([0, 0, pose.yaw]),
+        baseInertialFramePosition=[0, 0, 0.04],
+        linkMasses=[0.03, 0.03],
+        linkCollisionShapeIndices=[wheel, wheel],
+        linkVisualShapeIndices=[wheel_look, wheel_look],
+        linkPositions=[[0, side, kind.wheel_radius], [0, -side, kind.wheel_radius]],
+        linkOrientations=[lying, lying],
+        linkInertialFramePositions=[[0, 0, 0]] * 2,
+        linkInertialFrameOrientations=[level] * 2,
+        linkParentIndices=[0, 0],
+        linkJointTypes=[pybullet.JOINT_REVOLUTE] * 2,
+        linkJointAxis=[[0, 0, 1]] * 2,
+    )
+    for link in (0, 1):
+        client.changeDynamics(unique_id, link, lateralFriction=1.0, jointDamping=0.0)
+    client.changeDynamics(
+        unique_id, -1, lateralFriction=0.0, linearDamping=0.0, angularDamping=0.0
+    )
+    return int(unique_id)

@@ -1,0 +1,79 @@
+"""Where to step aside: the spots that the navigator looks for when it makes room for another robot."""
+
+from __future__ import annotations
+
+import random
+from typing import Optional, Sequence
+
+import numpy as np
+
+from gspn_framework_package.world.avoidance import GAP, Peer
+from gspn_framework_package.world.grid import Disc, Grid
+from gspn_framework_package.world.room import Point
+
+FARTHEST = 4.0
+"""Metres of (weighted) way that a robot goes to make room."""
+
+
+def standing_for(other: Peer, peers: Sequence[Peer], apart: float) -> Sequence[Disc]:
+    """What is in the way of a robot that makes room for ``other``: it, and all that stand."""
+    return [
+        (peer.pose.x, peer.pose.y, apart + 0.01)
+        for peer in peers
+        if not peer.active or peer.name == other.name
+    ]
+
+
+def spot_off_the_path(grid: Grid, here: Point, other: Peer, peers: Sequence[Peer]) -> Optional[Point]:
+    """The nearest spot that is off the path which ``other`` announces; None if there is none.
+
+    :param peers: all other robots, ``other`` among them.
+    """
+    apart = 2 * grid.room.robot.radius
+    cost = grid.field(here, standing_for(other, peers, apart)).costs
+    cells = np.flatnonzero(np.isfinite(cost) & (cost < FARTHEST))
+    xs, ys = grid.xs[cells], grid.ys[cells]
+    good = grid.clearance[cells] > grid.room.robot.radius + 0.02
+    good &= distances_to_path(other, xs, ys) > apart + GAP + 0.04
+    price = cost[cells].copy()
+    for peer in peers:
+        away = np.hypot(xs - peer.pose.x, ys - peer.pose.y)
+        good &= (away > apart + 0.03) | (peer.active and peer.name != other.name)
+        # a spot that someone stands in can be had, but only by making room once more
+        price += np.where(away < apart + 0.05, 1.0, 0.0)
+    if not good.any():
+        return None
+    best = int(cells[good][int(np.argmin(price[good]))])
+    return (float(grid.xs[best]), float(grid.ys[best]))
+
+
+def spot_at_random(grid: Grid, here: Point, peers: Sequence[Peer], source: random.Random) -> Optional[Point]:
+    """Some free spot close by; None if there is none."""
+    apart = 2 * grid.room.robot.radius
+    cells = grid.cells_near(here, 0.7)
+    good = grid.clearance[cells] > grid.room.robot.radius + 0.02
+    for peer in peers:
+        good &= np.hypot(grid.xs[cells] - peer.pose.x, grid.ys[cells] - peer.pose.y) > apart + 0.03
+    if not good.any():
+        return None
+    best = int(source.choice(list(cells[good])))
+    return (float(grid.xs[best]), float(grid.ys[best]))
+
+
+def distance_to_path(peer: Peer, point: Point) -> float:
+    """How near the announced path of a peer comes to a point, metres."""
+    return float(distances_to_path(peer, np.array([point[0]]), np.array([point[1]]))[0])
+
+
+def distances_to_path(peer: Peer, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
+    """How near the announced path of a peer comes to each point, metres."""
+    path = np.array([(peer.pose.x, peer.pose.y), *peer.path])
+    nearest = np.hypot(xs - path[0, 0], ys - path[0, 1])
+    for (x1, y1), (x2, y2) in zip(path, path[1:]):
+        dx, dy = x2 - x1, y2 - y1
+        length = dx * dx + dy * dy
+        if length < 1e-12:
+            continue
+        part = np.clip(((xs - x1) * dx + (ys - y1) * dy) / length, 0.0, 1.0)
+        nearest = np.minimum(nearest, np.hypot(xs - x1 - part * dx, ys - y1 - part * dy))
+    return nearest
