@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gspn_framework_package.model.errors import InputError
@@ -87,6 +87,7 @@ def test_a_file_that_is_not_there_is_an_input_error():
 coordinate = st.floats(-3, 3)
 
 
+@settings(deadline=None)
 @given(coordinate, coordinate, st.floats(-math.pi, math.pi), coordinate, coordinate)
 def test_a_turned_box_is_as_far_as_the_unturned_one_seen_from_its_frame(x, y, yaw, px, py):
     turned = Box((x, y), (0.8, 0.3), yaw)
@@ -99,6 +100,7 @@ def test_a_turned_box_is_as_far_as_the_unturned_one_seen_from_its_frame(x, y, ya
     assert turned.distance(px, py) == pytest.approx(plain.distance(*local), abs=1e-9)
 
 
+@settings(deadline=None)
 @given(coordinate, coordinate)
 def test_the_distance_to_a_box_is_that_to_its_nearest_point(px, py):
     box, area = Box((0.5, 0.0), (1.0, 2.0)), Area((0.0, -1.0), (1.0, 1.0))
