@@ -32,7 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check the logs and print the verdict."""
-    logs = [read_log(path) for path in _files(args.logs)]
+    files = _files(args.logs)
+    sizes = [os.path.getsize(path) if os.path.exists(path) else None for path in files]
+    logs = [read_log(path, size) for path, size in zip(files, sizes)]
     verdict = verify(logs, settled=args.settled, complete=not args.incomplete)
     if args.json:
         print(json.dumps(verdict.to_json(), indent=2))

@@ -205,11 +205,13 @@ class EventLog:
         return str(self.header["robot"])
 
 
-def read_log(path: str) -> EventLog:
+def read_log(path: str, size: Optional[int] = None) -> EventLog:
     """Read a log.
 
     A last line that was cut is dropped (``EventLog.cut``).
 
+    :param size: read that many bytes only: logs that are still being written are read as they were
+        at one moment.
     :raises LogError: it cannot be read, is not a log of a version that is known, or has a line that
         is not a record; the message says which.
     """
@@ -219,7 +221,11 @@ def read_log(path: str) -> EventLog:
             first = file.readline()
             cut = not first.endswith(b"\n")
             head = _header(first, path)
+            left = (size if size is not None else os.path.getsize(path)) - len(first)
             for number, line in enumerate(file, 2):
+                left -= len(line)
+                if left < 0 and size is not None:
+                    break
                 if not line.endswith(b"\n"):
                     cut = True
                     break

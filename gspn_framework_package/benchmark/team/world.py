@@ -210,6 +210,8 @@ class World:
         self.now = 0.0
         self.steps = 0
         self.messages = 0
+        self.protocol_messages = 0
+        """Messages but ``hello``."""
         self.acting = True
         self.mishaps = True
         """Some actions fail, or come back with nonsense."""
@@ -249,6 +251,8 @@ class World:
         if message is not self._last[0]:
             self._last = (message, json.dumps(message))
         text = self._last[1]
+        if message["kind"] != "hello":
+            self.protocol_messages += 1 if to else len(self.nodes) - 1
         call = self.partial and message["kind"] in io.SERVICE_OF_MESSAGE
         for name in [to] if to else [n for n in self.nodes if n != sender]:
             if name not in self.nodes:
@@ -264,6 +268,7 @@ class World:
         caller, life = self._calls.pop(effect.request_id, ("", 0))
         if not caller or not effect.message or self.nodes[caller].life != life:
             return
+        self.protocol_messages += 1
         self._carry(sender, caller, json.dumps(effect.message), "")
 
     def _carry(self, sender: str, to: str, text: str, request: str) -> None:

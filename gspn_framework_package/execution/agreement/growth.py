@@ -9,7 +9,7 @@ from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement.core import Core
 from gspn_framework_package.execution.agreement.pool import Own, Pool
-from gspn_framework_package.execution.agreement.quorum import Ballot
+from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.firing import (
     Ended,
@@ -32,18 +32,20 @@ class Growth(Core):
     def decided(self, batch: List[Any], ballot: Ballot, *, mine: bool) -> None:
         """The batch is chosen in the open slot; ``mine``: by our own attempt."""
         slot = self.ledger.length
+        electorate = self.electorate()
         self._commit(batch, ballot, mine=mine)
         if mine and self.halted is None:
-            self._tell_chosen(slot, ballot, {origin[0] for _, origin, _ in batch})
+            self._tell_chosen(slot, ballot, {origin[0] for _, origin, _ in batch}, electorate)
 
-    def _tell_chosen(self, slot: int, ballot: Ballot, origins: Set[str]) -> None:
+    def _tell_chosen(self, slot: int, ballot: Ballot, origins: Set[str], electorate: List[str]) -> None:
         """Tell the others, unless what comes next tells it too."""
         if not self.partial:
             self.consensus.propose(self._now)
             attempt = self.consensus.attempt
             if attempt is not None and attempt.ballot == ballot:
                 return
-        told = [m for m in self._all_others() if self.partial or m not in origins]
+        voted = not self.partial and not is_quorum([self.name], electorate)  # so the others saw the batch
+        told = [m for m in self._all_others() if not (voted and m in origins)]
         self.send_all(told, {"kind": "learn", "slot": slot, "ballot": list(ballot)})
 
     def _commit(self, batch: List[Any], ballot: Ballot, *, mine: bool) -> None:
