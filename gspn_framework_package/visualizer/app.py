@@ -46,7 +46,6 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     :param viewers: how many streams are served at once; who comes later polls.
     """
     app = flask.Flask(__name__, static_url_path="/static")
-    app.config["MAX_CONTENT_LENGTH"] = UPLOAD_BYTES
     app.config["SEND_FILE_MAX_AGE_DEFAULT"] = 0
     jobs = AnalysisJobs()
     streams = threading.BoundedSemaphore(viewers)

@@ -9,7 +9,7 @@ from typing import Any, Optional, Sequence
 import waitress
 
 from gspn_framework_package.model.errors import InputError
-from gspn_framework_package.visualizer.app import create_app
+from gspn_framework_package.visualizer.app import UPLOAD_BYTES, create_app
 from gspn_framework_package.visualizer.guard import Guard, is_loopback
 from gspn_framework_package.visualizer.project import Project
 
@@ -51,6 +51,7 @@ class WebServer:
                 port=port,
                 threads=viewers + THREADS_BESIDE_VIEWERS,
                 outbuf_high_watermark=OUTPUT_BYTES,
+                max_request_body_size=UPLOAD_BYTES + 1,  # before it is kept on the disk
                 connection_limit=200,
                 channel_timeout=60,
                 ident="gspn",

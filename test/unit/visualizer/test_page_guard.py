@@ -48,8 +48,9 @@ def test_a_post_from_another_page_changes_nothing(client, headers):
 
 
 def test_a_form_cannot_command(client):
-    answer = client.post("/api/do?id=small", data="command=step", Content_Type="text/plain")
-    assert answer.status_code == 400
+    for kind in ("text/plain", "application/x-www-form-urlencoded"):
+        answer = client.post("/api/do?id=small", {"command": "step"}, Content_Type=kind)
+        assert answer.status_code == 400
     assert client.board()["n"] == 0
 
 

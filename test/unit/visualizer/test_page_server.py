@@ -157,6 +157,14 @@ def test_a_host_header_is_checked_on_the_wire(serve):
     assert connection.getresponse().status == 421
 
 
+def test_a_request_that_is_too_large_is_not_even_received(serve):
+    server = serve()
+    with socket.create_connection(("127.0.0.1", server.port), 20) as client:
+        head = "POST /api/upload HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nContent-Length: 900000000\r\n\r\n"
+        client.sendall((head % server.port).encode())
+        assert b" 413 " in client.recv(200)
+
+
 @pytest.mark.parametrize(
     "words",
     [
