@@ -3,6 +3,7 @@ robot's actions on the other (thesis 4.3, Algorithm 1)."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import queue
@@ -186,12 +187,12 @@ class ExecutionNode(Worker):
         self._running = False
 
     def _close(self) -> None:
-        self._caller.close()
-        self._link.close()
-        self._services.close()
+        parts: List[Any] = [self._caller, self._link, self._services, self._log]
+        for part in parts:
+            with contextlib.suppress(rospy.ROSException, rospy.ServiceException):  # rospy has closed it before us
+                part.close()
         if self._servers is not None:
             self._servers.stop()
-        self._log.close()
 
     def _step(self, given: agreement.Input) -> None:
         self._carry_out(self._replica.step(given, time.monotonic()))

@@ -137,7 +137,7 @@ def _node(name: str, body: Callable[[NodeOptions, threading.Event], int]) -> int
         signals.append(number)
         ending.set()
 
-    def on_shutdown(reason: str) -> None:
+    def on_shutdown() -> None:
         # rosnode kill: rospy closes its topics after this, so that a goal must be cancelled now
         ending.set()
         ended.wait(2.0)
@@ -147,7 +147,7 @@ def _node(name: str, body: Callable[[NodeOptions, threading.Event], int]) -> int
     try:
         rospy.init_node(name, disable_signals=True)
         publish_log_lines_on_a_thread()
-        rospy.core.add_preshutdown_hook(on_shutdown)
+        rospy.on_shutdown(on_shutdown)
         code = body(read_options(), ending)
     except GspnError as error:
         rospy.logfatal("%s", error)

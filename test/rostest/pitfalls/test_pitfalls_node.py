@@ -196,7 +196,7 @@ class PitfallsTest(RobotTestCase):
         self.assertLessEqual(after[1], before[1] + 5)
 
     def test_22_the_end_of_an_executor_cancels_its_goal(self):
-        for how in (signal.SIGTERM, signal.SIGKILL):
+        for how in (signal.SIGTERM, signal.SIGKILL, "rosnode kill"):
             team = self.team(
                 {"net": chain(["P1", "P2"]),
                  "actions": {"P1": "actions.until_cancelled", "P2": None},
@@ -214,7 +214,12 @@ class PitfallsTest(RobotTestCase):
             robot = team.start()["robot_1"]
             wait_for(lambda: robot.state().state == "Doing" and not robot.status()["waits_for"],  # noqa: B023
                      20, "the goal to be taken")  # fmt: skip
-            robot.signal(how)
+            if how == "rosnode kill":
+                subprocess.check_call(["rosnode", "kill", "/robot_1/executor"], stdout=subprocess.DEVNULL)
+                self.assertEqual(robot.exit_code(10), 0)
+                self.assertNotIn("Traceback", robot.said())
+            else:
+                robot.signal(how)
             seen = os.path.join(team.plan, "actions.py.cancelled")
             wait_for(lambda: os.path.exists(seen) and open(seen).read() == "cancelled\n",  # noqa: B023, SIM115
                      10, "the action to be cancelled")  # fmt: skip
