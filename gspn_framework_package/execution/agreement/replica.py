@@ -195,8 +195,8 @@ class Replica(Pacing):
         attempt = self.consensus.attempt
         if attempt is not None and attempt.tries > 1:
             return "waits for an answer of %s" % ", ".join(self.consensus.missing())
-        if self._wants() and not self.has_quorum():
-            return "waits for a quorum; silent: %s" % ", ".join(self._silent())
+        if not self.has_quorum():
+            return "has no quorum; silent: %s" % ", ".join(self._silent())
         return ""
 
     def status(self) -> Dict[str, Any]:

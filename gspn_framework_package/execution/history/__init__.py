@@ -106,7 +106,7 @@ class _Check:
         invoked: Dict[Any, float] = {}
         newest = {log.robot: i for i, log in enumerate(self.logs)}
         for i, log in enumerate(self.logs):
-            check = RobotCheck(log, merged, facts, situations, i, plan, ended_at)
+            check = RobotCheck(log, merged, facts, situations, i, plan, ended_at, newest[log.robot] != i)
             check.check()
             invoked.update(check.invoked)
             last = self.settled and newest[log.robot] == i and replay.ended is None

@@ -75,6 +75,8 @@ class RobotCheck:
 
     :param situations: for each slot where every robot is after it.
     :param ended_at: the slot in which the run ended, None if it did not.
+    :param lost: the robot lost this log and kept another one later: private moves that only it knew
+        may be void.
     """
 
     def __init__(
@@ -86,6 +88,7 @@ class RobotCheck:
         number: int,
         plan: Plan,
         ended_at: Optional[int],
+        lost: bool,
     ) -> None:
         self.log = log
         self.robot = log.robot
@@ -95,6 +98,7 @@ class RobotCheck:
         self.number = number
         self.plan = plan
         self._ended_at = ended_at
+        self._lost = lost
         self._jumped = False
         self.invoked: Dict[Origin, float] = {}
         self.open: List[Origin] = []
@@ -231,6 +235,8 @@ class RobotCheck:
         gone = ("lost", "left")
         if origin in self._void or (before and before.phase in gone) or (after and after.phase in gone):
             return  # it came into the log after the robot was lost: void
+        if self._lost:
+            return
         mine = record["firing"]
         what = ("robot", "visit", "transition")
         if any(all(firing[k] == mine[k] for k in what) for firing in self.merged.slots[slot]["firings"]):
