@@ -143,18 +143,21 @@ def _run_point(
 ) -> Result:
     robots = len(plan.robots)
     servers = robots * sum(1 for action in plan.actions.values() if action is not None)
-    measured, faults, note = None, 0, ""
+    measured, note = None, ""
+    faults: List[str] = []
     try:
         with TeamRun(master, plan, mode) as run:
             try:
                 measured = run.measure(window, timeout)
             finally:
-                faults = len(run.faults())
+                faults = run.faults()
         if measured.all_fired is None:
             note = "not all robots fired within %g s" % timeout
     except ExecutionError as error:
         note = error.message
-    return Result(name, mode, robots, places, servers, measured, faults, note)
+    if faults:
+        note = (note + "; first fault: " if note else "first fault: ") + faults[0][:300]
+    return Result(name, mode, robots, places, servers, measured, len(faults), note)
 
 
 def standalone_results(quick: bool, seconds: float, tell: Tell) -> List[Dict[str, Any]]:

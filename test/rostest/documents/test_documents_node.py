@@ -37,7 +37,9 @@ class Documents(unittest.TestCase):
             return "/robot_3/activity" in topics and "/fired_transitions" in topics
 
         wait_for(fired, 60, "the team")
-        shown = subprocess.run(["rostopic", "echo", "-n", "1", "/fired_transitions"], stdout=subprocess.DEVNULL, timeout=60)
+        shown = subprocess.run(
+            ["rostopic", "echo", "-n", "1", "/fired_transitions"], stdout=subprocess.DEVNULL, timeout=60
+        )
         assert shown.returncode == 0
 
     def commands(self, *starts):
@@ -82,7 +84,7 @@ class Documents(unittest.TestCase):
     def run_to_the_end(self, line):
         ended = subprocess.run(
             ["bash", "-c", line], cwd=str(ROOT), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT, universal_newlines=True, timeout=60,
+            stderr=subprocess.STDOUT, text=True, timeout=60,
         )  # fmt: skip
         self.assertEqual(ended.returncode, 0, "%s\n%s" % (line, ended.stdout))
         return ended.stdout
