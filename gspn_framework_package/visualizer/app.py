@@ -49,7 +49,8 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     app.config["SEND_FILE_MAX_AGE_DEFAULT"] = 0
     jobs = AnalysisJobs()
     streams = threading.BoundedSemaphore(viewers)
-    app.extensions["gspn_jobs"] = jobs
+    closing = threading.Event()
+    app.extensions.update(gspn_jobs=jobs, gspn_closing=closing)
 
     @app.before_request
     def check() -> Optional[Answer]:
@@ -164,7 +165,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         if not streams.acquire(blocking=False):
             return {"error": "%d viewers are served already; this one polls" % viewers}, 503
         cursor = Cursor.parse(request.headers.get("Last-Event-ID") or request.args.get("since"))
-        response = Response(_Stream(hub, cursor, streams), mimetype="text/event-stream")
+        response = Response(_Stream(hub, cursor, streams, closing), mimetype="text/event-stream")
         response.headers["X-Accel-Buffering"] = "no"
         return response
 
@@ -217,15 +218,20 @@ class _Stream:
     its own thread and nothing else."""
 
     def __init__(
-        self, hub: Hub, cursor: Optional[Cursor], streams: threading.BoundedSemaphore
+        self,
+        hub: Hub,
+        cursor: Optional[Cursor],
+        streams: threading.BoundedSemaphore,
+        closing: threading.Event,
     ) -> None:
         self._hub, self._cursor, self._streams = hub, cursor, streams
+        self._closing = closing
         self._messages = self._run()
         self._open = True
 
     def _run(self) -> Iterator[bytes]:
         yield b"retry: 1000\n\n"
-        while True:
+        while not self._closing.is_set():
             if not self._hub.wait(self._cursor, PING):
                 yield b"event: ping\ndata: {}\n\n"
                 continue

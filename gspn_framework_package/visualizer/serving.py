@@ -44,6 +44,7 @@ class WebServer:
         logging.getLogger("waitress.queue").setLevel(logging.ERROR)
         self.project = project
         self._app: Any = None
+        self._stopped = False
         try:
             self._server = waitress.create_server(
                 self._call,
@@ -85,15 +86,21 @@ class WebServer:
 
     def run(self) -> None:
         """Serve until interrupted, in this thread."""
-        self._server.run()
+        try:
+            self._server.run()
+        except OSError:
+            if not self._stopped:  # its sockets were closed under it, on another thread
+                raise
 
     def start(self) -> None:
         """Serve in a thread."""
-        self._thread = threading.Thread(target=self._server.run, name="web", daemon=True)
+        self._thread = threading.Thread(target=self.run, name="web", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
         """Stop serving, and end what the project runs."""
+        self._stopped = True
+        self._app.extensions["gspn_closing"].set()
         self._server.close()
         self._app.extensions["gspn_jobs"].close()
         self.project.close()
