@@ -88,7 +88,7 @@ class ExecutionNode(Worker):
             robot,
             targets,
             plan.timeout,
-            self._enqueue,
+            self.enqueue,
             self._action_ended,
             self._action_progress,
             options.patience,
@@ -126,7 +126,7 @@ class ExecutionNode(Worker):
 
     def stop(self) -> None:
         """End soon, without leaving the team: the action under way is cancelled."""
-        self._enqueue(self._end)
+        self.enqueue(self._end)
 
     def is_running(self) -> bool:
         """Whether the node was started and has not ended."""
@@ -137,17 +137,18 @@ class ExecutionNode(Worker):
         if self._thread.ident is not None:
             self._thread.join(timeout)
 
-    def _enqueue(self, function: Callable[..., Any], *arguments: Any) -> None:
+    def enqueue(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """See :class:`Worker`."""
         self._tasks.put((function, arguments))
 
     def ask(self, question: Callable[[], Any], timeout: float) -> Any:
         """See :class:`Worker`."""
         answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._enqueue(lambda: answers.put(question()))
+        self.enqueue(lambda: answers.put(question()))
         return answers.get(timeout=timeout)
 
     def _received(self, message: agreement.Message) -> None:
-        self._enqueue(self._step, agreement.Received(message))
+        self.enqueue(self._step, agreement.Received(message))
 
     # -- the worker --------------------------------------------------------------------------------
 

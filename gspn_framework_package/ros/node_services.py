@@ -50,6 +50,10 @@ class Worker:
 
     robot: str
 
+    def enqueue(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """Have the worker thread call ``function(*arguments)`` soon."""
+        raise NotImplementedError
+
     def ask(self, question: Callable[[], Any], timeout: float) -> Any:
         """The answer of ``question()``, called on the worker thread. :raises queue.Empty: late."""
         raise NotImplementedError
@@ -173,8 +177,8 @@ class NodeServices:
         if message is None:
             return ""
         answers: queue.SimpleQueue[Message] = queue.SimpleQueue()
+        self._worker.enqueue(self._worker.request, message, answers.put)
         try:
-            self._worker.ask(lambda: self._worker.request(message, answers.put), ANSWER_TIME)
             answer = answers.get(timeout=ANSWER_TIME)
         except queue.Empty:
             raise rospy.ServiceException("no answer in time") from None
@@ -182,8 +186,8 @@ class NodeServices:
 
     def _order(self, entry: Optional[log.Entry], force_evict: str = "") -> Any:
         results: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._worker.enqueue(self._worker.order, entry, force_evict, results.put)
         try:
-            self._worker.ask(lambda: self._worker.order(entry, force_evict, results.put), ANSWER_TIME)
             result = results.get(timeout=ORDER_TIME)
         except queue.Empty:
             text = "not in the log after %g s; it may still get there (see status)" % ORDER_TIME

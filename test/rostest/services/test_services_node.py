@@ -1,6 +1,8 @@
 #!/usr/bin/env python3
 """Services called by hand, and the operator's verbs, on a team of two nodes."""
 
+import contextlib
+import io
 import json
 import os
 import signal
@@ -15,6 +17,7 @@ sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 from robots import ROOT, Robot, RobotTestCase, chain  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
+from gspn_framework_package.cli.main import main  # noqa: E402
 from gspn_framework_package.srv import GetPlace, GetState, SetPlace  # noqa: E402
 
 ACTIONS = """
@@ -30,16 +33,11 @@ def fails(attempt):
 
 
 def gspn(*words):
-    """The command line: (exit code, output)."""
-    done = subprocess.run(
-        [sys.executable, "-m", "gspn_framework_package", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        cwd=ROOT,
-        timeout=60,
-    )
-    return done.returncode, done.stdout
+    """The command line, in this process: (exit code, output)."""
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+        code = main(words)
+    return code, output.getvalue()
 
 
 class ServicesTest(RobotTestCase):
@@ -88,8 +86,8 @@ class ServicesTest(RobotTestCase):
         team = self.start()
         robot_1, robot_2 = team["robot_1"], team["robot_2"]
 
-        code, output = gspn("status")
-        self.assertEqual(code, 0, output)
+        program = [sys.executable, "-m", "gspn_framework_package", "status"]
+        output = subprocess.check_output(program, text=True, cwd=ROOT, timeout=60)
         self.assertRegex(output, r"robot_1 +A +Doing +1 ")
         code, output = gspn("status", "--json")
         self.assertEqual(json.loads(output)["/robot_2"]["robot"], "robot_2")
