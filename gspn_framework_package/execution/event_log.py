@@ -38,6 +38,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import platform
 import time
 from typing import Any, BinaryIO, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
@@ -63,7 +64,8 @@ def header(plan: Plan, run: str, robot: str, log_id: str, *, agents: bool = Fals
     :param log_id: unlike that of any other log, e.g. a random hex string: it tells a robot that
         comes back with its memory from one that lost it.
     :param agents: standalone execution, where transitions may create and destroy tokens.
-    :param host: of which host the monotonic clock is; times of different hosts are not compared.
+    :param host: of which boot of which host the monotonic clock is (the writer fills it in): times of
+        different ones are not compared.
     """
     return {
         "kind": "header",
@@ -120,7 +122,7 @@ class EventLogWriter:
         except OSError as error:
             raise LogError("cannot be written (%s)" % error.strerror, file=path) from None
         if known is None:
-            self.append(first)
+            self.append({**first, "host": first.get("host") or _host()})
 
     def append(self, *records: Record) -> None:
         """Write the records, each with the time of now."""
@@ -138,6 +140,15 @@ class EventLogWriter:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def _host() -> str:
+    """Which monotonic clock this is: that of one boot of one machine."""
+    try:
+        with open("/proc/sys/kernel/random/boot_id", encoding="ascii") as file:
+            return file.read().strip()
+    except OSError:
+        return platform.node()
 
 
 def _repair(path: str) -> Optional[Record]:
