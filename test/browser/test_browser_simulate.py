@@ -119,7 +119,7 @@ def test_each_key(show_net, open_page):
     page.keyboard.press("3")
     assert page.get_attribute("#tab-analysis", "aria-selected") == "true"
     page.keyboard.press(" ")
-    settle(page, 16)
+    page.wait_for_function("() => window.gspn.model.board.n >= 16")
     page.keyboard.press(" ")
     page.wait_for_function("() => !window.gspn.page.tools.running")
     page.keyboard.press("?")
