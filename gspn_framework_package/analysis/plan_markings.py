@@ -8,6 +8,7 @@ are crossed out (an action that names an immediate transition itself is not fore
 
 from __future__ import annotations
 
+import math
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
 import numpy as np
@@ -246,11 +247,12 @@ class _Answers:
             return np.zeros(0, dtype=bool)
         if not self._plan.policy.rows:
             return np.full(len(states), verdict(None, False), dtype=bool)
-        full = self._markings.full_markings(states)
-        kinds, of = np.unique(full[:, self._columns], axis=0, return_inverse=True)
+        counts_of = self._markings.full_markings(states)[:, self._columns]
+        first, of = _distinct_rows(counts_of)
+        kinds = counts_of[first]
         place = self._markings.original(p)
         result = np.empty(len(kinds), dtype=bool)
-        marking = [0] * full.shape[1]
+        marking = [0] * len(self._plan.net.places)
         for i, counts in enumerate(map(tuple, kinds.tolist())):
             key = counts, place
             if key not in self._known:
@@ -258,7 +260,20 @@ class _Answers:
                     marking[column] = count
                 self._known[key] = (self._table.distribution(marking, place), self._table.matches(marking))
             result[i] = verdict(*self._known[key])
-        return result[of.reshape(-1)]
+        return result[of]
+
+
+def _distinct_rows(rows: Any) -> Tuple[Any, Any]:
+    """Numbers of the first of each kind of row, and for each row the number of its kind."""
+    spans = [int(n) + 1 for n in rows.max(axis=0)]
+    if math.prod(spans) < 2**62:
+        keys = np.zeros(len(rows), dtype=np.int64)
+        for column, span in enumerate(spans):
+            keys = keys * span + rows[:, column]
+        _, first, of = np.unique(keys, return_index=True, return_inverse=True)
+    else:
+        _, first, of = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    return first, of.reshape(-1)
 
 
 def _with_losses(net: Net, plan: Plan, left_out: set[str]) -> Net:
