@@ -148,7 +148,7 @@ class Replay:
                 self._fire(slot, at, firings[at])
                 at += 1
                 since += 1
-            self._settled(slot, since)
+            self._settled(slot, since, firings[at] if at < len(firings) else None)
         if at < len(firings):
             why = self._why_not(firings[at], None) or "no entry of the slot leads to it"
             raise BrokenRuleError(
@@ -157,8 +157,11 @@ class Replay:
             )
         self._conserved(slot)
 
-    def _settled(self, slot: int, fired: int) -> None:
-        """Nothing that is due was left out; see whether the run is over."""
+    def _settled(self, slot: int, fired: int, following: Optional[Record]) -> None:
+        """Nothing that is due was left out; see whether the run is over.
+
+        :param following: the firing that is recorded next, which did not fit here.
+        """
         if self.ended is None:
             if fired >= CYCLE:
                 self.ended = "a cycle of immediate transitions"
@@ -167,6 +170,10 @@ class Replay:
                 self._look_at_until()
         if self.ended is None and not self.paused and not self.perhaps_ended:
             due = self._due()
+            if due and following is not None and following.get("transition") in due:
+                raise BrokenRuleError(
+                    2, "slot %d: %s fires, but %s" % (slot, following["transition"], self._why_not(following, None))
+                )
             if due:
                 raise BrokenRuleError(7, "slot %d: %s is due, and does not fire" % (slot, " and ".join(due)))
         here = [r for r in self.robots.values() if r.here]
