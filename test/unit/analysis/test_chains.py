@@ -1,0 +1,183 @@
+"""Markov chains by hand: recurrent classes, cycles without time, times to steady state, waiting times, rewards."""
+
+import math
+
+import numpy as np
+import pytest
+from generated_nets import bounded_nets
+from hypothesis import HealthCheck, assume, given, settings
+from scipy import sparse
+from scipy.linalg import expm
+
+from gspn_framework_package.analysis import linear
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.chain import Chain
+from gspn_framework_package.analysis.linear import solve
+from gspn_framework_package.analysis.measures import Measures
+from gspn_framework_package.analysis.state_space import explore
+from gspn_framework_package.analysis.steady_state import steady_state
+from gspn_framework_package.analysis.transient import Evolution, poisson, time_to_steady_state, transient
+from gspn_framework_package.benchmark.nets import kanban
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
+
+relaxed = settings(deadline=None, suppress_health_check=list(HealthCheck))
+
+
+def fork(end_loops=True):
+    """From ``start`` to the left (rate 1) or right (rate 3); on the right two places take turns."""
+    builder = (NetBuilder("fork").place("start", tokens=1).place("left").place("right").place("far")
+               .exponential("go_left", rate=1, inputs="start", outputs="left")
+               .exponential("go_right", rate=3, inputs="start", outputs="right")
+               .exponential("away", rate=2, inputs="right", outputs="far")
+               .exponential("back", rate=4, inputs="far", outputs="right"))  # fmt: skip
+    return builder.build()
+
+
+def test_several_recurrent_classes():
+    steady = Analysis(fork()).steady
+    assert sorted((len(c.states), round(c.probability, 12)) for c in steady.components) == [(1, 0.25), (2, 0.75)]
+    means = Analysis(fork()).measures.mean_tokens
+    assert means == pytest.approx({"start": 0, "left": 0.25, "right": 0.5, "far": 0.25})
+    assert Analysis(fork()).measures.throughput["away"] == pytest.approx(0.75 * 4 / 3)
+
+
+def test_passages_that_may_never_come():
+    passage = Analysis(fork()).first_passage("left == 1", [1.0])
+    assert passage.probability == pytest.approx(0.25) and math.isinf(passage.mean_time)
+    assert passage.within[0] == pytest.approx(0.25 * (1 - math.exp(-4)))
+    assert Analysis(fork()).first_passage("far == 7") == (0.0, math.inf, [], 0.0)
+    assert Analysis(fork()).first_passage("start == 1", [0.0]) == (1.0, 0.0, [1.0], 0.0)
+
+
+def vanishing_cycle(out=1.0):
+    """A cycle of immediate transitions with a way out that is taken with probability 1/4 each time round."""
+    return (NetBuilder("cycle").place("a", tokens=1).place("x").place("y").place("b")
+            .exponential("start", rate=2, inputs="a", outputs="x").immediate("xy", inputs="x", outputs="y")
+            .immediate("yx", weight=3, inputs="y", outputs="x").immediate("out", weight=out, inputs="y", outputs="b")
+            .exponential("again", rate=2, inputs="b", outputs="a").build())  # fmt: skip
+
+
+def test_cycles_of_immediate_firings_end():
+    measures = Analysis(vanishing_cycle()).measures
+    assert measures.mean_tokens == pytest.approx({"a": 0.5, "x": 0, "y": 0, "b": 0.5})
+    # Once round the net every second; four times through the cycle each time, three of them back.
+    assert measures.throughput == pytest.approx({"start": 1, "xy": 4, "yx": 3, "out": 1, "again": 1})
+
+
+def test_timeless_traps_are_refused():
+    net = vanishing_cycle().without_transition("out")
+    with pytest.raises(RefusedError, match="timeless trap.*from \\((x|y): 1\\)"):
+        _ = Analysis(net).chain
+
+
+def test_the_initial_marking_may_vanish():
+    net = (NetBuilder().place("a", tokens=1).place("b").place("c").immediate("l", weight=1, inputs="a", outputs="b")
+           .immediate("r", weight=4, inputs="a", outputs="c").exponential("t", inputs="b", outputs="c").build())  # fmt: skip
+    chain = Chain.of(explore(net))
+    assert chain.initial.tolist() == pytest.approx([0.2, 0.8])
+    assert Analysis(net).first_passage("a == 0 and b == 0").mean_time == pytest.approx(0.2)
+
+
+def test_a_condition_that_holds_for_no_time_has_held():
+    assert Analysis(vanishing_cycle()).first_passage("y == 1").mean_time == pytest.approx(0.5)
+
+
+def test_servers():
+    def busy(servers):
+        net = (NetBuilder().place("up", tokens=4).place("down")
+               .exponential("fail", rate=1, servers=servers, inputs="up", outputs="down")
+               .exponential("mend", rate=1, inputs="down", outputs="up").build())  # fmt: skip
+        chain = Chain.of(explore(net))
+        return chain.exit_rates[0]
+
+    assert [busy(s) for s in (1, 3, None)] == [1, 3, 4]
+
+
+def test_a_multiple_arc_takes_several_tokens_to_a_server():
+    net = NetBuilder().place("a", tokens=7).exponential("t", rate=2, servers=None, inputs={"a": 2}).build()
+    assert Chain.of(explore(net)).exit_rates.tolist() == [6, 4, 2, 0]
+
+
+@relaxed
+@given(bounded_nets())
+def test_transients_are_matrix_exponentials(net):
+    try:
+        chain = Chain.of(explore(net))
+    except RefusedError:
+        assume(False)
+    generator = chain.rates.toarray() - np.diag(chain.exit_rates)
+    for found in transient(chain, [0.3, 0.0, 4.0]):
+        assert found.distribution == pytest.approx(chain.initial @ expm(generator * found.time), abs=1e-10)
+
+
+@relaxed
+@given(bounded_nets())
+def test_steady_states_are_where_time_leads(net):
+    try:
+        chain = Chain.of(explore(net))
+    except RefusedError:
+        assume(False)
+    steady = steady_state(chain)
+    assert steady.distribution.sum() == pytest.approx(1)
+    generator = chain.rates.toarray() - np.diag(chain.exit_rates)
+    assert steady.distribution @ generator == pytest.approx(np.zeros(len(chain)), abs=1e-12)
+    late = chain.initial @ np.linalg.matrix_power(expm(generator * 50), 64)
+    assert steady.distribution == pytest.approx(late, abs=1e-6)
+    settled = time_to_steady_state(chain, 0.01, steady=steady)
+    for time, apart in ((settled * 1.03, True), (settled * 0.9, False)):
+        distance = 0.5 * np.abs(chain.initial @ expm(generator * time) - steady.distribution).sum()
+        assert settled == 0 or (distance <= 0.0101 if apart else distance >= 0.0099)
+
+
+def test_both_sweepers_and_lu_agree(monkeypatch):
+    chain = Chain.of(explore(kanban(2)))
+    numbers = []
+    for size, sweeper in ((2_000, None), (10_000, None), (2_000, linear._scipy_sweeper)):
+        monkeypatch.setattr(linear, "DIRECT_SIZE", size)
+        if sweeper is not None:
+            monkeypatch.setattr(linear, "_sweeper", sweeper)
+        steady = steady_state(chain)
+        assert steady.residual < 1e-12
+        numbers.append((steady.method, Measures(chain, steady.distribution).throughput["leave"]))
+    assert [method for method, _ in numbers] == ["Gauss-Seidel", "LU", "Gauss-Seidel"]
+    for _, value in numbers:
+        assert value == pytest.approx(numbers[0][1], rel=1e-11)
+
+
+def test_an_answer_with_a_bad_residual_is_not_given(monkeypatch):
+    monkeypatch.setattr(linear, "DIRECT_SIZE", 0)
+    monkeypatch.setattr(linear, "FALLBACK_SIZE", 0)
+    monkeypatch.setattr(linear, "MAX_SWEEPS", 4)
+    matrix = sparse.csr_matrix(([1.0, 1.0], ([0, 1], [1, 0])), shape=(2, 2))
+    with pytest.raises(LimitError, match="was not solved"):
+        solve(matrix, np.array([1.0, 1.0 + 1e-6]), np.array([1.0, 0.0]))
+
+
+@pytest.mark.parametrize("mean", [1e-3, 0.7, 20.0, 900.0, 1e5])
+def test_poisson_weights(mean):
+    first, weights = poisson(mean)
+    counts = np.arange(first, first + len(weights))
+    assert weights.sum() == pytest.approx(1)
+    assert (weights * counts).sum() == pytest.approx(mean)
+    assert (weights * (counts - mean) ** 2).sum() == pytest.approx(mean, rel=1e-6)
+
+
+def test_waiting_times_and_rewards():
+    measures = Analysis(fork()).measures
+    assert measures.mean_waiting_time["right"] == pytest.approx(0.5)
+    assert math.isinf(measures.mean_waiting_time["left"])
+    assert math.isnan(measures.mean_waiting_time["start"])
+    assert measures.reward({"far": 8.0}, {"away": 1.0}) == pytest.approx(3.0)
+    assert measures.reward(lambda markings: 4.0 * markings[:, 1]) == pytest.approx(1.0)
+    assert sorted(1 / measures.sojourn_times) == pytest.approx([0, 2, 4, 4])
+    with pytest.raises(UsageError, match="no place 'nowhere'"):
+        measures.reward({"nowhere": 1.0})
+
+
+def test_times_that_make_no_sense():
+    chain = Chain.of(explore(fork()))
+    with pytest.raises(UsageError, match="duration of -1"):
+        Evolution(chain).advance(-1)
+    with pytest.raises(UsageError, match="tolerance"):
+        time_to_steady_state(chain, 0)
