@@ -110,6 +110,7 @@ def _one_way(mode: str, hold: float, hears: bool) -> Numbers:
         numbers = _progress_of_others(lab, ["robot_1", "robot_2"])
         numbers["moves_of_robot_3"] = lab.moves("robot_3", begin, end)
         numbers["caught_up_after"] = lab.catch_up(lab.robots, lab.robots)
+        numbers["all_on_after"] = _all_on_after(lab)
         return _finish(lab, numbers)
 
 
@@ -129,7 +130,7 @@ def scattered(mode: str, hold: float = HOLD) -> Numbers:
         moves = sum(lab.moves(name, begin, end) for name in lab.robots)
         lab.require(lab.partial or moves == 0, "somebody moved alone")
         numbers: Numbers = {"cut": end - lab.cut_at, "private_moves_alone": moves}
-        numbers["all_on_after"] = lab.wait_for_moves(lab.robots, 1, "of each robot after healing") - lab.healed_at
+        numbers["all_on_after"] = _all_on_after(lab)
         return _finish(lab, numbers)
 
 
@@ -175,6 +176,7 @@ def _lose_robot_3(lab: Experiment, hold: float, majority: List[str], rest: List[
     numbers = _progress_of_others(lab, ["robot_1", "robot_2"])
     numbers["moves_of_robot_3"] = lab.moves("robot_3", begin, end)
     numbers["caught_up_after"] = lab.catch_up(["robot_3"], ["robot_1", "robot_2"])
+    numbers["all_on_after"] = _all_on_after(lab)
     for log in lab.read().values():
         lab.require(not list(log.entries("evict")), "somebody was evicted before its time")
     return numbers
@@ -188,6 +190,11 @@ def _progress_of_others(lab: Experiment, others: List[str]) -> Numbers:
     moves = {name: lab.moves(name, begin, end) for name in others}
     lab.require(lab.partial or all(n >= 3 for n in moves.values()), "the majority stood still: %s" % moves)
     return {"cut": end - lab.cut_at, "slots_of_the_others": slots, "moves_of_the_others": sum(moves.values())}
+
+
+def _all_on_after(lab: Experiment) -> float:
+    """Seconds from healing until every robot moves again."""
+    return lab.wait_for_moves(lab.robots, 1, "of each robot after healing") - lab.healed_at
 
 
 def _finish(lab: Experiment, numbers: Numbers) -> Numbers:

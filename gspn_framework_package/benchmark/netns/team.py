@@ -27,7 +27,7 @@ RUN = "lab"
 _PACKAGE = "gspn_framework_package"
 _ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", "..", ".."))
 _NODE = (
-    "from gspn_framework_package.ros.node_main import exit_with, run_execution_node; exit_with(run_execution_node())"
+    "from gspn_framework_package.ros import node_main, node_process as p; p.exit_with(node_main.run_execution_node())"
 )
 
 
