@@ -243,18 +243,18 @@ class Consensus:
         ballot = Ballot.from_json(message["ballot"])
         if not self.host.is_open(message):
             return
-        if not self.host.may_vote():  # our lost memory counts as told, our vote does not count
-            self._answer_prepare(message, vote=False)
-            return
-        if ballot < self.promised:
+        if ballot < self.promised and self.host.may_vote():
             self._refuse(message)
+            return
+        if message.get("frozen"):
+            self.frozen_by = ballot
+        if not self.host.may_vote():  # what we know counts as told, our vote does not count
+            self._answer_prepare(message, vote=False)
             return
         self._promise(ballot)
         attempt = self.attempt
         if attempt is not None and attempt.batch is None and attempt.ballot < ballot:
             self.attempt = None
-        if message.get("frozen"):
-            self.frozen_by = ballot
         self._answer_prepare(message, vote=True)
 
     def _answer_prepare(self, message: Message, vote: bool) -> None:
