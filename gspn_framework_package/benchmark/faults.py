@@ -36,6 +36,12 @@ from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.errors import ExecutionError, GspnError
 from gspn_framework_package.model.plan import FunctionAction, Synchronisation, Timing
 
+NODE = (
+    "from gspn_framework_package.ros import node_main, node_process\n"
+    "node_process.exit_with(node_main.run_execution_node())"
+)
+"""What a robot's process runs."""
+
 EVICT_AFTER = 3.0
 REST_TIME = 60.0
 """Seconds within which a team must rest after the last fault was undone."""
@@ -68,10 +74,9 @@ class Soak:
 
     def _start(self, name: str, place: str = "") -> None:
         words = ["_plan:=" + self.folder, "_robot:=" + name, "_run:=soak", "_log_dir:=" + self.folder]
-        code = "from gspn_framework_package.ros import node_main as m; m.exit_with(m.run_execution_node())"
         with open(os.path.join(self.folder, name + ".txt"), "ab") as output:
             self._processes[name] = subprocess.Popen(
-                [sys.executable, "-c", code, "__ns:=/" + name, "__name:=executor", "_place:=" + place, *words],
+                [sys.executable, "-c", NODE, "__ns:=/" + name, "__name:=executor", "_place:=" + place, *words],
                 stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
             )  # fmt: skip
 
@@ -95,7 +100,7 @@ class Soak:
 
     def run(self, seconds: float) -> None:
         """Inject faults, one after the other, for that long."""
-        self.wait_until(lambda: all(s["active"] for s in self.statuses()), 60, "the start")
+        self.wait_until(self._everybody_is_in, 60, "the start")
         deadline = time.monotonic() + seconds
         faults = [
             self._kill, self._kill, self._kill_without_log, self._stop_briefly, self._stop_long,
@@ -106,6 +111,19 @@ class Soak:
             fault = self._source.choice(faults)
             if fault():
                 self.injected[fault.__name__.strip("_")] += 1
+            self._revive()
+
+    def _everybody_is_in(self) -> bool:
+        try:
+            return all(status["active"] for status in self.statuses())
+        except ExecutionError:
+            return False
+
+    def _revive(self) -> None:
+        """Start those again that have ended because they began while the master was away."""
+        for name, process in list(self._processes.items()):
+            if process.poll() is not None and name not in self._gone:
+                self._start(name)
 
     def _victim(self) -> str:
         return self._source.choice(sorted(self._alive()))
@@ -119,8 +137,9 @@ class Soak:
         return True
 
     def _kill_without_log(self) -> bool:
-        if len(self._alive()) < 3:
-            return False  # the others must be able to let it in again
+        # only one at a time may have lost its memory, and the others must be able to let it in again
+        if len(self._alive()) < 3 or not self._everybody_is_in():
+            return False
         name = self._victim()
         self._processes[name].kill()
         self._processes[name].wait()

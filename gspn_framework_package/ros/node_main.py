@@ -1,41 +1,34 @@
-"""What the node scripts start: one robot's execution node, or its place servers alone."""
+"""What the node scripts start: one robot's execution node, those of a whole team, or place servers alone."""
 
 from __future__ import annotations
 
-import contextlib
-import logging
-import logging.handlers
-import queue
-import resource
-import signal
-import sys
 import threading
 import time
-from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple
+from typing import Dict, Iterable, Tuple
 
 import rospy
-from rospy.impl.rosout import RosOutHandler
 
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.model.errors import ExecutionError, GspnError, UsageError
+from gspn_framework_package.model.errors import ExecutionError, UsageError
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.ros.node_process import run_node
 from gspn_framework_package.ros.options import NodeOptions, read_options
 
 
 def run_execution_node() -> int:
     """The execution node of a robot; returns the exit code of the process."""
-    return _node("gspn_executor", _execute)
+    return run_node("gspn_executor", lambda ending: _execute(read_options(), ending))
 
 
 def run_hosted_robots() -> int:
     """A node that hosts the execution nodes of a whole simulated team, each in a namespace of its
     own; returns the exit code of the process."""
-    return _node("gspn_hosted", _host)
+    return run_node("gspn_hosted", lambda ending: _host(read_options(), ending))
 
 
 def run_place_servers() -> int:
     """A node that only serves the places of a robot."""
-    return _node("gspn_place_servers", _serve)
+    return run_node("gspn_place_servers", lambda ending: _serve(read_options(), ending))
 
 
 def robot_of(plan: Plan, options: NodeOptions) -> Tuple[Plan, str]:
@@ -61,14 +54,6 @@ def robot_of(plan: Plan, options: NodeOptions) -> Tuple[Plan, str]:
             hint="it has: %s; a robot that joins the running team needs ~place" % ", ".join(names),
         )  # fmt: skip
     return plan, options.robot
-
-
-def raise_descriptor_limit(wanted: int = 65536) -> None:
-    """Allow this process as many open files as it may have: each connected action takes twenty."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
-    if soft != resource.RLIM_INFINITY and soft < wanted:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
 def check_plan(plan: Plan) -> None:
@@ -106,58 +91,6 @@ def await_servers(names: Iterable[str], seconds: float, ending: threading.Event)
                 hint="waited %g s; ~server_timeout says for how long" % seconds,
             )
         ending.wait(0.2)
-
-
-class _Lines(logging.handlers.QueueHandler):
-    """Hands on lines of the log; drops what is too much, rather than wait."""
-
-    def enqueue(self, record: logging.LogRecord) -> None:
-        with contextlib.suppress(queue.Full):
-            self.queue.put_nowait(record)
-
-
-def publish_log_lines_on_a_thread() -> None:
-    """Publish on ``/rosout`` from a thread of its own. rospy asks the master for a parameter at every line, with no
-    limit of time: a master that is out of reach (a partition, not a death) would hold whoever logs, for minutes."""
-    logger = logging.getLogger("rosout")
-    for handler in [h for h in logger.handlers if isinstance(h, RosOutHandler)]:
-        lines: queue.Queue[logging.LogRecord] = queue.Queue(1000)
-        logger.removeHandler(handler)
-        logger.addHandler(_Lines(lines))
-        logging.handlers.QueueListener(lines, handler).start()
-
-
-def _node(name: str, body: Callable[[NodeOptions, threading.Event], int]) -> int:
-    """Start a ROS node, and end it in order on SIGINT, SIGTERM and ``rosnode kill``."""
-    raise_descriptor_limit()
-    ending, ended = threading.Event(), threading.Event()
-    signals: List[int] = []
-
-    def on_signal(number: int, frame: Any) -> None:
-        signals.append(number)
-        ending.set()
-
-    def on_shutdown() -> None:
-        # rosnode kill: rospy closes its topics after this, so that a goal must be cancelled now
-        ending.set()
-        ended.wait(2.0)
-
-    signal.signal(signal.SIGINT, on_signal)
-    signal.signal(signal.SIGTERM, on_signal)
-    try:
-        rospy.init_node(name, disable_signals=True)
-        publish_log_lines_on_a_thread()
-        rospy.on_shutdown(on_shutdown)
-        code = body(read_options(), ending)
-    except GspnError as error:
-        rospy.logfatal("%s", error)
-        code = error.exit_code
-    except rospy.ROSException as error:
-        print("%s: %s" % (name, error), file=sys.stderr)
-        code = 1
-    ended.set()
-    rospy.signal_shutdown("the end")
-    return code if not signals or code else 128 + signals[0]
 
 
 def _execute(options: NodeOptions, ending: threading.Event) -> int:
@@ -233,12 +166,3 @@ def _serve(options: NodeOptions, ending: threading.Event) -> int:
     servers.stop()
     watch.stop()
     return 0
-
-
-def exit_with(code: Optional[int]) -> None:
-    """End the process at once: an action that never returns must not hold it."""
-    import os
-
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code or 0)
