@@ -76,7 +76,7 @@ class Experiment:
             self._team.__exit__()
         finally:
             self.network.__exit__()
-            if kind is None:
+            if kind is None or not issubclass(kind, Exception):  # well, or interrupted
                 shutil.rmtree(self.folder, ignore_errors=True)
 
     # -- what the logs say -------------------------------------------------------------------------
