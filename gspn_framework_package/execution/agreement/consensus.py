@@ -116,7 +116,7 @@ class Consensus:
 
     def is_frozen(self) -> bool:
         """Whether private moves must wait for the open slot."""
-        return self.frozen_by is not None or (self.attempt is not None and self.attempt.frozen)
+        return self.frozen_by is not None
 
     # -- proposer ----------------------------------------------------------------------------------
 
@@ -135,6 +135,8 @@ class Consensus:
         ballot = Ballot(self.highest.counter + 1, self.host.name)
         self._followers = None
         self.attempt = attempt = Attempt(slot, ballot, frozen, now)
+        if frozen:  # until the slot is decided, even if this attempt is beaten: its batch may still win
+            self.frozen_by = ballot
         self._promise(ballot)
         attempt.promises[self.host.name] = self.accepted
         attempt.answered.add(self.host.name)
