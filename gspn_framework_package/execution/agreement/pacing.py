@@ -63,7 +63,7 @@ class Pacing(Conduct):
         elif self.partial:
             if self._wait_until is None or self._now >= self._wait_until:
                 self._wait_until = None
-                consensus.propose(self._now, frozen=self.pool.has_control())
+                consensus.propose(self._now, consensus.is_frozen() or self.pool.has_control())
         elif consensus.leads():
             consensus.propose(self._now)
         else:
