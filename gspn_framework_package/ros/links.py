@@ -4,6 +4,7 @@ through services."""
 from __future__ import annotations
 
 import json
+import time
 from typing import Any, Callable, Dict, List, NamedTuple, Tuple
 
 import rospy
@@ -34,6 +35,9 @@ _SERVICES: Dict[str, Tuple[Any, Callable[[str, str], Any]]] = {
     "set_place": (SetPlace, lambda me, body: SetPlaceRequest(agreement=body)),
 }
 
+QUIET = 1.5
+"""Seconds without a message of a robot on its topics, after which its services are called as well."""
+
 
 class _Peer(NamedTuple):
     namespace: str
@@ -59,6 +63,8 @@ class Link:
         self._service_uri = ""
         self.sent = 0
         self._peers: Dict[str, _Peer] = {}
+        self._heard: Dict[str, float] = {}
+        self._calls = ServiceCalls()
         self._publisher = rospy.Publisher(TOPIC, Agreement, queue_size=1000)
         self._subscriber = rospy.Subscriber(TOPIC, Agreement, self._on_message, tcp_nodelay=True)
 
@@ -71,7 +77,8 @@ class Link:
         raise NotImplementedError
 
     def close(self) -> None:
-        """Unregister from the topic."""
+        """End the calls, and unregister from the topic."""
+        self._calls.close()
         self._subscriber.unregister()
         self._publisher.unregister()
 
@@ -95,8 +102,39 @@ class Link:
             return  # our own, come back
         if news.sender != self.robot:
             self._peers[news.sender] = _Peer(news.namespace, news.service_uri)
+            self._heard[news.sender] = time.monotonic()
         message = parse_body(news.body)
         if message is not None:
+            self._received(message)
+
+    def _call_quiet(self, to: str, message: Message) -> None:
+        """Call the services of robots that are quiet on their topics. When a partition has ended, TCP waits with what
+        it could not send for as long again as the partition lasted (at most two minutes); a new call goes through at
+        once."""
+        service = SERVICE_OF_MESSAGE.get(message.get("kind", ""), "get_place")
+        now = time.monotonic()
+        for name in [to] if to else list(self._peers):
+            if now - self._heard.get(name, now) > QUIET:
+                self._call(name, service, json.dumps(message, separators=(",", ":")))
+
+    def _call(self, name: str, service: str, body: str) -> None:
+        peer = self._peers.get(name)
+        if peer is None or not peer.service_uri:
+            return  # never heard of: as good as a message that was lost
+        self.sent += 1
+        service_class, request = _SERVICES[service]
+        self._calls.call(
+            name,
+            peer.service_uri,
+            rospy.names.ns_join(peer.namespace, service),
+            service_class,
+            request(self.robot, body),
+            self._answered,
+        )
+
+    def _answered(self, response: Any) -> None:
+        message = parse_body(response.agreement)
+        if message:
             self._received(message)
 
 
@@ -124,6 +162,7 @@ class TopicLink(Link):
             one = to if len(same) == 1 else EVERYBODY
             inbox = self._connected_inbox(one) if one else None
             (inbox or self._publisher).publish(self._news(one, message))
+            self._call_quiet(one, message)
 
     def close(self) -> None:
         """Unregister from all topics."""
@@ -160,45 +199,17 @@ class ServiceLink(Link):
     which it learns from their messages on the topic.
     """
 
-    def __init__(self, robot: str, run: str, namespace: str, received: Callable[[Message], None]) -> None:
-        super().__init__(robot, run, namespace, received)
-        self._calls = ServiceCalls()
-
     def send(self, sends: List[Send]) -> None:
         """Call the service that each message is the request of."""
         for to, message in sends:
             service = SERVICE_OF_MESSAGE.get(message.get("kind", ""))
             if service is None:
                 self._publisher.publish(self._news(to, message))
+                self._call_quiet(to, message)
                 continue
             body = json.dumps(message, separators=(",", ":"))
             for name in [to] if to else list(self._peers):
                 self._call(name, service, body)
-
-    def _call(self, name: str, service: str, body: str) -> None:
-        peer = self._peers.get(name)
-        if peer is None or not peer.service_uri:
-            return  # never heard of: as good as a message that was lost
-        self.sent += 1
-        service_class, request = _SERVICES[service]
-        self._calls.call(
-            name,
-            peer.service_uri,
-            rospy.names.ns_join(peer.namespace, service),
-            service_class,
-            request(self.robot, body),
-            self._answered,
-        )
-
-    def _answered(self, response: Any) -> None:
-        message = parse_body(response.agreement)
-        if message:
-            self._received(message)
-
-    def close(self) -> None:
-        """End the calls, and unregister from the topic."""
-        self._calls.close()
-        super().close()
 
 
 def parse_body(body: str) -> Any:
