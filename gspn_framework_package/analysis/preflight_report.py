@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import enum
-from typing import Any, Dict, Mapping, NamedTuple, Tuple
+import itertools
+from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Sequence, Tuple
 
 
 class Severity(enum.Enum):
@@ -80,3 +81,50 @@ class PreflightReport(NamedTuple):
         )
         verdict = "refused" if self.refused else "may run"
         return "\n".join(lines + ["%s %s (%s, %.3f s)" % (self.plan, verdict, how, self.seconds)])
+
+
+LISTED = 10
+"""Findings of one kind, and names in one sentence, that a report lists; it always tells how many there are."""
+
+
+class Checklist:
+    """A report in the making."""
+
+    def __init__(self) -> None:
+        self.items: List[CheckItem] = []
+
+    def add(self, check: str, severity: Severity, text: str, **details: Any) -> None:
+        """Add an item."""
+        self.items.append(CheckItem(check, severity, text, details))
+
+    def tell_bounds(self, bounds: Dict[str, int], how: str) -> None:
+        """Add that these resource places are bounded; ``how`` that is known."""
+        listed = ", ".join("%s %d" % item for item in itertools.islice(bounds.items(), LISTED))
+        self.add(
+            "resource_bounds",
+            Severity.OK,
+            "resource places are bounded: %s%s" % (listed, ", ..." if len(bounds) > LISTED else ""),
+            bounds=bounds,
+            decided_by=how,
+        )
+
+
+def names(listed: Iterable[str]) -> str:
+    """Names for a sentence, not too many."""
+    everyone = list(listed)
+    more = ", ... (%d in all)" % len(everyone) if len(everyone) > LISTED else ""
+    return ", ".join(everyone[:LISTED]) + more
+
+
+def sequence(firings: Sequence[str]) -> str:
+    """A firing sequence for a sentence."""
+    if not firings:
+        return "nothing: at the start"
+    if len(firings) > 12:
+        return "%s, ... (%d firings) ..., %s" % (", ".join(firings[:8]), len(firings), ", ".join(firings[-3:]))
+    return ", ".join(firings)
+
+
+def marking_text(marking: Mapping[str, int]) -> str:
+    """A marking for a sentence."""
+    return "(%s)" % ", ".join("%s: %d" % item for item in marking.items())
