@@ -48,9 +48,8 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     app = flask.Flask(__name__, static_url_path="/static")
     app.config["SEND_FILE_MAX_AGE_DEFAULT"] = 0
     jobs = AnalysisJobs()
-    streams = threading.BoundedSemaphore(viewers)
-    closing = threading.Event()
-    app.extensions.update(gspn_jobs=jobs, gspn_closing=closing)
+    streams = Streams(viewers)
+    app.extensions.update(gspn_jobs=jobs, gspn_streams=streams)
 
     @app.before_request
     def check() -> Optional[Answer]:
@@ -162,10 +161,10 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     @app.get("/api/stream")
     def stream() -> Any:
         hub = session().hub
-        if not streams.acquire(blocking=False):
+        if not streams.take():
             return {"error": "%d viewers are served already; this one polls" % viewers}, 503
         cursor = Cursor.parse(request.headers.get("Last-Event-ID") or request.args.get("since"))
-        response = Response(_Stream(hub, cursor, streams, closing), mimetype="text/event-stream")
+        response = Response(_Stream(hub, cursor, streams), mimetype="text/event-stream")
         response.headers["X-Accel-Buffering"] = "no"
         return response
 
@@ -213,6 +212,38 @@ def _number(key: str, default: int = 0) -> int:
     return int(text)
 
 
+class Streams:
+    """The streams that are under way, at most ``limit``."""
+
+    def __init__(self, limit: int) -> None:
+        self._condition = threading.Condition()
+        self._limit, self._taken = limit, 0
+        self.closing = False
+
+    def take(self) -> bool:
+        """Begin one; False where as many as may be are under way."""
+        with self._condition:
+            if self.closing or self._taken >= self._limit:
+                return False
+            self._taken += 1
+            return True
+
+    def give_back(self) -> None:
+        """One has ended."""
+        with self._condition:
+            self._taken -= 1
+            self._condition.notify_all()
+
+    def close(self) -> None:
+        """Have all end soon."""
+        self.closing = True
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until all have ended; whether they have, after ``timeout`` seconds."""
+        with self._condition:
+            return self._condition.wait_for(lambda: self._taken == 0, timeout)
+
+
 class _Stream:
     """The messages of one viewer. Holds a cursor, and no queue: a viewer that does not read blocks
     its own thread and nothing else."""
@@ -221,17 +252,15 @@ class _Stream:
         self,
         hub: Hub,
         cursor: Optional[Cursor],
-        streams: threading.BoundedSemaphore,
-        closing: threading.Event,
+        streams: Streams,
     ) -> None:
         self._hub, self._cursor, self._streams = hub, cursor, streams
-        self._closing = closing
         self._messages = self._run()
         self._open = True
 
     def _run(self) -> Iterator[bytes]:
         yield b"retry: 1000\n\n"
-        while not self._closing.is_set():
+        while not self._streams.closing:
             if not self._hub.wait(self._cursor, PING):
                 yield b"event: ping\ndata: {}\n\n"
                 continue
@@ -247,4 +276,4 @@ class _Stream:
         """Called by the web server when the viewer has gone."""
         if self._open:
             self._open = False
-            self._streams.release()
+            self._streams.give_back()

@@ -63,6 +63,7 @@ class Hub:
     def __init__(self, mode: str, board: Board, ring: int = RING) -> None:
         self._condition = threading.Condition()
         self._ring_size = ring
+        self._closed = False
         self.restart(mode, board)
 
     def restart(
@@ -138,7 +139,13 @@ class Hub:
         """Wait until there is something that ``cursor`` lacks; False when there is not, after
         ``timeout`` seconds."""
         with self._condition:
-            return self._condition.wait_for(lambda: self._has_news(cursor), timeout)
+            return self._condition.wait_for(lambda: self._closed or self._has_news(cursor), timeout)
+
+    def close(self) -> None:
+        """Nothing will come any more: wake all that wait."""
+        with self._condition:
+            self._closed = True
+            self._condition.notify_all()
 
     def _has_news(self, cursor: Optional[Cursor]) -> bool:
         return (

@@ -99,10 +99,10 @@ class WebServer:
 
     def stop(self) -> None:
         """Stop serving, and end what the project runs."""
-        self._stopped = True
-        self._app.extensions["gspn_closing"].set()
-        self._server.close()
+        streams = self._app.extensions["gspn_streams"]
+        streams.close()
         self._app.extensions["gspn_jobs"].close()
-        self.project.close()
-
-
+        self.project.close()  # which wakes the streams
+        streams.wait(1.0)
+        self._stopped = True
+        self._server.close()

@@ -120,6 +120,7 @@ class Session:
         """End whatever goes on."""
         with self._lock:
             self.activity.end()
+        self.hub.close()
 
 
 class Sessions:

@@ -7,9 +7,9 @@ SETTLED = """() => {
 }"""
 
 DOTS = """() => [...document.querySelectorAll("#net .place")].map((g) => {
-  const use = g.querySelector("use.dots"), count = g.querySelector("text.count");
+  const path = g.querySelector("path.dots"), count = g.querySelector("text.count");
   const robots = g.querySelectorAll(".robot").length;
-  if (use) return document.querySelector(use.getAttribute("href")).childElementCount;
+  if (path) return path.getAttribute("d").split("M").length - 1;
   return count ? Number(count.textContent) : robots;
 })"""
 

@@ -10,8 +10,15 @@ import { Labels } from "./labels.js";
 const MARGIN = [52, 56, 42, 30]; // px left, right, above and below a net that is fitted
 const CULL = 800; // nets with more nodes draw only what is in the view
 const FAR = 0.14; // below this zoom tokens are too small to be told apart: a place with any is filled
+const SMALL = 0.35; // below this zoom a firing is a flash: what travels could hardly be seen
 const TILE = 40; // nodes that are drawn together in a large net
 const MANY = 2000; // nets with more nodes are drawn every other frame
+
+// one path for all tokens of a place
+const DOTS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9].map((count) => dots(count).map(([x, y]) => {
+  const r = count === 1 ? 5 : 3.4;
+  return `M${(x - r).toFixed(2)} ${y.toFixed(2)}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0z`;
+}).join(""));
 
 /** Fires "select" (detail {kind, index}), "activate" (double click) and "frame" (detail.n, after drawing). */
 export class NetView extends EventTarget {
@@ -42,8 +49,6 @@ export class NetView extends EventTarget {
     this.place(scene.layout);
     this.layer = { arcs: s("g"), travel: s("g") };
     const sheet = (name, ...content) => s("svg", { class: name, "aria-hidden": "true" }, ...content);
-    const patterns = s("defs", {}, [1, 2, 3, 4, 5, 6, 7, 8, 9].map((count) =>
-      s("g", { id: `dots-${count}` }, dots(count).map(([x, y]) => s("circle", { cx: x, cy: y, r: count === 1 ? 5 : 3.4 })))));
     this.tiles = new Map();
     for (const node of this.nodes) {
       node.element = node.kind === "place" ? this.buildPlace(node) : this.buildTransition(node);
@@ -58,7 +63,7 @@ export class NetView extends EventTarget {
     }
     this.weights = s("g");
     this.layer.arcs.append(this.weights);
-    this.container.replaceChildren(sheet("arcs", patterns, this.layer.arcs), nodes, sheet("travel", this.layer.travel));
+    this.container.replaceChildren(sheet("arcs", this.layer.arcs), nodes, sheet("travel", this.layer.travel));
     this.moving = [...Object.values(this.layer), ...this.tiles.values()];
     this.routeArcs();
   }
@@ -232,6 +237,7 @@ export class NetView extends EventTarget {
     const { k, x, y } = this.view;
     const transform = `translate(${x.toFixed(1)} ${y.toFixed(1)}) scale(${k.toFixed(4)})`;
     for (const layer of this.moving) layer.setAttribute("transform", transform);
+    this.small = k < SMALL;
     const far = k < FAR;
     if (far !== this.far) {
       this.far = far;
@@ -342,7 +348,7 @@ export class NetView extends EventTarget {
     if (node.dots) { node.dots.remove(); node.dots = null; }
     if (count === 0) return;
     node.dots = count <= 9
-      ? s("use", { class: "dots", href: `#dots-${count}` })
+      ? s("path", { class: "dots", d: DOTS[count], "data-count": count })
       : s("text", { class: "count", text: count < 100000 ? String(count) : "99999+" });
     if (count > 999) node.dots.style.fontSize = count > 9999 ? "10px" : "12px";
     node.element.append(node.dots);
