@@ -18,7 +18,6 @@ from typing import Any, Dict, Iterator, List, Optional
 
 from gspn_framework_package.benchmark.team.schedule import Schedule, run_schedule
 from gspn_framework_package.benchmark.team.world import ViolationError
-from gspn_framework_package.cli.progress import ProgressLine
 
 SIZES = {2: 36, 3: 54, 5: 8, 8: 2}
 """Robots in a team, and how many of a hundred schedules have that many."""
@@ -67,28 +66,28 @@ def run(schedules: Iterator[Schedule], number: int, seconds: Optional[float] = N
     violations = []
     gc.freeze()
     begin, cpu = time.perf_counter(), time.process_time()
-    with ProgressLine() as progress:
-        for schedule in schedules:
-            try:
-                outcome = run_schedule(schedule)
-            except ViolationError as error:
-                violations.append({"schedule": str(schedule), "text": str(error)})
-                outcome = None
-            sums["schedules"] += 1
-            kind = "%d %s" % (schedule.robots, "partial" if schedule.partial else "full")
-            sizes[kind] = sizes.get(kind, 0) + 1
-            if outcome is not None:
-                for key in ("blocked", "slots", "firings", "messages", "steps"):
-                    sums[key] += getattr(outcome, key)
-                for fault, count in outcome.faults.items():
-                    faults[fault] = faults.get(fault, 0) + count
-            passed = time.perf_counter() - begin
-            if sums["schedules"] % 20 == 0:
-                rate = sums["schedules"] / passed * 60
-                what = "of %d schedules, %d violations, %.0f a minute" % (number, len(violations), rate)
-                progress(what, sums["schedules"], passed)
-            if seconds is not None and passed > seconds:
-                break
+    for schedule in schedules:
+        try:
+            outcome = run_schedule(schedule)
+        except ViolationError as error:
+            violations.append({"schedule": str(schedule), "text": str(error)})
+            outcome = None
+        sums["schedules"] += 1
+        kind = "%d %s" % (schedule.robots, "partial" if schedule.partial else "full")
+        sizes[kind] = sizes.get(kind, 0) + 1
+        if outcome is not None:
+            for key in ("blocked", "slots", "firings", "messages", "steps"):
+                sums[key] += getattr(outcome, key)
+            for fault, count in outcome.faults.items():
+                faults[fault] = faults.get(fault, 0) + count
+        passed = time.perf_counter() - begin
+        if sums["schedules"] % 20 == 0:
+            rate = sums["schedules"] / passed * 60
+            what = "of %d schedules, %d violations, %.0f a minute" % (number, len(violations), rate)
+            _show("%d %s" % (sums["schedules"], what))
+        if seconds is not None and passed > seconds:
+            break
+    _show("")
     passed = time.perf_counter() - begin
     return {
         **sums,
@@ -100,6 +99,13 @@ def run(schedules: Iterator[Schedule], number: int, seconds: Optional[float] = N
         "machine": "%s, Python %s" % (platform.machine(), platform.python_version()),
         "violations": violations,
     }
+
+
+def _show(text: str) -> None:
+    """Rewrite the progress line, where standard error is a terminal."""
+    if sys.stderr.isatty():
+        sys.stderr.write("\r" + text.ljust(78) + ("" if text else "\r"))
+        sys.stderr.flush()
 
 
 def tell(result: Dict[str, Any]) -> None:
