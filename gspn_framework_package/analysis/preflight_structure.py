@@ -53,7 +53,7 @@ class StructureChecks:
 
     def _look_at_flows(self) -> None:
         flows = robot_flows(self.plan)
-        names = [t.name for t in self.net.transitions]
+        transitions = self.net.transitions
         if self.standalone:
             self._list.add("conservative", Severity.OK, "agents may be created and destroyed: not asked for")
             return
@@ -62,8 +62,9 @@ class StructureChecks:
             self._list.add(
                 "creates_robots",
                 Severity.REFUSED,
-                "%s takes no robot and has an action place among its outputs: there is no robot to move" % names[t],
-                transition=names[t],
+                "%s takes no robot and has an action place among its outputs: there is no robot to move"
+                % transitions[t].name,
+                transition=transitions[t].name,
             )
         unbalanced = [t for t, flow in enumerate(flows) if flow.taken != flow.put and t not in creating]
         if unbalanced:
@@ -126,6 +127,8 @@ class StructureChecks:
                 "exploration" % names(self.written),
                 places=list(self.written),
             )
+        if set(self.plan.resource_places) <= set(self.written):
+            return
         net = self.net.without_places(self.written)
         bounds = dict(zip((p.name for p in net.places), invariant_bounds(net, 2_000)))
         self.resource_bounds = {p.name: bounds[p.name] for p in net.places if p.name in self.plan.resource_places}
