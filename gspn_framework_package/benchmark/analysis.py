@@ -95,7 +95,7 @@ def _measure_all(work: str, which: Sequence[Tuple[str, int]], repeat: int) -> Li
 def _measure(work: str, engine: str, family: str, size: int) -> Optional[Measurement]:
     command = [sys.executable, "-m", "gspn_framework_package.benchmark.analysis"]
     done = subprocess.run(
-        [*command, "--worker", work, engine, family, str(size)], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        [*command, "--worker", work, engine, family, str(size)], capture_output=True,
         text=True, timeout=1800, check=False,
     )  # fmt: skip
     if done.returncode:
