@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Tuple
+
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Net
 
@@ -96,4 +98,101 @@ def polling(n: int) -> Net:
             "pass%d" % i, rate=200.0, inputs=["poll%d" % i, "idle%d" % i], outputs=[following, "idle%d" % i]
         )
         net.exponential("end%d" % i, rate=1.0, inputs=["serve%d" % i, "job%d" % i], outputs=["idle%d" % i, following])
+    return net.build()
+
+
+def courier(window: int, space: int = 1) -> Net:
+    """The Courier protocol software of Woodside and Li (1991): a message goes from one application to the other
+    through session and transport layers, with at most ``window`` packets not yet acknowledged and room for ``space``
+    messages in the sender's transport layer: 11700, 84600, 419400 ... tangible markings, 29010 in all for a window
+    of 1.
+
+    Places and transitions have the paper's numbers (there is no ``p7``), rates its times. One server each, and a
+    message goes on in another fragment as often as it ends (the paper's ratio q1 : q2 is 1).
+    """
+    net = NetBuilder("courier_%d" % window)
+    tokens = dict.fromkeys((1, 3, 6, 10, 12, 32, 37, 39, 41, 44, 46), 1)
+    tokens.update({14: window, 17: space})
+    for number in range(1, 47):
+        if number != 7:
+            net.place("p%d" % number, tokens=tokens.get(number, 0))
+    for number, time, before, after in _COURIER:
+        inputs, outputs = ["p%d" % p for p in before], ["p%d" % p for p in after]
+        if time:
+            net.exponential("t%d" % number, rate=5000 / time, inputs=inputs, outputs=outputs)
+        else:
+            net.immediate("t%d" % number, inputs=inputs, outputs=outputs)
+    return net.build()
+
+
+_COURIER: Tuple[Tuple[int, float, Tuple[int, ...], Tuple[int, ...]], ...] = (
+    # The sender: application, session layer, transport layer (p12 is its task, p14 the window).
+    (1, 0.68, (1,), (2,)),
+    (2, 0, (2, 3), (1, 4)),
+    (3, 0.57, (4, 6), (3, 5)),
+    (4, 4.97, (5,), (8,)),
+    (5, 0, (8, 10), (6, 9)),
+    (6, 0.57, (9, 12, 17), (10, 11)),
+    (7, 2.88, (11,), (12, 13)),
+    (8, 0, (12, 13, 14), (13, 15)),  # a fragment that another one follows
+    (9, 0, (12, 13, 14), (16,)),  # the last fragment
+    (10, 4.29, (15,), (12, 18)),
+    (11, 4.29, (16,), (12, 19)),
+    (12, 1.09, (20,), (12, 14)),
+    (13, 0, (12, 18), (21,)),
+    (14, 0, (12, 19), (22,)),
+    (15, 0, (12, 23), (20,)),
+    (16, 0.39, (21,), (12, 24)),
+    (17, 0.39, (22,), (12, 17, 25)),
+    # The network: acknowledgements one way, fragments the other.
+    (18, 10.37, (26,), (23,)),
+    (20, 10.37, (24,), (28,)),
+    (21, 10.37, (25,), (29,)),
+    # The receiver: transport layer (p32 is its task), session layer, application.
+    (19, 1.09, (27,), (26, 32)),
+    (22, 0, (32, 33), (27,)),
+    (23, 0, (28, 32), (30,)),
+    (24, 0, (29, 32), (31,)),
+    (25, 4.29, (30,), (32, 33)),
+    (26, 4.29, (31,), (32, 34)),
+    (27, 0, (32, 34), (33, 35)),
+    (28, 3.45, (35, 37), (32, 36)),
+    (29, 0, (36, 39), (37, 38)),
+    (30, 0.57, (38, 41), (39, 40)),
+    (31, 4.97, (40,), (42,)),
+    (32, 0, (42, 44), (41, 43)),
+    (33, 0.57, (43, 46), (44, 45)),
+    (34, 1.25, (45,), (46,)),
+)
+"""Transition, mean time (in 1/5000 s; 0: immediate), input and output places of the Courier protocol."""
+
+
+def readers_writers(k: int) -> Net:
+    """``k`` processes that read (many at once) or write (alone) a data base and then use a network: figure 5.3 of
+    Ajmone Marsan et al. (1995), with the rates and weights of the Quantitative Verification Benchmark Set.
+
+    For 5 processes, all of them wait for the first time (for the data base or the network) after 263.0295997 on
+    average. Thinking and reading go on for each process by itself; writing comes before reading, that before the
+    choice what to do, and last come the network and the choice to go on, by their weights.
+    """
+    net = NetBuilder("readers_writers_%d" % k)
+    net.place("think", tokens=k).place("database", tokens=1).place("network", tokens=1)
+    for place in ("request", "again"):
+        net.place(place)
+    for kind in ("read", "write"):
+        for stage in ("want_", "do_", "wait_network_", "send_"):
+            net.place(stage + kind)
+    net.exponential("finish_thinking", rate=1.0, servers=None, inputs="think", outputs="request")
+    for kind, weight, rate in (("read", 8.0, 8.0), ("write", 2.0, 7.0)):
+        net.immediate("choose_" + kind, weight=weight, priority=2, inputs="request", outputs="want_" + kind)
+        net.immediate("begin_send_" + kind, inputs=["wait_network_" + kind, "network"], outputs="send_" + kind)
+        net.exponential("end_send_" + kind, rate=rate, inputs="send_" + kind, outputs=["network", "again"])
+    net.immediate("begin_read", priority=3, inputs=["want_read", "database"], outputs=["do_read", "database"])
+    net.immediate(
+        "begin_write", priority=4, inputs=["want_write", "database"], outputs="do_write", inhibitors="do_read"
+    )
+    net.exponential("end_read", rate=10.0, servers=None, inputs="do_read", outputs="wait_network_read")
+    net.exponential("end_write", rate=7.0, inputs="do_write", outputs=["wait_network_write", "database"])
+    net.immediate("rest", weight=9.0, inputs="again", outputs="think")
+    net.immediate("go_on", weight=1.0, inputs="again", outputs="request")
     return net.build()

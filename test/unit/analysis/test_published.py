@@ -6,7 +6,14 @@ import pytest
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.properties import Properties
 from gspn_framework_package.analysis.state_space import explore
-from gspn_framework_package.benchmark.nets import flexible_manufacturing, kanban, philosophers, polling
+from gspn_framework_package.benchmark.nets import (
+    courier,
+    flexible_manufacturing,
+    kanban,
+    philosophers,
+    polling,
+    readers_writers,
+)
 
 
 @pytest.mark.parametrize(("n", "states", "arcs"), [(1, 160, 616), (2, 4600, 28120), (3, 58400, 446400)])
@@ -14,6 +21,11 @@ from gspn_framework_package.benchmark.nets import flexible_manufacturing, kanban
 def test_kanban_states(n, states, arcs, engine):
     space = explore(kanban(n), engine=engine)
     assert (len(space), space.arcs) == (states, arcs)
+
+
+def test_kanban_of_five_cards():
+    space = explore(kanban(5), limit=3_000_000)
+    assert space.complete and len(space) == 2546432
 
 
 def test_kanban_throughput():
@@ -28,6 +40,31 @@ def test_flexible_manufacturing_states(n, tangible):
     space = explore(flexible_manufacturing(n))
     assert len(space) - int(space.is_vanishing.sum()) == tangible
     assert len(Analysis(flexible_manufacturing(n)).chain) == tangible
+
+
+@pytest.mark.parametrize(("n", "tangible"), [(4, 35910), (5, 152712), (6, 537768)])
+def test_flexible_manufacturing_markings(n, tangible):
+    """Too many for a chain in a quick test."""
+    space = explore(flexible_manufacturing(n), limit=3_000_000)
+    assert space.complete
+    assert len(space) - int(space.is_vanishing.sum()) == tangible
+
+
+@pytest.mark.parametrize(("window", "tangible"), [(1, 11700), (2, 84600), (3, 419400)])
+def test_courier_states(window, tangible):
+    space = explore(courier(window))
+    assert space.complete
+    assert len(space) - int(space.is_vanishing.sum()) == tangible
+    if window == 1:
+        assert len(space) == 29010
+
+
+def test_five_readers_and_writers_all_wait_after_263_seconds():
+    """The value of the Quantitative Verification Benchmark Set, which an exact solver found."""
+    waiting = "want_read + want_write + wait_network_read + wait_network_write"
+    passage = Analysis(readers_writers(5)).first_passage(waiting + " == 5")
+    assert passage.probability == 1.0
+    assert passage.mean_time == pytest.approx(263.0295996778164, rel=1e-10)
 
 
 @pytest.mark.parametrize(("n", "states"), [(4, 34), (12, 39202)])
