@@ -344,6 +344,11 @@ def _or_nan(function: Callable[..., Any]) -> Callable[..., Any]:
     return guarded
 
 
+def _extreme(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``min`` or ``max`` with "not a number" on any side giving just that: Python's own depend on the order."""
+    return lambda *values: math.nan if any(value != value for value in values) else function(*values)
+
+
 def _is_not_equal(a: Any, b: Any) -> bool:
     return bool(a < b or a > b)  # false with "not a number" on a side, as all comparisons are
 
@@ -362,6 +367,8 @@ _COMMON: Dict[str, Callable[..., Any]] = {
 _SCALAR: Dict[str, Callable[..., Any]] = {
     **{name: _or_nan(function) for name, (_, _, function) in FUNCTIONS.items()},
     **_COMMON,
+    "min": _extreme(min),
+    "max": _extreme(max),
     "/": _divide,
     "^": _or_nan(lambda a, b: float(a) ** b),
     "!=": _is_not_equal,

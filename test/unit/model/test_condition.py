@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gspn_framework_package.model.condition import parse_condition
@@ -100,6 +100,8 @@ conditions = st.recursive(
 )
 
 
+@example("a == min(a, (a / a))", [(0, 0, 0)])  # min of a number and "not a number"
+@example("a == max((a / a), a)", [(0, 0, 0)])
 @given(conditions, st.lists(st.tuples(*[st.integers(0, 3)] * 3), min_size=1, max_size=10))
 def test_both_evaluations_agree(text, markings):
     condition = parse_condition(text, ["a", "b", "c"])
