@@ -31,12 +31,24 @@ class Pace(NamedTuple):
 
     heartbeat: float = 0.5
     """How often a replica tells that it is there."""
+    greeting: float = 0.2
+    """How often it does until it takes part."""
     retry: float = 0.1
     """After which a message without an answer is sent again (longer and longer, up to 1 s)."""
     takeover: float = 0.3
     """For which a fact waits for the leader before its robot proposes itself."""
     backoff: float = 0.02
     """For which a proposer gives way after its first defeat; doubled at each one in a row."""
+
+    def for_team(self, size: int) -> Pace:
+        """The pace for a team of that size: what everybody tells everybody is told less often in a
+        large one, so that what each replica hears a second grows no further."""
+        slower = max(1.0, size / SMALL_TEAM)
+        return self._replace(heartbeat=self.heartbeat * slower, greeting=self.greeting * slower)
+
+
+SMALL_TEAM = 8
+"""Up to that many replicas, greetings are answered at once and the pace is the plain one."""
 
 
 class Core:
@@ -61,7 +73,7 @@ class Core:
         self.name = robot
         self.run = run
         self.log_id = log_id
-        self.pace = pace or Pace()
+        self.pace = (pace or Pace()).for_team(len(plan.robots) + len(plan.witness))
         self.partial = plan.synchronisation is Synchronisation.PARTIAL
         self.witness = robot in plan.witness
         self.place = place

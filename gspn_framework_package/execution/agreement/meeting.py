@@ -4,6 +4,7 @@ belong here."""
 from __future__ import annotations
 
 from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement.core import SMALL_TEAM
 from gspn_framework_package.execution.agreement.growth import Growth
 
 
@@ -47,7 +48,9 @@ class Meeting(Growth):
         if strange and not (self.active or self.forgetful or self.joining):
             self._forget()
         self._consider_active()
-        if fresh or not (message["active"] or message["known"].get(self.name)):
+        # in a large team answers to everybody's greetings would drown it: there the next hello will do
+        is_small = len(self.plan.robots) + len(self.plan.witness) <= SMALL_TEAM
+        if (fresh or not (message["active"] or message["known"].get(self.name))) and (is_small or self._request):
             self.answer(message, self._hello())
         if message["length"] == self.ledger.length and message["hash"] != self.ledger.hash:
             self._conflict(sender, self.ledger.length)

@@ -108,7 +108,9 @@ class Replica(Pacing):
         """Do what is due, and say when to look again."""
         if self.halted is None:
             if self._now >= self._next_hello:
-                self._next_hello = self._now + (self.pace.heartbeat if self.active else min(self.pace.heartbeat, 0.2))
+                self._next_hello = self._now + (
+                    self.pace.heartbeat if self.active else min(self.pace.heartbeat, self.pace.greeting)
+                )
                 self._put(io.Send(io.EVERYBODY, self._signed(self._hello())))
                 self._watch()
                 self._tell_status()
