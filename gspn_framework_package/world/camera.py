@@ -48,7 +48,8 @@ class Camera:
         distance = across / 2 / math.tan(math.radians(FIELD_OF_VIEW / 2)) * (1.04 if pitch < -80 else 1.3)
         target = [middle[0], middle[1], 0.0]
         self._view = self._physics.client.computeViewMatrixFromYawPitchRoll(target, distance, yaw, pitch, 0, 2)
-        self._projection = self._physics.client.computeProjectionMatrixFOV(FIELD_OF_VIEW, width / height, 0.5, 3 * distance)
+        far = 3 * distance
+        self._projection = self._physics.client.computeProjectionMatrixFOV(FIELD_OF_VIEW, width / height, 0.5, far)
         # both are stored column by column
         self._matrix = np.reshape(self._projection, (4, 4)).T @ np.reshape(self._view, (4, 4)).T
         self._font = _font(max(12, height // 42))
