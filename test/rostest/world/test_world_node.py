@@ -51,13 +51,22 @@ class Drive:
     """A goal for ``move_base`` of robot_3."""
 
     def __init__(self, client, x, y, frame="map", w=1.0):
-        self._done = threading.Event()
+        self._done, self._under_way = threading.Event(), threading.Event()
         self.feedback = []
         goal = MoveBaseGoal()
         goal.target_pose.header.frame_id = frame
         goal.target_pose.pose.position.x, goal.target_pose.pose.position.y = x, y
         goal.target_pose.pose.orientation.w = w
-        self.handle = client.send_goal(goal, self._changed, lambda _, feedback: self.feedback.append(feedback))
+        self.handle = client.send_goal(goal, self._changed, self._progress)
+
+    def _progress(self, _handle, feedback):
+        self.feedback.append(feedback)
+        self._under_way.set()
+
+    def wait_until_under_way(self):
+        """Wait for the first feedback."""
+        if not self._under_way.wait(DEADLINE):
+            raise AssertionError("no feedback in time")
 
     def _changed(self, handle):
         if handle.get_comm_state() == actionlib.CommState.DONE:
@@ -100,7 +109,7 @@ class TestWorld(unittest.TestCase):
 
     def test_2_a_goal_is_driven_to_and_a_newer_one_preempts_it(self):
         first = Drive(self.client, 0.55, 0.55)
-        rospy.sleep(0.5)
+        first.wait_until_under_way()
         second = Drive(self.client, 0.55, 1.7)
         self.assertEqual(first.result()[0], GoalStatus.PREEMPTED)
         self.assertEqual(second.result(), (GoalStatus.SUCCEEDED, "reached"))
