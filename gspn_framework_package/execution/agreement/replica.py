@@ -199,6 +199,8 @@ class Replica(Pacing):
             return "waits for an answer of %s" % ", ".join(self.consensus.missing())
         if not self.has_quorum():
             return "has no quorum; silent: %s" % ", ".join(self._silent())
+        if self.partial and self._wants() and self._silent():  # whose attempt it is changes all the time
+            return "waits for an answer of %s" % ", ".join(self._silent())
         return ""
 
     def status(self) -> Dict[str, Any]:
