@@ -5,6 +5,7 @@ import threading
 seen = []
 ended = []
 release = threading.Event()
+heard = threading.Event()
 
 
 def instant(place):
@@ -15,6 +16,7 @@ def tell(place, robot, feedback, visit, attempt):
     seen.append((place, robot, visit, attempt))
     feedback(1)
     feedback([2, 3])
+    heard.wait(10)  # feedback and result come on topics of their own, in any order
     return ""
 
 

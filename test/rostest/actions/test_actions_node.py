@@ -149,9 +149,15 @@ class ActionsTest(unittest.TestCase):
         plan, _ = self.serve({"P1": "tell"})
         acts = self.acts()
         robot = self.robot(plan)
+
+        def listen():
+            wait_for(lambda: len(robot.feedback) == 2, what="feedback")
+            acts.heard.set()
+
+        acts.heard.clear()
+        threading.Thread(target=listen, daemon=True).start()
         self.assertEqual(robot.do("P1", visit=7, attempt=3)[1:], ("", "", ""))
         self.assertEqual(acts.seen, [("P1", "robot_1", 7, 3)])
-        wait_for(lambda: len(robot.feedback) == 2, what="feedback")
         self.assertEqual([f.time_passed for f in robot.feedback], [(1,), (2, 3)])
 
     def test_an_exception_aborts_with_its_text(self):
