@@ -90,7 +90,7 @@ class FailuresTest(RobotTestCase):
         rospy.Subscriber("/diagnostics", DiagnosticArray, diagnostics.append)
 
         waits_for = self.wait_until_waiting(robot, "used_up")
-        self.assertEqual(team.transitions(), ["T1", "T_fired", "T_timed_out"])
+        self.assertEqual(robot.logged_transitions(), ["T1", "T_fired", "T_timed_out"])
         self.assertIn("aborted: broken", waits_for)
         self.assertIn("operator", waits_for)
         wait_for(
@@ -114,7 +114,7 @@ class FailuresTest(RobotTestCase):
         self.assertIn("T_no_such_thing", waits_for)
         self.assertTrue(robot.command("retry").success)
         self.assertEqual(robot.exit_code(), 0)
-        self.assertEqual(team.transitions()[3:], ["T5", "T6"])
+        self.assertEqual(robot.logged_transitions()[3:], ["T5", "T6"])
 
     def test_stop_ends_the_whole_team(self):
         team = self.team(

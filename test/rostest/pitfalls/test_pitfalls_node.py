@@ -152,6 +152,7 @@ class PitfallsTest(RobotTestCase):
             actions=ACTIONS.replace("CANCELLED", repr(os.devnull)),
         )  # fmt: skip
         robot = team.start()["robot_1"]
+        team.wait_until_heard()
         answer = wait_for(lambda: robot.command("fire", argument="arrives"), what="the order")
         self.assertTrue(answer.success, answer.message)
         wait_for(lambda: team.transitions() == ["arrives"], what="its publication")

@@ -104,6 +104,11 @@ class Robot:
     def log(self):
         return read_log(self.log_file)
 
+    def logged_transitions(self):
+        """All that has fired, by the robot's log: also what was published before anybody listened."""
+        slots = (r for r in self.log().records if r["kind"] == "slot")
+        return [firing["transition"] for slot in slots for firing in slot["firings"]]
+
 
 class Team:
     """The robots of one run, in a folder of their own; hears all firings."""
@@ -133,6 +138,11 @@ class Team:
         for robot in self:
             robot.start()
         return self
+
+    def wait_until_heard(self, seconds=30):
+        """Wait until this process is connected to every robot: what was published before is not heard."""
+        wait_for(lambda: self._subscriber.get_num_connections() >= len(self.robots), seconds,
+                 "connections to all robots")  # fmt: skip
 
     def transitions(self):
         return [message.transition for message in list(self.fired)]
