@@ -119,7 +119,3 @@ class Rules:
             self.net.transitions[t].name,
             "; ".join(missing) or "about to fire",
         )
-
-    def is_inactive_place(self, p: int) -> bool:
-        """Whether no arc leaves the place: a robot that is done there stays."""
-        return not self.net.consumers[p]
