@@ -35,11 +35,6 @@ class LaunchFilesTest(unittest.TestCase):
     def on_fired(cls, message):
         cls.moves.update((message.run, robot) for robot in message.robots)
 
-    def run_of(self, size):
-        """The run whose team has that many robots."""
-        robots = Counter(run for run, _ in list(self.moves))
-        return next((run for run, number in robots.items() if number == size), None)
-
     def wait_for_moves(self, run, robot, number):
         wanted = self.moves[run, robot] + number
         wait_for(lambda: self.moves[run, robot] >= wanted, 40, "moves of %s" % robot)
@@ -49,7 +44,7 @@ class LaunchFilesTest(unittest.TestCase):
         return rospy.ServiceProxy(namespace + "/get_state", GetState)()
 
     def test_a_team_moves_and_a_robot_that_dies_is_started_again_and_goes_on(self):
-        run = wait_for(lambda: self.run_of(2), 40, "both robots of the team to move")
+        run = "team_of_two"
         for robot in ("robot_1", "robot_2"):
             self.wait_for_moves(run, robot, 3)
         before = self.state("/team/robot_2")
@@ -63,10 +58,9 @@ class LaunchFilesTest(unittest.TestCase):
         self.assertGreater(after.visit, before.visit)
 
     def test_hosted_robots_move_each_in_a_namespace_of_its_own(self):
-        run = wait_for(lambda: self.run_of(3), 40, "the three hosted robots to move")
         for number in (1, 2, 3):
             robot = "robot_%d" % number
-            self.wait_for_moves(run, robot, 3)
+            self.wait_for_moves("hosted_three", robot, 3)
             self.assertEqual(self.state("/hosted/" + robot).robot, robot)
 
 
