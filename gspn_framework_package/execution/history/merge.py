@@ -7,8 +7,8 @@ import hashlib
 import json
 from typing import Any, Dict, List, Sequence, Set, Tuple
 
-from gspn_framework_package.execution.event_log import EventLog
-from gspn_framework_package.execution.history.replay import BrokenRuleError, Record
+from gspn_framework_package.execution.event_log import EventLog, Record
+from gspn_framework_package.execution.history.replay import BrokenRuleError
 
 COMPARED = ("entries", "origins", "firings", "hash")
 

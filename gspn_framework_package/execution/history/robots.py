@@ -6,9 +6,10 @@ from __future__ import annotations
 from bisect import bisect_left
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
-from gspn_framework_package.execution.event_log import EventLog
+from gspn_framework_package.execution.event_log import EventLog, Record
 from gspn_framework_package.execution.history.merge import Merged
-from gspn_framework_package.execution.history.replay import BrokenRuleError, Record, Situation
+from gspn_framework_package.execution.history.replay import BrokenRuleError
+from gspn_framework_package.execution.history.team import Situation
 from gspn_framework_package.model.plan import Plan
 
 Origin = Tuple[str, int, int, str]

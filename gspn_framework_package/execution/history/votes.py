@@ -6,9 +6,9 @@ from __future__ import annotations
 import json
 from typing import Any, Dict, List, Sequence, Set, Tuple
 
-from gspn_framework_package.execution.event_log import EventLog
+from gspn_framework_package.execution.event_log import EventLog, Record
 from gspn_framework_package.execution.history.merge import Merged
-from gspn_framework_package.execution.history.replay import BrokenRuleError, Record
+from gspn_framework_package.execution.history.replay import BrokenRuleError
 
 Vote = Tuple[Tuple[int, str], str]
 """A ballot, and the text of the batch."""

@@ -1,0 +1,312 @@
+"""The team as its log tells it: the net, the marking, the robots, and what the entries change.
+
+Written apart from the token game, and shares no code with it (see :mod:`.replay`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Dict, Iterable, List, NamedTuple, Optional, Tuple
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.plan import FailureKind, LostKind, Plan
+
+
+class Situation(NamedTuple):
+    """Where a robot is after some slot; ``phase`` is one of doing, done, failed, inactive, lost,
+    left."""
+
+    place: str
+    incarnation: int
+    visit: int
+    attempt: int
+    phase: str
+
+
+@dataclass
+class Token:
+    """A robot, as the log tells it."""
+
+    name: str
+    place: str
+    incarnation: int
+    visit: int = 1
+    attempt: int = 1
+    phase: str = "doing"
+    asks: Optional[str] = None
+    """A transition; None: the policy decides."""
+    may_ask: Optional[str] = None
+    """A transition it asks for instead, if it waited for a robot that was lost."""
+    order: int = 0
+    failures: int = 0
+    paused: bool = False
+
+    @property
+    def goal(self) -> Tuple[int, int, int]:
+        """(incarnation, visit, attempt)."""
+        return self.incarnation, self.visit, self.attempt
+
+    @property
+    def here(self) -> bool:
+        """Whether its token is in the net."""
+        return self.phase not in ("lost", "left")
+
+
+class Team:
+    """The state of a team as far as the entries and firings that were looked at.
+
+    :param plan: the plan that the log carries.
+    :param agents: transitions may create and destroy tokens.
+    """
+
+    def __init__(self, plan: Plan, agents: bool = False) -> None:
+        self.plan = plan
+        self.agents = agents
+        net = plan.net
+        self.resources = set(plan.resource_places)
+        self.marking: Dict[str, int] = {p.name: p.tokens if p.name in self.resources else 0 for p in net.places}
+        self.robots: Dict[str, Token] = {}
+        self.witnesses: Tuple[str, ...] = ()
+        self.seed = 0
+        self.paused = False
+        self.ended: Optional[str] = None
+        self.perhaps_ended = False
+        self.orders = 0
+        self.last_firing = (-1, -1)
+        self.inputs: Dict[str, Dict[str, int]] = {}
+        self.outputs: Dict[str, Dict[str, int]] = {}
+        self.limits: Dict[str, Dict[str, int]] = {}
+        for t in net.transitions:
+            self.inputs[t.name], self.outputs[t.name], self.limits[t.name] = {}, {}, {}
+        for arc in net.arcs:
+            if arc.source in self.inputs:
+                _add(self.outputs[arc.source], arc.target, arc.weight)
+            elif arc.inhibitor:
+                known = self.limits[arc.target].get(arc.source, arc.weight)
+                self.limits[arc.target][arc.source] = min(known, arc.weight)
+            else:
+                _add(self.inputs[arc.target], arc.source, arc.weight)
+        self.kind = {t.name: t for t in net.transitions}
+        self.capacity = {p.name: p.capacity for p in net.places}
+        self.leaving: Dict[str, List[str]] = {p.name: [] for p in net.places}
+        for t in net.transitions:
+            for place in self.inputs[t.name]:
+                self.leaving[place].append(t.name)
+        self.spontaneous = [
+            t.name
+            for t in net.transitions
+            if not t.timed
+            and self.resources.issuperset(self.inputs[t.name])
+            and (agents or self.resources.issuperset(self.outputs[t.name]))
+        ]
+        self.until = parse_condition(plan.until, [p.name for p in net.places]) if plan.until else None
+
+    # -- questions ---------------------------------------------------------------------------------
+
+    def members(self) -> List[str]:
+        """Who votes in the next slot."""
+        return [r.name for r in self.robots.values() if r.here] + list(self.witnesses)
+
+    def situations(self) -> Dict[str, Situation]:
+        """Where every robot is."""
+        return {r.name: Situation(r.place, r.incarnation, r.visit, r.attempt, r.phase) for r in self.robots.values()}
+
+    def _has_concession(self, t: str) -> bool:
+        if any(self.marking[p] < n for p, n in self.inputs[t].items()):
+            return False
+        if any(self.marking[p] >= n for p, n in self.limits[t].items()):
+            return False
+        return all(
+            limit is None or change <= 0 or self.marking[p] + change <= limit
+            for p, change in self._effect(t).items()
+            for limit in (self.capacity[p],)
+        )
+
+    def _effect(self, t: str) -> Dict[str, int]:
+        change = dict(self.outputs[t])
+        for p, n in self.inputs[t].items():
+            change[p] = change.get(p, 0) - n
+        return change
+
+    def _waiting(self) -> List[Token]:
+        done = [r for r in self.robots.values() if r.phase == "done" and not r.paused]
+        return sorted(done, key=lambda r: r.order)
+
+    def _free(self, place: str, t: str) -> List[Token]:
+        return [
+            r
+            for r in self._waiting()
+            if r.place == place and (t in (r.asks, r.may_ask) or (r.asks is None and not self.kind[t].timed))
+        ]
+
+    def _may_fire(self, t: str) -> bool:
+        return self._has_concession(t) and all(
+            len(self._free(p, t)) >= n for p, n in self.inputs[t].items() if p not in self.resources
+        )
+
+    # -- entries -----------------------------------------------------------------------------------
+
+    def _apply(self, entry: log.Entry) -> Optional[str]:
+        """Take an entry; the environment's transition that must fire at once, if it is about
+        one."""
+        if isinstance(entry, log.Start):
+            self._start(entry)
+        elif isinstance(entry, log.Done):
+            robot = self.robots.get(entry.robot)
+            key = (entry.incarnation, entry.visit)
+            if robot and robot.phase == "doing" and key == (robot.incarnation, robot.visit):
+                self._done(robot, entry.result)
+        elif isinstance(entry, log.Failed):
+            robot = self.robots.get(entry.robot)
+            attempt = (entry.incarnation, entry.visit, entry.attempt)
+            if robot and robot.phase == "doing" and attempt == robot.goal:
+                self._failed(robot)
+        elif isinstance(entry, log.Retry):
+            robot = self.robots.get(entry.robot)
+            if robot and robot.phase == "failed":
+                robot.phase, robot.failures = "doing", 0
+                robot.attempt += 1
+        elif isinstance(entry, log.Fire):
+            t = entry.transition
+            if t in self.kind and not self.paused and self._has_concession(t):
+                touched = set(self.inputs[t]) | (set() if self.agents else set(self.outputs[t]))
+                if self.resources.issuperset(touched):
+                    return t
+        elif isinstance(entry, log.Join):
+            self._join(entry)
+        elif isinstance(entry, (log.Leave, log.Evict)):
+            self._gone(entry)
+        elif isinstance(entry, log.SetPlace):
+            robot = self.robots.get(entry.robot)
+            if robot and robot.here and entry.place in self.plan.action_places:
+                self.marking[robot.place] -= 1
+                self.marking[entry.place] += 1
+                robot.place = entry.place
+                robot.visit += 1
+                self._enter(robot)
+        elif isinstance(entry, (log.Pause, log.Resume)):
+            paused = isinstance(entry, log.Pause)
+            if not entry.robot:
+                self.paused = paused
+            elif entry.robot in self.robots:
+                self.robots[entry.robot].paused = paused
+        elif isinstance(entry, log.Stop):
+            self.ended = entry.reason
+        return None
+
+    def _start(self, entry: log.Start) -> None:
+        if self.robots:
+            return
+        self.seed, self.witnesses = entry.seed, entry.witnesses
+        for name, place, incarnation in entry.roster:
+            self.robots[name] = Token(name, place, incarnation)
+            self.marking[place] += 1
+        for robot in list(self.robots.values()):
+            self._enter(robot)
+
+    def _enter(self, robot: Token) -> None:
+        robot.attempt, robot.failures = 1, 0
+        robot.asks = robot.may_ask = None
+        robot.phase = "doing"
+        if self.plan.action(robot.name, robot.place) is None:
+            self._done(robot, "")
+
+    def _done(self, robot: Token, result: Optional[str]) -> None:
+        leaving = self.leaving[robot.place]
+        if not leaving:
+            robot.phase = "inactive"
+        elif result and result != "None":
+            if result in leaving:
+                self._ask(robot, result)
+            else:
+                self._failed(robot)
+        elif any(not self.kind[t].timed for t in leaving):
+            self._ask(robot, None)
+        elif len(leaving) == 1:
+            self._ask(robot, leaving[0])
+        else:
+            self._failed(robot)
+
+    def _ask(self, robot: Token, what: Optional[str]) -> None:
+        self.orders += 1
+        robot.phase, robot.asks, robot.order, robot.failures = "done", what, self.orders, 0
+
+    def _failed(self, robot: Token) -> None:
+        rule = self.plan.failure_rule(robot.place)
+        if rule.kind is FailureKind.RETRY and robot.failures < rule.times:
+            robot.failures += 1
+            robot.attempt += 1
+        elif rule.kind is FailureKind.FIRE and rule.transition in self.leaving[robot.place]:
+            self._ask(robot, rule.transition)
+        else:
+            if rule.kind is FailureKind.STOP:
+                self.ended = "an action of %s failed" % robot.name
+            else:
+                robot.phase = "failed"
+
+    def _join(self, entry: log.Join) -> None:
+        robot = self.robots.get(entry.robot)
+        if entry.robot in self.witnesses:
+            return
+        if robot is None:
+            if entry.place in self.plan.action_places:
+                robot = Token(entry.robot, entry.place, entry.incarnation)
+                self.robots[entry.robot] = robot
+                self.marking[entry.place] += 1
+                self._enter(robot)
+        elif entry.incarnation > robot.incarnation:
+            robot.incarnation = entry.incarnation
+            if not robot.here:
+                robot.visit += 1
+                self.marking[robot.place] += 1
+                self._enter(robot)
+            elif robot.phase == "doing":
+                robot.attempt += 1
+
+    def _gone(self, entry: log.Entry) -> None:
+        assert isinstance(entry, (log.Leave, log.Evict))
+        robot = self.robots.get(entry.robot)
+        if robot is None or not robot.here:
+            return
+        if isinstance(entry, log.Leave):
+            robot.phase = "left"
+            self.marking[robot.place] -= 1
+            robot.paused = False
+            return
+        if entry.incarnation != robot.incarnation:
+            return
+        robot.phase, robot.paused = "lost", False
+        self.marking[robot.place] -= 1
+        for place, n in self.plan.on_evict.get(robot.place, {}).items():
+            self.marking[place] += n
+        rule = self.plan.on_lost
+        stuck = [r for r in self._all_waiting() if self._waits_for(r, robot.place)]
+        sure = any(r.asks is not None for r in stuck)
+        if stuck and rule.kind is LostKind.STOP:
+            self.perhaps_ended = not sure
+            if sure:
+                self.ended = "%s is lost" % robot.name
+        elif rule.kind is LostKind.FIRE:
+            for other in stuck:
+                if rule.transition in self.leaving[other.place]:
+                    if other.asks is None:  # if its draw was for the robot that is lost
+                        other.may_ask = rule.transition
+                    else:
+                        other.asks = rule.transition
+
+    def _all_waiting(self) -> List[Token]:
+        return [r for r in self.robots.values() if r.phase == "done"]
+
+    def _waits_for(self, robot: Token, place: str) -> bool:
+        wanted: Iterable[str] = [robot.asks] if robot.asks else self.leaving[robot.place]
+        return any(
+            n > len(self._free(place, t))
+            for t in wanted
+            for p, n in self.inputs[t].items()
+            if p == place and p not in self.resources
+        )
+
+
+def _add(weights: Dict[str, int], place: str, weight: int) -> None:
+    weights[place] = weights.get(place, 0) + weight
