@@ -87,8 +87,8 @@ class Grid:
     def __init__(self, room: Room) -> None:
         bounds = room.bounds()
         self.room = room
-        self.columns = math.ceil((bounds.high[0] - bounds.low[0]) / RESOLUTION) + 1
-        self.rows = math.ceil((bounds.high[1] - bounds.low[1]) / RESOLUTION) + 1
+        self.columns = max(math.ceil((bounds.high[0] - bounds.low[0]) / RESOLUTION), 1) + 1
+        self.rows = max(math.ceil((bounds.high[1] - bounds.low[1]) / RESOLUTION), 1) + 1
         self._low = bounds.low
         columns, rows = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
         self.xs: np.ndarray = bounds.low[0] + columns.ravel() * RESOLUTION

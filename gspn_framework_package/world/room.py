@@ -242,10 +242,15 @@ class Room:
         return [*self.wall_boxes(), *self.obstacles]
 
     def bounds(self) -> Area:
-        """The rectangle around everything."""
+        """The rectangle around everything; around the origin where there is nothing."""
         points = [point for line in self.walls for point in line]
         points += [solid.at for solid in self.obstacles]
-        points += [(pose.x, pose.y) for pose in self.spawn]
+        poses = list(self.spawn)
+        for place in self.locations.values():
+            points += [place.area.low, place.area.high]
+            poses += [place.entry, *place.bay]
+        points += [(pose.x, pose.y) for pose in poses]
+        points = points or [(0.0, 0.0)]
         xs, ys = [p[0] for p in points], [p[1] for p in points]
         return Area((min(xs), min(ys)), (max(xs), max(ys)))
 

@@ -5,11 +5,12 @@ docs/world.md lists every field; the critical room of thesis Figure 6.7 is plans
 
 from __future__ import annotations
 
+import difflib
+import math
 from pathlib import Path
-from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple, Union
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Union
 
 import jsonschema
-import yaml
 
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.world.room import (
@@ -25,10 +26,14 @@ from gspn_framework_package.world.room import (
     Room,
     TemperatureField,
 )
+from gspn_framework_package.world.room_check import check_room
+from gspn_framework_package.world.yaml_file import YamlDocument, path_text
+
+_NUMBER = {"type": "number", "minimum": -10_000, "maximum": 10_000}
 
 
 def _numbers(count: int) -> Dict[str, Any]:
-    return {"type": "array", "items": {"type": "number"}, "minItems": count, "maxItems": count}
+    return {"type": "array", "items": _NUMBER, "minItems": count, "maxItems": count}
 
 
 def _record(required: Sequence[str], **properties: Any) -> Dict[str, Any]:
@@ -41,9 +46,10 @@ def _record(required: Sequence[str], **properties: Any) -> Dict[str, Any]:
 
 
 _POINT = _numbers(2)
-_POSE = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 3}
-_POSITIVE = {"type": "number", "exclusiveMinimum": 0}
-_NOT_NEGATIVE = {"type": "number", "minimum": 0}
+_POSE = {"type": "array", "items": _NUMBER, "minItems": 2, "maxItems": 3}
+# what is smaller is a mistake in the units
+_POSITIVE = {"type": "number", "minimum": 0.001, "maximum": 10_000}
+_NOT_NEGATIVE = {"type": "number", "minimum": 0, "maximum": 1_000_000}
 _COLOR = {"type": "string", "pattern": "^#[0-9a-fA-F]{6}$"}
 _SOLID = {"at": _POINT, "height": _POSITIVE, "color": _COLOR}
 _POINTS = {"type": "array", "items": _POINT, "minItems": 1}
@@ -60,7 +66,7 @@ SCHEMA: Dict[str, Any] = _record(
         "items": _record(
             ["at", "size"],
             size={"type": "array", "items": _POSITIVE, "minItems": 2, "maxItems": 2},
-            yaw={"type": "number"},
+            yaw=_NUMBER,
             **_SOLID,
         ),
     },
@@ -77,13 +83,13 @@ SCHEMA: Dict[str, Any] = _record(
     spawn={"type": "array", "items": _POSE},
     temperature=_record(
         [],
-        ambient={"type": "number"},
+        ambient=_NUMBER,
         hot_spots={
             "type": "array",
             "items": _record(
                 ["path", "excess", "radius"],
                 path=_POINTS,
-                excess={"type": "number"},
+                excess=_NUMBER,
                 radius=_POSITIVE,
                 speed=_NOT_NEGATIVE,
                 hot_for=_NOT_NEGATIVE,
@@ -94,35 +100,30 @@ SCHEMA: Dict[str, Any] = _record(
     ),
     robot=_record(
         [],
-        scan_rays={"type": "integer", "minimum": 1},
+        scan_rays={"type": "integer", "minimum": 1, "maximum": 10_000},
         **{name: _POSITIVE for name in RobotType.__dataclass_fields__ if name != "scan_rays"},
     ),
 )
 """The JSON schema of a room file."""
 
 
-def _line_of(node: Optional[yaml.Node], path: Iterable[Union[str, int]]) -> Optional[int]:
-    """The line of the element at ``path`` (keys and indices), or of the nearest one around it that exists."""
-    if node is None:
-        return None
-    line = node.start_mark.line + 1
-    for step in path:
-        child = None
-        if isinstance(node, yaml.MappingNode):
-            child = next((value for key, value in node.value if key.value == step), None)
-        elif isinstance(node, yaml.SequenceNode) and isinstance(step, int):
-            child = node.value[step] if step < len(node.value) else None
-        if child is None:
-            break
-        node, line = child, child.start_mark.line + 1
-    return line
+def _is_finite_number(_checker: Any, value: Any) -> bool:
+    # for YAML .nan and .inf are numbers too
+    return bool(jsonschema.Draft7Validator.TYPE_CHECKER.is_type(value, "number")) and abs(value) < math.inf
 
 
-def _path_text(path: Iterable[Union[str, int]]) -> str:
-    text = ""
-    for step in path:
-        text += "[%d]" % step if isinstance(step, int) else ("." if text else "") + str(step)
-    return text
+_extend: Any = jsonschema.validators.extend
+_VALIDATOR = _extend(
+    jsonschema.Draft7Validator,
+    type_checker=jsonschema.Draft7Validator.TYPE_CHECKER.redefine("number", _is_finite_number),
+)
+
+_KINDS = {
+    "array": "list", "object": "mapping", "number": "finite number", "integer": "whole number", "string": "text"
+}  # fmt: skip
+"""What the types of the schema are called in messages."""
+
+_LONGEST = 160  # characters of a message that may quote what was given
 
 
 def _point(values: Sequence[float]) -> Point:
@@ -138,37 +139,50 @@ def parse_room(text: str, file: Optional[str] = None) -> Room:
 
     :param text: YAML.
     :param file: the name to tell in errors.
-    :raises InputError: not YAML, not what the schema asks for, or a room that robots cannot use: an obstacle on a
-        spawn pose, an entry inside its own area.
+    :raises InputError: not YAML, not what the schema asks for, or a room that robots cannot use
+        (:mod:`.room_check`).
     """
-    try:
-        # PyYAML's safe loaders build plain data only
-        tree = yaml.compose(text, Loader=yaml.SafeLoader)
-        data = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        raise InputError(
-            "not YAML: %s" % (getattr(error, "problem", None) or error),
-            file=file,
-            line=mark.line + 1 if mark is not None else None,
-        ) from None
-    problems = sorted(
-        jsonschema.Draft7Validator(SCHEMA).iter_errors(data),
-        # a misspelt name is also a missing one: tell the misspelling first
-        key=lambda p: (p.validator != "additionalProperties", [str(step) for step in p.path]),
-    )
+    document = YamlDocument(text, file)
+    problems = list(_VALIDATOR(SCHEMA).iter_errors(document.data))
     if problems:
-        first = problems[0]
-        raise InputError(
-            first.message,
-            file=file,
-            line=_line_of(tree, first.path),
-            element=_path_text(first.path) or "room",
-            hint="%d more" % (len(problems) - 1) if len(problems) > 1 else "see docs/world.md",
-        )
+        # a misspelt name is also a missing one: tell the misspelling first
+        first = min(problems, key=lambda p: (p.validator != "additionalProperties", document.line(p.path)))
+        raise _refusal(first, document, len(problems) - 1)
+    data = document.data
     room = _build(data)
-    _check(room, file, tree)
+    check_room(room, document)
     return room
+
+
+def _refusal(problem: Any, document: YamlDocument, more: int) -> InputError:
+    """The error for what the schema does not allow, in plain words."""
+    message, key, rule = problem.message, None, problem.validator_value
+    hint = "see docs/world.md"
+    if problem.validator == "additionalProperties":
+        known = list(problem.schema["properties"])
+        key = next(name for name in problem.instance if name not in known)
+        message = "there is no key '%s' here" % key
+        close = difflib.get_close_matches(str(key), known, 1)
+        hint = "did you mean '%s'?" % close[0] if close else "the keys are %s" % ", ".join(known)
+    elif problem.validator == "required":
+        missing = next(name for name in rule if name not in problem.instance)
+        message = "the key '%s' is missing" % missing
+    elif problem.validator in ("minItems", "maxItems"):
+        few = problem.schema.get("minItems", 0)
+        most = problem.schema.get("maxItems")
+        wanted = "%d or more" % few if most is None else "%d" % few if few == most else "%d to %d" % (few, most)
+        message = "it has %d entries, and needs %s" % (len(problem.instance), wanted)
+    elif problem.validator == "type":
+        message = "%r is no %s" % (problem.instance, _KINDS[rule])
+    elif problem.validator == "pattern":
+        message = "%r is no colour such as #ffcc00" % problem.instance
+    if len(message) > _LONGEST:
+        message = message[: _LONGEST // 2] + " ... " + message[-_LONGEST // 2 :]
+    if more:
+        hint += "; %d more" % more
+    line = document.line(problem.path, None if key is None else str(key))
+    element = path_text(problem.path) or "room"
+    return InputError(message, file=document.file, line=line, element=element, hint=hint)
 
 
 def load_room(file: Union[str, Path]) -> Room:
@@ -217,60 +231,3 @@ def _build(data: Mapping[str, Any]) -> Room:
         ),
         robot=RobotType(**data.get("robot", {})),
     )
-
-
-def _check(room: Room, file: Optional[str], tree: Optional[yaml.Node]) -> None:
-    """What a schema cannot say: every pose that a robot is to stand in is free."""
-    poses: List[Tuple[Tuple[Union[str, int], ...], Pose]] = [
-        (("spawn", i), pose) for i, pose in enumerate(room.spawn)
-    ]
-    for name, place in room.locations.items():
-        where: Tuple[Union[str, int], ...] = ("locations", name)
-        if place.area.low[0] >= place.area.high[0] or place.area.low[1] >= place.area.high[1]:
-            raise InputError(
-                "the area has no inside",
-                file=file,
-                line=_line_of(tree, (*where, "area")),
-                element=_path_text(where),
-                hint="give its south-west corner, then its north-east corner",
-            )
-        outside: List[Tuple[Tuple[Union[str, int], ...], Pose]] = []
-        outside.append(((*where, "entry"), place.entry))
-        outside += [((*where, "bay", i), slot) for i, slot in enumerate(place.bay)]
-        for path, pose in outside:
-            if place.area.distance((pose.x, pose.y)) < room.robot.radius:
-                raise InputError(
-                    "a robot that waits there would be in the area",
-                    file=file,
-                    line=_line_of(tree, path),
-                    element=_path_text(path),
-                    hint="move it away from the area by the radius of a robot, %g m, or more"
-                    % room.robot.radius,
-                )
-        poses += outside
-        poses += [((*where, "sweep", i), Pose(*point)) for i, point in enumerate(place.sweep)]
-    for path, pose in poses:
-        clearance = float(room.clearance(pose.x, pose.y))
-        if clearance < room.robot.radius:
-            raise InputError(
-                "a robot does not fit there: the nearest wall or obstacle is %.3f m away"
-                % max(clearance, 0.0),
-                file=file,
-                line=_line_of(tree, path),
-                element=_path_text(path),
-                hint="a robot needs %g m" % room.robot.radius,
-            )
-    for group, members in [("spawn", room.spawn)] + [
-        ("locations.%s.bay" % name, place.bay) for name, place in room.locations.items()
-    ]:
-        for i, pose in enumerate(members):
-            for j, other in enumerate(members[:i]):
-                if pose.distance(other) < 2 * room.robot.radius:
-                    raise InputError(
-                        "poses %d and %d overlap: they are %.3f m apart"
-                        % (j, i, pose.distance(other)),
-                        file=file,
-                        line=_line_of(tree, (*group.split("."), i)),
-                        element=group,
-                        hint="two robots need %g m" % (2 * room.robot.radius),
-                    )

@@ -7,28 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.world.room import Area, Box, Cylinder, HotSpot, Pose, TemperatureField
 from gspn_framework_package.world.room_file import load_room, parse_room
 
 ROOT = Path(__file__).resolve().parents[3]
 CRITICAL_ROOM = ROOT / "plans" / "patrol" / "critical_room.yaml"
-
-GOOD = """\
-name: small
-walls:
-  - [[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]
-locations:
-  A:
-    area: [[-0.5, -0.5], [0.5, 0.5]]
-    entry: [-0.75, 0]
-    sweep: [[0, 0]]
-    bay:
-      - [0.75, 0.5]
-      - [0.75, -0.5]
-spawn:
-  - [-0.75, 0]
-"""
 
 
 def test_the_critical_room_is_that_of_the_thesis():
@@ -52,36 +35,6 @@ def test_a_room_that_says_little_gets_the_defaults():
     assert room.robot.max_speed == 0.22
     assert room.temperature.at((0.0, 0.0), 0.0) == 21.0
     assert room.clearance(0.0, 0.0) == math.inf
-
-
-@pytest.mark.parametrize(
-    "old, new, line, words",
-    [
-        ("name: small", "nome: small", 1, "nome"),
-        ("walls:", "walls: [", 3, "not YAML"),
-        ("[[0, 0]]", "[]", 8, "locations.A.sweep"),
-        ("[-0.75, 0]\n    sweep", "[-0.75, zero]\n    sweep", 7, "'zero' is not of type 'number'"),
-        ("entry: [-0.75, 0]", "entry: [-0.55, 0]", 7, "in the area"),
-        ("[0.75, -0.5]", "[0.75, 0.45]", 11, "overlap"),
-        ("spawn:\n  - [-0.75, 0]", "spawn:\n  - [-0.9, 0]", 13, "does not fit"),
-        ("[[-0.5, -0.5], [0.5, 0.5]]", "[[0.5, 0.5], [-0.5, -0.5]]", 6, "no inside"),
-        ("spawn:", "robot: {max_speed: 0}\nspawn:", 12, "robot.max_speed"),
-    ],
-)
-def test_a_bad_room_is_refused_with_its_line(old, new, line, words):
-    parse_room(GOOD)
-    assert old in GOOD
-    with pytest.raises(InputError) as refused:
-        parse_room(GOOD.replace(old, new), "room.yaml")
-    assert words in str(refused.value)
-    if line is not None:
-        assert refused.value.line == line
-    assert refused.value.exit_code == 2
-
-
-def test_a_file_that_is_not_there_is_an_input_error():
-    with pytest.raises(InputError, match="cannot read the room"):
-        load_room("/no/such/room.yaml")
 
 
 coordinate = st.floats(-3, 3)

@@ -1,0 +1,124 @@
+"""What a room must be for robots to use it, which a schema cannot say.
+
+Every pose that a robot is to stand in is free; locations have an inside, their sweeps lie in it, and their waiting
+poses outside; poses of one group do not overlap; and ways lead from everywhere to everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import List, Tuple
+
+from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.world.grid import Grid
+from gspn_framework_package.world.room import Location, Pose, Room
+from gspn_framework_package.world.yaml_file import Step, YamlDocument, path_text
+
+LARGEST_FLOOR = 1_600.0
+"""Square metres; the grid of a larger one would take too much memory and time."""
+
+Path = Tuple[Step, ...]
+
+
+def check_room(room: Room, document: YamlDocument) -> None:
+    """Refuse a room that robots cannot use.
+
+    :param document: what it was read from, to tell where.
+    :raises InputError: the first thing that is wrong.
+    """
+    bounds = room.bounds()
+    size = [high - low for low, high in zip(bounds.low, bounds.high)]
+    if size[0] * size[1] > LARGEST_FLOOR:
+        raise InputError(
+            "the room is too large: %.0f m x %.0f m" % (size[0], size[1]),
+            file=document.file,
+            line=document.line(("walls",)),
+            hint="up to %.0f square metres can be simulated" % LARGEST_FLOOR,
+        )
+    poses: List[Tuple[Path, Pose]] = [(("spawn", i), pose) for i, pose in enumerate(room.spawn)]
+    for place in room.locations.values():
+        poses += _check_location(room, place, document)
+    for path, pose in poses:
+        _check_fits(room, path, pose, document)
+    _check_apart(room, ("spawn",), room.spawn, document)
+    for name, place in room.locations.items():
+        _check_apart(room, ("locations", name, "bay"), place.bay, document)
+    _check_ways(room, poses, document)
+
+
+def _check_location(room: Room, place: Location, document: YamlDocument) -> List[Tuple[Path, Pose]]:
+    """Check the shape of a location; returns the poses that robots are to stand in."""
+    where: Path = ("locations", place.name)
+    radius = room.robot.radius
+    if place.area.low[0] >= place.area.high[0] or place.area.low[1] >= place.area.high[1]:
+        raise InputError(
+            "the area has no inside",
+            file=document.file,
+            line=document.line((*where, "area")),
+            element=path_text(where),
+            hint="give its south-west corner, then its north-east corner",
+        )
+    outside: List[Tuple[Path, Pose]] = [((*where, "entry"), place.entry)]
+    outside += [((*where, "bay", i), slot) for i, slot in enumerate(place.bay)]
+    for path, pose in outside:
+        if place.area.distance((pose.x, pose.y)) < radius:
+            raise InputError(
+                "a robot that waits there would be in the area",
+                file=document.file,
+                line=document.line(path),
+                element=path_text(path),
+                hint="move it away from the area by the radius of a robot, %g m, or more" % radius,
+            )
+    sweep: List[Tuple[Path, Pose]] = [((*where, "sweep", i), Pose(*point)) for i, point in enumerate(place.sweep)]
+    for path, pose in sweep:
+        if place.area.distance((pose.x, pose.y)) > 0.0:
+            raise InputError(
+                "the point is not in the area that it is to sweep",
+                file=document.file,
+                line=document.line(path),
+                element=path_text(path),
+                hint="the area goes from %s to %s" % (list(place.area.low), list(place.area.high)),
+            )
+    return outside + sweep
+
+
+def _check_fits(room: Room, path: Path, pose: Pose, document: YamlDocument) -> None:
+    clearance = float(room.clearance(pose.x, pose.y))
+    if clearance < room.robot.radius:
+        raise InputError(
+            "a robot does not fit there: the nearest wall or obstacle is %.3f m away" % max(clearance, 0.0),
+            file=document.file,
+            line=document.line(path),
+            element=path_text(path),
+            hint="a robot needs %g m" % room.robot.radius,
+        )
+
+
+def _check_apart(room: Room, group: Path, members: Tuple[Pose, ...], document: YamlDocument) -> None:
+    for i, pose in enumerate(members):
+        for j, other in enumerate(members[:i]):
+            if pose.distance(other) < 2 * room.robot.radius:
+                raise InputError(
+                    "poses %d and %d overlap: they are %.3f m apart" % (j, i, pose.distance(other)),
+                    file=document.file,
+                    line=document.line((*group, i)),
+                    element=path_text(group),
+                    hint="two robots need %g m" % (2 * room.robot.radius),
+                )
+
+
+def _check_ways(room: Room, poses: List[Tuple[Path, Pose]], document: YamlDocument) -> None:
+    """Ways go both ways: one to the first pose from each of the others is enough."""
+    if len(poses) < 2:
+        return
+    (first, goal), others = poses[0], poses[1:]
+    field = Grid(room).field((goal.x, goal.y))
+    for path, pose in others:
+        if math.isinf(field.cost((pose.x, pose.y))):
+            raise InputError(
+                "no way leads from there to %s" % path_text(first),
+                file=document.file,
+                line=document.line(path),
+                element=path_text(path),
+                hint="a robot needs gaps of %g m and more" % (2 * room.robot.radius + 0.1),
+            )
