@@ -39,6 +39,8 @@ class Answer(NamedTuple):
 class OperatorClient:
     """Talks to all execution nodes that the ROS master knows; every call ends at a deadline.
 
+    A program that goes on without it ends its threads with :meth:`close`.
+
     :raises ExecutionError: no master, or no execution node there.
     """
 
@@ -47,6 +49,10 @@ class OperatorClient:
         if not rospy.core.is_initialized():
             rospy.init_node("gspn_operator", anonymous=True, disable_signals=True, disable_rosout=True)
         self.nodes = self._find()
+
+    def close(self) -> None:
+        """End the threads of the calls."""
+        self._calls.close()
 
     def _find(self) -> List[NodeAddress]:
         try:

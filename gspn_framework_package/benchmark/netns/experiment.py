@@ -8,7 +8,8 @@ import time
 from dataclasses import replace
 from typing import Any, Callable, Dict, Sequence, Tuple
 
-from gspn_framework_package.benchmark.netns.logs import History, LogTail, check_history
+from gspn_framework_package.benchmark.log_tail import LogTail
+from gspn_framework_package.benchmark.netns.logs import History, check_history
 from gspn_framework_package.benchmark.netns.network import Network
 from gspn_framework_package.benchmark.netns.rules import Cuts, one_way, partition
 from gspn_framework_package.benchmark.netns.team import MASTER, Team

@@ -13,7 +13,7 @@ import sys
 import time
 from typing import Any, Dict, List, Sequence
 
-from gspn_framework_package.benchmark.netns.logs import LogTail
+from gspn_framework_package.benchmark.log_tail import LogTail
 from gspn_framework_package.benchmark.netns.network import Network, inside
 from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.errors import ExecutionError

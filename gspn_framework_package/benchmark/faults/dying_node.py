@@ -1,0 +1,70 @@
+"""A robot's process that can be told to die while it writes its log.
+
+``python3 -m gspn_framework_package.benchmark.faults.dying_node`` is ``gspn_executor`` but for two signals. Nobody can
+kill a process from outside at the very moment of a write; so the process does it itself, with SIGKILL:
+
+- :data:`CUT`: in the next write, of which only a part gets into the file;
+- :data:`UNSENT`: after the next write, before anything that rests on it has left the process.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import sys
+from typing import Any, BinaryIO, List
+
+from gspn_framework_package.execution.event_log import EventLogWriter, Record
+
+CUT, UNSENT = signal.SIGUSR1, signal.SIGUSR2
+
+AT_ONCE = "--cut-the-first-write"
+"""An argument of the process: die in the first write of all."""
+
+
+class DyingFile:
+    """A file whose next write is the last thing that this process does.
+
+    :param told: :data:`CUT` or :data:`UNSENT`.
+    """
+
+    def __init__(self, file: BinaryIO, told: int) -> None:
+        self._file, self._told = file, told
+
+    def write(self, data: bytes) -> int:
+        """Write a part of it, or all, and die."""
+        size = random.randrange(1, len(data)) if self._told == CUT else len(data)
+        self._file.write(data[:size])
+        os.kill(os.getpid(), signal.SIGKILL)
+        return size  # never: SIGKILL does not wait
+
+
+def die_when_told(*told_already: int) -> None:
+    """Have every event log of this process end as the signals say.
+
+    :param told_already: what is told from the start.
+    """
+    told: List[int] = list(told_already)
+    append = EventLogWriter.append
+
+    def append_or_die(self: Any, *records: Record) -> None:
+        if told:
+            self._file = DyingFile(self._file, told[0])
+        append(self, *records)
+
+    setattr(EventLogWriter, "append", append_or_die)  # noqa: B010  (mypy lets no method be assigned)
+    for number in (CUT, UNSENT):
+        signal.signal(number, lambda number, frame: told.append(number))
+
+
+def main() -> None:
+    """Run the execution node of a robot, its parameters as ROS gives them."""
+    from gspn_framework_package.ros import node_main, node_process
+
+    die_when_told(*([CUT] if AT_ONCE in sys.argv else []))
+    node_process.exit_with(node_main.run_execution_node())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,206 @@
+"""Every robot of a team in turn: killed in mid-plan, killed in the middle of a write of its log, killed between a write
+and what it would have sent, each time started again; stopped beyond its eviction. Then the ROS master is killed and
+started again, a robot joins (and is killed while it writes the first line of its log), and the first robot leaves."""
+
+from __future__ import annotations
+
+import random
+import signal
+import statistics
+import time
+from collections import Counter
+from typing import Any, Callable, Dict, List, Optional
+
+from gspn_framework_package.benchmark.faults import dying_node
+from gspn_framework_package.benchmark.faults.team import Master, Team
+from gspn_framework_package.execution.agreement.quorum import is_quorum
+from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.model.plan import Synchronisation
+
+EVICT_AFTER = 8.0
+"""Long enough for a robot to be started again before it counts as lost."""
+
+MOVES = 3
+"""How often everybody must move before the next fault."""
+
+CONNECTED = 15
+"""Moves after which a robot is connected to all its action servers, and needs no master."""
+
+GRACE = 1.0
+"""Seconds after a fault in which what was under way may still be written."""
+
+HELD_UP = 3.0
+"""Seconds beyond the eviction time for which a team without a quorum is watched."""
+
+Tell = Callable[[str], None]
+
+
+class EachInTurn:
+    """Does all of that to one team, and sees each time that it goes on as it must.
+
+    :param tell: is told each step.
+
+    :ivar injected: how often each fault was.
+    :ivar torn: the kinds of the records whose writes were cut, and how often.
+    :ivar unsent: the kinds of the records behind which nothing was sent any more, and how often.
+    :ivar back: seconds from the start of a killed robot's node to its first goal, each time.
+    :ivar woken: seconds from the end of a stop to the first goal, each time.
+    """
+
+    def __init__(self, master: Master, robots: int, mode: Synchronisation, source: random.Random, tell: Tell) -> None:
+        self._master, self._source, self._tell = master, source, tell
+        self.injected: Counter[str] = Counter()
+        self.torn: Counter[str] = Counter()
+        self.unsent: Counter[str] = Counter()
+        self.back: List[float] = []
+        self.woken: List[float] = []
+        self.team = Team(robots, mode, EVICT_AFTER)
+
+    def run(self) -> None:
+        """Inject every fault, then wait until the team rests. :raises ExecutionError: it did not go on as it must."""
+        self.team.wait_until(self.team.is_complete, "the start")
+        self._wait_for_moves(self.team.first, MOVES)
+        for fault, kill in (
+            ("killed", self._anywhere), ("killed in a write", self._in_a_write),
+            ("killed before a send", self._before_a_send),
+        ):  # fmt: skip
+            for name in self.team.first:
+                self._kill(name, fault, kill)
+        for name in self.team.first:
+            self._stop_beyond_eviction(name)
+        self._restart_master()
+        self._join("late")
+        self._leave(self.team.first[0])
+        self._tell("pause")
+        self.team.rest()
+
+    def times(self) -> Dict[str, Optional[float]]:
+        """How long robots were away, in seconds."""
+        return {
+            "back_median_s": round(statistics.median(self.back), 1) if self.back else None,
+            "back_max_s": round(max(self.back), 1) if self.back else None,
+            "woken_median_s": round(statistics.median(self.woken), 1) if self.woken else None,
+            "woken_max_s": round(max(self.woken), 1) if self.woken else None,
+        }
+
+    # -- faults ------------------------------------------------------------------------------------
+
+    def _anywhere(self, name: str) -> str:
+        self.team.kill(name)
+        return ""
+
+    def _in_a_write(self, name: str) -> str:
+        kind = self.team.kill_at_write(name, dying_node.CUT)
+        self.torn[kind] += 1
+        return " (%s)" % kind
+
+    def _before_a_send(self, name: str) -> str:
+        kind = self.team.kill_at_write(name, dying_node.UNSENT)
+        self.unsent[kind] += 1
+        return " (%s)" % kind
+
+    def _kill(self, name: str, fault: str, kill: Callable[[str], str]) -> None:
+        """Kill a robot somehow, start it again, and see that it takes its visit up again."""
+        time.sleep(self._source.uniform(0.0, 0.3))  # anywhere in its actions
+        how = kill(name)
+        self.injected[fault] += 1
+        goals = self.team.read(name).of("goal")
+        began = time.monotonic()
+        self.team.start(name)
+        self._wait_for_moves(self._present(), MOVES, began)
+        again = self.team.read(name).of("goal", began)[0]
+        self.back.append(again["mono"] - began)
+        evicted = any(self._entries("evict", name, began))
+        self._require(again["incarnation"] > goals[-1]["incarnation"], "%s has its old incarnation" % name)
+        resumed = again["visit"] - goals[-1]["visit"] in (0, 1)
+        self._require(evicted or resumed, "%s came back at visit %d after %d" % (
+            name, again["visit"], goals[-1]["visit"]))  # fmt: skip
+        if evicted:
+            self.injected["evicted before it was back"] += 1
+        self._tell("%s %s%s, back after %.1f s" % (name, fault, how, self.back[-1]))
+
+    def _stop_beyond_eviction(self, name: str) -> None:
+        """SIGSTOP: the others evict it and go on, or wait where they are no quorum; then SIGCONT."""
+        others = [n for n in self._present() if n != name]
+        members = self.team.statuses()[others[0]]["members"]
+        stopped, evicted = time.monotonic(), 0.0
+        self.team.signal(name, signal.SIGSTOP)
+        if is_quorum(others, members):
+            self.team.wait_until(lambda: any(self._entries("evict", name, stopped)), "the eviction of " + name)
+            evicted = time.monotonic()
+            self._wait_for_moves(others, MOVES, evicted)
+            self.injected["stopped beyond its eviction"] += 1
+            what = "evicted after %.1f s" % (evicted - stopped)
+        else:
+            time.sleep(EVICT_AFTER + HELD_UP)
+            for other in others:
+                slots = [r["slot"] for r in self.team.read(other).of("slot", stopped + GRACE)]
+                self._require(not slots, "%s decided slots %s without a quorum" % (other, slots))
+            self.injected["stopped, the rest no quorum"] += 1
+            what = "the rest waited"
+        old = self.team.read(name).of("goal")[-1]["incarnation"]
+        woken = time.monotonic()
+        self.team.signal(name, signal.SIGCONT)
+
+        def goals() -> List[Dict[str, Any]]:
+            later = self.team.read(name).of("goal", woken)
+            return [goal for goal in later if goal["incarnation"] > old or not evicted]
+
+        self.team.wait_until(lambda: len(goals()) >= MOVES, "%s to go on" % name)
+        self._wait_for_moves(others, MOVES, woken)
+        self.woken.append(goals()[0]["mono"] - woken)
+        self._tell("%s stopped, %s; back after %.1f s" % (name, what, self.woken[-1]))
+
+    def _restart_master(self) -> None:
+        self._wait_for_moves(self._present(), CONNECTED)
+        self._master.kill()
+        self._wait_for_moves(self._present(), MOVES)
+        self._master.start()
+        self.injected["master killed"] += 1
+        self.team.wait_until(self.team.is_complete, "all nodes to register with the new master")
+        self._wait_for_moves(self._present(), MOVES)
+        self._tell("the master killed, and started again")
+
+    def _join(self, name: str) -> None:
+        self.team.start(name, "p1", dying_node.AT_ONCE)
+        self.team.await_death(name)
+        self.torn[self.team.last_written(name)] += 1
+        self.injected["killed in its first write"] += 1
+        began = time.monotonic()
+        self.team.start(name, "p1")
+        self._wait_for_moves([*self.team.first, name], MOVES, began)
+        self.injected["joined"] += 1
+        self._tell("%s killed in its very first write, then joined" % name)
+
+    def _leave(self, name: str) -> None:
+        self.team.gone.append(name)
+        self.team.wait_until(lambda: self.team.order("leave", name), "%s to leave" % name)
+        self.team.await_death(name)
+        self.injected["left"] += 1
+        self._wait_for_moves(self._present(), MOVES)
+        self._tell("%s has left" % name)
+
+    # -- what must hold ----------------------------------------------------------------------------
+
+    def _present(self) -> List[str]:
+        return [name for name in self.team.logs if name not in self.team.gone]
+
+    def _wait_for_moves(self, names: List[str], number: int, since: float = 0.0) -> None:
+        """Wait until each of these robots has moved so often after a time (0: from now on)."""
+        begin = since or time.monotonic()
+        for name in names:
+            self.team.wait_until(
+                lambda name=name: self.team.read(name).moves(begin) >= number,  # type: ignore[misc]
+                "%d moves of %s" % (number, name),
+            )
+
+    def _entries(self, kind: str, robot: str, since: float) -> List[Dict[str, Any]]:
+        """The entries of a kind about a robot that any log has got after a time."""
+        return [
+            entry for log in self._present() for entry in self.team.read(log).entries(kind, since)
+            if entry["robot"] == robot
+        ]  # fmt: skip
+
+    def _require(self, holds: bool, otherwise: str) -> None:
+        if not holds:
+            raise ExecutionError(otherwise)

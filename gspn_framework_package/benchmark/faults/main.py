@@ -1,0 +1,161 @@
+"""The command: faults on teams of real nodes, and what the history checker says of their logs. Needs ROS.
+
+``python3 -m gspn_framework_package.benchmark.faults --each-in-turn`` does everything of :mod:`.each_in_turn` to a team
+of each size in each mode; ``--minutes 30`` runs rounds of :mod:`.soak` with fresh teams until the time is over. The
+ROS master is the command's own. Each team ends paused, at rest, and verified.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import signal
+import sys
+import time
+from collections import Counter
+from typing import Any, Callable, Dict, List, Optional, Sequence
+
+from gspn_framework_package.benchmark.faults.each_in_turn import EachInTurn
+from gspn_framework_package.benchmark.faults.soak import Soak
+from gspn_framework_package.benchmark.faults.team import Master
+from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
+from gspn_framework_package.benchmark.team_run import need_ros
+from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.model.plan import Synchronisation
+
+Row = Dict[str, Any]
+"""What came of one team."""
+
+
+def main(arguments: Optional[Sequence[str]] = None) -> int:
+    """Run a scenario; 0: no violation, and every team came to rest, 1: not so, 2: wrong usage, or no ROS."""
+    parser = argparse.ArgumentParser(
+        prog="benchmark.faults",
+        description="Kills, cuts off, stops and restarts the processes of robot teams, and verifies their logs.",
+        epilog="Exit codes: 0 all valid, 1 a violation or a team that did not go on, 2 wrong usage or no ROS.",
+    )
+    parser.add_argument("--each-in-turn", action="store_true", help="every fault to every robot, in each mode, once")
+    parser.add_argument("--minutes", type=float, default=30.0, metavar="M", help="of random faults (30)")
+    parser.add_argument("--round", type=float, default=45.0, metavar="S", help="seconds of random faults a team (45)")
+    parser.add_argument("--robots", type=int, nargs="+", default=[2, 3, 5], metavar="N", help="sizes of the teams")
+    parser.add_argument("--mode", choices=[m.value for m in Synchronisation], help="only this synchronisation")
+    parser.add_argument("--seed", type=int, default=None, help="of the faults (new)")
+    parser.add_argument("--keep", action="store_true", help="keep the logs of good teams too")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    args = parser.parse_args(arguments)
+    if min(args.robots) < 2:
+        parser.error("--robots: a team has at least two")
+    try:
+        need_ros()
+        return _report(args)
+    except GspnError as error:
+        print("faults: error: %s" % error, file=sys.stderr)
+        return error.exit_code
+
+
+def _report(args: argparse.Namespace) -> int:
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: in order
+    seed = args.seed if args.seed is not None else random.SystemRandom().randrange(2**32)
+    _tell("seed %d" % seed)
+    source = random.Random(seed)
+    modes = [Synchronisation(args.mode)] if args.mode else list(Synchronisation)
+    master = Master()
+    began = time.monotonic()
+    rows: List[Row] = []
+    interrupted = False
+    try:
+        master.start()
+        if args.each_in_turn:
+            for robots in args.robots:
+                for mode in modes:
+                    rows.append(_each_in_turn(master, robots, mode, source, args.keep))
+        while not args.each_in_turn and time.monotonic() - began < args.minutes * 60:
+            rows.append(_soak(master, source.choice(args.robots), source.choice(modes), source, args.round, args.keep))
+    except KeyboardInterrupt:
+        _tell("interrupted; what was done until then:")
+        interrupted = True
+    finally:
+        master.kill()
+    injected: Counter[str] = Counter()
+    for row in rows:
+        injected.update(row["injected"])
+    bad = [row for row in rows if row["fault"]]
+    report = {
+        "machine": describe_machine(), "scenario": "each in turn" if args.each_in_turn else "soak", "seed": seed,
+        "minutes": round((time.monotonic() - began) / 60, 1), "teams": len(rows), "injected": dict(injected),
+        "firings": sum(r["firings"] for r in rows), "slots": sum(r["slots"] for r in rows),
+        "bad": len(bad), "rows": rows,
+    }  # fmt: skip
+    if args.json:
+        print(json.dumps(report))
+    else:
+        _print(report, bad)
+    return 130 if interrupted else 1 if bad else 0
+
+
+def _soak(master: Master, robots: int, mode: Synchronisation, source: random.Random, seconds: float, keep: bool) -> Row:
+    soak = Soak(master, robots, mode, source)
+    row = _run(soak, lambda: soak.run(seconds), keep)
+    return _told({"robots": robots, "mode": mode.value, "injected": dict(soak.injected), **row})
+
+
+def _each_in_turn(master: Master, robots: int, mode: Synchronisation, source: random.Random, keep: bool) -> Row:
+    def tell(step: str) -> None:
+        _tell("%d robots, %s: %s" % (robots, mode.value, step))
+
+    tour = EachInTurn(master, robots, mode, source, tell)
+    row = _run(tour, tour.run, keep)
+    return _told(
+        {
+            "robots": robots, "mode": mode.value, "injected": dict(tour.injected), "torn": dict(tour.torn),
+            "unsent": dict(tour.unsent), **tour.times(), **row,
+        }
+    )  # fmt: skip
+
+
+def _run(scenario: Any, run: Callable[[], None], keep: bool) -> Row:
+    """Run a scenario and verify its team; the logs of a bad one are kept."""
+    began = time.monotonic()
+    row: Row = {"fault": "", "firings": 0, "slots": 0, "logs": 0, "folder": scenario.team.folder}
+    try:
+        run()
+        scenario.team.end()
+        verdict = scenario.team.verdict()
+        row.update(firings=verdict.firings, slots=verdict.slots, logs=verdict.logs)
+        if verdict.violation is not None:
+            row["fault"] = "rule %d: %s" % verdict.violation
+    except GspnError as error:
+        row["fault"] = str(error)
+        keep = True
+    finally:
+        scenario.team.end()
+        if not (keep or row["fault"]):
+            scenario.team.discard()
+    return dict(row, seconds=round(time.monotonic() - began, 1))
+
+
+def _told(row: Row) -> Row:
+    faults = ", ".join("%s %d" % item for item in sorted(row["injected"].items()))
+    told = row["robots"], row["mode"], faults, row["firings"], row["fault"] or "valid"
+    _tell("%d robots, %s: %s; %d firings; %s" % told)
+    return row
+
+
+def _tell(text: str) -> None:
+    print("faults: " + text, file=sys.stderr, flush=True)
+
+
+def _print(report: Row, bad: List[Row]) -> None:
+    faults = sorted(report["injected"])
+    columns = ["robots", "mode", *faults, "firings", "logs", "verdict"]
+    lines = [
+        [r["robots"], r["mode"], *(r["injected"].get(f, 0) for f in faults), r["firings"], r["logs"],
+         "bad" if r["fault"] else "valid"]
+        for r in report["rows"]
+    ]  # fmt: skip
+    print(table(columns, lines))
+    print("%(teams)d teams, %(firings)d firings in %(slots)d slots, %(bad)d bad, %(minutes).1f minutes" % report)
+    for row in bad:
+        print("bad: %(robots)d robots, %(mode)s: %(fault)s; logs: %(folder)s" % row)
+    print(machine_line(report["machine"]))

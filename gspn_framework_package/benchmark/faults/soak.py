@@ -1,0 +1,131 @@
+"""A round of random faults: a robot is killed (anywhere, or while it writes) and restarted with or without its log,
+stopped for a moment or beyond its eviction, the ROS master is killed and restarted, a robot joins, one leaves."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+from collections import Counter
+from typing import Callable, List
+
+from gspn_framework_package.benchmark.faults import dying_node
+from gspn_framework_package.benchmark.faults.team import Master, Team
+from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.model.plan import Synchronisation
+
+EVICT_AFTER = 3.0
+
+JOINERS = 2
+"""Robots that join in a round, at most."""
+
+
+class Soak:
+    """Injects faults into a team, one after the other, each undone after some seconds.
+
+    :ivar injected: how often each fault was.
+    """
+
+    def __init__(self, master: Master, robots: int, mode: Synchronisation, source: random.Random) -> None:
+        self._master, self._source = master, source
+        self.injected: Counter[str] = Counter()
+        self.team = Team(robots, mode, EVICT_AFTER)
+        self._joined = 0
+
+    def run(self, seconds: float) -> None:
+        """Inject faults for that long; then wait until the team rests."""
+        self.team.wait_until(self.team.is_complete, "the start")
+        deadline = time.monotonic() + seconds
+        faults: List[Callable[[], bool]] = [
+            self._kill, self._kill_in_write, self._kill_before_send, self._kill_without_log, self._stop_briefly,
+            self._stop_long, self._kill_master, self._join, self._leave,
+        ]  # fmt: skip
+        while time.monotonic() < deadline:
+            time.sleep(self._source.uniform(0.5, 3.0))
+            fault = self._source.choice(faults)
+            if fault():
+                self.injected[fault.__name__.strip("_")] += 1
+            for name in self.team.ended():  # those that began while the master was away
+                self.team.start(name)
+        self.team.rest()
+
+    def _victim(self) -> str:
+        return self._source.choice(sorted(self.team.alive()))
+
+    def _kill(self) -> bool:
+        name = self._victim()
+        self.team.kill(name)
+        time.sleep(self._source.choice([0.0, 0.5, 2.0]))
+        self.team.start(name)
+        return True
+
+    def _kill_in_write(self) -> bool:
+        return self._kill_at_write(dying_node.CUT)
+
+    def _kill_before_send(self) -> bool:
+        return self._kill_at_write(dying_node.UNSENT)
+
+    def _kill_at_write(self, told: int) -> bool:
+        if not self._is_complete():  # one that only now starts does not know the signal
+            return False
+        name = self._victim()
+        self.team.signal(name, told)
+        time.sleep(self._source.choice([0.5, 2.0]))
+        in_write = name not in self.team.alive()
+        if not in_write:  # it has nothing to write, as when another has just left a team of two
+            self.team.kill(name)
+            self.injected["kill"] += 1
+        self.team.start(name)
+        return in_write
+
+    def _kill_without_log(self) -> bool:
+        # only one at a time may have lost its memory, and the others must be able to let it in again
+        if len(self.team.alive()) < 3 or not self._is_complete():
+            return False
+        name = self._victim()
+        self.team.kill(name)
+        log = self.team.log_file(name)
+        if os.path.exists(log):
+            os.replace(log, "%s.%d.jsonl" % (log[: -len(".jsonl")], time.monotonic_ns()))
+        self.team.start(name)
+        return True
+
+    def _is_complete(self) -> bool:
+        try:
+            return self.team.is_complete()
+        except ExecutionError:
+            return False
+
+    def _stop_briefly(self) -> bool:
+        return self._stop(self._source.uniform(0.1, 1.5))
+
+    def _stop_long(self) -> bool:
+        return self._stop(EVICT_AFTER + self._source.uniform(1.0, 4.0))
+
+    def _stop(self, seconds: float) -> bool:
+        name = self._victim()
+        self.team.signal(name, signal.SIGSTOP)
+        time.sleep(seconds)
+        self.team.signal(name, signal.SIGCONT)
+        return True
+
+    def _kill_master(self) -> bool:
+        self._master.kill()
+        time.sleep(self._source.uniform(0.5, 3.0))
+        self._master.start()
+        return True
+
+    def _join(self) -> bool:
+        if self._joined >= JOINERS:
+            return False
+        self._joined += 1
+        self.team.start("joined_%d" % self._joined, "p1")
+        return True
+
+    def _leave(self) -> bool:
+        leaver = "joined_%d" % self._joined
+        if leaver not in self.team.alive() or leaver in self.team.gone:
+            return False
+        self.team.gone.append(leaver)
+        return self.team.order("leave", leaver)

@@ -1,0 +1,232 @@
+"""A ROS master and a team of real nodes, each a process that can be killed, stopped and started again."""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from typing import Any, Callable, Dict, List
+
+from gspn_framework_package.benchmark.faults import dying_node
+from gspn_framework_package.benchmark.log_tail import LogTail
+from gspn_framework_package.benchmark.plans import tokens_plan
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.history import Verdict, verify
+from gspn_framework_package.formats.plan_json import plan_to_json
+from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.model.plan import FunctionAction, Synchronisation, Timing
+
+RUN = "faults"
+BRIEF = "gspn_framework_package.benchmark.load.brief"
+
+PATIENCE = 60.0
+"""Seconds after which what the team must do counts as not done."""
+
+QUIET = 1.5
+"""Seconds for which nothing may change in a team that rests."""
+
+
+class Master:
+    """A ROS master that can be killed, and comes back on its port."""
+
+    def __init__(self) -> None:
+        with socket.socket() as probe:
+            probe.bind(("localhost", 0))
+            self._port = probe.getsockname()[1]
+        os.environ["ROS_MASTER_URI"] = "http://localhost:%d" % self._port
+        os.environ["ROS_HOSTNAME"] = "localhost"
+        os.environ.pop("ROS_IP", None)
+        self._process: Any = None
+
+    def start(self) -> None:
+        """Start it, and wait until it answers."""
+        import rosgraph
+
+        self._process = subprocess.Popen(
+            ["rosmaster", "--core", "-p", str(self._port)],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
+        deadline = time.monotonic() + 30
+        while not rosgraph.is_master_online():
+            if time.monotonic() > deadline:
+                raise ExecutionError("the ROS master did not start")
+            time.sleep(0.05)
+
+    def kill(self) -> None:
+        """Kill it (SIGKILL)."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+
+class Team:
+    """The nodes of a team that executes ``plans/tokens`` with actions of a tenth of a second.
+
+    :param robots: how many begin: ``robot_1`` and so on.
+    :param evict_after: see :class:`~gspn_framework_package.model.plan.Timing`.
+
+    :ivar gone: robots that have left, and are not to be started again.
+    """
+
+    def __init__(self, robots: int, mode: Synchronisation, evict_after: float) -> None:
+        self.folder = tempfile.mkdtemp(prefix="gspn_faults_")
+        plan = tokens_plan().for_robots(robots)
+        actions = {place: FunctionAction(BRIEF, place) for place in plan.actions}
+        plan = replace(plan, actions=actions, synchronisation=mode, timing=Timing(evict_after=evict_after))
+        with open(os.path.join(self.folder, "plan.json"), "w", encoding="utf-8") as file:
+            json.dump(plan_to_json(plan), file)
+        self.first = [robot.name for robot in plan.robots]
+        self.gone: List[str] = []
+        self.logs: Dict[str, LogTail] = {}
+        self._processes: Dict[str, Any] = {}
+        for name in self.first:
+            self.start(name)
+
+    # -- processes ---------------------------------------------------------------------------------
+
+    def start(self, name: str, place: str = "", *arguments: str) -> None:
+        """Start a robot's node, again or for the first time; ``place``: where it comes in when it joins."""
+        words = ["_plan:=" + self.folder, "_robot:=" + name, "_run:=" + RUN, "_log_dir:=" + self.folder]
+        words += ["__ns:=/" + name, "__name:=executor", "_place:=" + place, *arguments]
+        with open(os.path.join(self.folder, name + ".txt"), "ab") as output:
+            self._processes[name] = subprocess.Popen(
+                [sys.executable, "-m", dying_node.__name__, *words], start_new_session=True,
+                stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
+            )  # fmt: skip
+        self.logs.setdefault(name, LogTail(self.log_file(name)))
+
+    def alive(self) -> List[str]:
+        """The robots whose processes run (or are stopped)."""
+        return [name for name, process in self._processes.items() if process.poll() is None]
+
+    def ended(self) -> List[str]:
+        """The robots whose processes have ended, though they have not left."""
+        return [n for n, process in self._processes.items() if process.poll() is not None and n not in self.gone]
+
+    def signal(self, name: str, number: int) -> None:
+        """Send a signal to a robot's process."""
+        self._processes[name].send_signal(number)
+
+    def kill(self, name: str) -> None:
+        """SIGKILL, wherever it is."""
+        self._processes[name].kill()
+        self._processes[name].wait()
+
+    def kill_at_write(self, name: str, told: int) -> str:
+        """SIGKILL in the middle of a write of its log, or right after one; what was written: the kind of the record.
+
+        :param told: see :mod:`.dying_node`.
+        :raises ExecutionError: it wrote nothing for a long time.
+        """
+        self.signal(name, told)
+        self.await_death(name)
+        return self.last_written(name)
+
+    def await_death(self, name: str, seconds: float = PATIENCE) -> int:
+        """Wait until a robot's process has ended; its exit code. :raises ExecutionError: it goes on."""
+        try:
+            return int(self._processes[name].wait(seconds))
+        except subprocess.TimeoutExpired:
+            raise ExecutionError("waited %g s for the end of %s" % (seconds, name)) from None
+
+    def log_file(self, name: str) -> str:
+        """Where a robot's log is."""
+        return os.path.join(self.folder, RUN, name + ".jsonl")
+
+    def last_written(self, name: str) -> str:
+        """The kind of the record at the end of a robot's log, which may be cut."""
+        with open(self.log_file(name), "rb") as file:
+            line = file.read().splitlines()[-1]
+        found = re.match(rb'\{"kind":"(\w+)"', line)
+        return found.group(1).decode() if found else "a first few bytes"
+
+    def end(self) -> None:
+        """End every node."""
+        for process in self._processes.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGCONT)
+                process.send_signal(signal.SIGTERM)
+        for process in self._processes.values():
+            try:
+                process.wait(10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def discard(self) -> None:
+        """Remove all that the nodes have written."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    # -- questions and orders ----------------------------------------------------------------------
+
+    def order(self, command: str, robot: str) -> bool:
+        """Give the team an order; whether it was carried out."""
+        from gspn_framework_package.ros.operator_client import OperatorClient
+
+        try:
+            with contextlib.closing(OperatorClient()) as client:
+                return client.order(command, robot, "")[0]
+        except ExecutionError:
+            return False
+
+    def statuses(self) -> Dict[str, Dict[str, Any]]:
+        """What the nodes that are alive tell; :raises ExecutionError: one of them does not."""
+        from gspn_framework_package.ros.operator_client import OperatorClient
+
+        with contextlib.closing(OperatorClient()) as client:
+            known = {n.namespace: s for n, s in client.statuses().items() if s and s["run"] == RUN}
+        missing = [name for name in self.alive() if "/" + name not in known]
+        if missing:
+            raise ExecutionError("no answer of %s" % ", ".join(missing))
+        return {name: known["/" + name] for name in self.alive()}
+
+    def is_complete(self) -> bool:
+        """Whether every node that is alive takes part."""
+        return all(status["active"] for status in self.statuses().values())
+
+    def read(self, name: str) -> LogTail:
+        """A robot's log as far as it is written."""
+        return self.logs[name].read()
+
+    def wait_until(self, condition: Callable[[], bool], what: str, seconds: float = PATIENCE) -> None:
+        """Wait for a condition on the team. :raises ExecutionError: it did not hold in time."""
+        deadline = time.monotonic() + seconds
+        last = ""
+        while time.monotonic() < deadline:
+            try:
+                if condition():
+                    return
+            except ExecutionError as error:
+                last = str(error)
+            time.sleep(0.05)
+        raise ExecutionError("waited %g s for %s" % (seconds, what), hint=last or None)
+
+    def rest(self) -> None:
+        """Pause the team, and wait until nothing changes any more."""
+        self.wait_until(lambda: self.order("pause", ""), "a pause of the team")
+        last: List[Any] = [None, 0.0]
+
+        def quiet() -> bool:
+            told = self.statuses().values()
+            now = {(s["log_length"], s["hash"]) for s in told}
+            busy = any(s["pending"] or not s["active"] for s in told)
+            if busy or len(now) > 1 or now != last[0]:
+                last[:] = [now, time.monotonic()]
+            return time.monotonic() - last[1] >= QUIET
+
+        self.wait_until(quiet, "all replicas to rest at one position")
+
+    def verdict(self) -> Verdict:
+        """What the history checker says of all logs, once the team has come to rest and its nodes have ended."""
+        logs = [read_log(path) for path in sorted(glob.glob(os.path.join(self.folder, RUN, "*.jsonl")))]
+        return verify(logs, settled=True)
