@@ -26,39 +26,21 @@ EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 EXIT_BROKEN_PIPE = 141  # 128 + SIGPIPE
 
 #: Verb -> (its module in this package, its HELP: one line, repeated here so that ``--help`` need
-#: not import the module; a test holds the two together).
+#: not import the module; a test holds the two together). In the order in which one comes to need them.
 VERBS: Dict[str, Tuple[str, str]] = {
-    "plot": ("plot", "plot results of the analysis: tokens over time, distributions, throughput"),
-    "simulate": ("simulate", "simulate many runs of a net or plan, with confidence intervals"),
-    "analyse": (
-        "analyse",
-        "analyse a net, or a plan under its policy: structure, state space, time",
-    ),
-    "bench": (
-        "bench",
-        "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)",
-    ),
     "check": ("check", "check whether a plan may run, before any robot moves"),
-    "convert": ("convert", "write a net in another format"),
     "run": ("run", "execute a plan without ROS, its agents on threads"),
-    "verify": ("verify", "check the logs of a run against the rules, from the logs alone"),
-    "demo": (
-        "demo",
-        "run a plan on a team of robots (needs ROS and a master), and show what happens",
-    ),
-    "replay": (
-        "replay",
-        "open the page on a recorded run: an event log, or a rosbag of fired_transitions",
-    ),
-    "serve": (
-        "serve",
-        "open the page: simulate, analyse and execute the nets and plans of a folder",
-    ),
+    "simulate": ("simulate", "simulate many runs of a net or plan, with confidence intervals"),
+    "analyse": ("analyse", "analyse a net, or a plan under its policy: structure, state space, time"),
+    "plot": ("plot", "plot results of the analysis: tokens over time, distributions, throughput"),
     "draw": ("draw", "draw a net, its coverability tree or its Markov chain"),
-    "film": (
-        "film",
-        "film robots in a room, without a display: a recorded run, or a patrol simulated for it",
-    ),
+    "convert": ("convert", "write a net in another format"),
+    "serve": ("serve", "open the page: simulate, analyse and execute the nets and plans of a folder"),
+    "replay": ("replay", "open the page on a recorded run: an event log, or a rosbag of fired_transitions"),
+    "verify": ("verify", "check the logs of a run against the rules, from the logs alone"),
+    "film": ("film", "film robots in a room, without a display: a recorded run, or a patrol simulated for it"),
+    "demo": ("demo", "run a plan on a team of robots (needs ROS and a master), and show what happens"),
+    "bench": ("bench", "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)"),
     "status": ("orders.status", "what every robot of a running team does, and what it waits for"),
     "pause": ("orders.pause", "let nothing fire, or a robot join no firing, until resume"),
     "resume": ("orders.resume", "end a pause of the team, or of one robot"),
@@ -100,7 +82,9 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
 
 def _run(words: Sequence[str]) -> int:
     try:
-        args = _parser(words).parse_args(words)
+        args, unknown = _parser(words).parse_known_args(words)
+        if unknown:
+            args.parser.error("unrecognized arguments: %s" % " ".join(unknown))
     except SystemExit as leaving:  # --help, --version, wrong usage; argparse has said what
         return leaving.code if isinstance(leaving.code, int) else EXIT_USAGE
     return int(args.run(args))
@@ -154,5 +138,5 @@ def _parser(words: Sequence[str]) -> _Parser:
             module = importlib.import_module(f"{__package__}.{module_name}")
             verb.description = module.HELP
             module.add_arguments(verb)
-            verb.set_defaults(run=module.run)
+            verb.set_defaults(run=module.run, parser=verb)
     return parser
