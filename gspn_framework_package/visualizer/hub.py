@@ -21,6 +21,9 @@ RING = 20_000
 """Events kept: what viewers can catch up on, and how far back the scrubber reaches in a live
 run."""
 
+NEWS = 1000
+"""Most events in one message to a viewer: one that has stalled holds a message of that size, and no more."""
+
 KEYFRAME = 500
 """A board is kept every so many events, so that any moment in the ring is found at once."""
 
@@ -156,8 +159,8 @@ class Hub:
         )
 
     def news(self, cursor: Optional[Cursor]) -> News:
-        """Everything that ``cursor`` lacks: events if they are all still there, a snapshot
-        otherwise."""
+        """What ``cursor`` lacks: events if they are all still there (the first :data:`NEWS` of them, and the
+        word that there are ``more``), a snapshot otherwise."""
         with self._condition:
             now = Cursor(self.epoch, self._board.n, self._latest_number)
             fresh = (
@@ -175,9 +178,11 @@ class Hub:
                 body = '"snapshot":%s' % json.dumps(self._snapshot(), separators=(",", ":"))
             else:
                 first = len(self._texts) - (now.n - cursor.n)
-                texts = self._texts
-                new = [texts[i] for i in range(first, len(texts))] if first < len(texts) else []
+                new = [self._texts[i] for i in range(first, min(first + NEWS, len(self._texts)))]
                 body = '"events":[%s]' % ",".join(new)
+                if cursor.n + len(new) < now.n:
+                    now = now._replace(n=cursor.n + len(new))
+                    body += ',"more":true'
             return News('{"cursor":"%s",%s,"latest":{%s}}' % (now, body, latest), now)
 
     def _snapshot(self) -> Dict[str, Any]:

@@ -202,7 +202,7 @@ def free_port():
 
 
 def feed(port):
-    command = [sys.executable, "-m", "gspn_framework_package.benchmark.page", "--feed", "100", "100", str(port)]
+    command = [sys.executable, "-m", "gspn_framework_package.benchmark.page.feed", "100", "100", str(port)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert process.stdout.readline().strip() == b"ready"
     return process

@@ -3,7 +3,7 @@
 import pytest
 from page_reading import boxes, dots, enabled, marking, overlaps, settle
 
-from gspn_framework_package.benchmark.page import workshop
+from gspn_framework_package.benchmark.page.feed import workshop
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 
@@ -113,9 +113,9 @@ def test_each_key(show_net, open_page):
     page.keyboard.press("e")
     assert page.locator("#net.no-enabled").count() == 0
     page.keyboard.press("+")
-    page.wait_for_function("() => !window.gspn.page.view.fitted")
+    page.wait_for_function("() => !window.gspn.page.view.camera.fitted")
     page.keyboard.press("f")
-    page.wait_for_function("() => window.gspn.page.view.fitted")
+    page.wait_for_function("() => window.gspn.page.view.camera.fitted")
     page.keyboard.press("3")
     assert page.get_attribute("#tab-analysis", "aria-selected") == "true"
     page.keyboard.press(" ")

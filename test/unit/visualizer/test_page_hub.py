@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gspn_framework_package.visualizer.board import Board
-from gspn_framework_package.visualizer.hub import Cursor, Hub
+from gspn_framework_package.visualizer.hub import NEWS, Cursor, Hub
 
 
 def fire(p=0, change=1):
@@ -52,6 +52,20 @@ def test_a_viewer_reads_all_events_once_or_a_snapshot(bursts, ring):
             for p, change in event["d"]:
                 marking[p] += change
         assert marking == hub.board().marking
+
+
+def test_a_viewer_far_behind_catches_up_message_by_message():
+    hub = new_hub(ring=5000)
+    _, cursor = read(hub)
+    hub.publish(*(fire() for _ in range(2 * NEWS + 5)))
+    sizes, seen = [], 0
+    while hub.wait(cursor, 0):
+        news, cursor = read(hub, cursor)
+        assert [e["n"] for e in news["events"]] == list(range(seen + 1, seen + 1 + len(news["events"])))
+        seen += len(news["events"])
+        sizes.append((len(news["events"]), news.get("more", False)))
+        assert news["cursor"] == str(cursor)
+    assert sizes == [(NEWS, True), (NEWS, True), (5, False)]
 
 
 @settings(max_examples=30, deadline=None)

@@ -98,7 +98,7 @@ export class NewsStream {
       this.heard = performance.now();
       if (this.polls) {
         this.onState("polling");
-        setTimeout(() => this.poll(), POLL);
+        setTimeout(() => this.poll(), news.more ? 0 : POLL);
       } else {
         // the server is there: try the stream again, and stay with polling if it is refused again
         this.polls = true;

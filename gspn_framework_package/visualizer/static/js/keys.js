@@ -68,9 +68,9 @@ function actionOf(event, page) {
     case "r": case "R": return simulating ? () => tools.reset() : null;
     case "e": case "E": return () => page.setShowEnabled(!page.showEnabled);
     case "l": case "L": return () => model.mode !== "REPLAY" && !model.following && model.backToLive();
-    case "f": case "F": return () => view.fit();
-    case "+": case "=": return () => view.zoom(1.25);
-    case "-": return () => view.zoom(0.8);
+    case "f": case "F": return () => view.camera.fit();
+    case "+": case "=": return () => view.camera.zoom(1.25);
+    case "-": return () => view.camera.zoom(0.8);
     case "/": return () => { $("list-search").focus(); $("list-search").select(); };
     case "1": case "2": case "3": return () => page.openTab(["inspector", "robots", "analysis"][Number(event.key) - 1]);
     case "o": case "O": return () => page.openScreen();

@@ -30,8 +30,8 @@ export class Labels {
   /** Boxes in pixels; a coarse grid tells which are near. */
   place() {
     const { view } = this;
-    if (!view.view || !view.nodes.length) return;
-    const { k, x, y } = view.view;
+    if (!view.camera.now || !view.nodes.length) return;
+    const { k, x, y } = view.camera.now;
     const { left, top, width, height } = view.container.getBoundingClientRect();
     this.drawn = true;
     const grid = new Map(), lines = new Map();
@@ -64,7 +64,7 @@ export class Labels {
       const flag = node.kind === "place" ? 0 : 11;
       put([sx - w * k, sy - (h + flag) * k, sx + w * k, sy + h * k]);
     }
-    if (view.arcs.length <= ARCS) this.sampleArcs(lines, view.view);
+    if (view.arcs.all.length <= ARCS) this.sampleArcs(lines, view.camera.now);
     for (const element of view.container.parentElement.querySelectorAll(".zoom, .frame-name")) {
       const box = element.getBoundingClientRect();
       put([box.left - left, box.top - top, box.right - left, box.bottom - top]);
@@ -95,7 +95,7 @@ export class Labels {
 
   /** Points of the arcs, in pixels, by cell. */
   sampleArcs(lines, { k, x, y }) {
-    for (const arc of this.view.arcs) {
+    for (const arc of this.view.arcs.all) {
       for (let i = 1; i < arc.points.length; i++) {
         const [ax, ay] = [arc.points[i - 1][0] * k + x, arc.points[i - 1][1] * k + y];
         const [bx, by] = [arc.points[i][0] * k + x, arc.points[i][1] * k + y];

@@ -123,7 +123,8 @@ class Page {
     this.wire(model);
     this.view.addEventListener("frame", () => {
       if (!this.model?.board || document.body.dataset.ready) return;
-      document.body.dataset.ready = (performance.now() - begun).toFixed(1);
+      this.readyAt = performance.now();
+      document.body.dataset.ready = (this.readyAt - begun).toFixed(1);
     });
     this.stream = new NewsStream(key, (news) => model.take(news), (state) => { this.connection = state; this.showConnection(); });
   }
@@ -301,9 +302,9 @@ class Page {
       localStorage.setItem("gspn-theme", next);
       this.theme(next);
     };
-    $("zoom-in").onclick = () => this.view.zoom(1.25);
-    $("zoom-out").onclick = () => this.view.zoom(0.8);
-    $("fit").onclick = () => this.view.fit();
+    $("zoom-in").onclick = () => this.view.camera.zoom(1.25);
+    $("zoom-out").onclick = () => this.view.camera.zoom(0.8);
+    $("fit").onclick = () => this.view.camera.fit();
     $("show-enabled").onclick = () => this.setShowEnabled(!this.showEnabled);
     $("relayout").onclick = () => attempt(async () => this.view.relayout(await this.tools.do("layout")));
     $("play").onclick = () => this.togglePause();

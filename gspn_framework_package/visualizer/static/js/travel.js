@@ -41,7 +41,7 @@ export class Travel {
     const { view } = this;
     const node = view.transitions[event.tr];
     const flights = this.flights(event);
-    if (this.reduced.matches || document.hidden || node.out || view.small
+    if (this.reduced.matches || document.hidden || node.out || view.camera.small
       || this.inFlight.size + this.waiting.length + flights.length > IN_FLIGHT) {
       if (!node.out) view.flash(event.tr);
       return;

@@ -1,0 +1,28 @@
+// Where nodes were dragged to: kept in this browser, for this net.
+
+export class KeptPositions {
+  constructor(hash) {
+    this.key = `gspn-layout-${hash}`;
+  }
+
+  /** Name -> [x, y]. */
+  read() {
+    try {
+      return JSON.parse(localStorage.getItem(this.key)) || {};
+    } catch (error) {
+      return {};
+    }
+  }
+
+  write(nodes) {
+    const moved = nodes.filter((node) => node.moved).map((node) => [node.name, [Math.round(node.x), Math.round(node.y)]]);
+    try {
+      if (moved.length) localStorage.setItem(this.key, JSON.stringify(Object.fromEntries(moved)));
+      else localStorage.removeItem(this.key);
+    } catch (error) { /* private browsing: kept until the page is closed */ }
+  }
+
+  forget() {
+    this.write([]);
+  }
+}

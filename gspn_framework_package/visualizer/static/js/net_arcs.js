@@ -1,0 +1,54 @@
+// The arcs of the net: all of a kind are one path, so that they are drawn at once.
+
+import { s } from "./dom.js";
+import { arcShape, arcPaths } from "./geometry.js";
+
+const KINDS = { lines: "lines", inhibitor: "lines inhibitor", near: "lines near", heads: "heads", circles: "circles" };
+const BEND = 16; // px by which two arcs between the same nodes part
+
+export class Arcs {
+  /** `places` and `transitions`: the nodes, by index. */
+  constructor(scene, places, transitions) {
+    this.layer = s("g");
+    this.path = {};
+    for (const [name, kind] of Object.entries(KINDS)) {
+      this.path[name] = s("path", { class: kind });
+      this.layer.append(this.path[name]);
+    }
+    this.weights = s("g");
+    this.layer.append(this.weights);
+    this.near = null;
+    const seen = new Set(scene.arcs.map(([p, t, forth]) => `${p},${t},${forth}`));
+    this.all = scene.arcs.map(([p, t, forth, weight, inhibitor], index) => ({
+      index, weight, inhibitor,
+      from: forth ? places[p] : transitions[t],
+      to: forth ? transitions[t] : places[p],
+      both: seen.has(`${p},${t},${1 - forth}`),
+    }));
+  }
+
+  /** Work out where all arcs run, or those of one node. `routes`: the server's, for nodes that were not moved. */
+  route(routes, only = null) {
+    for (const arc of this.all) {
+      if (only && arc.from !== only && arc.to !== only) continue;
+      const home = !arc.from.moved && !arc.to.moved;
+      const shape = arcShape(arc.from, arc.to, home ? routes[arc.index] : null, arc.both ? BEND : 0);
+      Object.assign(arc, arcPaths(shape, arc.inhibitor), { middle: shape.middle, points: shape.points });
+    }
+    const join = (pick) => this.all.map(pick).filter(Boolean).join("");
+    this.path.lines.setAttribute("d", join((a) => !a.inhibitor && a.line));
+    this.path.inhibitor.setAttribute("d", join((a) => a.inhibitor && a.line));
+    this.path.heads.setAttribute("d", join((a) => a.head));
+    this.path.circles.setAttribute("d", join((a) => a.circle));
+    this.weights.replaceChildren(...this.all.filter((a) => a.weight > 1).map((a) =>
+      s("text", { x: a.middle[0], y: a.middle[1], text: String(a.weight) })));
+    this.showNear(this.near);
+  }
+
+  /** Set off the arcs of the node that is selected; of none for null. */
+  showNear(node) {
+    this.near = node;
+    const near = node ? this.all.filter((a) => (a.from === node || a.to === node) && !a.inhibitor) : [];
+    this.path.near.setAttribute("d", near.map((a) => a.line).join(""));
+  }
+}

@@ -1,0 +1,114 @@
+// Which part of the net is seen, and how large: fitting, zooming, flying to a node.
+
+const MARGIN = [52, 56, 42, 30]; // px left, right, above and below a net that is fitted
+const CULL = 800; // nets with more nodes draw only what is in the view
+const FAR = 0.14; // below this zoom tokens are too small to be told apart: a place with any is filled
+const SMALL = 0.35; // below this zoom a firing is a flash: what travels could hardly be seen
+const [NEAREST, FARTHEST] = [4, 0.02];
+const LARGEST_FIT = 1.6;
+const FLIGHT = 260; // ms
+
+const limited = (k) => Math.min(NEAREST, Math.max(FARTHEST, k));
+
+export class Camera {
+  /** `view`: the net view, whose `moving` layers get the transform. */
+  constructor(view) {
+    this.view = view;
+    this.dirty = false; // whether the transform has changed since it was drawn
+    this.fitted = false;
+    this.small = false;
+    this.now = null; // {k, x, y}: zoom, and where the origin of the net is in the container (px)
+    this.observer = new ResizeObserver(() => this.resized());
+    this.observer.observe(view.container);
+  }
+
+  get size() { return this.view.container.getBoundingClientRect(); }
+
+  /** The whole net, clear of the buttons and of the words in the corner. */
+  fit() {
+    const { width, height } = this.size;
+    if (!width || !height) return;
+    const [x0, y0, x1, y1] = this.view.bounds();
+    const [left, right, top, bottom] = MARGIN;
+    const w = Math.max(50, width - left - right), h = Math.max(50, height - top - bottom);
+    const k = Math.min(w / (x1 - x0), h / (y1 - y0), LARGEST_FIT);
+    this.fitted = true;
+    this.set(k, left + w / 2 - (k * (x0 + x1)) / 2, top + h / 2 - (k * (y0 + y1)) / 2);
+  }
+
+  set(k, x, y) {
+    this.now = { k: limited(k), x, y };
+    this.dirty = true;
+    this.view.request();
+  }
+
+  /** Zoom about a point of the container, its centre by default. */
+  zoom(factor, cx, cy) {
+    const { width, height } = this.size;
+    const [px, py] = [cx ?? width / 2, cy ?? height / 2];
+    const { k, x, y } = this.now;
+    const next = limited(k * factor);
+    this.stop();
+    this.fitted = false;
+    this.set(next, px - ((px - x) * next) / k, py - ((py - y) * next) / k);
+  }
+
+  flyTo(node) {
+    const { width, height } = this.size;
+    const from = { ...this.now };
+    const k = Math.max(from.k, 0.9);
+    const to = { k, x: width / 2 - k * node.x, y: height / 2 - k * node.y };
+    this.fitted = false;
+    if (matchMedia("(prefers-reduced-motion: reduce)").matches) { this.set(to.k, to.x, to.y); return; }
+    const begin = performance.now();
+    const flight = (this.flight = {});
+    const tick = (now) => {
+      if (this.flight !== flight) return;
+      const f = Math.min(1, Math.max(0, now - begin) / FLIGHT), e = 1 - (1 - f) ** 3;
+      this.set(from.k + (to.k - from.k) * e, from.x + (to.x - from.x) * e, from.y + (to.y - from.y) * e);
+      if (f < 1) requestAnimationFrame(tick);
+    };
+    requestAnimationFrame(tick);
+  }
+
+  /** End a flight where it is. */
+  stop() { this.flight = null; }
+
+  resized() {
+    const { width, height } = this.size;
+    if (!width || !height) return;
+    if (!this.now || this.fitted) this.fit();
+    this.cull();
+  }
+
+  draw() {
+    this.dirty = false;
+    const { k, x, y } = this.now;
+    const transform = `translate(${x.toFixed(1)} ${y.toFixed(1)}) scale(${k.toFixed(4)})`;
+    for (const layer of this.view.moving) layer.setAttribute("transform", transform);
+    this.small = k < SMALL;
+    this.view.container.classList.toggle("far", k < FAR);
+    this.cull();
+  }
+
+  /** Leave out the nodes that are not in the view. */
+  cull() {
+    const { nodes } = this.view;
+    if (nodes.length < CULL || !this.now) return;
+    const { width, height } = this.size;
+    const { k, x, y } = this.now;
+    const [x0, y0, x1, y1] = [(-x - 80) / k, (-y - 60) / k, (width - x + 80) / k, (height - y + 60) / k];
+    for (const node of nodes) {
+      const out = node.x < x0 || node.x > x1 || node.y < y0 || node.y > y1;
+      if (out !== Boolean(node.out)) {
+        node.out = out;
+        node.element.style.display = out ? "none" : "";
+      }
+    }
+  }
+
+  close() {
+    this.stop();
+    this.observer.disconnect();
+  }
+}

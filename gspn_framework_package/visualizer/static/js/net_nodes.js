@@ -1,0 +1,99 @@
+// The symbols of places and transitions: how each is built, what it holds, and how a result is painted on it.
+
+import { s } from "./dom.js";
+import { RADIUS, BAR, dots, discs } from "./geometry.js";
+import { colourOf, shortName } from "./colours.js";
+
+const MOST = 9; // tokens or robots that are drawn one by one
+
+// one path for all tokens of a place
+const DOTS = Array.from({ length: MOST + 1 }, (_, count) => dots(count).map(([x, y]) => {
+  const r = count === 1 ? 5 : 3.4;
+  return `M${(x - r).toFixed(2)} ${y.toFixed(2)}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0z`;
+}).join(""));
+
+export const at = ({ x, y }) => `translate(${x.toFixed(1)} ${y.toFixed(1)})`;
+
+export function buildPlace(node, place) {
+  return s("g", { class: `place ${place.kind}`, transform: at(node), "data-place": node.index },
+    s("title", { text: place.name }),
+    s("circle", { r: RADIUS }));
+}
+
+export function buildTransition(node, transition) {
+  const [w, h] = BAR[node.kind];
+  return s("g", { class: `transition ${node.kind}`, transform: at(node), "data-transition": node.index },
+    s("title", { text: transition.name }),
+    node.kind === "immediate" && s("rect", { class: "hit", x: -12, y: -h, width: 24, height: 2 * h }),
+    s("rect", { class: "body", x: -w, y: -h, width: 2 * w, height: 2 * h, rx: 1 }));
+}
+
+/** A place with so many tokens, some of which may be robots. */
+export function drawPlace(node, tokens, robots) {
+  const count = Math.max(0, tokens);
+  if (robots.length && robots.length >= count && robots.length <= MOST) {
+    drawDots(node, 0, true);
+    drawRobots(node, robots);
+  } else {
+    if (node.robots) drawRobots(node, []);
+    drawDots(node, count);
+  }
+}
+
+function drawDots(node, count, robotsHere = false) {
+  if (node.count === count) return;
+  if ((node.count > 0) !== (count > 0)) node.element.classList.toggle("marked", count > 0 || robotsHere);
+  node.count = count;
+  if (node.dots) { node.dots.remove(); node.dots = null; }
+  if (count === 0) return;
+  node.dots = count <= MOST
+    ? s("path", { class: "dots", d: DOTS[count], "data-count": count })
+    : s("text", { class: "count", text: count < 100000 ? String(count) : "99999+" });
+  if (count > 999) node.dots.style.fontSize = count > 9999 ? "10px" : "12px";
+  node.element.append(node.dots);
+}
+
+function drawRobots(node, robots) {
+  if (node.robots) { node.robots.remove(); node.robots = null; }
+  if (!robots.length) return;
+  const { radius, centres } = discs(robots.length);
+  node.robots = s("g", {}, robots.sort((a, b) => (a.name < b.name ? -1 : 1)).map((robot, i) => {
+    const phase = robot.why && robot.phase !== "failed" ? "waiting" : robot.phase || "";
+    const id = shortName(robot.name);
+    const text = s("text", { text: id });
+    text.style.fontSize = `${Math.min(radius * 1.15, (radius * 2.6) / Math.max(1, id.length)).toFixed(1)}px`;
+    const disc = s("circle", { r: radius });
+    disc.style.fill = colourOf(robot.name);
+    return s("g", { class: `robot ${phase}${robot.paused ? " paused" : ""}`, transform: at({ x: centres[i][0], y: centres[i][1] }), "data-robot": robot.name },
+      s("title", { text: robot.name }), disc, text);
+  }));
+  node.element.append(node.robots);
+}
+
+export function drawEnabled(node, enabled) {
+  if (node.enabled === enabled) return;
+  node.enabled = enabled;
+  node.element.classList.toggle("enabled", enabled);
+  if (enabled && !node.flag) {
+    node.flag = s("path", { class: "flag", d: `M-6 ${-BAR[node.kind][1] - 11}h12l-6 7z` });
+    node.element.append(node.flag);
+  }
+}
+
+/** Colour and text of a result; null takes both away. `wanted.kind`: bad, good, mark, or heat with a level from 0 to 1. */
+export function paintNode(node, wanted) {
+  node.element.classList.remove("paint-bad", "paint-good", "paint-mark");
+  const body = node.element.querySelector(node.kind === "place" ? "circle" : "rect.body");
+  body.style.fill = "";
+  if (node.value) { node.value.remove(); node.value = null; }
+  if (!wanted) return;
+  if (wanted.kind === "heat") {
+    body.style.fill = `color-mix(in srgb, var(--accent) ${Math.round(8 + 62 * wanted.level)}%, var(--sheet))`;
+  } else {
+    node.element.classList.add(`paint-${wanted.kind}`);
+  }
+  if (wanted.text) {
+    node.value = s("text", { class: "value", y: -(node.kind === "place" ? RADIUS : BAR[node.kind][1]) - 6, text: wanted.text });
+    node.element.append(node.value);
+  }
+}
