@@ -6,14 +6,17 @@ import queue
 import threading
 import time
 from collections import OrderedDict
-from typing import Any, Callable, Mapping, NamedTuple, Optional, Set, Tuple
+from typing import Any, Callable, Dict, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
 import rospy
 
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.ros.action_connection import ActionConnection
 from gspn_framework_package.ros.action_targets import ActionTarget
+from gspn_framework_package.ros.direct_connection import DirectConnection
 from gspn_framework_package.ros.goal_id import GoalIdentity, new_tag
+from gspn_framework_package.ros.place_servers import PlaceServer
+from gspn_framework_package.ros.registration import registered_together
 
 CONNECT_POLL = 0.01
 """Seconds between two looks at whether a server's topics are connected."""
@@ -34,6 +37,8 @@ class Patience(NamedTuple):
 
 DEFAULT_PATIENCE = Patience()
 
+Connection = Union[ActionConnection, DirectConnection]
+
 
 class ActionEnded(NamedTuple):
     """How an attempt ended: ``reason`` "" for a success with ``result`` (a transition, or "" for
@@ -52,7 +57,7 @@ class _Goal:
         self.start_at = start_at
         self.doing = ""
         self.connect_by = 0.0
-        self.connection: Optional[ActionConnection] = None
+        self.connection: Optional[Connection] = None
         self.message: Any = None
         self.sent_at = 0.0
         self.send_again_at = 0.0
@@ -65,10 +70,10 @@ class _Goal:
 class ActionCaller:
     """Executes one action at a time for a robot. All methods belong to the node's worker thread.
 
-    Connections to servers are made when a place is first needed (the others follow in the
-    background), kept, and closed again when there are more than ``limit``, the one that was used
-    longest ago first. What touches the master is done by a thread of its own: without a master
-    rospy's registrations block for as long as it is gone.
+    Goals for servers of its own process go to them directly. Connections to other servers are made
+    when a place is first needed (the others follow in the background), kept, and closed again when
+    there are more than ``limit``, the one that was used longest ago first. What touches the master is
+    done by a thread of its own: without a master rospy's registrations block for as long as it is gone.
 
     :param robot: name of the robot.
     :param targets: its actions by place.
@@ -76,6 +81,8 @@ class ActionCaller:
     :param enqueue: has the worker thread call ``function(*arguments)`` soon.
     :param ended: told how each attempt ended, once.
     :param feedback: told (identity, feedback message) while an action goes on.
+    :param limit: connections to servers of other processes that are open at the same time, at most.
+    :param own_servers: the servers of this process that goals are given to directly, by their absolute names.
     """
 
     def __init__(
@@ -88,6 +95,7 @@ class ActionCaller:
         feedback: Callable[[GoalIdentity, Any], None] = lambda identity, message: None,
         patience: Patience = DEFAULT_PATIENCE,
         limit: int = 32,
+        own_servers: Optional[Mapping[str, PlaceServer]] = None,
     ) -> None:
         self.robot = robot
         self.tag = new_tag()
@@ -98,7 +106,10 @@ class ActionCaller:
         self._goal: Optional[_Goal] = None
         self._connections: OrderedDict[str, ActionConnection] = OrderedDict()
         self._opening: Set[str] = set()
-        self._spare = list(targets.values())
+        self._direct: Dict[str, DirectConnection] = {
+            name: DirectConnection(server, self._hand_on) for name, server in (own_servers or {}).items()
+        }
+        self._spare = [target for target in targets.values() if target.server not in self._direct]
         self._background: queue.SimpleQueue[Optional[Callable[[], None]]] = queue.SimpleQueue()
         self._closed = False
         threading.Thread(target=self._work, name="connections", daemon=True).start()
@@ -163,7 +174,7 @@ class ActionCaller:
         return self._poll_active(goal, now)
 
     def _poll_connecting(self, goal: _Goal, now: float) -> Optional[float]:
-        connection = self._connections.get(goal.target.server)
+        connection = self._connection(goal.target.server)
         if connection is None:
             self._connect(goal)
         elif connection.ready_server() is not None:
@@ -176,8 +187,9 @@ class ActionCaller:
             return None
         return min(now + CONNECT_POLL, goal.connect_by)
 
-    def _send(self, goal: _Goal, connection: ActionConnection, now: float) -> None:
-        self._connections.move_to_end(goal.target.server)
+    def _send(self, goal: _Goal, connection: Connection, now: float) -> None:
+        if goal.target.server in self._connections:
+            self._connections.move_to_end(goal.target.server)
         goal.connection = connection
         goal.message = goal.target.new_goal()
         goal.doing = "waits for %s to take the goal" % goal.target.server
@@ -233,7 +245,7 @@ class ActionCaller:
 
     # -- the worker thread: what servers say -------------------------------------------------------
 
-    def _heard(self, connection: ActionConnection, what: str, goal_id: str, value: Any) -> None:
+    def _heard(self, connection: Connection, what: str, goal_id: str, value: Any) -> None:
         goal = self._goal
         if goal is None or goal.id != goal_id or goal.connection is not connection:
             return
@@ -275,8 +287,11 @@ class ActionCaller:
 
     def _connect(self, goal: _Goal) -> None:
         goal.doing = "waits for the action server %s" % goal.target.server
-        if goal.target.server not in self._connections:
+        if self._connection(goal.target.server) is None:
             self._open(goal.target)
+
+    def _connection(self, server: str) -> Optional[Connection]:
+        return self._direct.get(server) or self._connections.get(server)
 
     def _open_spare(self) -> None:
         """Connect to one more server of the plan, while there is room."""
@@ -292,12 +307,13 @@ class ActionCaller:
         self._opening.add(target.server)
 
         def open_it() -> None:
-            connection = ActionConnection(target.server, target.action_type, self.robot, self.tag, self._hand_on)
+            with registered_together():
+                connection = ActionConnection(target.server, target.action_type, self.robot, self.tag, self._hand_on)
             self._enqueue(self._opened, connection)
 
         self._background.put(open_it)
 
-    def _hand_on(self, connection: ActionConnection, what: str, goal_id: str, value: Any) -> None:
+    def _hand_on(self, connection: Connection, what: str, goal_id: str, value: Any) -> None:
         self._enqueue(self._heard, connection, what, goal_id, value)
 
     def _opened(self, connection: ActionConnection) -> None:

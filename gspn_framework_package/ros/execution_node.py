@@ -23,7 +23,7 @@ from gspn_framework_package.execution.team_state import GONE
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.msg import FiredTransition
-from gspn_framework_package.ros.action_caller import ActionCaller, ActionEnded
+from gspn_framework_package.ros.action_caller import CONNECT_POLL, ActionCaller, ActionEnded
 from gspn_framework_package.ros.action_targets import action_targets
 from gspn_framework_package.ros.goal_id import GoalIdentity
 from gspn_framework_package.ros.links import ServiceLink, TopicLink
@@ -93,6 +93,7 @@ class ExecutionNode(Worker):
             self._action_progress,
             options.patience,
             options.max_connections,
+            self._servers.servers if self._servers and options.direct_actions else None,
         )
         self._services = NodeServices(self, namespace)
         full = plan.synchronisation is Synchronisation.FULL
@@ -118,10 +119,13 @@ class ExecutionNode(Worker):
 
     # -- from any thread ---------------------------------------------------------------------------
 
-    def start(self) -> None:
-        """Serve the places, and begin."""
+    def serve(self) -> None:
+        """Serve the places."""
         if self._servers is not None:
             self._servers.start()
+
+    def start(self) -> None:
+        """Begin; before, :meth:`serve`."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -171,11 +175,14 @@ class ExecutionNode(Worker):
         if now >= self._wake_at:
             self._wake_at = now + 1.0
             self._step(agreement.Tick())
+            self._narrator.note_change()
         if self._leave_at is not None and now >= self._leave_at:
             self._end()
             return
-        due = min(self._wake_at, self._narrator.poll(now, self._activity, self._diagnosis))
         action_due = self._caller.poll(now)
+        if action_due is not None and action_due <= now + CONNECT_POLL:
+            self._narrator.note_change()  # it waits for something
+        due = min(self._wake_at, self._narrator.poll(now, self._activity, self._diagnosis))
         if action_due is not None:
             due = min(due, action_due)
         try:
@@ -183,6 +190,7 @@ class ExecutionNode(Worker):
         except queue.Empty:
             return
         function(*arguments)
+        self._narrator.note_change()
 
     def _end(self) -> None:
         self._running = False

@@ -4,6 +4,7 @@ through services."""
 from __future__ import annotations
 
 import json
+import threading
 import time
 from typing import Any, Callable, Dict, List, NamedTuple, Tuple
 
@@ -44,10 +45,34 @@ class _Peer(NamedTuple):
     service_uri: str
 
 
+class _Neighbours:
+    """The robots of one run that are hosted in this process: what they tell each other needs no topic."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._links: Dict[str, Dict[str, Link]] = {}
+
+    def add(self, link: Link) -> None:
+        with self._lock:
+            self._links[link.run] = {**self._links.get(link.run, {}), link.robot: link}
+
+    def remove(self, link: Link) -> None:
+        with self._lock:
+            self._links[link.run] = {r: other for r, other in self._links[link.run].items() if other is not link}
+
+    def of(self, link: Link) -> Dict[str, Link]:
+        """Robot -> its link, this one's own included. Not to be changed."""
+        return self._links.get(link.run, {})
+
+
+_NEIGHBOURS = _Neighbours()
+
+
 class Link:
     """What both ways have in common: the agreement topic, on which everybody hears everybody.
 
-    Publishes and subscribes to ``/gspn_agreement`` (gspn_framework_package/Agreement).
+    Publishes and subscribes to ``/gspn_agreement`` (gspn_framework_package/Agreement). Robots that are hosted in the
+    same process hear each other without it.
 
     :param received: told each message of another robot that is meant for this one; called on
         rospy's threads.
@@ -67,6 +92,7 @@ class Link:
         self._calls = ServiceCalls()
         self._publisher = rospy.Publisher(TOPIC, Agreement, queue_size=1000)
         self._subscriber = rospy.Subscriber(TOPIC, Agreement, self._on_message, tcp_nodelay=True)
+        _NEIGHBOURS.add(self)
 
     def serve_at(self, service_uri: str) -> None:
         """Tell peers that this robot's services are at that address."""
@@ -78,19 +104,41 @@ class Link:
 
     def close(self) -> None:
         """End the calls, and unregister from the topic."""
+        _NEIGHBOURS.remove(self)
         self._calls.close()
         self._subscriber.unregister()
         self._publisher.unregister()
 
-    def _news(self, to: str, message: Message) -> Agreement:
+    def _publish(self, publisher: Any, to: str, message: Message) -> None:
+        """Tell neighbours directly, and others on a topic.
+
+        :param publisher: of the topic on which ``to`` hears; "" is everybody.
+        """
         self.sent += 1
+        body = json.dumps(message, separators=(",", ":"))
+        neighbours = _NEIGHBOURS.of(self)
+        if to in neighbours:
+            neighbours[to]._received(json.loads(body))
+            return
+        if not to:
+            for link in list(neighbours.values()):
+                if link is not self:
+                    link._received(json.loads(body))  # one each: they may keep parts of it
+        if self._somebody_else_listens(publisher):
+            publisher.publish(self._news(to, body))
+
+    def _somebody_else_listens(self, publisher: Any) -> bool:
+        """Whether the topic is connected to anybody but this node itself."""
+        return any(connection.endpoint_id != self._node for connection in publisher.impl.connections)
+
+    def _news(self, to: str, body: str) -> Agreement:
         news = Agreement(
             run=self.run,
             sender=self.robot,
             namespace=self._namespace,
             service_uri=self._service_uri,
             to=to,
-            body=json.dumps(message, separators=(",", ":")),
+            body=body,
         )
         news.header.stamp = rospy.get_rostime()
         return news
@@ -98,8 +146,8 @@ class Link:
     def _on_message(self, news: Agreement) -> None:
         if news.run != self.run or news.to not in ("", self.robot):
             return
-        if news.sender == self.robot and news._connection_header.get("callerid") == self._node:
-            return  # our own, come back
+        if news._connection_header.get("callerid") == self._node:
+            return  # our own, come back, or of a neighbour, who has told us already
         if news.sender != self.robot:
             self._peers[news.sender] = _Peer(news.namespace, news.service_uri)
             self._heard[news.sender] = time.monotonic()
@@ -161,7 +209,7 @@ class TopicLink(Link):
             sends = [s for s in sends if s not in same]
             one = to if len(same) == 1 else EVERYBODY
             inbox = self._connected_inbox(one) if one else None
-            (inbox or self._publisher).publish(self._news(one, message))
+            self._publish(inbox or self._publisher, one, message)
             self._call_quiet(one, message)
 
     def close(self) -> None:
@@ -204,7 +252,7 @@ class ServiceLink(Link):
         for to, message in sends:
             service = SERVICE_OF_MESSAGE.get(message.get("kind", ""))
             if service is None:
-                self._publisher.publish(self._news(to, message))
+                self._publish(self._publisher, to, message)
                 self._call_quiet(to, message)
                 continue
             body = json.dumps(message, separators=(",", ":"))

@@ -7,27 +7,10 @@ import threading
 import xmlrpc.client
 from typing import Any, Optional
 
-import rosgraph
 import rospy
 from rospy.impl import registration
 
-
-class _Transport(xmlrpc.client.Transport):
-    """A transport that gives up: without it a master that hangs would hold us for ever."""
-
-    def __init__(self, timeout: float) -> None:
-        super().__init__()
-        self._timeout = timeout
-
-    def make_connection(self, host: Any) -> http.client.HTTPConnection:
-        connection = super().make_connection(host)
-        connection.timeout = self._timeout
-        return connection
-
-
-def master_proxy(timeout: float = 2.0) -> xmlrpc.client.ServerProxy:
-    """The master's interface, each call with a time limit in seconds."""
-    return xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), _Transport(timeout))
+from gspn_framework_package.ros.registration import Entry, master_proxy, register
 
 
 class MasterWatch:
@@ -85,18 +68,8 @@ def register_again() -> None:
     """Register every publisher, subscriber and service of this node, and connect to whoever
     publishes by now. :raises OSError: no master."""
     topics, services = registration.get_topic_manager(), registration.get_service_manager()
-    caller, uri = rospy.get_name(), rospy.get_node_uri()
-    calls = xmlrpc.client.MultiCall(master_proxy(10.0))
-    subscribed = topics.get_subscriptions()
-    for name, data_type in subscribed:
-        calls.registerSubscriber(caller, name, data_type, uri)
-    for name, data_type in topics.get_publications():
-        calls.registerPublisher(caller, name, data_type, uri)
-    for name, service_uri in services.get_services():
-        calls.registerService(caller, name, service_uri, uri)
-    results: Any = calls()
-    answers = list(results)
-    own = xmlrpc.client.ServerProxy(uri, _Transport(10.0))
-    for (name, _), (code, _, publishers) in zip(subscribed, answers):
-        if code == 1 and publishers:
-            own.publisherUpdate("/master", name, publishers)
+    kinds = registration.Registration
+    entries = [Entry(kinds.PUB, name, data_type) for name, data_type in topics.get_publications()]
+    entries += [Entry(kinds.SRV, name, service_uri) for name, service_uri in services.get_services()]
+    entries += [Entry(kinds.SUB, name, data_type) for name, data_type in topics.get_subscriptions()]
+    register(entries)

@@ -35,6 +35,7 @@ class Narrator:
         self._activity = rospy.Publisher(rospy.names.ns_join(namespace, "activity"), String, latch=True, queue_size=10)
         self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
         self._told: Dict[str, Any] = {}
+        self._changed = True
         self._activity_at = 0.0
         self._diagnostics_at = 0.0
         self._reason = ""
@@ -61,33 +62,41 @@ class Narrator:
         """A line about something that a person should know."""
         rospy.logwarn("%s: %s", self._robot, text)
 
+    def note_change(self) -> None:
+        """Something has happened, so that what the robot does may have changed."""
+        self._changed = True
+
     def poll(self, now: float, activity: Any, status: Any) -> float:
-        """Publish what is due; when to be called next.
+        """Publish what is due; when to be called next, unless something happens before.
 
         :param activity: called for what the robot does, a JSON object.
         :param status: called for what ``/diagnostics`` shows, (level, message, values).
         """
-        if now >= self._activity_at:
+        if self._changed and now >= self._activity_at:
+            self._changed = False
             self._activity_at = now + ACTIVITY_PERIOD
             told = activity()
             if told != self._told:
                 self._told = told
                 self._activity.publish(json.dumps(told))
-            self._tell_reason(told["waits_for"], now)
+            self._note_reason(told["waits_for"], now)
+        self._tell_reason(now)
         if now >= self._diagnostics_at:
             self._diagnostics_at = now + DIAGNOSTICS_PERIOD
             if self._diagnostics.get_num_connections():
                 self._publish_diagnostics(*status())
-        return min(self._activity_at, self._diagnostics_at)
+        return min(self._activity_at, self._diagnostics_at) if self._changed else self._diagnostics_at
 
-    def _tell_reason(self, reason: str, now: float) -> None:
-        """Say for what the robot waits, once, when it has done so for a while."""
+    def _note_reason(self, reason: str, now: float) -> None:
         if reason != self._reason:
             self._reason, self._reason_since = reason, now
-        elif reason != self._reason_told and now >= self._reason_since + WAITING_TIME:
-            self._reason_told = reason
-            if reason:
-                self.say(reason)
+
+    def _tell_reason(self, now: float) -> None:
+        """Say for what the robot waits, once, when it has done so for a while."""
+        if self._reason != self._reason_told and now >= self._reason_since + WAITING_TIME:
+            self._reason_told = self._reason
+            if self._reason:
+                self.say(self._reason)
 
     def _publish_diagnostics(self, level: int, message: str, values: Mapping[str, Any]) -> None:
         array = DiagnosticArray()

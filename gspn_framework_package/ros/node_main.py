@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import signal
+import sys
 import threading
 import time
-from typing import Dict, Iterable, Tuple
+from typing import Callable, Dict, Iterable, List, Tuple
 
 import rospy
 
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.model.errors import ExecutionError, UsageError
+from gspn_framework_package.model.errors import ExecutionError, GspnError, UsageError
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.ros.node_process import run_node
-from gspn_framework_package.ros.options import NodeOptions, read_options
+from gspn_framework_package.ros.node_process import (
+    ERRORS,
+    await_master,
+    be_node,
+    run_node,
+    share_log_configuration,
+    tell_error,
+)
+from gspn_framework_package.ros.options import NodeOptions, read_options, read_options_of
+from gspn_framework_package.ros.process_family import Member, run_family
+from gspn_framework_package.ros.registration import registered_together
 
 
 def run_execution_node() -> int:
@@ -24,6 +35,18 @@ def run_hosted_robots() -> int:
     """A node that hosts the execution nodes of a whole simulated team, each in a namespace of its
     own; returns the exit code of the process."""
     return run_node("gspn_hosted", lambda ending: _host(read_options(), ending))
+
+
+def run_team() -> int:
+    """The execution nodes of a whole team, a process for each, forked from this one; returns the largest of their
+    exit codes. This process is no node itself."""
+    name = rospy.names.get_mappings().get("__name", "gspn_team")
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # until there is a team
+    try:
+        await_master(threading.Event())
+        return _fork(read_options_of(rospy.names.ns_join(_own_namespace(), name)))
+    except ERRORS as error:
+        return tell_error(name, error)
 
 
 def run_place_servers() -> int:
@@ -56,7 +79,7 @@ def robot_of(plan: Plan, options: NodeOptions) -> Tuple[Plan, str]:
     return plan, options.robot
 
 
-def check_plan(plan: Plan) -> None:
+def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
     """Refuse a plan that must not run, and tell its warnings. :raises ExecutionError: refused."""
     from gspn_framework_package.analysis.preflight import check
     from gspn_framework_package.analysis.preflight_report import Severity
@@ -64,7 +87,7 @@ def check_plan(plan: Plan) -> None:
     report = check(plan)
     for item in report.items:
         if item.severity is Severity.WARNING:
-            rospy.logwarn("%s: %s: %s", plan.name, item.check, item.text)
+            warn("%s: %s: %s" % (plan.name, item.check, item.text))
     if report.refused:
         reasons = [i.text for i in report.items if i.severity is Severity.REFUSED]
         raise ExecutionError("the plan is refused: %s" % "; ".join(reasons), file=plan.file)
@@ -99,24 +122,78 @@ def _execute(options: NodeOptions, ending: threading.Event) -> int:
 
 
 def _host(options: NodeOptions, ending: threading.Event) -> int:
+    plan, namespaces = _team(options)
+    return _run_robots(plan, namespaces, options, ending)
+
+
+def _team(options: NodeOptions) -> Tuple[Plan, Dict[str, str]]:
+    """The plan with the team that begins, and the namespaces of its robots."""
     plan = read_plan(options.plan)
     if options.robots:
         plan = plan.for_robots(options.robots)
-    names = {
+    return plan, {
         robot.name: rospy.names.ns_join(_own_namespace(), "%s%d" % (options.prefix, number))
         for number, robot in enumerate(plan.robots, 1)
     }
-    return _run_robots(plan, names, options, ending)
+
+
+def _fork(options: NodeOptions) -> int:
+    plan, namespaces = _team(options)
+    if options.check:
+        # in a process of its own: the libraries of the analysis are of no use to the robots
+        code = run_family([Member("the check of the plan", lambda: _check_alone(plan))])
+        if code:
+            return code
+    # what all will need, once for all
+    from gspn_framework_package.ros import execution_node, master_watch  # noqa: F401
+
+    share_log_configuration()
+    members = []
+    for robot, namespace in namespaces.items():
+        members.append(_member(plan, robot, namespace, "executor", options, _run_robot))
+        if options.place_server_nodes:
+            members.append(_member(plan, robot, namespace, "place_servers", options, _serve_robot))
+    return run_family(members, options.respawn)
+
+
+def _check_alone(plan: Plan) -> int:
+    try:
+        check_plan(plan, lambda text: print("warning: " + text, file=sys.stderr))
+    except GspnError as error:
+        return tell_error("gspn_team", error)
+    return 0
+
+
+_Body = Callable[[Plan, str, str, NodeOptions, threading.Event], int]
+
+
+def _member(plan: Plan, robot: str, namespace: str, name: str, options: NodeOptions, body: _Body) -> Member:
+    def be_robot() -> int:
+        be_node(name, namespace)
+        return run_node(name, lambda ending: body(plan, robot, namespace, options, ending))
+
+    return Member(rospy.names.ns_join(namespace, name), be_robot)
+
+
+def _run_robot(plan: Plan, robot: str, namespace: str, options: NodeOptions, ending: threading.Event) -> int:
+    return _run_robots(plan, {robot: namespace}, options, ending, checked=True)
+
+
+def _serve_robot(plan: Plan, robot: str, namespace: str, options: NodeOptions, ending: threading.Event) -> int:
+    return _serve_places(plan, robot, namespace, ending)
 
 
 def _own_namespace() -> str:
     return rospy.get_namespace().rstrip("/") or "/"
 
 
-def _run_robots(plan: Plan, namespaces: Dict[str, str], options: NodeOptions, ending: threading.Event) -> int:
+def _run_robots(
+    plan: Plan, namespaces: Dict[str, str], options: NodeOptions, ending: threading.Event, checked: bool = False
+) -> int:
     """Execute a plan for some robots, each with its own replica, until the run is over for all of them.
 
     :param namespaces: robot -> its absolute namespace.
+    :param checked: the plan has been checked.
     :returns: the largest of their exit codes.
     """
     from gspn_framework_package.ros.execution_node import ExecutionNode
@@ -124,12 +201,13 @@ def _run_robots(plan: Plan, namespaces: Dict[str, str], options: NodeOptions, en
 
     for note in plan.notes:
         rospy.loginfo("%s: %s", plan.name, note)
-    if options.check:
-        check_plan(plan)
-    nodes = []
+    if options.check and not checked:
+        check_plan(plan, rospy.logwarn)
+    nodes: List[ExecutionNode] = []
     try:
-        for robot, namespace in namespaces.items():
-            nodes.append(ExecutionNode(plan, robot, namespace, options))
+        with registered_together():
+            nodes += [ExecutionNode(plan, robot, namespace, options) for robot, namespace in namespaces.items()]
+        for robot in namespaces:
             rospy.loginfo(
                 "%s: plan %s, run %s, %d robots; log: %s",
                 robot, plan.name, options.run, len(plan.robots), options.log_file(robot),
@@ -139,6 +217,9 @@ def _run_robots(plan: Plan, namespaces: Dict[str, str], options: NodeOptions, en
             await_servers(servers, options.server_timeout, ending)
         watch = MasterWatch()
         watch.start()
+        with registered_together():
+            for node in nodes:
+                node.serve()
         for node in nodes:
             node.start()
         while not ending.wait(0.1) and any(node.is_running() for node in nodes):
@@ -153,11 +234,15 @@ def _run_robots(plan: Plan, namespaces: Dict[str, str], options: NodeOptions, en
 
 
 def _serve(options: NodeOptions, ending: threading.Event) -> int:
+    plan, robot = robot_of(read_plan(options.plan), options)
+    return _serve_places(plan, robot, _own_namespace(), ending)
+
+
+def _serve_places(plan: Plan, robot: str, namespace: str, ending: threading.Event) -> int:
     from gspn_framework_package.ros.master_watch import MasterWatch
     from gspn_framework_package.ros.place_servers import PlaceServers
 
-    plan, robot = robot_of(read_plan(options.plan), options)
-    servers = PlaceServers(plan, robot, _own_namespace())
+    servers = PlaceServers(plan, robot, namespace)
     servers.start()
     rospy.loginfo("%s: serves %s", robot, ", ".join(servers.names) or "nothing")
     watch = MasterWatch()

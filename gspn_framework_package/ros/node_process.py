@@ -16,11 +16,17 @@ import xmlrpc.client
 from typing import Any, Callable, List, Optional
 
 import rosgraph
+import rospkg
 import rospy
+from rospy.impl import tcpros_base
+from rospy.impl.paramserver import get_param_server_cache
 from rospy.impl.rosout import RosOutHandler
 
 from gspn_framework_package.model.errors import GspnError
-from gspn_framework_package.ros.master_watch import master_proxy
+from gspn_framework_package.ros.registration import master_proxy
+
+ERRORS = (GspnError, rospy.ROSException, OSError, http.client.HTTPException, xmlrpc.client.Error)
+"""What a node may end with, told in one line."""
 
 
 def run_node(name: str, body: Callable[[threading.Event], int]) -> int:
@@ -51,25 +57,67 @@ def run_node(name: str, body: Callable[[threading.Event], int]) -> int:
         if ending.is_set():
             return 128 + signals[0]
         rospy.init_node(name, disable_signals=True)
+        accept_many_connections()
         publish_log_lines_on_a_thread()
         rospy.on_shutdown(on_shutdown)
         code = body(ending)
-    except GspnError as error:
-        rospy.logfatal("%s", error)
-        code = error.exit_code
-    except rospy.ROSException as error:
-        print("%s: %s" % (name, error), file=sys.stderr)
-        code = 1
-    except (OSError, http.client.HTTPException, xmlrpc.client.Error) as error:
-        if isinstance(error, OSError) and error.filename is not None:
-            print("%s: %s: %s" % (name, os.fsdecode(error.filename), error.strerror), file=sys.stderr)
-            code = 2
-        else:
-            print("%s: the ROS master went away (%s)" % (name, error), file=sys.stderr)
-            code = 1
+    except ERRORS as error:
+        code = tell_error(name, error)
     ended.set()
     rospy.signal_shutdown("the end")
     return code if not signals or code else 128 + signals[0]
+
+
+def tell_error(name: str, error: BaseException) -> int:
+    """Tell in one line what one of :data:`ERRORS` was about; the exit code for it.
+
+    :param name: of the node or command.
+    """
+    if isinstance(error, GspnError):
+        if rospy.core.is_initialized():
+            rospy.logfatal("%s", error)
+        else:
+            print("%s: %s" % (name, error), file=sys.stderr)
+        return error.exit_code
+    if isinstance(error, rospy.ROSException):
+        print("%s: %s" % (name, error), file=sys.stderr)
+        return 1
+    if isinstance(error, OSError) and error.filename is not None:
+        print("%s: %s: %s" % (name, os.fsdecode(error.filename), error.strerror), file=sys.stderr)
+        return 2
+    print("%s: the ROS master went away (%s)" % (name, error), file=sys.stderr)
+    return 1
+
+
+def be_node(name: str, namespace: str) -> None:
+    """Be another node than this process was started as, before it is initialised.
+
+    :param name: what :func:`run_node` will be told.
+    :param namespace: absolute.
+    """
+    kept = [word for word in sys.argv if not word.startswith("_")]
+    for word in sys.argv:
+        if word.startswith("__log:="):  # a file for each
+            folder = os.path.dirname(word[len("__log:=") :])
+            file = "%s-%s.log" % (namespace.strip("/").replace("/", "-"), name)
+            kept.append("__log:=" + os.path.join(folder, file))
+    sys.argv = kept
+    os.environ["ROS_NAMESPACE"] = namespace
+    rospy.names.reload_mappings(sys.argv)
+    rospy.names._set_caller_id(rospy.names.ns_join(namespace, "unnamed"))
+
+
+def share_log_configuration() -> None:
+    """Look up once, for all nodes that this process will fork, where rospy's logging is configured: to find it, each
+    would search all packages."""
+    if "ROS_PYTHON_LOG_CONFIG_FILE" not in os.environ:
+        for folder in (os.path.join(rospkg.get_ros_home(), "config"), rospkg.get_etc_ros_dir(),
+                       os.path.join(rospkg.RosPack().get_path("rosgraph"), "conf")):  # fmt: skip
+            for name in ("python_logging.conf", "python_logging.yaml"):
+                file = os.path.join(folder, name)
+                if os.path.isfile(file):
+                    os.environ["ROS_PYTHON_LOG_CONFIG_FILE"] = file
+                    return
 
 
 def await_master(ending: threading.Event) -> None:
@@ -104,13 +152,26 @@ class _Lines(logging.handlers.QueueHandler):
 
 def publish_log_lines_on_a_thread() -> None:
     """Publish on ``/rosout`` from a thread of its own. rospy asks the master for a parameter at every line, with no
-    limit of time: a master that is out of reach (a partition, not a death) would hold whoever logs, for minutes."""
+    limit of time: a master that is out of reach (a partition, not a death) would hold whoever logs, for minutes.
+
+    The parameter is ``/rosout_disable_topics_generation``: whether a line goes without the names of all topics of the
+    node. It is asked for once here, and taken for true where nobody has set it: a robot has five topics for each place.
+    """
+    parameter = "/rosout_disable_topics_generation"
+    get_param_server_cache().set(parameter, rospy.get_param(parameter, True))
     logger = logging.getLogger("rosout")
     for handler in [h for h in logger.handlers if isinstance(h, RosOutHandler)]:
         lines: queue.Queue[logging.LogRecord] = queue.Queue(1000)
         logger.removeHandler(handler)
         logger.addHandler(_Lines(lines))
         logging.handlers.QueueListener(lines, handler).start()
+
+
+def accept_many_connections() -> None:
+    """Let a whole team connect to this node at once. rospy lets five connections wait; the sixth is dropped, and its
+    robot tries again after a second, or three."""
+    tcpros_base.start_tcpros_server()
+    tcpros_base._tcpros_server.tcp_ros_server.server_sock.listen(1024)
 
 
 def exit_with(code: Optional[int]) -> None:

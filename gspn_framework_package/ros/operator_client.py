@@ -12,8 +12,8 @@ import rosgraph
 import rospy
 
 from gspn_framework_package.model.errors import ExecutionError
-from gspn_framework_package.ros.master_watch import master_proxy
 from gspn_framework_package.ros.node_services import ORDER_TIME
+from gspn_framework_package.ros.registration import master_proxy
 from gspn_framework_package.ros.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import sys
 from typing import Any, Dict, NamedTuple
 
 import rospy
+from rospy.client import load_command_line_node_params
 
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.ros.action_caller import DEFAULT_PATIENCE, Patience
+from gspn_framework_package.ros.registration import master_proxy
 
 
 class NodeOptions(NamedTuple):
@@ -25,7 +28,7 @@ class NodeOptions(NamedTuple):
     place: str = ""
     """Where a robot that is not in the plan joins the running team."""
     prefix: str = "robot_"
-    """Hosted robots: what their namespaces begin with; the number of the robot follows."""
+    """A whole team: what their namespaces begin with; the number of the robot follows."""
     run: str = "run"
     """Name of the run: the robots of one run agree among themselves, and a node that starts again
     under the same name goes on where it was."""
@@ -33,6 +36,13 @@ class NodeOptions(NamedTuple):
     """Folder of the logs, ``LOG_DIR/RUN/ROBOT.jsonl``; by default ``~/.ros/gspn``."""
     place_servers: bool = True
     """Whether this node serves the plan's Python actions itself."""
+    place_server_nodes: bool = False
+    """A team of processes: whether each robot's place servers are started as a node of their own."""
+    respawn: bool = False
+    """A team of processes: whether a node of it is started again when it dies."""
+    direct_actions: bool = True
+    """Whether goals for this node's own place servers are handed to them inside the process; otherwise they go over
+    topics, as to any other action server."""
     check: bool = True
     """Whether the plan is checked before the robot moves."""
     stay: bool = False
@@ -70,6 +80,21 @@ def read_options(name: str = "~") -> NodeOptions:
     given: Dict[str, Any] = rospy.get_param(name, {})
     if not isinstance(given, dict):
         raise UsageError("the private parameters are no map", element=name)
+    return options_from(given)
+
+
+def read_options_of(node: str) -> NodeOptions:
+    """The options of a node that is not initialised (yet): its parameters, and those of the command line.
+
+    :param node: its absolute name.
+    :raises UsageError: see :func:`read_options`.
+    :raises OSError: no master.
+    """
+    master: Any = master_proxy()
+    code, _, given = master.getParam(node, node)
+    if code != 1 or not isinstance(given, dict):
+        given = {}
+    given.update(load_command_line_node_params(sys.argv))
     return options_from(given)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import traceback
-from typing import Any, Dict, List, Optional
+from typing import Any, Callable, Dict, List, Optional
 
 import rospy
 from actionlib import ActionServer
@@ -22,6 +22,7 @@ from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.model.plan import FunctionAction, Plan
 from gspn_framework_package.msg import ExecGSPNAction, ExecGSPNFeedback, ExecGSPNResult
 from gspn_framework_package.ros.goal_id import GoalIdentity, parse_goal_id
+from gspn_framework_package.ros.registration import registered_together
 
 KEPT_ENDED = 10
 """Goals that ended of which a server's status still tells, at most (they go after 5 s in any case).
@@ -56,21 +57,24 @@ class PlaceServers:
             bound = plan.action(robot, place)
             assert isinstance(bound, FunctionAction)
             actions.setdefault(bound.server, {})[place] = action
-        self._servers = [
-            _PlaceServer(self, rospy.names.ns_join(namespace, name), by_place) for name, by_place in actions.items()
-        ]
+        self.servers: Dict[str, PlaceServer] = {}
+        """By their absolute names."""
+        for name, by_place in actions.items():
+            server = PlaceServer(self, rospy.names.ns_join(namespace, name), by_place)
+            self.servers[server.ns] = server
         self._timer: Optional[threading.Thread] = None
         self._stopping = threading.Event()
 
     @property
     def names(self) -> List[str]:
         """The names of the servers."""
-        return [server.ns for server in self._servers]
+        return list(self.servers)
 
     def start(self) -> None:
         """Register the servers and take goals."""
-        for server in self._servers:
-            server.start()
+        with registered_together():
+            for server in self.servers.values():
+                server.start()
         self._timer = threading.Thread(target=self._tell_status, name="status", daemon=True)
         self._timer.start()
 
@@ -81,12 +85,12 @@ class PlaceServers:
             running = list(self._running.values())
         for goal in running:
             goal.cancellation.cancel()
-        for server in self._servers:
+        for server in self.servers.values():
             server.stop()
 
     # -- goals -------------------------------------------------------------------------------------
 
-    def accept(self, server: _PlaceServer, handle: ServerGoalHandle, caller: str) -> None:
+    def accept(self, server: PlaceServer, handle: ServerGoalHandle, caller: str) -> None:
         """A goal came in for ``server``, from the node ``caller``."""
         place = handle.get_goal().place
         goal_id = handle.get_goal_id().id
@@ -154,8 +158,8 @@ class PlaceServers:
         name = rospy.search_param("actionlib_status_frequency")
         period = 1.0 / max(float(rospy.get_param(name, 1.0)) if name else 1.0, 0.1)
         while not self._stopping.wait(period) and not rospy.is_shutdown():
-            for server in self._servers:
-                server.publish_status_async(None)
+            for server in self.servers.values():
+                server.tell_status()
             with self._lock:
                 running = list(self._running.values())
             for goal in running:
@@ -167,7 +171,7 @@ class PlaceServers:
 class _RunningGoal:
     def __init__(
         self,
-        server: _PlaceServer,
+        server: PlaceServer,
         handle: ServerGoalHandle,
         action: PythonAction,
         place: str,
@@ -200,8 +204,9 @@ class _RunningGoal:
         self.handle.publish_feedback(ExecGSPNFeedback([int(value) for value in progress]))
 
 
-class _PlaceServer(ActionServer):
-    """An action server without a thread of its own and without questions to the master.
+class PlaceServer(ActionServer):
+    """An action server without a thread of its own and without questions to the master, whose goals may also come
+    from its own process.
 
     The library's ``initialize`` asks the master six times for each server, and starts a timer for
     each: with 13 robots of 7 places that is what a start takes its time for.
@@ -212,6 +217,7 @@ class _PlaceServer(ActionServer):
         self._owner = owner
         self._actions = actions
         self._caller = ""
+        self._direct: Dict[str, Callable[[str, Any, Any], None]] = {}
 
     started: bool
     status_list: List[Any]
@@ -223,6 +229,7 @@ class _PlaceServer(ActionServer):
         return self._actions.get(place)
 
     def initialize(self) -> None:
+        """Make the topics."""
         self.status_list_timeout = rospy.Duration(5.0)
         topic = self.ns + "/"
         self.status_pub = rospy.Publisher(topic + "status", GoalStatusArray, latch=True, queue_size=50)
@@ -232,6 +239,7 @@ class _PlaceServer(ActionServer):
         self.cancel_sub = rospy.Subscriber(topic + "cancel", GoalID, self.internal_cancel_callback, tcp_nodelay=True)
 
     def stop(self) -> None:
+        """Take no more goals, and unregister from the topics."""
         with self.lock:
             if not self.started:
                 return
@@ -241,15 +249,49 @@ class _PlaceServer(ActionServer):
         ):  # fmt: skip
             topic.unregister()
 
+    def take(self, goal: Any, told: Callable[[str, Any, Any], None]) -> None:
+        """Take a goal that comes from this process. :param told: told ("feedback" or "result", status, message) of
+        the goal, besides the topics."""
+        with self.lock:
+            self._direct[goal.goal_id.id] = told
+            self._caller = ""
+            super().internal_goal_callback(goal)
+
+    def cancel_goal(self, goal_id: str) -> None:
+        """Cancel a goal that came from this process."""
+        self.internal_cancel_callback(GoalID(id=goal_id))
+
     def internal_goal_callback(self, goal: Any) -> None:
+        """A goal has come over the topic."""
         with self.lock:
             self._caller = goal._connection_header.get("callerid", "")
             super().internal_goal_callback(goal)
 
+    def publish_result(self, status: Any, result: Any) -> None:
+        """Tell how a goal has ended."""
+        super().publish_result(status, result)
+        told = self._direct.pop(status.goal_id.id, None)
+        if told is not None:
+            told("result", status, result)
+
+    def publish_feedback(self, status: Any, feedback: Any) -> None:
+        """Tell how far a goal is."""
+        super().publish_feedback(status, feedback)
+        told = self._direct.get(status.goal_id.id)
+        if told is not None:
+            told("feedback", status, feedback)
+
     def _goal(self, handle: ServerGoalHandle) -> None:
         self._owner.accept(self, handle, self._caller)
 
+    def tell_status(self) -> None:
+        """Tell the status once more, if anybody listens or there is anything to tell."""
+        with self.lock:
+            if self.started and (self.status_list or self.status_pub.impl.has_connections()):
+                self.publish_status()
+
     def publish_status(self) -> None:
+        """Tell the status of all goals, of those that ended only the last ones."""
         with self.lock:
             surplus = len(self.status_list) - KEPT_ENDED
             if surplus > 0:

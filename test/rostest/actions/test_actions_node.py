@@ -257,7 +257,7 @@ class ActionsTest(unittest.TestCase):
             self.assertEqual(robot.do(places[i % 5]).result, "T_" + places[i % 5])
         self.assertLessEqual(threading.active_count(), threads + 3)
         self.assertLessEqual(len(os.listdir("/proc/self/fd")), descriptors + 3)
-        self.assertLessEqual(max(len(s.status_list) for s in servers._servers), KEPT_ENDED + 2)
+        self.assertLessEqual(max(len(s.status_list) for s in servers.servers.values()), KEPT_ENDED + 2)
 
     def test_connections_are_bounded(self):
         plan, _ = self.serve({"P%d" % i: "instant" for i in range(1, 9)})

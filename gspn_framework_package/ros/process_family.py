@@ -1,0 +1,139 @@
+"""Processes that are forked from one parent, which has imported everything, and that live and die with it."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from typing import Callable, Dict, List, NamedTuple, Optional
+
+PATIENCE = 10.0
+"""Seconds that processes have to end in order when the parent is told to; ``roslaunch`` gives it 15."""
+
+RESPAWN_DELAY = 1.0
+"""Seconds until a process that died is started again, as the launch files say of nodes."""
+
+_SET_PARENT_DEATH_SIGNAL = 1  # prctl(2)
+_WATCHED = (signal.SIGCHLD, signal.SIGINT, signal.SIGTERM)
+
+
+class Member(NamedTuple):
+    """A process to be: its name, for people, and what it does; returns its exit code."""
+
+    name: str
+    body: Callable[[], int]
+
+
+def run_family(members: List[Member], respawn: bool = False) -> int:
+    """Fork a process for each member, and wait until all have ended; SIGINT and SIGTERM are handed on to all of them.
+    When this process is killed, they are told to end.
+
+    The parent must have no other thread: a fork takes none of them along, only the locks that they hold.
+
+    :param respawn: whether a process is started again when it ends, for whatever reason.
+    :returns: the largest exit code; 128 + the signal where a signal ended it all.
+    :raises RuntimeError: there are other threads.
+    """
+    if threading.active_count() > 1:
+        raise RuntimeError("cannot fork: there are %d threads" % threading.active_count())
+    gc.collect()
+    gc.freeze()  # what is there now is shared: no collection shall write to its pages
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _WATCHED)
+    try:
+        return _Parent(members, respawn, mask).run()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+class _Parent:
+    def __init__(self, members: List[Member], respawn: bool, mask: object) -> None:
+        self._respawn, self._mask = respawn, mask
+        self._due: Dict[float, List[Member]] = {0.0: list(members)}
+        self._running: Dict[int, Member] = {}
+        self._ended_by: Optional[int] = None
+        self._kill_at = 0.0
+        self._code = 0
+
+    def run(self) -> int:
+        while self._running or self._due:
+            self._start_due()
+            received = signal.sigtimedwait(_WATCHED, self._wait())
+            if received is not None and received.si_signo != signal.SIGCHLD:
+                self._end(received.si_signo)
+            elif self._ended_by is not None and time.monotonic() >= self._kill_at:
+                self._kill()
+            self._reap()
+        return self._code if self._ended_by is None else self._code or 128 + self._ended_by
+
+    def _wait(self) -> float:
+        times = list(self._due) + ([self._kill_at] if self._ended_by is not None else [])
+        return max(0.0, min(times, default=time.monotonic() + 5.0) - time.monotonic())
+
+    def _start_due(self) -> None:
+        now = time.monotonic()
+        for when in [when for when in self._due if when <= now]:
+            for member in self._due.pop(when):
+                self._start(member)
+
+    def _start(self, member: Member) -> None:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        parent = os.getpid()
+        pid = os.fork()
+        if pid == 0:
+            self._be(member, parent)
+        self._running[pid] = member
+
+    def _be(self, member: Member, parent: int) -> None:
+        """In the child: do what it is there for, and end."""
+        code = 1
+        try:
+            ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)
+            signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)  # type: ignore[arg-type]
+            if os.getppid() == parent:  # else it died before we could ask to hear of it
+                code = member.body()
+        except BaseException:  # nothing of the parent's may run on in the child
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
+
+    def _reap(self) -> None:
+        while self._running:
+            pid, status = os.waitpid(-1, os.WNOHANG)
+            if pid == 0:
+                return
+            member = self._running.pop(pid, None)
+            if member is None:
+                continue
+            code = -os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.WEXITSTATUS(status)
+            if self._ended_by is not None:
+                continue
+            if code:
+                how = "was killed by signal %d" % -code if code < 0 else "ended with exit code %d" % code
+                print("%s %s" % (member.name, how), file=sys.stderr, flush=True)
+            if self._respawn:
+                self._due.setdefault(time.monotonic() + RESPAWN_DELAY, []).append(member)
+            else:
+                self._code = max(self._code, code if code >= 0 else 128 - code)
+
+    def _end(self, number: int) -> None:
+        """Have all end in order, for the first such signal; at once, for the second."""
+        self._due.clear()
+        if self._ended_by is not None:
+            self._kill()
+            return
+        self._ended_by, self._kill_at = number, time.monotonic() + PATIENCE
+        for pid in self._running:
+            os.kill(pid, signal.SIGTERM)
+
+    def _kill(self) -> None:
+        self._kill_at = time.monotonic() + PATIENCE
+        for pid in self._running:
+            os.kill(pid, signal.SIGKILL)

@@ -1,0 +1,127 @@
+"""Registers topics and services with the ROS master together, in place of one call for each.
+
+rospy asks the master once for every publisher, subscriber and service. A robot with a thousand action servers has five
+thousand of those; one after the other they took over a minute.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import logging
+import time
+import xmlrpc.client
+from typing import Any, Iterator, List, NamedTuple, Sequence
+
+import rosgraph
+import rospy
+from rospy.impl.registration import Registration, RegistrationListener, RegManager, get_registration_listeners
+
+CALLS = 500
+"""Registrations in one request to the master, so that it answers others between two of them."""
+
+RETRY = 0.2
+"""Seconds until the master is asked again that did not answer (as rospy does)."""
+
+
+class Entry(NamedTuple):
+    """Something to register: ``kind`` is a value of rospy's ``Registration``; ``detail``: the type of a topic, the
+    address of a service."""
+
+    kind: str
+    name: str
+    detail: str
+
+
+class _Transport(xmlrpc.client.Transport):
+    """A transport that gives up: without it a master that hangs would hold us for ever."""
+
+    def __init__(self, timeout: float) -> None:
+        super().__init__()
+        self._timeout = timeout
+
+    def make_connection(self, host: Any) -> http.client.HTTPConnection:
+        connection = super().make_connection(host)
+        connection.timeout = self._timeout
+        return connection
+
+
+def master_proxy(timeout: float = 2.0) -> xmlrpc.client.ServerProxy:
+    """The master's interface, each call with a time limit in seconds."""
+    return xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), _Transport(timeout))
+
+
+@contextlib.contextmanager
+def registered_together() -> Iterator[None]:
+    """What is made inside the ``with`` block is registered at its end, with as few calls as may be; as with rospy's
+    own registrations, that waits for a master which does not answer."""
+    listeners = get_registration_listeners()
+    collected = _Collected()
+    with listeners.lock:
+        managers = _managers()
+        if managers:
+            listeners.listeners = [item for item in listeners.listeners if item not in managers] + [collected]
+    if not managers:  # no node yet, or inside another such block, which then registers for both
+        yield
+        return
+    try:
+        yield
+    finally:
+        with listeners.lock:
+            if collected in listeners.listeners:  # else: the node shuts down
+                listeners.listeners.remove(collected)
+                listeners.listeners += managers
+    _register_for_sure(collected.entries)
+
+
+def _managers() -> List[Any]:
+    """rospy's listener that talks to the master; none before the node is initialised."""
+    return [item for item in get_registration_listeners().listeners if isinstance(item, RegManager)]
+
+
+class _Collected(RegistrationListener):
+    def __init__(self) -> None:
+        self.entries: List[Entry] = []
+
+    def reg_added(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
+        self.entries.append(Entry(reg_type, resolved_name, data_type_or_uri))
+
+    def reg_removed(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
+        removed = (reg_type, resolved_name)
+        self.entries = [entry for entry in self.entries if (entry.kind, entry.name) != removed]
+
+
+def _register_for_sure(entries: Sequence[Entry]) -> None:
+    told = False
+    while not rospy.is_shutdown():
+        try:
+            register(entries)
+            return
+        except (OSError, http.client.HTTPException, xmlrpc.client.Error) as error:
+            if not told:
+                logging.getLogger("rospy.registration").error("the master does not register: %s", error)
+            told = True
+            time.sleep(RETRY)
+
+
+def register(entries: Sequence[Entry], timeout: float = 30.0) -> None:
+    """Have the master register these, and connect to whoever publishes on the topics among them that this node
+    subscribes to. :raises OSError: no master."""
+    caller, uri = rospy.get_name(), rospy.get_node_uri()
+    for begin in range(0, len(entries), CALLS):
+        some = entries[begin : begin + CALLS]
+        calls = xmlrpc.client.MultiCall(master_proxy(timeout))
+        for entry in some:
+            if entry.kind == Registration.PUB:
+                calls.registerPublisher(caller, entry.name, entry.detail, uri)
+            elif entry.kind == Registration.SUB:
+                calls.registerSubscriber(caller, entry.name, entry.detail, uri)
+            else:
+                calls.registerService(caller, entry.name, entry.detail, uri)
+        answers: Any = calls()
+        for entry, (code, text, value) in zip(some, answers):
+            if code != 1:
+                rospy.logfatal("cannot register %s with the master: %s", entry.name, text)
+            elif entry.kind == Registration.SUB and value:
+                for manager in _managers():
+                    manager.publisher_update(entry.name, value)
