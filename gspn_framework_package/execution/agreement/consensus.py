@@ -28,6 +28,9 @@ from gspn_framework_package.execution.ledger import Item
 Batch = List[Any]
 """A proposed value: items as JSON values."""
 
+LONGEST_ROUND_TRIP = 1.0
+"""Seconds: an answer that took longer came from a robot that was away, not through a slow network."""
+
 
 @dataclass
 class Attempt:
@@ -37,6 +40,8 @@ class Attempt:
     ballot: Ballot
     frozen: bool
     sent: float
+    began: float
+    """When this phase of it did."""
     tries: int = 0
     promises: Dict[str, Optional[Tuple[Ballot, Batch]]] = field(default_factory=dict)
     answered: Set[str] = field(default_factory=set)
@@ -55,6 +60,7 @@ class Consensus:
     :ivar accepted: what was accepted in the open slot, and under which ballot.
     :ivar leader: who proposed under the highest ballot that was seen.
     :ivar attempt: our own running attempt.
+    :ivar round_trip: for how long answers to our attempts take (s), smoothed; 0 before the first.
     """
 
     def __init__(self, host: Host, partial: bool, first: str) -> None:
@@ -65,6 +71,7 @@ class Consensus:
         self.highest = self.promised
         self.attempt: Optional[Attempt] = None
         self.frozen_by: Optional[Ballot] = None
+        self.round_trip = 0.0
         self._followers: Optional[Set[str]] = None
         self._votes: Dict[Ballot, Set[str]] = {}
 
@@ -129,12 +136,12 @@ class Consensus:
         if self.leads():
             batch = self.host.batch(False)
             if batch:
-                self.attempt = Attempt(slot, self.promised, False, now)
+                self.attempt = Attempt(slot, self.promised, False, now, now)
                 self._second_phase(batch)
             return
         ballot = Ballot(self.highest.counter + 1, self.host.name)
         self._followers = None
-        self.attempt = attempt = Attempt(slot, ballot, frozen, now)
+        self.attempt = attempt = Attempt(slot, ballot, frozen, now, now)
         if frozen:  # until the slot is decided, even if this attempt is beaten: its batch may still win
             self.frozen_by = ballot
         self._promise(ballot)
@@ -147,7 +154,8 @@ class Consensus:
         """When the running attempt should be sent again (s)."""
         if self.attempt is None:
             return None
-        return self.attempt.sent + min(retry * 1.5**self.attempt.tries, max(1.0, retry))
+        patience = max(retry, 2 * self.round_trip)
+        return self.attempt.sent + min(patience * 1.5**self.attempt.tries, max(1.0, patience))
 
     def resend(self, now: float) -> None:
         """Ask those again who have not answered."""
@@ -325,6 +333,7 @@ class Consensus:
         attempt = self.attempt
         if attempt is None or attempt.batch is not None or not self._answers(message, attempt):
             return
+        self._measure(attempt, now)
         attempt.answered.add(message["from"])
         if message["vote"]:
             accepted = message["accepted"]
@@ -333,7 +342,7 @@ class Consensus:
                 accepted[1],
             )
         if self._first_phase_over() and attempt.batch is not None:
-            attempt.sent, attempt.tries = now, 0
+            attempt.sent, attempt.began, attempt.tries = now, now, 0
 
     def on_accepted(self, message: Message, now: float) -> None:
         """A vote for an attempt, ours or that of another."""
@@ -343,6 +352,9 @@ class Consensus:
         if message["hash"] != self.host.ledger.hash:
             return
         ballot = Ballot.from_json(message["ballot"])
+        attempt = self.attempt
+        if attempt is not None and attempt.ballot == ballot:
+            self._measure(attempt, now)
         self._votes.setdefault(ballot, set()).add(message["from"])
         self._decide_if_chosen(ballot)
 
@@ -355,6 +367,12 @@ class Consensus:
             return False
         self.abandon()
         return True
+
+    def _measure(self, attempt: Attempt, now: float) -> None:
+        """Take an answer into the mean round trip, as TCP does (RFC 6298); from the first time that was asked, for
+        one does not know which time is answered."""
+        took = min(now - attempt.began, LONGEST_ROUND_TRIP)
+        self.round_trip += (took - self.round_trip) / (8 if self.round_trip else 1)
 
     def _answers(self, message: Message, attempt: Attempt) -> bool:
         return (

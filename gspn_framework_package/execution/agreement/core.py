@@ -14,6 +14,7 @@ from gspn_framework_package.execution.agreement.own_robot import OwnRobot, goal_
 from gspn_framework_package.execution.agreement.peers import Peers
 from gspn_framework_package.execution.agreement.pool import Own, Pool
 from gspn_framework_package.execution.agreement.private import PrivateMoves
+from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.draw import uniform
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.event_log import Record
@@ -55,8 +56,6 @@ class Core:
     """The state of a replica (see :class:`~gspn_framework_package.execution.agreement.replica.Replica`
     for the parameters), and the questions and effects that all parts of it share."""
 
-    consensus: Consensus
-
     def __init__(
         self,
         plan: Plan,
@@ -73,7 +72,9 @@ class Core:
         self.name = robot
         self.run = run
         self.log_id = log_id
-        self.pace = (pace or Pace()).for_team(len(plan.robots) + len(plan.witness))
+        size = len(plan.robots) + len(plan.witness)
+        self.is_small = size <= SMALL_TEAM
+        self.pace = (pace or Pace()).for_team(size)
         self.partial = plan.synchronisation is Synchronisation.PARTIAL
         self.witness = robot in plan.witness
         self.place = place
@@ -95,6 +96,7 @@ class Core:
         team = [r.name for r in plan.robots] + list(plan.witness)
         self.joining = joining or robot not in team
         self.first = "" if self.joining or not team else team[0]
+        self.consensus = Consensus(self, self.partial, self.first)
         moves = PrivateMoves(game, robot) if self.partial and not self.witness else None
         self.own = OwnRobot(robot, moves)
         self.forced: Set[str] = set()
@@ -110,6 +112,9 @@ class Core:
         self._asked_until = (-1, 0.0)
         self._told: Tuple[Any, ...] = ()
         self._wait_until: Optional[float] = None
+        """Before that we do not propose."""
+        self._gave_way = False
+        """In the open slot of partial synchronisation, to another's attempt."""
         self._defeats = 0
         self._hold_since: Optional[float] = None
         self._first_hash = ""
@@ -159,6 +164,16 @@ class Core:
         """Whether the log knows this incarnation of our robot, so that it may act."""
         state = self._own_state()
         return self.active and state is not None and state.phase not in GONE and state.incarnation == self.incarnation
+
+    # -- what the consensus needs of :class:`~gspn_framework_package.execution.agreement.growth.Growth` -----------
+
+    def is_open(self, message: io.Message) -> bool:
+        """See :class:`~gspn_framework_package.execution.agreement.host.Host`."""
+        raise NotImplementedError
+
+    def decided(self, batch: List[Any], ballot: Ballot, *, mine: bool) -> None:
+        """See :class:`~gspn_framework_package.execution.agreement.host.Host`."""
+        raise NotImplementedError
 
     # -- effects --------------------------------------------------------------------------------------
 

@@ -64,8 +64,9 @@ class Growth(Core):
         self._defeats = 0
         self._hold_since = None
         self._wait_until = None
+        self._gave_way = False
         if self.partial and not mine:  # several may want the next slot: not all at once
-            self._wait_until = self._now + self.pace.backoff * self._draw()
+            self._wait_until = self._now + max(self.pace.backoff, self.consensus.round_trip) * self._draw()
         for firing in step.firings:
             published = mine and not self._was_private(firing, kept)
             self._put(io.Fired(firing, published, self.ledger.hash))

@@ -4,7 +4,6 @@ belong here."""
 from __future__ import annotations
 
 from gspn_framework_package.execution.agreement import interface as io
-from gspn_framework_package.execution.agreement.core import SMALL_TEAM
 from gspn_framework_package.execution.agreement.growth import Growth
 
 
@@ -49,8 +48,7 @@ class Meeting(Growth):
             self._forget()
         self._consider_active()
         # in a large team answers to everybody's greetings would drown it: there the next hello will do
-        is_small = len(self.plan.robots) + len(self.plan.witness) <= SMALL_TEAM
-        if (fresh or not (message["active"] or message["known"].get(self.name))) and (is_small or self._request):
+        if (fresh or not (message["active"] or message["known"].get(self.name))) and (self.is_small or self._request):
             self.answer(message, self._hello())
         if message["length"] == self.ledger.length and message["hash"] != self.ledger.hash:
             self._conflict(sender, self.ledger.length)

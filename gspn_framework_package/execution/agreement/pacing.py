@@ -56,7 +56,8 @@ class Pacing(Conduct):
         if consensus.frozen_by is not None and self._hold_since is None:
             self._hold_since = self._now
         if not self._wants():
-            self._wait_until = None
+            if not self._gave_way:  # else another's attempt is under way, which the next fact of ours must not defeat
+                self._wait_until = None
             return
         if not self.may_vote():
             self._ask_members()
@@ -106,12 +107,15 @@ class Pacing(Conduct):
     def _patience(self) -> float:
         members = self._member_names()
         rank = members.index(self.name) if self.name in members else len(members)
-        return self.pace.takeover * (1 + 0.25 * rank + 0.5 * self._draw())
+        takeover = max(self.pace.takeover, 3 * self.consensus.round_trip)
+        return takeover * (1 + 0.25 * rank + 0.5 * self._draw())
 
     def _give_way(self) -> None:
         """Another's attempt goes first: wait for its outcome."""
         if self.partial:
-            wait = self.pace.backoff * 2 ** min(self._defeats, 6) * (1 + self._draw())
+            self._gave_way = True
+            needs = 2 * self.consensus.round_trip  # its two phases
+            wait = max(needs, self.pace.backoff * 2 ** min(self._defeats, 6)) * (1 + self._draw())
         else:
             wait = self._patience()
         self._wait_until = self._now + wait

@@ -14,16 +14,13 @@ Protocol, assumptions and a sketch of the proof are in ``docs/agreement.md``.
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Optional, Sequence
+from typing import Any, Dict, List
 
 from gspn_framework_package.execution.agreement import interface as io
-from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.core import Pace
 from gspn_framework_package.execution.agreement.pacing import Pacing
 from gspn_framework_package.execution.agreement.quorum import Ballot
-from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.team_state import GONE, RobotState
-from gspn_framework_package.model.plan import Plan
 
 __all__ = ["Pace", "Replica"]
 
@@ -40,23 +37,9 @@ class Replica(Pacing):
         the others, then join.
     :param place: where we come in when we join for the first time; default: our place in the plan,
         else the first of ``spawn``.
+    :param pace: times of the protocol, for a team of few.
     :raises LogError: the records contradict each other or the plan.
     """
-
-    def __init__(
-        self,
-        plan: Plan,
-        robot: str,
-        run: str,
-        log_id: str,
-        records: Sequence[Record] = (),
-        *,
-        joining: bool = False,
-        place: str = "",
-        pace: Optional[Pace] = None,
-    ) -> None:
-        super().__init__(plan, robot, run, log_id, records, joining=joining, place=place, pace=pace)
-        self.consensus = Consensus(self, self.partial, self.first)
 
     def start(self, now: float) -> List[io.Effect]:
         """Begin (once, before any :meth:`step`)."""

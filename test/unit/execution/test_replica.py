@@ -8,7 +8,7 @@ from typing import Any, List, Optional
 import pytest
 
 from gspn_framework_package.benchmark.team.plans import make_plan
-from gspn_framework_package.benchmark.team.world import Node, World
+from gspn_framework_package.benchmark.team.world import Node, Weather, World
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement.private import PrivateMoves
@@ -297,6 +297,20 @@ def test_a_joiner_far_behind_takes_a_snapshot(monkeypatch) -> None:
     assert [r["kind"] for r in node.disk.records()].count("snapshot") == 1
     settle(world)
     world.check(settled=True)
+
+
+@pytest.mark.parametrize("partial, most", [(False, 0.5), (True, 5.0)])
+def test_where_messages_take_long_attempts_do_not_defeat_each_other_for_ever(partial: bool, most: float) -> None:
+    world = Team(make_plan(TOKENS, 5, partial, 0.0, 0.0, False), 1, Weather(0.1, 0.1), action_time=(0.03, 0.07))
+    world.mishaps = False
+    for node in world.nodes.values():
+        node.start()
+    world.run(25.0)
+    records = [(name, r) for name, node in world.nodes.items() for r in node.disk.records() if r["mono"] > 5.0]
+    attempts = sum(r["kind"] == "promised" and r["ballot"][1] == name for name, r in records)
+    slots = len({r["slot"] for _, r in records if r["kind"] == "slot"})
+    assert slots > 20
+    assert attempts < most * slots
 
 
 def test_a_robot_that_left_ends_and_the_others_go_on() -> None:
