@@ -2,7 +2,8 @@
 
 ``python3 -m gspn_framework_package.benchmark.agreement --schedules 10000``
 
-Exit codes: 0 no violation, 1 a violation (told with the schedule that shows it), 2 wrong usage.
+Exit codes: 0 no violation, 1 a violation (told with the schedule that shows it), 2 wrong usage, 130 interrupted (with
+Ctrl-C or SIGTERM; what was done until then is told).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import gc
 import json
 import platform
 import random
+import signal
 import sys
 import time
 from typing import Any, Dict, Iterator, List, Optional
@@ -21,6 +23,9 @@ from gspn_framework_package.benchmark.team.world import ViolationError
 
 SIZES = {2: 36, 3: 54, 5: 8, 8: 2}
 """Robots in a team, and how many of a hundred schedules have that many."""
+
+TELL_EVERY = 30.0
+"""Seconds between two lines of progress, where standard error is no terminal."""
 
 
 def draw_schedules(first_seed: int, number: int, sizes: Optional[List[int]] = None) -> Iterator[Schedule]:
@@ -50,12 +55,15 @@ def main(arguments: Optional[List[str]] = None) -> int:
     else:
         first = args.seed if args.seed is not None else int(time.time()) % 10**8 * 1000
         schedules = draw_schedules(first, args.schedules, args.robots)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     result = run(schedules, args.schedules, args.seconds)
     if args.json:
         print(json.dumps(result))
     else:
         tell(result)
-    return 1 if result["violations"] else 0
+    if result["violations"]:
+        return 1
+    return 130 if result["interrupted"] else 0
 
 
 def run(schedules: Iterator[Schedule], number: int, seconds: Optional[float] = None) -> Dict[str, Any]:
@@ -64,30 +72,31 @@ def run(schedules: Iterator[Schedule], number: int, seconds: Optional[float] = N
     faults: Dict[str, int] = {}
     sizes: Dict[str, int] = {}
     violations = []
+    interrupted = False
     gc.freeze()
     begin, cpu = time.perf_counter(), time.process_time()
-    for schedule in schedules:
-        try:
-            outcome = run_schedule(schedule)
-        except ViolationError as error:
-            violations.append({"schedule": str(schedule), "text": str(error)})
-            outcome = None
-        sums["schedules"] += 1
-        kind = "%d %s" % (schedule.robots, "partial" if schedule.partial else "full")
-        sizes[kind] = sizes.get(kind, 0) + 1
-        if outcome is not None:
-            for key in ("blocked", "slots", "firings", "messages", "steps"):
-                sums[key] += getattr(outcome, key)
-            for fault, count in outcome.faults.items():
-                faults[fault] = faults.get(fault, 0) + count
-        passed = time.perf_counter() - begin
-        if sums["schedules"] % 20 == 0:
-            rate = sums["schedules"] / passed * 60
-            what = "of %d schedules, %d violations, %.0f a minute" % (number, len(violations), rate)
-            _show("%d %s" % (sums["schedules"], what))
-        if seconds is not None and passed > seconds:
-            break
-    _show("")
+    progress = _Progress(number)
+    try:
+        for schedule in schedules:
+            try:
+                outcome = run_schedule(schedule)
+            except ViolationError as error:
+                violations.append({"schedule": str(schedule), "text": str(error)})
+                outcome = None
+            sums["schedules"] += 1
+            kind = "%d %s" % (schedule.robots, "partial" if schedule.partial else "full")
+            sizes[kind] = sizes.get(kind, 0) + 1
+            if outcome is not None:
+                for key in ("blocked", "slots", "firings", "messages", "steps"):
+                    sums[key] += getattr(outcome, key)
+                for fault, count in outcome.faults.items():
+                    faults[fault] = faults.get(fault, 0) + count
+            progress.tell(sums["schedules"], len(violations))
+            if seconds is not None and time.perf_counter() - begin > seconds:
+                break
+    except KeyboardInterrupt:
+        interrupted = True
+    progress.end()
     passed = time.perf_counter() - begin
     return {
         **sums,
@@ -98,14 +107,33 @@ def run(schedules: Iterator[Schedule], number: int, seconds: Optional[float] = N
         "schedules_per_minute": round(sums["schedules"] / passed * 60),
         "machine": "%s, Python %s" % (platform.machine(), platform.python_version()),
         "violations": violations,
+        "interrupted": interrupted,
     }
 
 
-def _show(text: str) -> None:
-    """Rewrite the progress line, where standard error is a terminal."""
-    if sys.stderr.isatty():
-        sys.stderr.write("\r" + text.ljust(78) + ("" if text else "\r"))
+class _Progress:
+    """Tells on standard error how far a run is: one line that is rewritten on a terminal, else a line now and then."""
+
+    def __init__(self, number: int) -> None:
+        self._number = number
+        self._terminal = sys.stderr.isatty()
+        self._begin = time.perf_counter()
+        self._next = 0.2 if self._terminal else TELL_EVERY
+
+    def tell(self, done: int, violations: int) -> None:
+        passed = time.perf_counter() - self._begin
+        if passed < self._next:
+            return
+        self._next = passed + (0.2 if self._terminal else TELL_EVERY)
+        rate = done / passed * 60
+        text = "%d of %d schedules, %d violations, %.0f a minute" % (done, self._number, violations, rate)
+        sys.stderr.write("\r" + text.ljust(78) if self._terminal else "agreement: " + text + "\n")
         sys.stderr.flush()
+
+    def end(self) -> None:
+        if self._terminal:
+            sys.stderr.write("\r" + 78 * " " + "\r")
+            sys.stderr.flush()
 
 
 def tell(result: Dict[str, Any]) -> None:
@@ -127,6 +155,8 @@ def tell(result: Dict[str, Any]) -> None:
         print("%-22s %s" % (key.replace("_", " "), len(value) if isinstance(value, list) else value))
     for title in ("teams", "faults"):
         print("%-22s %s" % (title, ", ".join("%s: %d" % pair for pair in result[title].items())))
+    if result["interrupted"]:
+        print("interrupted")
     for violation in result["violations"][:20]:
         print("VIOLATION in %(schedule)s: %(text)s" % violation)
 
