@@ -3,17 +3,25 @@
 ``python3 -m gspn_framework_package.benchmark.latency`` (needs ROS)
 
 *Latency*: from the result of an action in the robot's log to the goal of its next one there, on one monotonic clock.
-*Private* moves ask nobody (partial synchronisation); *coordinated* ones are agreed on. Twice for each team: with
-actions of a tenth of a second (``light``), and with actions that return at once (``instant``), where what limits is the
-machine. A move that waits for its transition to become enabled is not counted: the plan has none.
+*Private* moves ask nobody (partial synchronisation); *coordinated* ones are agreed on. The loads:
+
+- ``light``: ``plans/tokens`` with actions of a tenth of a second;
+- ``instant``: the same, with actions that return at once, so that what limits is the machine;
+- ``private``: a ring in which every move is private, with actions that return at once (partial synchronisation only).
+
+A move that waits for its transition to become enabled is not counted: these plans have none. *Messages*: what robots
+send each other, heartbeats included; one to several robots counts once.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import glob
+import itertools
 import json
 import os
+import signal
 import statistics
 import sys
 import time
@@ -21,13 +29,16 @@ from dataclasses import replace
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
-from gspn_framework_package.benchmark.plans import tokens_plan
+from gspn_framework_package.benchmark.plans import ring_plan, tokens_plan
 from gspn_framework_package.benchmark.team_run import Master, TeamRun, need_ros
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.plan import FunctionAction, Plan, Synchronisation
 
 BRIEF = "gspn_framework_package.benchmark.load.brief"
+LOADS = ("light", "instant", "private")
+RING = 7
+"""Places of the ring."""
 
 
 def latencies(records: Sequence[Dict[str, Any]], since: float) -> Tuple[List[float], List[float]]:
@@ -53,8 +64,9 @@ def measure(master: Master, plan: Plan, window: float) -> Dict[str, Any]:
         if not run.wait_all_fired(120):
             return {"note": "not all robots fired"}
         time.sleep(3.0)  # connections that follow in the background are not what is measured
-        began = time.monotonic()
+        sent, began = messages_sent(), time.monotonic()
         time.sleep(window)
+        ended, sent = time.monotonic(), messages_sent() - sent
         folder = run.folder
     private: List[float] = []
     coordinated: List[float] = []
@@ -67,9 +79,28 @@ def measure(master: Master, plan: Plan, window: float) -> Dict[str, Any]:
         coordinated += agreed
     return {
         "firings_per_s": round(moves / window, 1),
+        "messages_per_firing": round(sent / (ended - began) * window / moves, 2) if moves else None,
         **_summary("private", private),
         **_summary("coordinated", coordinated),
     }
+
+
+def messages_sent() -> int:
+    """How many messages the robots that run have sent each other so far."""
+    from gspn_framework_package.ros.operator_client import OperatorClient
+
+    with contextlib.closing(OperatorClient()) as client:
+        return sum(status["messages_sent"] for status in client.statuses().values() if status)
+
+
+def plan_of(load: str, robots: int, mode: Synchronisation) -> Plan:
+    """The plan of a load (see above)."""
+    if load == "private":
+        return replace(ring_plan(RING, robots, instant=True), synchronisation=mode)
+    plan = replace(tokens_plan(instant=True), synchronisation=mode).for_robots(robots)
+    if load == "light":
+        plan = replace(plan, actions={place: FunctionAction(BRIEF, place) for place in plan.actions})
+    return plan
 
 
 def _summary(name: str, values: List[float]) -> Dict[str, Any]:
@@ -85,6 +116,7 @@ def _summary(name: str, values: List[float]) -> Dict[str, Any]:
 
 COLUMNS = (
     ("load", "load"), ("mode", "mode"), ("robots", "robots"), ("firings_per_s", "firings/s"),
+    ("messages_per_firing", "messages/firing"),
     ("private_median_ms", "private median [ms]"), ("private_p99_ms", "p99 [ms]"),
     ("coordinated_median_ms", "coordinated median [ms]"), ("coordinated_p99_ms", "p99 [ms]"),
 )  # fmt: skip
@@ -95,27 +127,33 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--robots", type=int, nargs="+", default=[1, 2, 3, 5, 8], metavar="N")
     parser.add_argument("--window", type=float, default=10.0, metavar="S", help="seconds for each team (10)")
+    parser.add_argument("--load", choices=LOADS, nargs="+", default=LOADS)
+    parser.add_argument("--mode", choices=[m.value for m in Synchronisation], help="only this synchronisation")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
     need_ros()
-    rows = []
-    with Master() as master:
-        for load in ("light", "instant"):
-            for mode in Synchronisation:
-                for robots in args.robots:
-                    plan = replace(tokens_plan(instant=True), synchronisation=mode).for_robots(robots)
-                    if load == "light":
-                        actions = {p: FunctionAction(BRIEF, p) for p in plan.actions}
-                        plan = replace(plan, actions=actions)
-                    print("latency: %s, %s, %d robots ..." % (load, mode.value, robots), file=sys.stderr)
-                    measured = measure(master, plan, args.window)
-                    rows.append({"load": load, "mode": mode.value, "robots": robots, **measured})
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that the team under way is ended
+    modes = [Synchronisation(args.mode)] if args.mode else list(Synchronisation)
+    rows: List[Dict[str, Any]] = []
+    interrupted = False
+    try:
+        with Master() as master:
+            os.environ.update(master.environment)
+            for load, mode, robots in itertools.product(args.load, modes, args.robots):
+                if load == "private" and mode is Synchronisation.FULL:
+                    continue
+                print("latency: %s, %s, %d robots ..." % (load, mode.value, robots), file=sys.stderr, flush=True)
+                measured = measure(master, plan_of(load, robots, mode), args.window)
+                rows.append({"load": load, "mode": mode.value, "robots": robots, **measured})
+    except KeyboardInterrupt:
+        print("latency: interrupted", file=sys.stderr)
+        interrupted = True
     if args.json:
         print(json.dumps({"machine": describe_machine(), "window_s": args.window, "rows": rows}))
     else:
         print(table([head for _, head in COLUMNS], [[row.get(key) for key, _ in COLUMNS] for row in rows]))
         print(machine_line())
-    return 0
+    return 130 if interrupted else 0
 
 
 if __name__ == "__main__":

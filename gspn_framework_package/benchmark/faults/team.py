@@ -24,7 +24,7 @@ from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.history import Verdict, verify
 from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.errors import ExecutionError
-from gspn_framework_package.model.plan import FunctionAction, Synchronisation, Timing
+from gspn_framework_package.model.plan import FailureKind, FailureRule, FunctionAction, Synchronisation, Timing
 
 RUN = "faults"
 BRIEF = "gspn_framework_package.benchmark.load.brief"
@@ -82,7 +82,12 @@ class Team:
         self.folder = tempfile.mkdtemp(prefix="gspn_faults_")
         plan = tokens_plan().for_robots(robots)
         actions = {place: FunctionAction(BRIEF, place) for place in plan.actions}
-        plan = replace(plan, actions=actions, synchronisation=mode, timing=Timing(evict_after=evict_after))
+        # on a busy machine an action server may be slow to take a goal; by default its robot would wait for a person
+        again = FailureRule(FailureKind.RETRY, 1000)
+        plan = replace(
+            plan, actions=actions, on_failure={"*": again}, synchronisation=mode,
+            timing=Timing(evict_after=evict_after),
+        )  # fmt: skip
         with open(os.path.join(self.folder, "plan.json"), "w", encoding="utf-8") as file:
             json.dump(plan_to_json(plan), file)
         self.first = [robot.name for robot in plan.robots]
