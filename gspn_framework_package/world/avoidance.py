@@ -30,7 +30,10 @@ SHORT_HORIZON = 1.0
 """... and for those who have not: they will give way."""
 
 GAP = 0.035
-"""Metres that two robots keep between their discs."""
+"""Metres that two robots keep between their discs ..."""
+
+STANDING_GAP = 0.028
+"""... and that one keeps from another that stands, parked or dead."""
 
 _STEPS = np.linspace(0.2, HORIZON, 15)
 _OFFSETS = np.radians([0, 12, -12, 25, -25, 42, -42, 65, -65, 95, -95, 130, -130, 180])
@@ -137,10 +140,11 @@ def choose(
         urgency = np.clip(1.0 - _STEPS / horizon, 0.0, 1.0)
         if not peer.active:
             urgency = np.where(urgency > 0.0, 0.6 + 0.4 * urgency, 0.0)
+        keep = GAP if peer.active else STANDING_GAP
         gaps = np.hypot(xs - ahead[:, 0], ys - ahead[:, 1]) - 2 * robot.radius
-        cost += _threat(gaps, urgency)
+        cost += _threat(gaps, urgency, keep)
         waiting = np.hypot(here[0] - ahead[:, 0], here[1] - ahead[:, 1]) - 2 * robot.radius
-        still += float(_threat(waiting[None, :], urgency)[0])
+        still += float(_threat(waiting[None, :], urgency, keep)[0])
     best = int(np.argmin(cost))
     # standing still costs nothing but the way not made
     if still + 0.05 <= cost[best]:
@@ -148,10 +152,10 @@ def choose(
     return (float(directions[best]), float(speeds[best]))
 
 
-def _threat(gaps: np.ndarray, urgency: np.ndarray) -> np.ndarray:
+def _threat(gaps: np.ndarray, urgency: np.ndarray, keep: float) -> np.ndarray:
     """What it costs to come as near as ``gaps`` (choices, times) at times of that urgency."""
-    near = np.clip(1.0 - (gaps - GAP) / 0.10, 0.0, 1.0)
-    hit = gaps < GAP
+    near = np.clip(1.0 - (gaps - keep) / 0.10, 0.0, 1.0)
+    hit = gaps < keep
     return ((0.8 * near + 2.5 * hit) * urgency).max(axis=1)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any, Dict, Optional
+from typing import Any, Dict, Optional, Set
 
 import actionlib
 import rospy
@@ -25,11 +25,19 @@ POSE_TYPE = "geometry_msgs/PoseWithCovarianceStamped"
 DISCOVERY_PERIOD = 2.0
 """Seconds of wall time between two looks for other robots."""
 
+POSES_DEADLINE = 3.0
+"""Seconds of wall time that other robots are given to tell where they are; a dead one's name may still be known."""
+
 SILENCE_DEADLINE = 15.0
 """Seconds of wall time without a word from ``move_base`` after which a goal is given up.
 
 A server that dies leaves its client waiting for ever (``actionlib`` never says that a server is lost).
 """
+
+
+def _robot_of(topic: str) -> str:
+    """The robot's name in the name of its topic."""
+    return topic.strip("/").rpartition("/")[0]
 
 
 class BaseClient:
@@ -47,6 +55,7 @@ class BaseClient:
         self._pose: Optional[Pose] = None
         self._temperature: Optional[float] = None
         self._others: Dict[str, Pose] = {}
+        self._awaited: Set[str] = set()
         self._subscribers: Dict[str, Any] = {}
         self._own_topic = rospy.resolve_name("amcl_pose")
         self._handle: Any = None
@@ -78,7 +87,8 @@ class BaseClient:
 
     def _on_other(self, message: Any, topic: str) -> None:
         with self._news:
-            self._others[topic.strip("/").rpartition("/")[0]] = pose_from(message.pose.pose)
+            self._others[_robot_of(topic)] = pose_from(message.pose.pose)
+            self._news.notify_all()
 
     def _on_transition(self, handle: Any, number: int) -> None:
         if handle.get_comm_state() != CommState.DONE:
@@ -109,6 +119,7 @@ class BaseClient:
                 missing.append("move_base")
             if not missing:
                 self._discover()
+                self._await_others()
                 return
             if time.monotonic() > deadline:
                 break
@@ -117,6 +128,20 @@ class BaseClient:
             "%s: nothing from %s in %g s"
             % (self.name, ", ".join(rospy.resolve_name(name) for name in missing), seconds)
         )
+
+    def _await_others(self) -> None:
+        """Wait for the poses of the robots that are new, which ``amcl_pose`` keeps for those who come later.
+
+        Whoever does not know yet where the others are must not enter a location.
+        """
+        deadline = time.monotonic() + POSES_DEADLINE
+        with self._news:
+            while self._awaited - set(self._others) and not rospy.is_shutdown():
+                left = deadline - time.monotonic()
+                if left <= 0.0:
+                    break
+                self._news.wait(left)
+            self._awaited.clear()
 
     def _discover(self) -> None:
         """Listen to the poses of robots that have appeared."""
@@ -128,6 +153,7 @@ class BaseClient:
                 and topic != self._own_topic
                 and topic not in self._subscribers
             ):
+                self._awaited.add(_robot_of(topic))
                 self._subscribers[topic] = rospy.Subscriber(
                     topic, PoseWithCovarianceStamped, self._on_other, topic, queue_size=1
                 )

@@ -9,6 +9,7 @@ import os
 import sys
 from typing import Any, Iterator, Tuple
 
+from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.world.room import Cylinder, Obstacle, Pose, RobotType, Room
 
 
@@ -38,7 +39,14 @@ def connect(gui: bool) -> BulletClient:
     """A new, empty world of PyBullet's.
 
     :param gui: open its window.
+    :raises UsageError: there is no display for it.
     """
+    if gui and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        # PyBullet would end the whole process
+        raise UsageError(
+            "there is no display for the window of the world (DISPLAY is not set)",
+            hint="leave gui out; the page shows the room too, and gspn film makes films of it",
+        )
     with quiet(1):
         return BulletClient(connection_mode=pybullet.GUI if gui else pybullet.DIRECT)
 

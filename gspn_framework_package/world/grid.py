@@ -18,6 +18,9 @@ from gspn_framework_package.world.room import Point, Room
 RESOLUTION = 0.05
 """Metres along the side of a cell."""
 
+SPARE = 0.02
+"""Metres that a robot in the middle of a cell has to walls and obstacles, at least, if a way is to lead through it."""
+
 COMFORT = 0.12
 """Metres from a wall or obstacle (beyond the robot's radius) from which on a way costs no more."""
 
@@ -97,8 +100,7 @@ class Grid:
         self._table = self.clearance.reshape(self.rows, self.columns)
         # beyond the robot's radius
         spare = self.clearance - room.robot.radius
-        # a cell is free when a robot in its middle touches nothing
-        self.free: np.ndarray = spare > 0.01
+        self.free: np.ndarray = spare > SPARE
         self._toll = 1.0 + 3.0 * np.clip(1.0 - spare / COMFORT, 0.0, 1.0) ** 2
         self._edges()
 

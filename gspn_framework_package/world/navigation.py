@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.world import avoidance
-from gspn_framework_package.world.avoidance import GAP, Peer, Rank, wrap
+from gspn_framework_package.world.avoidance import GAP, STANDING_GAP, Peer, Rank, wrap
 from gspn_framework_package.world.grid import Disc, Field, Grid
 from gspn_framework_package.world.room import Point, Pose
 from gspn_framework_package.world.yielding import (
@@ -42,7 +42,8 @@ ESCAPE_AFTER = 14.0
 """Seconds without progress after which it steps aside at random."""
 
 GIVE_UP_AFTER = 60.0
-"""Seconds without progress, or without any way, after which the goal is given up."""
+"""Seconds without progress, or without any way, after which the goal is given up; making room for others does not
+count."""
 
 _LOOK_AHEAD = 0.9  # metres of path looked at for a target in sight
 _NEIGHBOURHOOD = 1.4  # metres within which others count
@@ -121,6 +122,7 @@ class Navigator:
         self._field_time = -math.inf
         self._best = math.inf
         self._progress_time = 0.0
+        self._in_vain = 0.0
         self._no_way_since: Optional[float] = None
         self._yield: Optional[_Yield] = None
         self._last_direction: Optional[float] = None
@@ -144,6 +146,7 @@ class Navigator:
         self._field = None
         self._best = math.inf
         self._progress_time = time
+        self._in_vain = 0.0
         self._no_way_since = None
         self._yield = None
         self._escaped = time
@@ -212,7 +215,7 @@ class Navigator:
         self._plan(seen)
         if self.goal is None or self._field is None:
             return (0.0, 0.0)
-        self._measure(seen)
+        self._measure(seen, dt)
         if self.goal is None:
             return (0.0, 0.0)
         self._consider_yielding(seen)
@@ -237,9 +240,12 @@ class Navigator:
         dear: List[Disc] = []
         detour = self.stuck_for(seen.time) > DETOUR_AFTER
         for peer in seen.peers:
-            x, y = round(peer.pose.x / 0.03) * 0.03, round(peer.pose.y / 0.03) * 0.03
+            # rounded, so that who trembles does not ask for a new search each time
+            step = 0.03 if peer.active else 0.01
+            x, y = round(peer.pose.x / step) * step, round(peer.pose.y / step) * step
             if not peer.active:
-                blocked.append((x, y, reach + 0.02))
+                # more than what is kept from it, or the way would lead where the robot does not dare to go
+                blocked.append((x, y, reach + STANDING_GAP + 0.012))
                 dear.append((x, y, reach + 0.06))
             elif self._standing(peer, seen.time, 2.0 if detour else 4.0):
                 dear.append((x, y, reach + (0.12 if detour else 0.06)))
@@ -263,7 +269,7 @@ class Navigator:
         elif self._no_way_since is not None and seen.time - self._field_time > 1.0:
             self._field_key = ()
 
-    def _measure(self, seen: Observation) -> None:
+    def _measure(self, seen: Observation, dt: float) -> None:
         """Watch the progress; give up in the end."""
         assert self._field is not None
         cost = self._field.cost((seen.pose.x, seen.pose.y))
@@ -273,10 +279,13 @@ class Navigator:
         elif cost < self._best - 0.05:
             self._best = cost
             self._progress_time = seen.time
-        waited = seen.time - self._progress_time
+            self._in_vain = 0.0
+        elif self._yield is None or not self._yield.to:
+            # seconds in all: those before it stepped aside count too
+            self._in_vain += dt
         if self._no_way_since is not None and seen.time - self._no_way_since > GIVE_UP_AFTER / 2:
             self._end(Status.FAILED, "the way is blocked by robots that stand there")
-        elif waited > GIVE_UP_AFTER:
+        elif self._in_vain > GIVE_UP_AFTER:
             self._end(Status.FAILED, "stuck for %d s" % GIVE_UP_AFTER)
 
     def _drive(self, seen: Observation, dt: float) -> Tuple[float, float]:

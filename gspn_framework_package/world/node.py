@@ -19,7 +19,9 @@ end), ``record`` (file to record the run in, for ``gspn film``).
 from __future__ import annotations
 
 import json
+import math
 import queue
+import re
 import sys
 import time
 from pathlib import Path
@@ -214,13 +216,21 @@ def robot_names(value: Union[int, str, List[str]]) -> List[str]:
         value = ["robot_%d" % number for number in range(1, value + 1)]
     names = value.replace(",", " ").split() if isinstance(value, str) else [str(v) for v in value]
     names = [name.strip("/") for name in names]
-    if not names or len(set(names)) != len(names):
+    wrong = [name for name in names if not re.match(r"^[A-Za-z]\w*(/[A-Za-z]\w*)*$", name)]
+    trouble = "'%s' is no name for a robot" % wrong[0] if wrong else "no robots, or one twice: %r" % (value,)
+    if wrong or not names or len(set(names)) != len(names):
         raise InputError(
-            "no robots, or one twice: %r" % (value,),
-            element="parameter ~robots",
-            hint="give how many, or their names, e.g. robot_1,robot_2",
+            trouble, element="parameter ~robots", hint="give how many, or their names, e.g. robot_1,robot_2"
         )
     return names
+
+
+def _number(parameter: str, default: float) -> float:
+    """A private parameter that is a number, 0 or more. :raises InputError: it is none."""
+    value = rospy.get_param("~" + parameter, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < math.inf:
+        raise InputError("%r is no number, 0 or more" % (value,), element="parameter ~" + parameter)
+    return float(value)
 
 
 def main() -> int:
@@ -239,24 +249,16 @@ def main() -> int:
                 element="spawn",
                 hint="add poses, or start fewer robots",
             )
-        node = WorldNode(
-            room,
-            robots,
-            float(rospy.get_param("~real_time_factor", 1.0)),
-            bool(rospy.get_param("~gui", False)),
-        )
-        rospy.loginfo(
-            "world: '%s' with %d robots, real-time factor %s",
-            room.name,
-            len(robots),
-            rospy.get_param("~real_time_factor", 1.0) or "as fast as it goes",
-        )
+        factor, duration = _number("real_time_factor", 1.0), _number("duration", 0.0)
+        node = WorldNode(room, robots, factor, bool(rospy.get_param("~gui", False)))
+        speed = "%g times real time" % factor if factor else "as fast as it goes"
+        rospy.loginfo("world: '%s' with %d robots, %s", room.name, len(robots), speed)
         recording = str(rospy.get_param("~record", ""))
         if recording:
             text = Path(room_file).read_text(encoding="utf-8")
             node.recorder = Recorder(recording, text, node.team)
         try:
-            node.spin(float(rospy.get_param("~duration", 0.0)))
+            node.spin(duration)
         finally:
             if node.recorder is not None:
                 node.recorder.close()

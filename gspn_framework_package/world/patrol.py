@@ -8,6 +8,8 @@ real robots, and without ROS in tests and benchmarks.
 
 from __future__ import annotations
 
+import re
+import zlib
 from typing import Dict, Generator, Optional, Protocol, Sequence
 
 from gspn_framework_package.execution.actions import ActionFailed
@@ -127,21 +129,34 @@ def wait(robot: Robot, room: Room, location: str, seconds: float, first_slot: in
     return None
 
 
+def preferred_slot(robot: str) -> int:
+    """The slot of a bay for a robot to try first: another for each, the same one each time, whatever they are
+    called."""
+    number = re.search(r"(\d{1,6})$", robot)
+    return int(number.group(1)) if number is not None else zlib.crc32(robot.encode())
+
+
 def _park(
     robot: Robot, bay: Sequence[Pose], first: int, radius: float
 ) -> Generator[str, None, None]:
     here = robot.pose()
     if any(here.distance(slot) < 0.15 for slot in bay):
         return
+
+    def is_taken(slot: Pose) -> bool:
+        return any(pose.distance(slot) < 2 * radius + 0.03 for pose in robot.others().values())
+
     trouble = "the bay has no slots"
     for step in range(2 * len(bay)):
         slot = bay[(first + step) % len(bay)]
-        if any(pose.distance(slot) < 2 * radius + 0.03 for pose in robot.others().values()):
+        if is_taken(slot):
             trouble = "every slot is taken"
             continue
-        try:
-            yield from drive(robot, slot, tries=1)
+        robot.go(slot)
+        while robot.arrived() is None and not is_taken(slot):
+            yield "driving, %.1f m to go" % robot.pose().distance(slot)
+        if robot.arrived():
             return
-        except ActionFailed as error:
-            trouble = str(error)
+        # given up, or somebody else was there first
+        trouble = robot.trouble() or "every slot is taken"
     raise ActionFailed(trouble)

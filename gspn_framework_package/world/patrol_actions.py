@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import re
 import threading
-import zlib
 from typing import Any, Callable, Dict, Optional, Tuple
 
 import rospy
 
 from gspn_framework_package.execution.actions import ActionFailed
+from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.world import patrol
 from gspn_framework_package.world.base_client import BaseClient
 from gspn_framework_package.world.room import Room
@@ -39,7 +39,7 @@ def check_temperature(
 ) -> Optional[str]:
     """Sweep the place's location; ask for ``Temperature_High`` or ``Temperature_Low`` of it."""
     number, location = _read(place)
-    client, room = _connect(robot)
+    client, room = _connect(robot, location)
     threshold = float(_parameter("patrol/threshold", 30.0))
     # the net numbers six transitions for each location (thesis 6.2.2): t1 to t6, t7 to t12, ...
     first = (number - 1) // 4 * 6 + 1
@@ -52,7 +52,7 @@ def check_temperature(
 def alarm(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled) -> Optional[str]:
     """Stand in the location and sound the alarm; the place's only transition follows."""
     _, location = _read(place)
-    client, _ = _connect(robot)
+    client, _ = _connect(robot, location)
     seconds = float(_parameter("patrol/alarm_seconds", 5.0))
     steps = patrol.alarm(client, location, seconds)
     return _run(steps, client, place, feedback, is_cancelled)
@@ -67,12 +67,9 @@ def decide(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled
 def wait(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled) -> Optional[str]:
     """Wait in a free slot of the bay after the location; the place's only transition follows."""
     _, location = _read(place)
-    client, room = _connect(robot)
+    client, room = _connect(robot, location)
     seconds = float(_parameter("patrol/wait_seconds", 4.0))
-    bay = room.locations[location].bay
-    # a different slot for each robot, the same one each time, whatever the robots are called
-    slot = zlib.crc32(robot.encode()) % max(len(bay), 1)
-    steps = patrol.wait(client, room, location, seconds, slot)
+    steps = patrol.wait(client, room, location, seconds, patrol.preferred_slot(robot))
     return _run(steps, client, place, feedback, is_cancelled)
 
 
@@ -94,20 +91,27 @@ def _parameter(name: str, default: Any) -> Any:
     return default if found is None else rospy.get_param(found, default)
 
 
-def _connect(robot: str) -> Tuple[BaseClient, Room]:
+def _connect(robot: str, location: str) -> Tuple[BaseClient, Room]:
     """The robot and the room, made once in each process.
 
-    :raises ActionFailed: no room is told, or the robot is not there.
+    :param location: that the room must have.
+    :raises ActionFailed: no room is told, or it cannot be read, or lacks the location, or the robot is not there.
     """
     file = _parameter("room", "")
     if not file:
         raise ActionFailed("no parameter 'room': the room file says where the locations are")
     with _lock:
         if file not in _rooms:
-            _rooms[file] = load_room(file)
+            try:
+                _rooms[file] = load_room(file)
+            except InputError as error:
+                raise ActionFailed(str(error)) from None
         if robot not in _clients:
             _clients[robot] = BaseClient(robot)
         client, room = _clients[robot], _rooms[file]
+    if location not in room.locations:
+        known = ", ".join(room.locations) or "none"
+        raise ActionFailed("the room '%s' has no location '%s'; it has: %s" % (file, location, known))
     client.connect()
     return client, room
 

@@ -7,7 +7,7 @@ from typing import Optional, Sequence
 
 import numpy as np
 
-from gspn_framework_package.world.avoidance import GAP, Peer
+from gspn_framework_package.world.avoidance import GAP, STANDING_GAP, Peer
 from gspn_framework_package.world.grid import Disc, Grid
 from gspn_framework_package.world.room import Point
 
@@ -18,7 +18,7 @@ FARTHEST = 4.0
 def standing_for(other: Peer, peers: Sequence[Peer], apart: float) -> Sequence[Disc]:
     """What is in the way of a robot that makes room for ``other``: it, and all that stand."""
     return [
-        (peer.pose.x, peer.pose.y, apart + 0.01)
+        (peer.pose.x, peer.pose.y, apart + (0.01 if peer.active else STANDING_GAP))
         for peer in peers
         if not peer.active or peer.name == other.name
     ]

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gspn_framework_package.world.avoidance import Peer, brake, choose, follow
-from gspn_framework_package.world.grid import Grid
-from gspn_framework_package.world.navigation import Navigator, Observation, Status
+from gspn_framework_package.world.avoidance import STANDING_GAP, Peer, brake, choose, follow
+from gspn_framework_package.world.grid import RESOLUTION, SPARE, Grid
+from gspn_framework_package.world.navigation import GIVE_UP_AFTER, Navigator, Observation, Status
 from gspn_framework_package.world.room import Pose
 from gspn_framework_package.world.room_file import parse_room
 from gspn_framework_package.world.team import CONTROL_PERIOD, Team
@@ -126,6 +126,40 @@ def test_a_goal_that_cannot_be_reached_is_given_up_with_a_reason(where, starts, 
     assert team.navigators["r0"].status is Status.FAILED
     assert reason in team.navigators["r0"].reason
     assert team.physics.contacts.total == 0
+
+
+@pytest.mark.parametrize("gap", [0.2, 0.24, 0.27, 0.3, 0.34])
+def test_a_gap_beside_a_parked_robot_is_passed_or_the_goal_is_given_up(gap):
+    """It never tries for ever: what the search takes for a way, the robot dares to go."""
+    radius = OPEN.robot.radius
+    half = (2 * radius + 0.02 + gap) / 2
+    corridor = room(5, 2, *((0, side * (1 + half) / 2, 1.0, 1 - half) for side in (-1, 1)))
+    parked = (0, -half + radius + 0.02, 0)
+    team = drive(corridor, [(-1.5, 0, 0), parked], [(1.5, 0), None], 100)
+    assert team.physics.contacts.total == 0
+    navigator = team.navigators["r0"]
+    assert not navigator.active
+    if gap < 2 * radius + STANDING_GAP:
+        assert "blocked by robots" in navigator.reason
+    elif gap > 2 * radius + STANDING_GAP + SPARE + RESOLUTION:
+        assert navigator.status is Status.REACHED
+
+
+def test_who_gets_nowhere_gives_up_in_the_end_however_often_it_stepped_aside():
+    team = Team(OPEN, ["r0"], [Pose(-1, 0, 0)])
+    navigator = team.navigators["r0"]
+    navigator.go(Pose(1, 0), 0.0)
+    # motors that do not answer
+    team.physics.drive = lambda robot, speed, turn_rate: None
+    stepped_aside = 0
+    while navigator.active and team.time < 120:
+        team.step()
+        stepped_aside += navigator.status is Status.YIELDING
+    assert stepped_aside
+    assert navigator.status is Status.FAILED
+    assert navigator.reason == "stuck for 60 s"
+    assert team.time == pytest.approx(GIVE_UP_AFTER, abs=2.0)
+    team.close()
 
 
 def test_a_way_that_opens_is_taken():

@@ -13,7 +13,8 @@ from gspn_framework_package.world.room_file import load_room
 from gspn_framework_package.world.team import Team
 from gspn_framework_package.world.traffic import Patrol
 
-ROOM = load_room(Path(__file__).resolve().parents[3] / "plans" / "patrol" / "critical_room.yaml")
+FOLDER = Path(__file__).resolve().parents[3] / "plans" / "patrol"
+ROOM = load_room(FOLDER / "critical_room.yaml")
 
 
 def names(count):
@@ -36,6 +37,24 @@ def test_a_team_patrols_by_the_rules(count, seconds):
     assert report["entries"] >= min(count, 4) * seconds / 40
     if count == 1:
         assert report["laps"] == 1
+
+
+@pytest.mark.parametrize("name", ["two_halls", "four_rooms"])
+def test_a_team_patrols_rooms_with_a_corridor_and_with_doors(name):
+    room = load_room(FOLDER / "rooms" / (name + ".yaml"))
+    assert list(room.locations) == list(ROOM.locations)
+    run = Patrol(room, names(4), seed=3)
+    run.run(90)
+    report = run.referee.report()
+    run.team.close()
+    assert run.failures == []
+    for nothing in (
+        "contacts_between_robots", "contacts_with_solids", "stuck_minutes", "goals_aborted",
+        "two_in_one_location", "overtakings",
+    ):  # fmt: skip
+        assert report[nothing] == 0, nothing
+    # each into its first location, and some through the corridor or two doors into the next
+    assert report["entries"] > 4
 
 
 def test_the_same_seed_gives_the_same_patrol():
@@ -114,6 +133,7 @@ class Base:
         self.clock = 0.0
         self.goals = []
         self.fails = fails
+        self.arrives = True
 
     def now(self):
         self.clock += 0.5
@@ -132,11 +152,11 @@ class Base:
         self.goals.append(goal)
         if self.fails:
             self.fails -= 1
-        else:
+        elif self.arrives:
             self.at = goal
 
     def arrived(self):
-        return self.goals[-1] == self.at
+        return self.goals[-1] == self.at if self.arrives else None
 
     def trouble(self):
         return "blocked"
@@ -193,6 +213,26 @@ def test_waiting_takes_a_slot_that_is_free():
     base.neighbours["other"] = bay[2]
     finish(patrol.wait(base, ROOM, "L1", 2.0, first_slot=2))
     assert base.at == bay[3]
+
+
+def test_a_slot_that_another_one_takes_meanwhile_is_left_to_it():
+    bay = ROOM.locations["L1"].bay
+    base = Base()
+    base.arrives = False
+    action = patrol.wait(base, ROOM, "L1", 2.0)
+    next(action)
+    assert base.goals == [bay[0]]
+    base.neighbours["other"] = bay[0]
+    base.arrives = True
+    finish(action)
+    assert base.goals == [bay[0], bay[1]]
+    assert base.at == bay[1]
+
+
+def test_robots_of_a_team_prefer_different_slots():
+    wishes = {patrol.preferred_slot("robot_%d" % number) % 8 for number in range(1, 9)}
+    assert len(wishes) == 8
+    assert patrol.preferred_slot("carol") == patrol.preferred_slot("carol") != patrol.preferred_slot("dave")
 
 
 def test_a_slot_that_cannot_be_reached_is_left_for_the_next():

@@ -1,9 +1,11 @@
 """The bodies: wheels, contacts, sensors."""
 
 import math
+import sys
 
 import pytest
 
+from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.world.physics import TIME_STEP, Physics
 from gspn_framework_package.world.room import Pose
 from gspn_framework_package.world.room_file import parse_room
@@ -136,6 +138,13 @@ def test_the_same_commands_give_the_same_run(hall):
 def test_more_robots_than_places_to_start_is_an_error():
     with pytest.raises(ValueError, match="2 robots, but 0"):
         Physics(ROOM, ["a", "b"])
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays are X servers on Linux")
+def test_a_window_without_a_display_is_refused(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(UsageError, match="no display"):
+        Physics(ROOM, ["a"], [Pose(0.0, 0.0)], gui=True)
 
 
 def test_the_chatter_of_the_physics_engine_stays_off_standard_output(capfd):
