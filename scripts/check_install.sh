@@ -55,3 +55,8 @@ for plan in "$SHARE"/plans/*/plan.json; do
     count=$((count + 1))
 done
 echo "gspn check of $count plans: as in the checkout"
+
+# The room from the installed files alone. rostest looks for the program of a test in the package, where tests are not
+# installed.
+install -m 755 "$ROOT/test/rostest/world/test_world_node.py" "$INSTALLED/lib/$PACKAGE/"
+installed "ROS_HOSTNAME=localhost rostest '$ROOT/test/rostest/world/world.test'" || die "the room does not run"
