@@ -1,6 +1,6 @@
 """The simulated world: a room, robots that really move in it, and their ROS interface.
 
-``room``, ``room_file``
+``room``, ``room_file``, ``room_check``, ``yaml_file``
     walls, obstacles, locations, waiting bays, temperature field, and the file that tells them.
 ``bodies``, ``physics``
     the room and the robots as PyBullet bodies with wheels and contacts.
@@ -12,6 +12,6 @@
     who watches.
 ``node``, ``messages``, ``move_base``, ``base_client``, ``patrol_actions``
     the world as a ROS node, and plan actions on it.
-``camera``, ``recording``, ``film``
+``camera``, ``recording``, ``film``, ``window``
     pictures of it.
 """

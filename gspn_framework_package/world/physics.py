@@ -20,6 +20,7 @@ from gspn_framework_package.world.bodies import (
     make_solid,
 )
 from gspn_framework_package.world.room import Pose, Room
+from gspn_framework_package.world.window import set_up_window
 
 TIME_STEP = 1.0 / 120.0
 """Seconds of one physics step."""
@@ -92,6 +93,8 @@ class Physics:
             unique_id = make_robot(self._client, room.robot, pose, color)
             self._bodies[name] = _Body(unique_id, odometry=pose)
         self._names = {body.unique_id: name for name, body in self._bodies.items()}
+        if gui:
+            set_up_window(self._client, room, {name: body.unique_id for name, body in self._bodies.items()})
         # let the bodies settle on their wheels, so that the first measured second is like the others
         for body in self._bodies.values():
             self._let_sleep(body)

@@ -6,9 +6,11 @@ import sys
 import pytest
 
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.world.bodies import PALETTE, rgba
 from gspn_framework_package.world.physics import TIME_STEP, Physics
 from gspn_framework_package.world.room import Pose
 from gspn_framework_package.world.room_file import parse_room
+from gspn_framework_package.world.window import set_up_window
 
 ROOM = parse_room(
     """
@@ -138,6 +140,15 @@ def test_the_same_commands_give_the_same_run(hall):
 def test_more_robots_than_places_to_start_is_an_error():
     with pytest.raises(ValueError, match="2 robots, but 0"):
         Physics(ROOM, ["a", "b"])
+
+
+def test_the_window_shows_each_robot_in_its_colour(hall):
+    physics = hall(Pose(1.0, 0.0), Pose(-1.0, 0.0))
+    shown = [physics.client.getBodyUniqueId(i) for i in range(physics.client.getNumBodies())][-2:]
+    # without a window its commands do nothing, but for the colours of the bodies
+    set_up_window(physics.client, ROOM, dict(zip(("r0", "r1"), shown)))
+    for body, color in zip(shown, PALETTE):
+        assert physics.client.getVisualShapeData(body)[0][7] == pytest.approx(rgba(color), abs=0.01)
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays are X servers on Linux")
