@@ -29,7 +29,7 @@ from gspn_framework_package.model.plan import FailureKind, FailureRule, Function
 RUN = "faults"
 BRIEF = "gspn_framework_package.benchmark.load.brief"
 
-PATIENCE = 60.0
+PATIENCE = 120.0
 """Seconds after which what the team must do counts as not done."""
 
 QUIET = 1.5
