@@ -41,6 +41,7 @@ FAULTS = (
     "failed_actions",
     "policy_misses",
     "rule_broken_in_marking",
+    "log_violations",
 )
 """The figures that are 0 in a good run."""
 

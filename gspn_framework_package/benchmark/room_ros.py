@@ -14,6 +14,8 @@ from typing import Any, Dict, List, Optional, Tuple
 from gspn_framework_package.benchmark.plans import plans_folder
 from gspn_framework_package.benchmark.processes import cost_of, descendants
 from gspn_framework_package.benchmark.team_run import Master, need_ros
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.history import verify
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.world.referee import EntryOrder
@@ -120,15 +122,11 @@ class Loss:
         self.killed: Optional[Tuple[float, int, int]] = None
         self.returned: Optional[Tuple[float, int, int]] = None
 
-    def poll(self, watcher: Watcher, processes: List[Any]) -> None:
+    def poll(self, watcher: Watcher, master: Master) -> None:
         """Do what is due."""
         if self.killed is None and watcher.time > self._end / 3 and watcher.is_between(self.robot):
-            for process in processes:
-                # roslaunch tells a node its namespace through the environment
-                namespace = process.environ().get("ROS_NAMESPACE", "").strip("/")
-                if namespace == self.robot and "gspn_executor" in " ".join(process.cmdline()):
-                    process.kill()
-                    self.killed = (watcher.time, *watcher.entries(self.robot))
+            os.kill(master.process_of("/%s/executor" % self.robot), signal.SIGKILL)
+            self.killed = (watcher.time, *watcher.entries(self.robot))
         elif self.killed and self.returned is None and watcher.time > self._end * 2 / 3:
             self._launch = subprocess.Popen(
                 self._command,
@@ -194,12 +192,33 @@ def measure_ros(
         again += ["robots:=%d" % robots, "run:=room_%d" % seed]
         loss = Loss(names[1], minutes, again, master.environment) if lose else None
         try:
-            return _watch(watcher, launch, plan, seed, minutes, output, loss)
+            result = _watch(watcher, launch, plan, seed, minutes, output, master, loss)
         finally:
             if loss is not None:
                 loss.end()
             _end(launch)
             rospy.signal_shutdown("measured")
+        return {**result, **read_logs(os.path.join(master.folder, "gspn", "room_%d" % seed))}
+
+
+def read_logs(folder: str) -> Dict[str, Any]:
+    """What the robots' own logs of a run say: whether they tell one valid story (``gspn verify``), failed actions."""
+    logs = [read_log(os.path.join(folder, name)) for name in sorted(os.listdir(folder))]
+    verdict = verify(logs)
+    # each robot has them all in its log, up to where it ended
+    failed = {
+        tuple(entry[key] for key in ("robot", "incarnation", "visit", "attempt"))
+        for log in logs
+        for record in log.records
+        for entry in record.get("entries", ())
+        if entry["entry"] == "failed"
+    }
+    return {
+        "failed_actions": len(failed),
+        "log_violations": int(verdict.violation is not None),
+        "verdict": "valid" if verdict.violation is None else "rule %d: %s" % verdict.violation,
+        "slots": verdict.slots,
+    }
 
 
 def _watch(
@@ -209,6 +228,7 @@ def _watch(
     seed: int,
     minutes: float,
     output: str,
+    master: Master,
     loss: Optional[Loss],
 ) -> Dict[str, Any]:
     from gspn_framework_package.benchmark.room import figures
@@ -224,7 +244,7 @@ def _watch(
         if first is None and time.monotonic() - begin > START:
             raise ExecutionError("nothing fired within %g s" % START, hint=_last_lines(output))
         if loss is not None:
-            loss.poll(watcher, descendants(launch.pid))
+            loss.poll(watcher, master)
         time.sleep(0.2)
     assert first is not None
     cost = cost_of(descendants(launch.pid))
@@ -245,7 +265,6 @@ def _watch(
         "seed": seed,
         **figures(watcher.report),
         "overtakings": len(order.out_of_turn),
-        "failed_actions": 0,
         "policy_misses": watcher.misses,
         "rule_broken_in_marking": watcher.rule_broken,
         "firings": len(watcher.firings),

@@ -90,6 +90,12 @@ class Master:
         """Process id of ``roscore``."""
         return self._process.pid
 
+    def process_of(self, node: str) -> int:
+        """Process id of a node."""
+        address: Any = xmlrpc.client.ServerProxy(self.uri).lookupNode("/bench", node)
+        answer: Any = xmlrpc.client.ServerProxy(address[2]).getPid("/bench")
+        return int(answer[2])
+
     def _answers(self) -> bool:
         try:
             answer: Any = xmlrpc.client.ServerProxy(self.uri).getPid("/bench")
