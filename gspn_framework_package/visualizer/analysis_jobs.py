@@ -27,7 +27,9 @@ STATES = 2_000_000
 """Largest limit on states that the page may ask for."""
 
 
-QUESTIONS = ("structure", "timing", "policy", "at", "reach", "cover", "mean_time_to", "settling")
+QUESTIONS = (
+    "structure", "timing", "policy", "at", "reach", "cover", "mean_time_to", "settling", "rewards", "simulate",
+)  # fmt: skip
 
 
 class _Job:

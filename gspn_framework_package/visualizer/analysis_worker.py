@@ -8,13 +8,17 @@ kills it when it takes too long.
 from __future__ import annotations
 
 import json
+import math
 import os
 import resource
 import sys
-from typing import Any, Dict, List, Union
+from typing import Any, Dict, List, Optional, Union
+
+import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.report import Questions, report
+from gspn_framework_package.analysis.report import INFINITE, Questions, report
+from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.formats.net_json import net_from_json
 from gspn_framework_package.formats.plan_json import plan_from_json
 from gspn_framework_package.model.errors import GspnError, UsageError
@@ -23,6 +27,12 @@ from gspn_framework_package.model.plan import Plan
 
 MEMORY_BYTES = 4 << 30
 TIMES = 200
+
+REPLICATIONS = 100_000
+"""Most simulated runs that may be asked for."""
+
+LIKELY = 40
+"""The states with the largest probabilities, as many as this, are told one by one."""
 
 
 def main() -> int:
@@ -51,12 +61,67 @@ def _analyse(request: Dict[str, Any]) -> None:
     def progress(what: str, count: int, seconds: float) -> None:
         _say(progress={"what": what, "count": count, "seconds": round(seconds, 2)})
 
-    analysis = Analysis(_subject(request), limit=request["limit"], progress=progress)
+    subject = _subject(request)
+    if "simulate" in request:
+        _say(part={"simulation": _simulate(subject, request["simulate"], progress)})
+        return
+    analysis = Analysis(subject, limit=request["limit"], progress=progress)
     questions = _questions(request)
     if questions.structure or questions.timing:
         first = Questions(structure=questions.structure, timing=False)
         _say(part=report(analysis, first))  # what is known soon is shown soon
-    _say(part=report(analysis, questions))
+    found = report(analysis, questions)
+    if found.get("steady_state") is not None:
+        found["likely_states"] = _likely_states(analysis)
+    _say(part=found)
+
+
+def _simulate(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, Any]:
+    """Many simulated runs, with confidence intervals."""
+    if not isinstance(asked, dict):
+        raise UsageError("'simulate' is an object")
+    replications = _number(asked, "replications", 1000.0)
+    if replications is None or not 1 <= replications <= REPLICATIONS:
+        raise UsageError("the number of runs is from 1 to %d" % REPLICATIONS)
+    time = _number(asked, "time")
+    until = asked.get("until") or None
+    if until is not None and not isinstance(until, str):
+        raise UsageError("'until' is a condition")
+    return simulate(
+        subject,
+        time=math.inf if time is None else time,
+        replications=int(replications),
+        seed=int(_number(asked, "seed", 0.0) or 0),
+        warmup=_number(asked, "warmup", 0.0) or 0.0,
+        until=until,
+        confidence=_number(asked, "confidence", 0.95) or 0.0,
+        progress=progress,
+    ).to_json()
+
+
+def _number(asked: Dict[str, Any], key: str, default: Optional[float] = None) -> Optional[float]:
+    value = asked.get(key, default)
+    if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0):
+        raise UsageError("'%s' is a number of at least 0" % key)
+    return value
+
+
+def _likely_states(analysis: Analysis) -> List[Dict[str, Any]]:
+    """The most probable tangible states: marking, steady-state probability, mean time (s) of one stay."""
+    measures = analysis.measures
+    stays, graph = measures.sojourn_times, measures.graph
+    found = []
+    for i in np.argsort(-measures.distribution, kind="stable")[:LIKELY].tolist():
+        marking = graph.marking(int(measures.chain.states[i]))
+        stay = float(stays[i])
+        found.append(
+            {
+                "marking": {p.name: n for p, n in zip(graph.net.places, marking) if n},
+                "probability": float(measures.distribution[i]),
+                "mean_stay": stay if math.isfinite(stay) else INFINITE,
+            }
+        )
+    return found
 
 
 def _subject(request: Dict[str, Any]) -> Union[Net, Plan]:
@@ -71,11 +136,18 @@ def _questions(request: Dict[str, Any]) -> Questions:
     if len(times) > TIMES:
         raise UsageError("more than %d times" % TIMES)
     settling = request.get("settling")
+    rewards = request.get("rewards", {})
+    if not isinstance(rewards, dict):
+        raise UsageError("'rewards' maps places and transitions to numbers")
+    for name, value in rewards.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise UsageError("the reward of '%s' is not a number" % name[:80])
     return Questions(
         at=tuple(sorted(times)),
         reach=tuple(_texts(request, "reach")),
         cover=tuple(dict(marking) for marking in request.get("cover", ())),
         mean_time_to=tuple(_texts(request, "mean_time_to")),
+        rewards={name: float(value) for name, value in rewards.items()},
         settling=float(settling) if settling is not None else None,
         structure=bool(request.get("structure")),
         timing=bool(request.get("timing")),

@@ -71,6 +71,53 @@ def test_questions_are_answered(show_net, open_page):
     page.wait_for_selector("[data-state='failed']:has-text(\"no place 'nonsense'\")")
 
 
+def test_runs_are_simulated_with_confidence_intervals(show_net, open_page):
+    net = NetBuilder("machine").place("up", 1).place("down")
+    net.exponential("fail", 1.0, inputs="up", outputs="down").exponential("repair", 3.0, inputs="down", outputs="up")
+    page = open_page(show_net(net.build()).address)
+    page.keyboard.press("3")
+    page.click("summary:has-text('Simulated runs')")
+    page.fill("#an-sim-runs", "300")
+    page.click("button:has-text('Simulate runs')")
+    analysed(page)
+    cell = page.inner_text("#answers tr:has-text('up') td.number")
+    mean, half_width = (float(part) for part in cell.split("±"))
+    assert abs(mean - 0.75) < 0.02 and 0 < half_width < 0.02
+    page.click("text=Show mean tokens")
+    assert page.locator(".value").count() == 2
+    page.fill("#an-sim-until", "down == 1")
+    page.click("button:has-text('Simulate runs')")
+    page.wait_for_selector("#answers:has-text('Came to the condition')")
+    analysed(page)
+    page.fill("#an-sim-warmup", "1000")
+    page.click("button:has-text('Simulate runs')")
+    page.wait_for_selector("[data-state='failed']:has-text('warm-up of 1000 s does not fit')")
+
+
+def test_every_property_of_the_thesis_is_answered(show_net, open_page):
+    """Thesis 2.4: reachability and coverability have a test of their own."""
+    page = open_page(show_net(philosophers(2)).address)
+    page.keyboard.press("3")
+    page.click("#an-all")
+    analysed(page)
+    page.wait_for_selector("#answers:has-text('a stay (s)')")
+    text = page.inner_text("#answers").lower()
+    for expected in ("bounded", "k-safe", "deadlocks", "live", "reversible", "mean", "throughput", "distribution of tokens"):
+        assert expected in text
+    page.click("summary:has-text('How does it evolve?')")
+    page.click("button:has-text('Tokens over time')")
+    page.wait_for_selector("#answers:has-text('Distribution of tokens over time') svg.plot >> nth=1")
+    analysed(page)
+    page.click("button:has-text('Time to steady state')")
+    page.wait_for_selector("#answers:has-text('Time to steady state')")
+    analysed(page)
+    page.click("summary:has-text('What is it worth?')")
+    transition = page.evaluate("() => window.gspn.model.scene.transitions[0].name")
+    page.fill("#an-rewards", "'%s' = 2" % transition)
+    page.click("button:has-text('Reward per second')")
+    page.wait_for_selector("#answers dt:has-text('Reward')")
+
+
 def test_a_long_analysis_shows_progress_and_is_cancelled(show_net, open_page):
     site = show_net(kanban(6))
     page = open_page(site.address)

@@ -35,6 +35,8 @@ export class AnalysisPanel extends EventTarget {
     const until = h("input", { id: "an-until", type: "number", min: 0, step: "any", value: 20 });
     const points = h("input", { id: "an-points", type: "number", min: 2, max: 200, value: 60 });
     const settling = h("input", { id: "an-settling", type: "number", min: 0, step: "any", value: 0.001 });
+    const rewards = text("an-rewards", "p1 = 0.5, t2 = 3");
+    const runs = this.simulationFields(text);
     const times = () => {
       const end = Math.max(0, Number(until.value) || 0), count = Math.max(2, Math.min(200, Math.round(Number(points.value)) || 2));
       return Array.from({ length: count }, (_, i) => (end * i) / (count - 1));
@@ -52,23 +54,51 @@ export class AnalysisPanel extends EventTarget {
         ...(plan ? field("an-policy", "Under the policy", this.settings.policy) : []))),
       question("Can it come to this?", false,
         h("div", { class: "form" }, ...field("an-reach", "Reachable", reach)), ask("Reachable?", () => ({ reach: [reach.value] })),
-        h("div", { class: "form" }, ...field("an-cover", "Coverable", cover)), ask("Coverable?", () => ({ cover: [this.coverOf(cover.value)] }))),
+        h("div", { class: "form" }, ...field("an-cover", "Coverable", cover)), ask("Coverable?", () => ({ cover: [this.namedNumbers(cover.value, true)] }))),
       question("How long until?", false,
         h("div", { class: "form" }, ...field("an-passage", "Condition", passage)), ask("Mean time", () => ({ mean_time_to: [passage.value], at: times() }))),
       question("How does it evolve?", false,
         h("div", { class: "form" }, ...field("an-until", "Until (s)", until), ...field("an-points", "Points", points), ...field("an-settling", "Settled within", settling)),
         h("div", { class: "buttons" }, ask("Tokens over time", () => ({ at: times() })), ask("Time to steady state", () => ({ settling: Number(settling.value) })))),
+      question("What is it worth?", false,
+        h("p", { class: "muted", text: "So much per token and second in a place, or per firing of a transition." }),
+        h("div", { class: "form" }, ...field("an-rewards", "Rewards", rewards)), ask("Reward per second", () => ({ timing: true, rewards: this.namedNumbers(rewards.value, false) }))),
+      question("Simulated runs", false,
+        h("p", { class: "muted", text: "Many independent runs, with confidence intervals: also for what is too large to analyse, or unbounded." }),
+        h("div", { class: "form" }, ...Object.values(runs).flatMap(({ label, input }) => field(input.id, label, input))),
+        ask("Simulate runs", () => ({ simulate: this.simulationOf(runs) }))),
       this.answers);
   }
 
-  coverOf(text) {
-    const marking = {};
+  simulationFields(text) {
+    const numeric = (id, value, min, max = null) => h("input", { id, type: "number", min, max, step: "any", value });
+    return {
+      time: { label: "Length (s)", input: numeric("an-sim-time", 100, 0) },
+      until: { label: "Or until", input: text("an-sim-until", "p2 >= 1") },
+      replications: { label: "Runs", input: numeric("an-sim-runs", 1000, 1, 100000) },
+      warmup: { label: "Warm-up (s)", input: numeric("an-sim-warmup", 0, 0) },
+      confidence: { label: "Confidence (%)", input: numeric("an-sim-confidence", 95, 1, 99.99) },
+      seed: { label: "Seed", input: numeric("an-sim-seed", 0, 0) },
+    };
+  }
+
+  simulationOf(fields) {
+    const value = (key) => fields[key].input.value.trim();
+    const simulate = { replications: Math.round(Number(value("replications"))), warmup: Number(value("warmup")), confidence: Number(value("confidence")) / 100, seed: Math.round(Number(value("seed"))) };
+    if (value("time")) simulate.time = Number(value("time"));
+    if (value("until")) simulate.until = value("until");
+    return simulate;
+  }
+
+  /** "a = 1, b = 2" as {a: 1, b: 2}. */
+  namedNumbers(text, whole) {
+    const numbers = {};
     for (const part of text.split(/[,;]/).filter((p) => p.trim())) {
-      const found = /^\s*(.*?)\s*(?:=|>=)\s*(\d+)\s*$/.exec(part);
-      if (!found) throw new Error(`'${part.trim()}' is not of the form place = number`);
-      marking[found[1].replace(/^['"]|['"]$/g, "")] = Number(found[2]);
+      const found = /^\s*(.*?)\s*(?:=|>=)\s*(-?\d*\.?\d+)\s*$/.exec(part);
+      if (!found || (whole && !/^\d+$/.test(found[2]))) throw new Error(`'${part.trim()}' is not of the form name = number`);
+      numbers[found[1].replace(/^['"]|['"]$/g, "")] = Number(found[2]);
     }
-    return marking;
+    return numbers;
   }
 
   async ask(request) {

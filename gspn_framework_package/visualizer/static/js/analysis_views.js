@@ -16,6 +16,7 @@ export class AnswerViews {
   }
 
   all(result, request, body) {
+    if (request.simulate) return [this.simulated(result.simulation)].filter(Boolean);
     const parts = [];
     if (request.reach) parts.push(this.reach(result));
     if (request.cover) parts.push(this.cover(result));
@@ -64,10 +65,13 @@ export class AnswerViews {
     return h("p", { class: "muted" }, steps.length ? ["By firing ", steps.slice(0, LIST).map((name, i) => [i ? " → " : "", this.node(name)]), steps.length > LIST ? ` … (${plural(steps.length, "step")})` : ""] : "It holds at the beginning.");
   }
 
-  marking(counts) {
-    if (!counts) return null;
+  markingText(counts) {
     const there = Object.entries(counts).filter(([, count]) => count);
-    return h("p", { class: "muted", text: there.length ? there.map(([name, count]) => `${name}: ${count}`).join(", ") : "no token anywhere" });
+    return there.length ? there.map(([name, count]) => `${name}: ${count}`).join(", ") : "no token anywhere";
+  }
+
+  marking(counts) {
+    return counts ? h("p", { class: "muted", text: this.markingText(counts) }) : null;
   }
 
   /** A button that paints the net and says in the legend what is painted. */
@@ -158,17 +162,53 @@ export class AnswerViews {
     const steady = result.steady_state;
     if (!steady) return this.section("Steady state", h("p", {}, this.answer(result, "steady_state", null)));
     const tokens = Object.entries(steady.mean_tokens), flows = Object.entries(steady.throughput);
-    const chosen = h("select", { "aria-label": "Place" }, Object.keys(steady.token_distribution).map((name) => h("option", { value: name, text: name })));
-    const bars = h("div");
-    chosen.onchange = () => bars.replaceChildren(barPlot(Object.entries(steady.token_distribution[chosen.value]).filter(([, p]) => p > 5e-7).slice(0, 30)));
-    if (tokens.length) chosen.onchange();
+    const states = result.likely_states || [];
+    const stay = ({ mean_stay: value }) => (value === "infinite" ? "for ever" : number(value));
     return this.section("Steady state",
+      steady.reward !== undefined && this.facts([["Reward", `${number(steady.reward)} /s`]]),
       steady.components?.length > 1 && h("p", { class: "muted", text: `It ends up in one of ${steady.components.length} recurrent classes, with probabilities ${steady.components.slice(0, 8).map((c) => number(c.probability)).join(", ")}.` }),
       h("div", { class: "buttons" }, this.painter("Show mean tokens", "Mean number of tokens", ...this.heat(steady.mean_tokens)), this.painter("Show throughput", "Firings a second", ...this.heat(steady.throughput))),
       h("h3", { text: "Tokens" }), this.table(["Place", "mean", "wait (s)"], tokens.map(([name, value]) => [name, value, steady.mean_waiting_time?.[name] ?? null])),
       h("h3", { text: "Throughput (1/s)" }), this.table(["Transition", "firings"], flows),
-      h("h3", { text: "Distribution of tokens" }), chosen, bars,
+      this.distribution(steady.token_distribution),
+      states.length > 0 && [h("h3", { text: "The most probable markings" }), h("table", { class: "states" },
+        h("thead", {}, h("tr", {}, h("th", { text: "Marking" }), h("th", { class: "number", text: "probability" }), h("th", { class: "number", text: "a stay (s)" }))),
+        h("tbody", {}, states.map((state) => h("tr", {}, h("td", {}, this.markingText(state.marking)), h("td", { class: "number", text: number(Number(state.probability.toPrecision(4))) }), h("td", { class: "number", text: stay(state) })))))],
       h("p", { class: "muted", text: `Residual ${number(steady.residual)}.` }));
+  }
+
+  /** Bars of how many tokens a place holds with which probability; the place is chosen. */
+  distribution(byPlace) {
+    const names = Object.keys(byPlace);
+    if (!names.length) return null;
+    const chosen = h("select", { "aria-label": "Place" }, names.map((name) => h("option", { value: name, text: name })));
+    const bars = h("div");
+    chosen.onchange = () => bars.replaceChildren(barPlot(Object.entries(byPlace[chosen.value]).filter(([, p]) => p > 5e-7).slice(0, 30)));
+    chosen.onchange();
+    return [h("h3", { text: "Distribution of tokens" }), chosen, bars];
+  }
+
+  simulated(found) {
+    if (!found) return null;
+    const estimate = (value) => (value === null ? "–" : `${number(value.mean === null ? null : Number(value.mean.toPrecision(4)))} ± ${value.half_width === null ? "?" : number(Number(value.half_width.toPrecision(2)))}`);
+    const means = (values) => Object.fromEntries(Object.entries(values).map(([name, value]) => [name, value.mean]));
+    const table = (head, values) => h("table", {}, h("thead", {}, h("tr", {}, head.map((text, i) => h("th", { class: i ? "number" : "", text })))),
+      h("tbody", {}, Object.entries(values).slice(0, 400).map(([name, value]) => h("tr", {}, h("td", {}, this.node(name)), h("td", { class: "number", text: estimate(value) })))));
+    return this.section("Simulated runs",
+      this.facts([
+        ["Runs", `${found.replications.toLocaleString("en")}${found.time === null ? "" : ` of ${number(found.time)} s`}`],
+        found.warmup > 0 && ["Left out", `the first ${number(found.warmup)} s`],
+        ["Firings", found.events.toLocaleString("en")],
+        ["Confidence", `${number(100 * found.confidence)} %`],
+        ["Seed", String(found.seed)],
+        found.reached && ["Came to the condition", estimate(found.reached)],
+        found.time_to_condition && ["When they did (s)", estimate(found.time_to_condition)],
+        found.reached && ["Length of a run (s)", estimate(found.end_time)],
+      ]),
+      h("div", { class: "buttons" }, this.painter("Show mean tokens", "Mean number of tokens (simulated)", ...this.heat(means(found.mean_tokens))), this.painter("Show throughput", "Firings a second (simulated)", ...this.heat(means(found.throughput)))),
+      h("h3", { text: "Tokens" }), table(["Place", "mean"], found.mean_tokens),
+      h("h3", { text: "Throughput (1/s)" }), table(["Transition", "firings"], found.throughput),
+      this.distribution(found.token_distribution));
   }
 
   transient(result) {
@@ -180,10 +220,31 @@ export class AnswerViews {
     const shown = new Set(order.slice(0, 4));
     const plot = h("div");
     const draw = () => plot.replaceChildren(curvePlot([...shown].map((name) => ({ name, points: found.map((entry) => [entry.time, entry.mean_tokens[name]]) })), "time (s)"),
-      h("p", {}, [...shown].map((name, i) => { const dot = h("b", { text: "● " }); dot.style.color = CURVES[i % CURVES.length]; return h("span", {}, dot, `${name}  `); })));
+      this.key([...shown]));
     const boxes = h("div", { class: "choices" }, order.slice(0, 60).map((name) => h("label", {}, h("input", { type: "checkbox", checked: shown.has(name), onchange: (event) => { if (event.target.checked) shown.add(name); else shown.delete(name); draw(); } }), ` ${name} `)));
     draw();
-    return this.section("Mean tokens over time", plot, boxes);
+    return [this.section("Mean tokens over time", plot, boxes), this.section("Distribution of tokens over time", this.distributionOverTime(found, order))];
+  }
+
+  /** For a chosen place: the probability of each number of tokens, over time. */
+  distributionOverTime(found, order) {
+    const chosen = h("select", { "aria-label": "Place whose distribution is shown" }, order.map((name) => h("option", { value: name, text: name })));
+    const plot = h("div");
+    chosen.onchange = () => {
+      const name = chosen.value;
+      const weight = new Map();
+      for (const entry of found) for (const [count, p] of Object.entries(entry.token_distribution[name])) weight.set(count, Math.max(weight.get(count) || 0, p));
+      const counts = [...weight].filter(([, p]) => p > 0.005).sort((a, b) => b[1] - a[1]).slice(0, CURVES.length).map(([count]) => count).sort((a, b) => a - b);
+      const curves = counts.map((count) => ({ name: `${plural(Number(count), "token")}`, points: found.map((entry) => [entry.time, entry.token_distribution[name][count] || 0]) }));
+      plot.replaceChildren(curvePlot(curves, "time (s)"), this.key(curves.map((curve) => curve.name)));
+    };
+    chosen.onchange();
+    return [chosen, plot];
+  }
+
+  /** Which curve is which. */
+  key(names) {
+    return h("p", { class: "key" }, names.map((name, i) => { const dot = h("b", { text: "● " }); dot.style.color = CURVES[i % CURVES.length]; return h("span", {}, dot, name); }));
   }
 
   settling(result) {
