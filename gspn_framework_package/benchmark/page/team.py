@@ -1,9 +1,12 @@
 """What the page costs a team of robots at full speed (plans/tokens, actions that return at once).
 
 One run; the page comes and goes in it, so that windows without it and windows with it alternate. Firings are counted
-from the robots' logs afterwards, whose monotonic clock all processes of one host share. Processors are dealt out so
-that the browser never takes one from the robots: it is another computer's. Beside that, firings per second of
-processor time *of the robots* are told, a figure that does not depend on what else uses the processors.
+from the robots' logs afterwards, whose monotonic clock all processes of one host share.
+
+The browser is not what is measured: it belongs to another computer. So it has a processor of its own, and its share is
+taken out: in the windows *without* the page the same browser shows another page, of a feed that fires as often as the
+team does. Beside that, firings per second of processor time *of the robots* are told, a figure that does not depend on
+who else uses their processor.
 """
 
 from __future__ import annotations
@@ -17,10 +20,11 @@ import statistics
 import subprocess
 import sys
 import time
-from typing import Any, Callable, Dict, FrozenSet, Iterator, List, NamedTuple, Tuple
+from typing import Any, Callable, Dict, FrozenSet, Iterator, List, NamedTuple, Optional, Tuple
 
 import psutil
 
+from gspn_framework_package.benchmark.page.feed import served
 from gspn_framework_package.benchmark.page.rendering import SCREEN, chromium
 from gspn_framework_package.benchmark.plans import tokens_plan
 from gspn_framework_package.benchmark.processes import cpu_seconds, descendants
@@ -34,8 +38,11 @@ ARRANGEMENTS = {
     "shared": "everything on all processors",
 }
 
-SETTLE = 3.0
-"""Seconds after the page has come or gone, before a window begins."""
+SETTLE = 2.0
+"""Seconds after a page has been opened, before a window begins."""
+
+NODES = 17
+"""Size of the net that the browser shows instead: that of plans/tokens."""
 
 START = 60.0
 
@@ -53,10 +60,10 @@ class Window(NamedTuple):
     began: float
     ended: float
     robots_cpu: float
-    server_cpu: float = 0.0
-    browser_cpu: float = 0.0
-    seen: int = 0
-    marks: int = 0
+    server_cpu: float
+    browser_cpu: float
+    seen: int
+    marks: int
 
 
 def measure_team(robots: int, where: str, rounds: int, seconds: float) -> Dict[str, Any]:
@@ -74,17 +81,21 @@ def measure_team(robots: int, where: str, rounds: int, seconds: float) -> Dict[s
     with _on(browser_cpus), chromium() as browser, _on(team_cpus), Master() as master, TeamRun(master, plan) as run:
         if not run.wait_all_fired(START):
             raise ExecutionError("not all robots fired within %g s" % START)
-        others = {p.pid for p in descendants(master.pid)} | {master.pid} | _browser_pids()
+        others = {p.pid for p in [*descendants(master.pid), *_browser()]}
         team = [p for p in descendants(os.getpid()) if p.pid not in others and "executor" in " ".join(p.cmdline())]
-        for _ in range(rounds):
-            without.append(_window(seconds, team))
-            with _on(server_cpus):
-                server = _Server(master, run.folder, robots)
-            try:
-                with_page.append(_watched(server, browser, team, seconds))
-            finally:
-                server.end()
-        without.append(_window(seconds, team))
+        began = time.monotonic()
+        time.sleep(seconds)
+        rate = sum(1 for at in _goals(run.folder) if at > began) / (time.monotonic() - began)
+        with _on(browser_cpus), served(NODES, rate) as feed:
+            for _ in range(rounds):
+                without.append(_watched(feed.port, None, browser, team, seconds))
+                with _on(server_cpus):
+                    server = _Server(master, run.folder, robots)
+                try:
+                    with_page.append(_watched(server.port, server, browser, team, seconds))
+                finally:
+                    server.end()
+            without.append(_watched(feed.port, None, browser, team, seconds))
         faults = run.faults()
         goals = _goals(run.folder)
     return {
@@ -129,11 +140,17 @@ class _Server:
         command = [sys.executable, "-m", "gspn_framework_package.visualizer.ros_node",
                    "_plan:=" + plan, "_robots:=%d" % robots, "_port:=%d" % self.port]  # fmt: skip
         self._process = subprocess.Popen(command, env=master.environment, stdin=subprocess.DEVNULL,
-                                         stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)  # fmt: skip
-        assert self._process.stdout
-        if "The page is at" not in self._process.stdout.readline():
-            self.end()
-            raise ExecutionError("the page's node did not start")
+                                         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
+        deadline = time.monotonic() + START
+        while not self._answers():
+            if self._process.poll() is not None or time.monotonic() > deadline:
+                self.end()
+                raise ExecutionError("the page's node did not start")
+            time.sleep(0.1)
+
+    def _answers(self) -> bool:
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", self.port)) == 0
 
     def cpu(self) -> float:
         """Processor seconds so far."""
@@ -150,42 +167,34 @@ class _Server:
                 self._process.wait()
 
 
-def _watched(server: _Server, browser: Any, team: List[psutil.Process], seconds: float) -> Window:
-    """A window with the page open."""
+def _watched(
+    port: int, server: Optional[_Server], browser: Any, team: List[psutil.Process], seconds: float
+) -> Window:
+    """A window with the browser open at a page: that of the team, or another one (``server`` is None)."""
     page = browser.new_page(viewport=SCREEN)
     try:
-        page.goto("http://127.0.0.1:%d/" % server.port)
+        page.goto("http://127.0.0.1:%d/" % port)
         page.wait_for_selector("body[data-ready]", timeout=START * 1000)
         page.wait_for_function("() => window.gspn.model.board.n > 50", timeout=START * 1000)
         page.evaluate(COUNT)
-        before: Dict[str, float] = {}
+        time.sleep(SETTLE)
 
-        def spent() -> Tuple[float, float, int, int]:
-            fired, marks = page.evaluate("() => [window.fired, window.marks]")
-            return server.cpu(), sum(cpu_seconds(_browser()).values()), fired, marks
+        def spent() -> List[float]:
+            return [
+                time.monotonic(),
+                sum(cpu_seconds(team).values()),
+                server.cpu() if server else 0.0,
+                sum(cpu_seconds(_browser()).values()),
+                *page.evaluate("() => [window.fired, window.marks]"),
+            ]
 
-        def begin() -> None:
-            before.update(zip("sbfm", spent()))
-
-        window = _window(seconds, team, begin)
-        server_cpu, browser_cpu, fired, marks = spent()
-        return window._replace(
-            server_cpu=server_cpu - before["s"],
-            browser_cpu=browser_cpu - before["b"],
-            seen=int(fired - before["f"]),
-            marks=int(marks - before["m"]),
-        )
+        before = spent()
+        time.sleep(seconds)
+        after = spent()
     finally:
         page.close()
-
-
-def _window(seconds: float, team: List[psutil.Process], begin: Callable[[], None] = lambda: None) -> Window:
-    time.sleep(SETTLE)
-    begin()
-    began, before = time.monotonic(), sum(cpu_seconds(team).values())
-    time.sleep(seconds)
-    ended, after = time.monotonic(), sum(cpu_seconds(team).values())
-    return Window(began, ended, after - before)
+    _, robots_cpu, server_cpu, browser_cpu, seen, marks = (b - a for a, b in zip(before, after))
+    return Window(before[0], after[0], robots_cpu, server_cpu, browser_cpu, int(seen), int(marks))
 
 
 def _browser() -> List[psutil.Process]:
@@ -195,10 +204,6 @@ def _browser() -> List[psutil.Process]:
             if "chrom" in " ".join(process.cmdline()[:1]) or "playwright" in " ".join(process.cmdline()[:1]):
                 found.append(process)
     return found
-
-
-def _browser_pids() -> set[int]:
-    return {process.pid for process in _browser()}
 
 
 def _goals(folder: str) -> List[float]:
@@ -230,6 +235,9 @@ def _compared(goals: List[float], without: List[Window], with_page: List[Window]
         error = statistics.stdev(values) / len(values) ** 0.5 if len(values) > 1 else float("nan")
         return {"mean": round(statistics.mean(values), 2), "standard_error": round(error, 2)}
 
+    def of_core(cpu: Callable[[Window], float], windows: List[Window]) -> float:
+        return round(100 * sum(map(cpu, windows)) / sum(w.ended - w.began for w in windows), 1)
+
     length = sum(w.ended - w.began for w in with_page)
     return {
         "firings_per_s_without": [round(per_second(w), 1) for w in without],
@@ -238,8 +246,9 @@ def _compared(goals: List[float], without: List[Window], with_page: List[Window]
         "firings_per_robot_cpu_s_without": [round(per_cpu(w), 1) for w in without],
         "firings_per_robot_cpu_s_with": [round(per_cpu(w), 1) for w in with_page],
         "slower_per_robot_cpu_percent": told(slower(per_cpu)),
-        "server_cpu_of_core_percent": round(100 * sum(w.server_cpu for w in with_page) / length, 1),
-        "browser_cpu_of_core_percent": round(100 * sum(w.browser_cpu for w in with_page) / length, 1),
+        "server_cpu_of_core_percent": of_core(lambda w: w.server_cpu, with_page),
+        "browser_cpu_of_core_percent_without": of_core(lambda w: w.browser_cpu, without),
+        "browser_cpu_of_core_percent_with": of_core(lambda w: w.browser_cpu, with_page),
         "seen_on_the_page_per_s": round(sum(w.seen for w in with_page) / length, 1),
         "resynchronised": sum(w.marks for w in with_page),
     }
