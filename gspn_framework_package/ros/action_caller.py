@@ -15,27 +15,12 @@ from gspn_framework_package.ros.action_connection import ActionConnection
 from gspn_framework_package.ros.action_targets import ActionTarget
 from gspn_framework_package.ros.direct_connection import DirectConnection
 from gspn_framework_package.ros.goal_id import GoalIdentity, new_tag
+from gspn_framework_package.ros.patience import DEFAULT_PATIENCE, Patience
 from gspn_framework_package.ros.place_servers import PlaceServer
 from gspn_framework_package.ros.registration import registered_together
 
 CONNECT_POLL = 0.01
 """Seconds between two looks at whether a server's topics are connected."""
-
-
-class Patience(NamedTuple):
-    """How long each step of an action may take, in seconds."""
-
-    server: float = 10.0
-    """Until the server's topics are connected."""
-    acknowledgement: float = 3.0
-    """Until the server's status lists the goal; the goal is sent again every third of it."""
-    status: float = 5.0
-    """Between two statuses of the server while the goal is under way."""
-    result: float = 1.0
-    """Until the result of a goal comes that has ended, or that the server no longer knows."""
-
-
-DEFAULT_PATIENCE = Patience()
 
 Connection = Union[ActionConnection, DirectConnection]
 

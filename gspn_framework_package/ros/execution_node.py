@@ -98,7 +98,8 @@ class ExecutionNode(Worker):
         self._services = NodeServices(self, namespace)
         full = plan.synchronisation is Synchronisation.FULL
         link = TopicLink if full else ServiceLink
-        self._link = link(robot, options.run, namespace, self._received)
+        quiet = 3 * self._replica.pace.heartbeat
+        self._link = link(robot, options.run, namespace, self._received, self._serve_neighbour, quiet)
         self._link.serve_at(self._services.uri)
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
 
@@ -153,6 +154,9 @@ class ExecutionNode(Worker):
 
     def _received(self, message: agreement.Message) -> None:
         self.enqueue(self._step, agreement.Received(message))
+
+    def _serve_neighbour(self, message: agreement.Message, answer: Callable[[agreement.Message], None]) -> None:
+        self.enqueue(self.request, message, answer)
 
     # -- the worker --------------------------------------------------------------------------------
 

@@ -18,6 +18,7 @@ from gspn_framework_package.execution.agreement.interface import (
 )
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.msg import Agreement
+from gspn_framework_package.ros.eager_publisher import eager_publisher
 from gspn_framework_package.ros.service_calls import ServiceCalls
 from gspn_framework_package.srv import (
     GetPlace,
@@ -36,8 +37,8 @@ _SERVICES: Dict[str, Tuple[Any, Callable[[str, str], Any]]] = {
     "set_place": (SetPlace, lambda me, body: SetPlaceRequest(agreement=body)),
 }
 
-QUIET = 1.5
-"""Seconds without a message of a robot on its topics, after which its services are called as well."""
+Serve = Callable[[Message, Callable[[Message], None]], None]
+"""Takes the request of a service call, and a function for its reply."""
 
 
 class _Peer(NamedTuple):
@@ -76,21 +77,29 @@ class Link:
 
     :param received: told each message of another robot that is meant for this one; called on
         rospy's threads.
+    :param serve: carries out the service calls of robots that are hosted in the same process; called
+        on their threads.
+    :param quiet: seconds without a message of a robot on its topics, after which its services are
+        called as well.
 
     :ivar sent: how many messages this robot has sent; one to several robots counts once.
     """
 
-    def __init__(self, robot: str, run: str, namespace: str, received: Callable[[Message], None]) -> None:
+    def __init__(
+        self, robot: str, run: str, namespace: str, received: Callable[[Message], None], serve: Serve, quiet: float
+    ) -> None:
         self.robot, self.run = robot, run
         self._namespace = namespace
         self._received = received
+        self._serve = serve
+        self._quiet = quiet
         self._node = rospy.get_name()
         self._service_uri = ""
         self.sent = 0
         self._peers: Dict[str, _Peer] = {}
         self._heard: Dict[str, float] = {}
         self._calls = ServiceCalls()
-        self._publisher = rospy.Publisher(TOPIC, Agreement, queue_size=1000)
+        self._publisher = eager_publisher(TOPIC, Agreement)
         self._subscriber = rospy.Subscriber(TOPIC, Agreement, self._on_message, tcp_nodelay=True)
         _NEIGHBOURS.add(self)
 
@@ -116,16 +125,18 @@ class Link:
         """
         self.sent += 1
         body = json.dumps(message, separators=(",", ":"))
-        neighbours = _NEIGHBOURS.of(self)
+        neighbours = self._neighbours()
         if to in neighbours:
             neighbours[to]._received(json.loads(body))
             return
         if not to:
-            for link in list(neighbours.values()):
-                if link is not self:
-                    link._received(json.loads(body))  # one each: they may keep parts of it
+            for link in neighbours.values():
+                link._received(json.loads(body))  # one each: they may keep parts of it
         if self._somebody_else_listens(publisher):
             publisher.publish(self._news(to, body))
+
+    def _neighbours(self) -> Dict[str, Link]:
+        return {robot: link for robot, link in _NEIGHBOURS.of(self).items() if link is not self}
 
     def _somebody_else_listens(self, publisher: Any) -> bool:
         """Whether the topic is connected to anybody but this node itself."""
@@ -162,7 +173,7 @@ class Link:
         service = SERVICE_OF_MESSAGE.get(message.get("kind", ""), "get_place")
         now = time.monotonic()
         for name in [to] if to else list(self._peers):
-            if now - self._heard.get(name, now) > QUIET:
+            if now - self._heard.get(name, now) > self._quiet:
                 self._call(name, service, json.dumps(message, separators=(",", ":")))
 
     def _call(self, name: str, service: str, body: str) -> None:
@@ -195,8 +206,10 @@ class TopicLink(Link):
     no loss: the message goes on the agreement topic then.
     """
 
-    def __init__(self, robot: str, run: str, namespace: str, received: Callable[[Message], None]) -> None:
-        super().__init__(robot, run, namespace, received)
+    def __init__(
+        self, robot: str, run: str, namespace: str, received: Callable[[Message], None], serve: Serve, quiet: float
+    ) -> None:
+        super().__init__(robot, run, namespace, received, serve, quiet)
         self._inboxes: Dict[str, Any] = {}
         self._pool = WorkerPool("inboxes")
         self._inbox = rospy.Subscriber(_inbox_of(namespace), Agreement, self._on_message, tcp_nodelay=True)
@@ -232,7 +245,7 @@ class TopicLink(Link):
         return inbox if inbox is not None and inbox.get_num_connections() else None
 
     def _open(self, name: str) -> None:
-        self._inboxes[name] = rospy.Publisher(name, Agreement, queue_size=1000)
+        self._inboxes[name] = eager_publisher(name, Agreement)
 
 
 def _inbox_of(namespace: str) -> str:
@@ -256,8 +269,17 @@ class ServiceLink(Link):
                 self._call_quiet(to, message)
                 continue
             body = json.dumps(message, separators=(",", ":"))
-            for name in [to] if to else list(self._peers):
-                self._call(name, service, body)
+            neighbours = self._neighbours()
+            for name in [to] if to else [*neighbours, *self._peers]:
+                if name in neighbours:
+                    self.sent += 1
+                    neighbours[name]._serve(json.loads(body), self._replied)
+                else:
+                    self._call(name, service, body)
+
+    def _replied(self, message: Message) -> None:
+        if message:
+            self._received(json.loads(json.dumps(message)))
 
 
 def parse_body(body: str) -> Any:

@@ -10,7 +10,7 @@ import rospy
 from rospy.client import load_command_line_node_params
 
 from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.ros.action_caller import DEFAULT_PATIENCE, Patience
+from gspn_framework_package.ros.patience import DEFAULT_PATIENCE, Patience
 from gspn_framework_package.ros.registration import master_proxy
 
 

@@ -43,9 +43,15 @@ class Pace(NamedTuple):
 
     def for_team(self, size: int) -> Pace:
         """The pace for a team of that size: what everybody tells everybody is told less often in a
-        large one, so that what each replica hears a second grows no further."""
+        large one, so that what each replica hears a second grows no further; and a leader that has
+        so many to ask is given time, or all want to take over from it at once."""
         slower = max(1.0, size / SMALL_TEAM)
-        return self._replace(heartbeat=self.heartbeat * slower, greeting=self.greeting * slower)
+        return self._replace(
+            heartbeat=self.heartbeat * slower,
+            greeting=self.greeting * slower,
+            retry=self.retry * slower,
+            takeover=self.takeover * slower,
+        )
 
 
 SMALL_TEAM = 8

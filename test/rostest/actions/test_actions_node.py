@@ -23,9 +23,10 @@ from gspn_framework_package.execution.firing import StartAction  # noqa: E402
 from gspn_framework_package.model.builder import NetBuilder  # noqa: E402
 from gspn_framework_package.model.plan import FunctionAction, Plan, ServerAction  # noqa: E402
 from gspn_framework_package.msg import ExecGSPNAction, ExecGSPNGoal, ExecGSPNResult  # noqa: E402
-from gspn_framework_package.ros.action_caller import ActionCaller, Patience  # noqa: E402
+from gspn_framework_package.ros.action_caller import ActionCaller  # noqa: E402
 from gspn_framework_package.ros.action_targets import action_targets  # noqa: E402
 from gspn_framework_package.ros.goal_id import parse_goal_id  # noqa: E402
+from gspn_framework_package.ros.patience import Patience  # noqa: E402
 from gspn_framework_package.ros.place_servers import KEPT_ENDED, PlaceServers  # noqa: E402
 
 IMPATIENT = Patience(server=1.0, acknowledgement=0.9, status=1.0, result=0.3)

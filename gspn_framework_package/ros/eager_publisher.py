@@ -1,0 +1,98 @@
+"""A publisher that writes to its connections itself, for topics with very many of them."""
+
+from __future__ import annotations
+
+import collections
+import socket
+import threading
+from typing import Any, Deque, Optional
+
+import rospy
+from rospy.exceptions import TransportTerminated
+from rospy.topics import _PublisherImpl
+
+from gspn_framework_package.ros.registration import registered_together
+
+LIMIT = 1000
+"""Messages that wait for a subscriber that does not read; then the oldest is dropped."""
+
+
+def eager_publisher(name: str, data_class: Any) -> Any:
+    """A ``rospy.Publisher`` without a thread for each subscriber, that yet never waits for one.
+
+    rospy's own either hands every message to a thread of each connection, which in a team of 50 means 49 wake-ups for
+    each message and thousands of threads, or lets one subscriber that is stuck hold all others up.
+
+    :param name: of the topic, which no other publisher of this node may have.
+    """
+    with registered_together():  # nobody connects before the next lines are done
+        publisher = rospy.Publisher(name, data_class, queue_size=LIMIT)
+        implementation = publisher.impl
+        implementation.queue_size = None
+
+        def add_connection(transport: Any) -> Any:
+            return _PublisherImpl.add_connection(implementation, _EagerConnection(transport))
+
+        implementation.add_connection = add_connection
+    return publisher
+
+
+class _EagerConnection:
+    """Writes what the socket takes at once; only what it does not take, while its reader is stuck, is left to a thread.
+
+    Behaves as the transport otherwise.
+    """
+
+    def __init__(self, transport: Any) -> None:
+        self._transport = transport
+        self._lock = threading.Lock()
+        self._waiting: Deque[bytes] = collections.deque()
+        self._stuck = False
+        self._error: Optional[BaseException] = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._transport, name)
+
+    def write_data(self, data: bytes) -> bool:
+        """Send a message, or drop the oldest of those that wait.
+
+        :raises TransportTerminated: the connection is closed.
+        """
+        with self._lock:
+            if self._error is not None:
+                raise TransportTerminated(str(self._error))
+            if self._stuck:
+                if len(self._waiting) >= LIMIT:
+                    self._waiting.popleft()
+                self._waiting.append(data)
+                return True
+            transport = self._transport
+            if transport.done or transport.socket is None:
+                raise TransportTerminated("connection closed")
+            try:
+                sent = transport.socket.send(data, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                sent = 0
+            except OSError as error:
+                raise TransportTerminated(str(error)) from error
+            if sent < len(data):
+                self._stuck = True
+                thread = threading.Thread(target=self._write, args=(data[sent:],), name="stuck subscriber", daemon=True)
+                thread.start()
+            else:
+                transport.stat_bytes += sent
+                transport.stat_num_msg += 1
+        return True
+
+    def _write(self, rest: bytes) -> None:
+        try:
+            while True:
+                self._transport.write_data(rest)
+                with self._lock:
+                    if not self._waiting:
+                        self._stuck = False
+                        return
+                    rest = self._waiting.popleft()
+        except Exception as error:  # as many kinds as rospy and sockets have
+            with self._lock:
+                self._error = error
