@@ -32,6 +32,7 @@ from gspn_framework_package.benchmark.machine import describe_machine, machine_l
 from gspn_framework_package.benchmark.plans import ring_plan, tokens_plan
 from gspn_framework_package.benchmark.team_run import Master, TeamRun, need_ros
 from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.history import verify
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.plan import FunctionAction, Plan, Synchronisation
 
@@ -58,8 +59,11 @@ def latencies(records: Sequence[Dict[str, Any]], since: float) -> Tuple[List[flo
     return private, coordinated
 
 
-def measure(master: Master, plan: Plan, window: float) -> Dict[str, Any]:
-    """Run a plan and tell its latencies and throughput over ``window`` seconds."""
+def measure(master: Master, plan: Plan, window: float, check: bool = False) -> Dict[str, Any]:
+    """Run a plan and tell its latencies and throughput over ``window`` seconds.
+
+    :param check: have the history checker look at the logs, too.
+    """
     with TeamRun(master, plan) as run:
         if not run.wait_all_fired(120):
             return {"note": "not all robots fired"}
@@ -71,13 +75,16 @@ def measure(master: Master, plan: Plan, window: float) -> Dict[str, Any]:
     private: List[float] = []
     coordinated: List[float] = []
     moves = 0
-    for path in sorted(glob.glob(os.path.join(folder, "*", "*.jsonl"))):
-        records = [r for r in read_log(path).records if r.get("mono", 0) < began + window]
+    logs = [read_log(path) for path in sorted(glob.glob(os.path.join(folder, "*", "*.jsonl")))]
+    for log in logs:
+        records = [r for r in log.records if r.get("mono", 0) < began + window]
         moves += sum(1 for r in records if r["kind"] == "goal" and r["mono"] >= began)
         mine, agreed = latencies(records, began)
         private += mine
         coordinated += agreed
+    violation = verify(logs).violation if check else None
     return {
+        **({"verdict": "rule %d: %s" % violation if violation else "valid"} if check else {}),
         "firings_per_s": round(moves / window, 1),
         "messages_per_firing": round(sent / (ended - began) * window / moves, 2) if moves else None,
         **_summary("private", private),
@@ -119,6 +126,7 @@ COLUMNS = (
     ("messages_per_firing", "messages/firing"),
     ("private_median_ms", "private median [ms]"), ("private_p99_ms", "p99 [ms]"),
     ("coordinated_median_ms", "coordinated median [ms]"), ("coordinated_p99_ms", "p99 [ms]"),
+    ("verdict", "logs"),
 )  # fmt: skip
 
 
@@ -129,6 +137,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--window", type=float, default=10.0, metavar="S", help="seconds for each team (10)")
     parser.add_argument("--load", choices=LOADS, nargs="+", default=LOADS)
     parser.add_argument("--mode", choices=[m.value for m in Synchronisation], help="only this synchronisation")
+    parser.add_argument("--verify", action="store_true", help="check the logs, too; exit code 1: a rule was broken")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
     need_ros()
@@ -143,7 +152,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
                 if load == "private" and mode is Synchronisation.FULL:
                     continue
                 print("latency: %s, %s, %d robots ..." % (load, mode.value, robots), file=sys.stderr, flush=True)
-                measured = measure(master, plan_of(load, robots, mode), args.window)
+                measured = measure(master, plan_of(load, robots, mode), args.window, args.verify)
                 rows.append({"load": load, "mode": mode.value, "robots": robots, **measured})
     except KeyboardInterrupt:
         print("latency: interrupted", file=sys.stderr)
@@ -153,6 +162,8 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     else:
         print(table([head for _, head in COLUMNS], [[row.get(key) for key, _ in COLUMNS] for row in rows]))
         print(machine_line())
+    if any(row.get("verdict", "valid") != "valid" for row in rows):
+        return 1
     return 130 if interrupted else 0
 
 
