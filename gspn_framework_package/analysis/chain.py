@@ -7,7 +7,7 @@ from typing import Any, List, NamedTuple, Optional, Tuple
 import numpy as np
 from scipy import sparse
 
-from gspn_framework_package.analysis.graph import components
+from gspn_framework_package.analysis.graph import components_of
 from gspn_framework_package.analysis.plan_analysis import PlanSpace
 from gspn_framework_package.analysis.rated_graph import RatedGraph, rate
 from gspn_framework_package.analysis.state_space import StateSpace
@@ -81,8 +81,9 @@ class Chain:
 
     def bottom_components(self) -> List[Any]:
         """The recurrent classes: for each an int array of states, by their first state."""
-        sources = np.repeat(np.arange(len(self)), np.diff(self.rates.indptr))
-        found = components(len(self), sources, self.rates.indices)
+        found = components_of(self.rates)
+        if found.number == 1:
+            return [np.arange(len(self))]
         order = np.argsort(found.of, kind="stable")
         ends = np.cumsum(np.bincount(found.of, minlength=found.number))
         classes = [order[ends[c - 1] if c else 0 : ends[c]] for c in np.flatnonzero(found.bottom)]

@@ -98,4 +98,4 @@ class Growing:
 
 def label_type(transitions: int) -> Any:
     """The smallest integer type for transition numbers."""
-    return np.int16 if transitions < 2**15 else np.int32
+    return np.uint8 if transitions <= 2**8 else np.int16 if transitions <= 2**15 else np.int32

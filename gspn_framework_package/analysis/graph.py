@@ -26,10 +26,16 @@ def adjacency(nodes: int, sources: Any, targets: Any) -> Any:
 
 def components(nodes: int, sources: Any, targets: Any) -> Components:
     """The strongly connected components of the graph with these arcs."""
-    count, of = csgraph.connected_components(adjacency(nodes, sources, targets), connection="strong")
+    return components_of(adjacency(nodes, sources, targets))
+
+
+def components_of(matrix: Any) -> Components:
+    """The strongly connected components of the graph that has an arc for every entry of a sparse matrix (CSR)."""
+    count, of = csgraph.connected_components(matrix, connection="strong")
     bottom = np.ones(count, dtype=bool)
-    leaving = of[sources] != of[targets]
-    bottom[of[sources[leaving]]] = False
+    if count > 1:
+        before = np.repeat(of, np.diff(matrix.indptr))
+        bottom[before[before != of[matrix.indices]]] = False
     return Components(int(count), of, bottom)
 
 

@@ -1,7 +1,8 @@
 """The linear systems of Markov chains, ``x = (b + M x) / d``, and who solves them.
 
 Small systems go to a sparse LU decomposition, large ones to Gauss-Seidel sweeps (compiled by numba where it is
-there, else a triangular solve per sweep). Nobody is believed: the residual of the answer decides.
+there, else a triangular solve per sweep), which Anderson acceleration puts to better use. Nobody is believed: the
+residual of the answer decides.
 """
 
 from __future__ import annotations
@@ -13,14 +14,19 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
 
+from gspn_framework_package.analysis.anderson import Anderson
 from gspn_framework_package.analysis.exploration import Watch
 from gspn_framework_package.model.errors import LimitError
 
-TOLERANCE = 1e-13
+TOLERANCE = 1e-12
 """Residual at which sweeps stop."""
 
 ACCEPTED = 1e-9
-"""Residual above which an answer is not given."""
+"""Residual above which a steady state is not given."""
+
+ACCEPTED_TIMES = 1e-4
+"""Residual above which mean times and the like are not given. It is a bound of their relative error, which is far
+less as a rule; only where a time is 10^11 times a sojourn does rounding alone come near."""
 
 DIRECT_SIZE = 2_000
 """Up to this many unknowns LU goes first."""
@@ -30,10 +36,25 @@ FALLBACK_SIZE = 50_000
 
 MAX_SWEEPS = 20_000
 
+_REFINEMENTS = 2
+"""How often the answer of a decomposition is corrected by what it leaves."""
+
+_STRIDE = 2
+"""Sweeps between two accelerations, which cost about as much as one sweep."""
+
+_CHECKED = 8
+"""The residual is computed after at most this many strides, and sooner where the changes have become small."""
+
+_ROUNDING = 1e-14
+"""Imbalance, relative to the largest term, that rounding alone may cause."""
+
+_PATIENCE = 100
+"""Strides without a residual half as large after which an answer that is acceptable is taken: the rest is rounding."""
+
 
 class Solution(NamedTuple):
-    """``values``; ``residual``: the largest imbalance of an equation, relative to the largest term ``d x``;
-    ``method``: ``LU``, ``Gauss-Seidel`` or ``GTH``; ``sweeps``: how many were done."""
+    """``values``; ``residual``: see :func:`residual`; ``method``: ``LU`` or ``Gauss-Seidel``; ``sweeps``: how many were
+    done."""
 
     values: Any
     residual: float
@@ -47,6 +68,7 @@ def solve(
     rhs: Optional[Any],
     *,
     backward: bool = False,
+    order: Optional[Any] = None,
     watch: Optional[Watch] = None,
     start: Optional[Any] = None,
 ) -> Solution:
@@ -55,22 +77,23 @@ def solve(
     :param matrix: sparse, non-negative, nothing on its diagonal.
     :param diagonal: float array, above 0.
     :param rhs: float array; None for 0: then ``x`` is the solution that sums to 1.
-    :param backward: sweep from the last unknown to the first: better where information flows against the
-        numbering.
+    :param order: the order in which to sweep, as positions of unknowns; None: as they are numbered.
+    :param backward: sweep from the last unknown to the first: better where information flows against the order.
     :param start: a first guess.
-    :raises LimitError: no method came to a residual of :data:`ACCEPTED`.
+    :raises LimitError: no method came to a residual of :data:`ACCEPTED`, or :data:`ACCEPTED_TIMES` with a ``rhs``.
     :raises CancelledError: the watch said so.
     """
     matrix = sparse.csr_matrix(matrix)
     size = len(diagonal)
+    accepted = ACCEPTED if rhs is None else ACCEPTED_TIMES
     best: Optional[Solution] = None
     if size <= DIRECT_SIZE:
         best = _direct(matrix, diagonal, rhs)
-    if best is None or not best.residual <= ACCEPTED:
-        best = _better(best, _sweeps(matrix, diagonal, rhs, backward, watch or Watch(), start))
-    if not best.residual <= ACCEPTED and DIRECT_SIZE < size <= FALLBACK_SIZE:
+    if best is None or not best.residual <= accepted:
+        best = _better(best, _swept_in_order(matrix, diagonal, rhs, backward, order, watch or Watch(), start))
+    if not best.residual <= accepted and DIRECT_SIZE < size <= FALLBACK_SIZE:
         best = _better(best, _direct(matrix, diagonal, rhs))
-    if not best.residual <= ACCEPTED:
+    if not best.residual <= accepted:
         raise LimitError(
             "the linear system was not solved: %s came to a residual of %.1e after %d sweeps"
             % (best.method, best.residual, best.sweeps)
@@ -79,13 +102,16 @@ def solve(
 
 
 def residual(matrix: Any, diagonal: Any, rhs: Optional[Any], values: Any) -> float:
-    """The largest imbalance of an equation, relative to the largest term."""
+    """The largest imbalance of an equation, relative to the largest term ``d x``, or to the largest of ``rhs``.
+
+    With a ``rhs`` of ones (mean times) the latter bounds the relative error of every unknown: the inverse of the
+    system has no negative entry, so the error is at most the imbalance times what a ``rhs`` of ones gives.
+    """
     terms = diagonal * values
-    scale = float(np.abs(terms).max(initial=0.0))
+    scale = float(np.abs(terms if rhs is None else rhs).max(initial=0.0))
     imbalance = terms - matrix @ values
     if rhs is not None:
         imbalance -= rhs
-        scale = max(scale, float(np.abs(rhs).max(initial=0.0)))
     worst = float(np.abs(imbalance).max(initial=0.0))
     return worst / scale if scale > 0 else worst
 
@@ -109,71 +135,104 @@ def _direct(matrix: Any, diagonal: Any, rhs: Optional[Any]) -> Solution:
                 values = np.concatenate([[1.0], np.maximum(tail, 0.0)])
                 values /= values.sum()
             else:
-                values = linalg.splu(system).solve(np.asarray(rhs, dtype=np.float64))
+                factor = linalg.splu(system)
+                values = factor.solve(np.asarray(rhs, dtype=np.float64))
+                for _ in range(_REFINEMENTS):
+                    values += factor.solve(rhs - diagonal * values + matrix @ values)
     except (RuntimeError, MemoryError):  # singular, or it does not fit
         return Solution(np.full(size, np.nan), float("inf"), "LU")
     return Solution(values, residual(matrix, diagonal, rhs, values), "LU")
 
 
-def _sweeps(
+def _swept_in_order(
+    matrix: Any, diagonal: Any, rhs: Optional[Any], backward: bool, order: Optional[Any], watch: Watch,
+    start: Optional[Any],
+) -> Solution:  # fmt: skip
+    if order is None:
+        return _swept(matrix, diagonal, rhs, backward, watch, start)
+    place = np.empty(len(order), dtype=matrix.indices.dtype)
+    place[order] = np.arange(len(order), dtype=place.dtype)
+    sorted_matrix = matrix[order]
+    sorted_matrix.indices = place[sorted_matrix.indices]
+    sorted_matrix.has_sorted_indices = False
+    found = _swept(
+        sorted_matrix, diagonal[order], None if rhs is None else rhs[order], backward, watch,
+        None if start is None else start[order],
+    )  # fmt: skip
+    return found._replace(values=found.values[place])
+
+
+def _swept(
     matrix: Any, diagonal: Any, rhs: Optional[Any], backward: bool, watch: Watch, start: Optional[Any]
 ) -> Solution:
-    scaled = matrix.copy()
-    scaled.data = matrix.data / np.repeat(diagonal, np.diff(matrix.indptr))
-    constant = None if rhs is None else np.asarray(rhs, dtype=np.float64) / diagonal
-    sweep = _sweeper(scaled, constant, backward)
     size = len(diagonal)
+    constant = np.zeros(size) if rhs is None else np.asarray(rhs, dtype=np.float64)
+    scale = float(np.abs(constant).max()) or 1.0
+    sweep = _sweeper(matrix, diagonal, constant, backward)
     if start is None:
         values = np.full(size, 1.0 / size) if rhs is None else np.zeros(size)
     else:
         values = np.array(start, dtype=np.float64)
-    best, best_residual, best_at = values.copy(), float("inf"), 0
-    done, pause = 0, 4
-    while done < MAX_SWEEPS:
-        for _ in range(pause):
-            values = sweep(values)
-        done += pause
+    accelerated = Anderson(size)
+    best, best_residual, best_at = values, float("inf"), 0
+    unchecked = 0
+    for stride in range(1, MAX_SWEEPS // _STRIDE + 1):
+        image = values.copy()
+        for _ in range(_STRIDE):
+            image = sweep(image)
+        unchecked += 1
+        # What the sweeps changed tells, at no cost, when a look at the residual is worth it.
+        largest = float((diagonal * image).max())
+        changed = float(np.abs(diagonal * (image - values)).max())
+        tolerance = TOLERANCE
         if rhs is None:
-            values /= values.sum()
-        now = residual(matrix, diagonal, rhs, values)
-        if now < 0.5 * best_residual:
-            best_at = done
-        if now < best_residual:
-            best, best_residual = values.copy(), now
-        if now <= TOLERANCE or not np.isfinite(now):
-            break
-        if best_residual <= 1e-11 and done - best_at >= 200:
-            break  # rounding: it will not get better
-        pause = min(16, 2 * pause)
-        watch.step("sweeps (residual %.0e)" % now, done)
-    return Solution(best, best_residual, "Gauss-Seidel", done)
+            changed /= largest or 1.0
+        else:
+            changed /= scale
+            tolerance = max(TOLERANCE, _ROUNDING * largest / scale)
+        if changed <= 2 * tolerance or unchecked >= _CHECKED:
+            unchecked = 0
+            now = residual(matrix, diagonal, rhs, image)
+            if now < 0.5 * best_residual:
+                best_at = stride
+            if now < best_residual:
+                best, best_residual = image, now
+            if now <= tolerance or (best_residual <= 1e-11 and stride - best_at >= _PATIENCE):
+                break
+            if not np.isfinite(now) or now > 1e6 * best_residual:
+                accelerated.forget()
+                values = best
+                continue
+            watch.step("sweeps (residual %.0e)" % now, stride * _STRIDE)
+        values = accelerated.next(values, image)
+    if rhs is None:
+        best = best / best.sum()
+    return Solution(best, best_residual, "Gauss-Seidel", stride * _STRIDE)
 
 
-def _sweeper(scaled: Any, constant: Optional[Any], backward: bool) -> Callable[[Any], Any]:
+def _sweeper(matrix: Any, diagonal: Any, constant: Any, backward: bool) -> Callable[[Any], Any]:
     """One Gauss-Seidel sweep, as a function of the values; it may change them in place."""
     try:
         from gspn_framework_package.analysis.numba_sweeps import sweep
     except ImportError:
-        return _scipy_sweeper(scaled, constant, backward)
-    if constant is None:
-        constant = np.zeros(scaled.shape[0])
+        return _scipy_sweeper(matrix, diagonal, constant, backward)
+    share = 1.0 / diagonal
 
     def compiled(values: Any) -> Any:
-        sweep(scaled.indptr, scaled.indices, scaled.data, constant, values, backward)
+        sweep(matrix.indptr, matrix.indices, matrix.data, constant, share, values, backward)
         return values
 
     return compiled
 
 
-def _scipy_sweeper(scaled: Any, constant: Optional[Any], backward: bool) -> Callable[[Any], Any]:
-    eye = sparse.identity(scaled.shape[0], format="csr")
-    lower, upper = sparse.tril(scaled, -1, format="csr"), sparse.triu(scaled, 1, format="csr")
-    solved, known = (eye - upper, lower) if backward else (eye - lower, upper)
+def _scipy_sweeper(matrix: Any, diagonal: Any, constant: Any, backward: bool) -> Callable[[Any], Any]:
+    own = sparse.diags(diagonal, format="csr")
+    lower, upper = sparse.tril(matrix, -1, format="csr"), sparse.triu(matrix, 1, format="csr")
+    solved, known = (own - upper, lower) if backward else (own - lower, upper)
     # With the natural order and no pivoting the decomposition of a triangular matrix is that matrix.
     factor = linalg.splu(solved.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
     def triangular(values: Any) -> Any:
-        right = known @ values
-        return factor.solve(right if constant is None else right + constant)
+        return factor.solve(known @ values + constant)
 
     return triangular

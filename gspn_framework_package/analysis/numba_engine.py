@@ -1,17 +1,25 @@
 """Exploration of the reachable markings, compiled by numba and cached: the fast engine, where numba is there.
 
-States are taken in order of discovery, a block at a time. First the successors of the whole block are computed
-and the hash table's slots for them touched, so that the memory of many slots is on its way at once; only then are
-they looked up. That order, not the arithmetic, is what the speed comes from.
+States are taken in order of discovery, a round at a time. First every core expands its share of the round: it computes
+the successors, and looks them up in a hash table that nobody changes meanwhile. Most successors are known; the others
+are then entered one after the other, in the order of their arcs. So the numbering does not depend on the number of
+cores, and there is nothing to lock.
+
+Inside a share, the successors of a block of states are computed and the table's slots for them touched, so that the
+memory of many slots is on its way at once; only then are they looked up. That order, not the arithmetic, is what the
+speed of one core comes from.
+
+The cores in use are numba's own setting, the environment variable ``NUMBA_NUM_THREADS``.
 """
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from typing import Any
+from typing import Any, List, Tuple
 
 import numpy as np
-from numba import njit
+from numba import config, njit
 
 from gspn_framework_package.analysis.exploration import (
     FieldOverflowError,
@@ -30,127 +38,206 @@ _ONE = np.uint64(1)
 _LOW = np.uint64(0xFFFFFFFF)
 
 _BLOCK = 32
-"""States whose successors are in flight together."""
+"""States, or entries to come, that are in flight together."""
 
-_FILL_BLOCK = 256
-"""States that a new table takes up together."""
+_SHARE = 8192
+"""States of a round that one core expands, at most."""
 
-_STRIDE = 1 << 16
-"""States between two looks at the limit, the room left and the watch."""
+_SHARE_ARCS = 1 << 17
+"""Arcs that the buffers of a share have room for, at most (but for nets of very many transitions)."""
+
+_WORTH_SHARING = 2048
+"""From so many states on a round is shared."""
+
+_CORES = 8
+"""More cores do not help: the entering waits for all of them, and they for it."""
 
 
-def explore(packed: PackedNet, limit: int, watch: Watch) -> RawGraph:
-    """The reachability graph of ``packed``; same meaning as in ``numpy_engine``."""
+def explore(packed: PackedNet, limit: int, watch: Watch, cores: int = 0) -> RawGraph:
+    """The reachability graph of ``packed``; same meaning as in ``numpy_engine``.
+
+    :param cores: how many to use; 0: as many as numba may use, at most 8.
+    """
     transitions = len(packed.order)
+    cores = cores or min(int(vars(config)["NUMBA_NUM_THREADS"]), _CORES)
+    share = max(_BLOCK, min(_SHARE, _SHARE_ARCS // max(transitions, 1)))
     states = Growing(np.uint64, packed.words)
     states.extend(packed.initial[None, :])
     offsets = Growing(np.int64)
     offsets.extend(np.zeros(1, dtype=np.int64))
     targets = Growing(np.int32 if limit < 2**31 - 2**24 else np.int64)
     labels = Growing(label_type(transitions))
-    table = _new_table(states, 1 << 12)
-    overflow = np.zeros(packed.words, dtype=np.uint64)
-    advance = _advance_for(packed.words)
+    table = np.zeros(1 << 12, dtype=np.uint64)
+    _enter_for(packed.words)(table, states.array, 0, packed.initial[None, :], np.zeros(0, np.int64), targets.array)
+    buffers = [_Buffers(share, transitions, packed.words, targets, labels)]
     explored = 0
-    while explored < states.used <= limit:
-        end = min(explored + _STRIDE, states.used)
-        successors = (end - explored) * transitions
-        room = max(states.used // 2, 1 << 10)  # new states that this round may bring
-        if 2 * (states.used + room) > len(table):
-            table = _new_table(states, 2 * len(table))
-            continue
-        states.reserve(states.used + room + _BLOCK * transitions)
-        targets.reserve(targets.used + min(successors, 4 * room + _BLOCK * transitions))
-        labels.reserve(len(targets.array))
-        offsets.reserve(offsets.used + end - explored)
-        explored, states.used, targets.used, _ = advance(
-            explored,
-            end,
-            states.array,
-            states.used,
-            states.used + room,
-            table,
-            offsets.array,
-            targets.array,
-            labels.array,
-            targets.used,
-            packed.need,
-            packed.need_guard,
-            packed.inhibit,
-            packed.inhibit_guard,
-            packed.change,
-            packed.class_ends,
-            packed.guard,
-            overflow,
-        )
-        labels.used = targets.used
-        offsets.used = explored + 1
-        if overflow.any():
-            raise FieldOverflowError(tuple(int(bits) for bits in overflow))
-        watch.step("states", states.used)
-    rest = np.full(states.used - explored, offsets.array[explored], dtype=np.int64)
+    with ThreadPoolExecutor(max(cores - 1, 1), thread_name_prefix="explore") as others:
+        while explored < states.used <= limit:
+            end = min(explored + share * cores, states.used)
+            bounds = _shares(explored, end, cores)
+            while len(buffers) < len(bounds):
+                buffers.append(_Buffers(share, transitions, packed.words, targets, labels))
+            work = [(packed, states.array, table, part, buffer) for part, buffer in zip(bounds, buffers)]
+            running = [others.submit(_expand, *arguments) for arguments in work[1:]]
+            done = [_expand(*work[0])] + [future.result() for future in running]
+            overflow = np.bitwise_or.reduce([buffer.overflow for buffer in buffers])
+            if overflow.any():
+                raise FieldOverflowError(tuple(int(bits) for bits in overflow))
+            new = sum(count for _, count in done)
+            states.reserve(states.used + new)
+            while 2 * (states.used + new) > len(table):
+                table = _grown(table)
+            offsets.reserve(offsets.used + end - explored)
+            for (arcs, misses), buffer, (begin, stop) in zip(done, buffers, bounds):
+                base = targets.used
+                targets.extend(buffer.targets[:arcs])
+                labels.extend(buffer.labels[:arcs])
+                offsets.extend(buffer.ends[: stop - begin] + base)
+                states.used = _enter_for(packed.words)(
+                    table, states.array, states.used, buffer.keys[:misses], buffer.arcs[:misses], targets.array[base:]
+                )
+            explored = end
+            watch.step("states", states.used)
+    rest = np.full(states.used - explored, targets.used, dtype=np.int64)
     offsets.extend(rest)
     return RawGraph(states.finished(), offsets.finished(), targets.finished(), labels.finished(), explored)
 
 
-def _new_table(states: Growing, capacity: int) -> Any:
-    """A table of ``capacity`` slots that knows ``states``. A slot holds the number of a state plus 1 in its low
-    half, and half of the hash in its high half."""
-    table = np.zeros(capacity, dtype=np.uint64)
-    _fill(table, states.array, states.used)
-    return table
+class _Buffers:
+    """What one core finds in its share: targets (-1: not known yet) and labels of the arcs, where the arcs of each
+    state end; and of the arcs whose target is not known their numbers, and the packed markings that they lead to."""
+
+    def __init__(self, states: int, transitions: int, words: int, targets: Growing, labels: Growing) -> None:
+        room = states * transitions
+        self.targets = np.empty(room, dtype=targets.array.dtype)
+        self.labels = np.empty(room, dtype=labels.array.dtype)
+        self.ends = np.empty(states, dtype=np.int64)
+        self.keys = np.empty((room, words), dtype=np.uint64)
+        self.arcs = np.empty(room, dtype=np.int64)
+        self.overflow = np.zeros(words, dtype=np.uint64)
+
+
+def _shares(begin: int, end: int, cores: int) -> List[Tuple[int, int]]:
+    """The states of a round, shared out."""
+    if end - begin < _WORTH_SHARING:
+        cores = 1
+    cuts = [begin + (end - begin) * core // cores for core in range(cores + 1)]
+    return list(zip(cuts, cuts[1:]))
+
+
+def _expand(packed: PackedNet, states: Any, table: Any, share: Tuple[int, int], buffer: _Buffers) -> Tuple[int, int]:
+    """Fill ``buffer``; how many arcs there are, and how many of them lead to markings not known yet."""
+    arcs, misses, _ = _expand_for(packed.words)(
+        *share, states, table, packed.need, packed.need_guard, packed.inhibit, packed.inhibit_guard, packed.change,
+        packed.class_ends, packed.guard, buffer.targets, buffer.labels, buffer.ends, buffer.keys, buffer.arcs,
+        buffer.overflow,
+    )  # fmt: skip
+    return int(arcs), int(misses)
+
+
+# -- the hash table -----------------------------------------------------------------------------------------
+#
+# A slot holds the number of a state plus 1 in its low half, and the high half of the hash in its high half. The slot
+# where the search begins is the top bits of the hash: so entries stand nearly sorted, and a table of twice the size is
+# filled from one end to the other, without a look at the states.
+
+
+def _grown(table: Any) -> Any:
+    """A table of twice the size with the same entries."""
+    larger = np.zeros(2 * len(table), dtype=np.uint64)
+    _refill(table, larger)
+    return larger
 
 
 @njit(cache=True, nogil=True)
-def _hash(states: Any, row: int, words: int) -> Any:
-    value = states[row, 0] * _MIX_1
+def _shift(table: Any) -> Any:
+    """How far a hash is shifted down to the number of its first slot."""
+    shift = np.uint64(64)
+    size = len(table)
+    while size > 1:
+        size >>= 1
+        shift -= _ONE
+    return shift
+
+
+@njit(cache=True, nogil=True)
+def _refill(table: Any, larger: Any) -> None:
+    shift, mask = _shift(larger), np.uint64(len(larger) - 1)
+    for i in range(len(table)):
+        entry = table[i]
+        if entry != _ZERO:
+            slot = entry >> shift
+            while larger[slot] != _ZERO:
+                slot = (slot + _ONE) & mask
+            larger[slot] = entry
+
+
+@njit(cache=True, nogil=True)
+def _hash(keys: Any, row: int, words: int) -> Any:
+    value = keys[row, 0] * _MIX_1
     for w in range(1, words):
         value ^= value >> _HALF
-        value += states[row, w]
+        value += keys[row, w]
         value *= _MIX_2
     value ^= value >> _HALF
     value *= _MIX_1
-    value ^= value >> _HALF
     return value
 
 
-@njit(cache=True, nogil=True)
-def _fill(table: Any, states: Any, count: int) -> Any:
-    mask = np.uint64(len(table) - 1)
-    words = states.shape[1]
-    hashes = np.empty(_FILL_BLOCK, np.uint64)
-    touched = _ZERO
-    for begin in range(0, count, _FILL_BLOCK):
-        end = min(begin + _FILL_BLOCK, count)
-        for s in range(begin, end):
-            value = _hash(states, s, words)
-            hashes[s - begin] = value
-            touched ^= table[value & mask]
-        for s in range(begin, end):
-            value = hashes[s - begin]
-            slot = value & mask
-            while table[slot] != _ZERO:
-                slot = (slot + _ONE) & mask
-            table[slot] = (value & ~_LOW) | np.uint64(s + 1)
-    return touched
+@lru_cache(maxsize=None)
+def _enter_for(words: int) -> Any:
+    """Entering for markings of that many words: a constant, so that the compiler unrolls what depends on it."""
+
+    @njit(cache=True, nogil=True)
+    def enter(table: Any, states: Any, known: Any, keys: Any, arcs: Any, targets: Any) -> Any:
+        """Number the states ``keys`` that are not known yet, from ``known`` on, and tell the targets of ``arcs``;
+        the number of states known then. Without arcs the keys are entered all the same."""
+        shift, mask = _shift(table), np.uint64(len(table) - 1)
+        hashes = np.empty(_BLOCK, np.uint64)
+        for begin in range(0, len(keys), _BLOCK):
+            stop = min(begin + _BLOCK, len(keys))
+            for i in range(begin, stop):
+                hashes[i - begin] = _hash(keys, i, words)
+            for i in range(begin, stop):
+                value = hashes[i - begin]
+                slot = value >> shift
+                high = value & ~_LOW
+                while True:
+                    entry = table[slot]
+                    if entry == _ZERO:
+                        for w in range(words):
+                            states[known, w] = keys[i, w]
+                        number = known
+                        known += 1
+                        table[slot] = high | np.uint64(known)
+                        break
+                    if entry & ~_LOW == high:
+                        number = np.int64(entry & _LOW) - 1
+                        same = True
+                        for w in range(words):
+                            if states[number, w] != keys[i, w]:
+                                same = False
+                                break
+                        if same:
+                            break
+                    slot = (slot + _ONE) & mask
+                if len(arcs):
+                    targets[arcs[i]] = number
+        return known
+
+    return enter
 
 
 @lru_cache(maxsize=None)
-def _advance_for(words: int) -> Any:
-    """The inner loop for markings of that many words: a constant, so that the compiler unrolls what depends on it."""
+def _expand_for(words: int) -> Any:
+    """Expanding for markings of that many words."""
 
     @njit(cache=True, nogil=True)
-    def advance(
+    def expand(
         begin: Any,
         end: Any,
         states: Any,
-        known: Any,
-        most: Any,
         table: Any,
-        offsets: Any,
-        targets: Any,
-        labels: Any,
-        arcs: Any,
         need: Any,
         need_guard: Any,
         inhibit: Any,
@@ -158,23 +245,25 @@ def _advance_for(words: int) -> Any:
         change: Any,
         class_ends: Any,
         guard: Any,
+        targets: Any,
+        labels: Any,
+        ends: Any,
+        keys: Any,
+        key_arcs: Any,
         overflow: Any,
     ) -> Any:
-        """Explore the states ``begin`` to ``end``, or fewer when the arrays are full; returns the first state not
-        explored, the number of states known, the number of arcs, and what keeps the compiler from leaving the touching
-        out."""
+        """Expand the states ``begin`` to ``end``; returns the number of arcs, that of keys, and what keeps the
+        compiler from leaving the touching out."""
         transitions = need.shape[0]
-        mask = np.uint64(len(table) - 1)
+        shift, mask = _shift(table), np.uint64(len(table) - 1)
         batch = np.empty((_BLOCK * transitions, words), np.uint64)
         hashes = np.empty(_BLOCK * transitions, np.uint64)
+        hit = np.zeros(words, np.uint64)  # not the caller's array, which may share a cache line with another core's
         touched = _ZERO
-        here = begin
-        while here < end:
-            stop = min(here + _BLOCK, end)
-            if known > most or arcs + (stop - here) * transitions > len(targets):
-                break
+        arcs, misses = 0, 0
+        for here in range(begin, end, _BLOCK):
             n = 0
-            for s in range(here, stop):
+            for s in range(here, min(here + _BLOCK, end)):
                 first = 0
                 for c in range(len(class_ends)):
                     before = n
@@ -193,49 +282,51 @@ def _advance_for(words: int) -> Any:
                         if enabled:
                             for w in range(words):
                                 batch[n, w] = states[s, w] + change[t, w]
-                                overflow[w] |= batch[n, w] & guard[w]
+                                hit[w] |= batch[n, w] & guard[w]
                             value = _hash(batch, n, words)
                             hashes[n] = value
-                            touched ^= table[value & mask]
+                            touched ^= table[value >> shift]
                             labels[arcs + n] = t
                             n += 1
                     first = class_ends[c]
                     if n > before:
                         break
-                offsets[s + 1] = arcs + n
+                ends[s - begin] = arcs + n
             for w in range(words):
-                if overflow[w] != _ZERO:
-                    return here, known, arcs, touched
+                if hit[w] != _ZERO:
+                    overflow[:] = hit
+                    return arcs, misses, touched
             for i in range(n):
-                entry = table[hashes[i] & mask]
+                entry = table[hashes[i] >> shift]
                 if entry != _ZERO:
                     touched ^= states[np.int64(entry & _LOW) - 1, 0]
             for i in range(n):
                 value = hashes[i]
-                slot = value & mask
+                slot = value >> shift
                 high = value & ~_LOW
+                number = np.int64(-1)
                 while True:
                     entry = table[slot]
                     if entry == _ZERO:
-                        for w in range(words):
-                            states[known, w] = batch[i, w]
-                        known += 1
-                        table[slot] = high | np.uint64(known)
-                        targets[arcs + i] = known - 1
                         break
                     if entry & ~_LOW == high:
-                        number = np.int64(entry & _LOW) - 1
+                        found = np.int64(entry & _LOW) - 1
                         same = True
                         for w in range(words):
-                            if states[number, w] != batch[i, w]:
+                            if states[found, w] != batch[i, w]:
                                 same = False
                                 break
                         if same:
-                            targets[arcs + i] = number
+                            number = found
                             break
                     slot = (slot + _ONE) & mask
+                targets[arcs + i] = number
+                if number < 0:
+                    for w in range(words):
+                        keys[misses, w] = batch[i, w]
+                    key_arcs[misses] = arcs + i
+                    misses += 1
             arcs += n
-            here = stop
-        return here, known, arcs, touched
+        return arcs, misses, touched
 
-    return advance
+    return expand

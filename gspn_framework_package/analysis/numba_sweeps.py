@@ -8,12 +8,12 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True)
-def sweep(offsets: Any, columns: Any, data: Any, constant: Any, values: Any, backward: Any) -> None:
-    """One sweep of ``values = constant + matrix @ values``, in place; the matrix in CSR form."""
+def sweep(offsets: Any, columns: Any, data: Any, constant: Any, share: Any, values: Any, backward: Any) -> None:
+    """One sweep of ``values = (constant + matrix @ values) * share``, in place; the matrix in CSR form."""
     size = len(values)
     for i in range(size):
         row = size - 1 - i if backward else i
         total = constant[row]
         for k in range(offsets[row], offsets[row + 1]):
             total += data[k] * values[columns[k]]
-        values[row] = total
+        values[row] = total * share[row]

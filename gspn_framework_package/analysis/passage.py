@@ -15,6 +15,7 @@ from gspn_framework_package.analysis.chain import Chain
 from gspn_framework_package.analysis.exploration import Cancel, Progress, Watch
 from gspn_framework_package.analysis.graph import can_reach, reachable_from
 from gspn_framework_package.analysis.linear import solve
+from gspn_framework_package.analysis.ordering import sweep_order
 from gspn_framework_package.analysis.rated_graph import RatedGraph
 from gspn_framework_package.analysis.transient import transient
 
@@ -64,18 +65,18 @@ def first_passage(
     lost = bool((visited & ~hopeful).any())
     inside = np.flatnonzero(visited & hopeful & ~there)
     among = chain.rates[inside][:, inside]
-    exits = chain.exit_rates[inside]
+    exits, order = chain.exit_rates[inside], sweep_order(chain, inside)
     worst = 0.0
     if lost:
         into = np.asarray(chain.rates[inside][:, there].sum(axis=1)).reshape(-1)
-        solution = solve(among, exits, into, backward=True, watch=watch)
+        solution = solve(among, exits, into, backward=True, order=order, watch=watch)
         probability = float(chain.initial[there].sum() + chain.initial[inside] @ solution.values)
         mean = math.inf
         worst = solution.residual
     else:
         probability, mean = 1.0, 0.0
         if len(inside):
-            solution = solve(among, exits, np.ones(len(inside)), backward=True, watch=watch)
+            solution = solve(among, exits, np.ones(len(inside)), backward=True, order=order, watch=watch)
             mean = float(chain.initial[inside] @ solution.values)
             worst = solution.residual
     within = (

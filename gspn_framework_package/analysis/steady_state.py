@@ -12,6 +12,7 @@ import numpy as np
 from gspn_framework_package.analysis.chain import Chain, Component
 from gspn_framework_package.analysis.exploration import Cancel, Progress, Watch
 from gspn_framework_package.analysis.linear import Solution, solve
+from gspn_framework_package.analysis.ordering import sweep_order
 
 
 class SteadyState(NamedTuple):
@@ -58,7 +59,8 @@ def stationary(chain: Chain, states: Any, watch: Optional[Watch] = None) -> Solu
         return Solution(np.ones(1), 0.0, "LU")
     whole = len(states) == len(chain)
     inner = chain.rates if whole else chain.rates[states][:, states]
-    return solve(inner.T, chain.exit_rates if whole else chain.exit_rates[states], None, watch=watch)
+    exits = chain.exit_rates if whole else chain.exit_rates[states]
+    return solve(inner.T, exits, None, order=sweep_order(chain, states), watch=watch)
 
 
 def _absorption(chain: Chain, classes: List[Any], watch: Watch) -> Solution:
@@ -73,7 +75,8 @@ def _absorption(chain: Chain, classes: List[Any], watch: Watch) -> Solution:
     worst, method = 0.0, "LU"
     if len(inside) and chain.initial[inside].any():
         among = chain.rates[inside][:, inside].T
-        times = solve(among, chain.exit_rates[inside], chain.initial[inside], watch=watch)
+        order = sweep_order(chain, inside)
+        times = solve(among, chain.exit_rates[inside], chain.initial[inside], order=order, watch=watch)
         flows = chain.rates[inside].T @ times.values
         inflow = inflow + flows
         worst, method = times.residual, times.method

@@ -12,12 +12,15 @@ from scipy.linalg import expm
 from gspn_framework_package.analysis import linear
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain import Chain
+from gspn_framework_package.analysis.exploration import Watch
 from gspn_framework_package.analysis.linear import solve
 from gspn_framework_package.analysis.measures import Measures
+from gspn_framework_package.analysis.ordering import sweep_order
+from gspn_framework_package.analysis.passage import first_passage
 from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.analysis.steady_state import steady_state
 from gspn_framework_package.analysis.transient import Evolution, poisson, time_to_steady_state, transient
-from gspn_framework_package.benchmark.nets import kanban
+from gspn_framework_package.benchmark.nets import kanban, polling
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
 
@@ -143,6 +146,57 @@ def test_both_sweepers_and_lu_agree(monkeypatch):
     assert [method for method, _ in numbers] == ["Gauss-Seidel", "LU", "Gauss-Seidel"]
     for _, value in numbers:
         assert value == pytest.approx(numbers[0][1], rel=1e-11)
+
+
+@relaxed
+@given(bounded_nets())
+def test_sweeps_agree_with_lu(net):
+    try:
+        chain = Chain.of(explore(net))
+    except RefusedError:
+        assume(False)
+    space = chain.graph
+    goal = space.column(0) == space.column(0).max()
+    exact, passage = steady_state(chain), first_passage(space, goal)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(linear, "DIRECT_SIZE", 0)
+        swept, passage_swept = steady_state(chain), first_passage(space, goal)
+    assert swept.distribution == pytest.approx(exact.distribution, abs=1e-10)
+    assert passage_swept.probability == pytest.approx(passage.probability, abs=1e-9)
+    assert passage_swept.mean_time == pytest.approx(passage.mean_time, rel=1e-9)
+
+
+def test_a_good_order_saves_sweeps():
+    chain = Chain.of(explore(polling(6)))
+    states = np.arange(len(chain))
+    order = sweep_order(chain, states)
+    assert sorted(order) == states.tolist()
+    plain, ordered = (linear._swept_in_order(
+        sparse.csr_matrix(chain.rates.T), chain.exit_rates, None, False, by, Watch(), None
+    ) for by in (None, order))  # fmt: skip
+    assert ordered.sweeps < plain.sweeps
+    assert ordered.values == pytest.approx(plain.values, abs=1e-12)
+
+
+def test_no_other_order_where_that_of_discovery_is_as_good():
+    chain = Chain.of(explore(kanban(2)))
+    assert sweep_order(chain, np.arange(len(chain))) is None
+
+
+def test_mean_times_are_right_where_they_are_long():
+    """A queue that is rarely long, with room for 3000. The mean time has a formula."""
+    size, up, down = 3000, 1.0, 1.003
+    net = (NetBuilder().place("free", tokens=size).place("jobs")
+           .exponential("arrive", rate=up, inputs="free", outputs="jobs")
+           .exponential("serve", rate=down, inputs="jobs", outputs="free").build())  # fmt: skip
+    passage = Analysis(net).first_passage("free == 0")
+    ratio, step, expected = down / up, 1 / up, 0.0
+    for _ in range(size):
+        expected += step
+        step = 1 / up + ratio * step
+    assert expected > 5e8
+    assert passage.residual < 1e-5  # a bound of the relative error
+    assert passage.mean_time == pytest.approx(expected, rel=2e-6)
 
 
 def test_an_answer_with_a_bad_residual_is_not_given(monkeypatch):

@@ -54,6 +54,23 @@ def test_engines_number_the_states_alike(net):
         assert np.array_equal(getattr(one, array), getattr(other, array))
 
 
+@pytest.mark.skipif(not numba_is_there(), reason="numba is missing")
+@relaxed
+@given(net=bounded_nets(), cores=st.integers(2, 4))
+def test_cores_number_the_states_alike(net, cores):
+    from gspn_framework_package.analysis import numba_engine
+
+    packed = PackedNet(net, starting_widths(net, [8] * len(net.places)))
+    with pytest.MonkeyPatch.context() as patch:
+        one = numba_engine.explore(packed, 10**6, Watch(), cores=1)
+        patch.setattr(numba_engine, "_WORTH_SHARING", 2)
+        patch.setattr(numba_engine, "_SHARE", 3)
+        patch.setattr(numba_engine, "_BLOCK", 1)
+        many = numba_engine.explore(packed, 10**6, Watch(), cores=cores)
+    for mine, theirs in zip(one, many):
+        assert np.array_equal(mine, theirs)
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 def test_several_words(engine):
     builder = NetBuilder("wide")

@@ -77,7 +77,7 @@ def test_transient(net, time, which, count):
     tokens = Measures(chain, transient(chain, [time])[0].distribution).token_distribution
     theirs, kind = Storm(net).at("(%s >= %d)" % (place, count), time)
     assume("CTMC" in kind)
-    assert sum(v for n, v in tokens[place].items() if n >= count) == pytest.approx(theirs, abs=1e-5)
+    assert sum(v for n, v in tokens[place].items() if n >= count) == pytest.approx(theirs, abs=1e-6)
 
 
 @relaxed
@@ -95,4 +95,4 @@ def test_first_passage(net, time, which, count):
         assert math.isinf(passage.mean_time)
     theirs, kind = storm.within("(%s)" % condition, time)
     if "CTMC" in kind and not space.is_vanishing[0]:  # see test_transient
-        assert passage.within[0] == pytest.approx(theirs, abs=1e-5)
+        assert passage.within[0] == pytest.approx(theirs, abs=1e-6)
