@@ -1,7 +1,8 @@
 """What agreement costs, counted in one-way delays and messages, in a simulated network where every
 message takes the same time and nothing is lost.
 
-``python3 -m gspn_framework_package.benchmark.agreement_cost``
+``python3 -m gspn_framework_package.benchmark.agreement_cost`` counts with waits that suit the delay;
+``--delay 0.05`` with those of real nodes in a network of that delay, and actions of a twentieth of a second.
 """
 
 from __future__ import annotations
@@ -10,42 +11,52 @@ import argparse
 import json
 import statistics
 import sys
-from typing import Any, Dict, List, Optional
+from typing import Any, Dict, List, Optional, Tuple
 
 from gspn_framework_package.benchmark.team import world as world_module
 from gspn_framework_package.benchmark.team.plans import make_plan
 from gspn_framework_package.benchmark.team.world import Weather, World
+from gspn_framework_package.execution.agreement.replica import Pace
 
 DELAY = 0.005
-"""Seconds that a message takes."""
+"""Seconds that a message takes, where nothing else is asked for."""
+
+LOADS = {"light": (40.0, 120.0), "saturated": (0.1, 0.2)}
+"""How many delays an action takes: with the first, one fact at a time is under way, mostly."""
+
+BUSY = (0.03, 0.07)
+"""Seconds of an action with a delay of one's own."""
 
 TOKENS = 2
 """The net of thesis Figure 6.1."""
 
 
-def measure(robots: int, partial: bool, saturated: bool, seconds: float = 6.0) -> Dict[str, Any]:
+def measure(
+    robots: int, partial: bool, load: str, action: Tuple[float, float], delay: float = DELAY, seconds: float = 6.0
+) -> Dict[str, Any]:
     """Delays and messages per fact.
 
-    :param saturated: actions end at once; otherwise each takes 40 to 120 delays, so that one fact
-        is under way at a time, mostly.
+    :param load: what to call it.
+    :param action: seconds that an action takes, at least and at most.
+    :param seconds: of simulated time.
     """
-    times = (0.1 * DELAY, 0.2 * DELAY) if saturated else (40 * DELAY, 120 * DELAY)
     plan = make_plan(TOKENS, robots, partial, 0.0, 0.0, False)
-    world = World(plan, 1, Weather(DELAY, DELAY), action_time=times)
+    world = World(plan, 1, Weather(delay, delay), action_time=action)
     world.mishaps = False
     for node in world.nodes.values():
         node.start()
-    world.run(0.2)
+    world.run(40 * delay)
     before = world.protocol_messages
     begin = world.now
     world.run(begin + seconds)
     messages = world.protocol_messages - before
-    delays = _delays(world, begin)
+    delays = _delays(world, begin, delay)
     firings = sum(1 for time, _ in world.published if time > begin)
     return {
         "robots": robots,
         "mode": "partial" if partial else "full",
-        "load": "saturated" if saturated else "light",
+        "load": load,
+        "delay_ms": round(delay * 1000, 1),
         "delays_median": round(statistics.median(delays), 1) if delays else None,
         "delays_mean": round(statistics.mean(delays), 1) if delays else None,
         "messages_per_fact": round(messages / len(delays), 1) if delays else None,
@@ -54,7 +65,7 @@ def measure(robots: int, partial: bool, saturated: bool, seconds: float = 6.0) -
     }
 
 
-def _delays(world: World, begin: float) -> List[float]:
+def _delays(world: World, begin: float, delay: float) -> List[float]:
     """For each coordinated fact: one-way delays until its robot has it in the log."""
     found = []
     for node in world.nodes.values():
@@ -67,7 +78,7 @@ def _delays(world: World, begin: float) -> List[float]:
                 for origin in record["origins"]:
                     time = invoked.pop(tuple(origin), None)
                     if time is not None:
-                        found.append((record["mono"] - time) / DELAY)
+                        found.append((record["mono"] - time) / delay)
     return found
 
 
@@ -75,18 +86,25 @@ def main(arguments: Optional[List[str]] = None) -> int:
     """Measure, and print a table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--robots", type=int, nargs="+", default=[1, 2, 3, 5, 8], metavar="N")
+    parser.add_argument("--delay", type=float, metavar="S", help="seconds that a message takes")
     parser.add_argument("--json", action="store_true", help="print one JSON object a line")
     args = parser.parse_args(arguments)
-    world_module.PACE = world_module.PACE._replace(retry=20 * DELAY, takeover=60 * DELAY, backoff=4 * DELAY)
+    delay = args.delay or DELAY
+    if args.delay:
+        loads = {"busy": BUSY}
+        world_module.PACE = Pace()
+    else:
+        loads = {load: (least * DELAY, most * DELAY) for load, (least, most) in LOADS.items()}
+        world_module.PACE = world_module.PACE._replace(retry=20 * DELAY, takeover=60 * DELAY, backoff=4 * DELAY)
     if not args.json:
         titles = ("mode", "robots", "load", "delays, median", "delays, mean", "messages a fact", "messages a firing")
         print("%-8s %-6s %-10s %14s %14s %16s %18s" % titles)
     for partial in (False, True):
         for robots in args.robots:
-            for saturated in (False, True):
-                if robots == 1 and saturated:
+            for load, action in loads.items():
+                if robots == 1 and load == "saturated":
                     continue
-                row = measure(robots, partial, saturated)
+                row = measure(robots, partial, load, action, delay, max(6.0, 600 * delay))
                 if args.json:
                     print(json.dumps(row), flush=True)
                 else:
