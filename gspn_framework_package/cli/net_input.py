@@ -6,8 +6,7 @@ import argparse
 import sys
 from typing import Dict, List, Tuple, Union
 
-from gspn_framework_package.formats import FORMATS, read_net_with_notes
-from gspn_framework_package.formats.plan_file import is_plan, read_plan
+from gspn_framework_package.formats import FORMATS, plan_file
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -63,20 +62,15 @@ def read_subject(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]
 
     :raises GspnError: it cannot be read, or the arguments make no sense.
     """
-    constants = _constants(args.const)
-    if args.source_format is None and is_plan(args.net_file):
-        if constants or args.net is not None:
-            raise UsageError("--net and --const are for nets; a plan says them itself")
-        plan = read_plan(args.net_file)
-        return plan, list(plan.notes)
-    return read_net_with_notes(
+    found = plan_file.read_subject(
         args.net_file,
         format=args.source_format,
         net=args.net,
-        constants=constants,
+        constants=_constants(args.const),
         infinite_servers=None if args.servers is None else args.servers == "infinite",
         missing_weight=0.0 if args.controllable else 1.0,
     )
+    return found.plan or found.net, list(found.notes)
 
 
 def print_notes(notes: List[str]) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.formats import thesis_input
+from gspn_framework_package.formats.draft import NO_CONSTANTS
 from gspn_framework_package.formats.json_file import read_json
 from gspn_framework_package.formats.plan_json import check_schema, plan_from_json, policy_from_json
 from gspn_framework_package.formats.registry import read_net_with_notes
-from gspn_framework_package.model.errors import GspnError, PlanError
+from gspn_framework_package.model.errors import GspnError, PlanError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy
@@ -44,9 +45,52 @@ def read_plan(path: str) -> Plan:
         raise
 
 
+class Subject(NamedTuple):
+    """What can be simulated and analysed: a ``net``, and the ``plan`` where it is the net of one; ``notes`` for people
+    on how it was read."""
+
+    net: Net
+    plan: Optional[Plan]
+    notes: Tuple[str, ...]
+
+
+def read_subject(
+    path: str,
+    *,
+    format: Optional[str] = None,
+    net: Optional[str] = None,
+    constants: Mapping[str, float] = NO_CONSTANTS,
+    infinite_servers: Optional[bool] = None,
+    missing_weight: float = 1.0,
+) -> Subject:
+    """Read a plan, as :func:`read_plan`, or a net, as :func:`~gspn_framework_package.formats.registry.read_net`, with
+    the options of that. A folder and a JSON file are taken for a plan, unless a format is given.
+
+    :raises UsageError: a plan, and options that it says itself.
+    :raises GspnError: it cannot be read.
+    """
+    if format is None and is_plan(path):
+        if constants or net is not None or infinite_servers is not None or missing_weight != 1.0:
+            raise UsageError(
+                "how a net is read (its name in the file, constants, servers, weights) can be said of a net only",
+                hint="this is a plan, which says it itself",
+            )
+        plan = read_plan(path)
+        return Subject(plan.net, plan, tuple(plan.notes))
+    found, notes = read_net_with_notes(
+        path,
+        format=format,
+        net=net,
+        constants=constants,
+        infinite_servers=infinite_servers,
+        missing_weight=missing_weight,
+    )
+    return Subject(found, None, tuple(notes))
+
+
 def is_plan(path: str) -> bool:
     """Whether ``path`` looks like a plan rather than like a net: a folder, or a JSON file."""
-    return os.path.isdir(path) or os.fspath(path).endswith(".json")
+    return os.path.isdir(path) or os.fspath(path).lower().endswith(".json")
 
 
 def _own_form(data: Dict[str, Any], path: str) -> Plan:

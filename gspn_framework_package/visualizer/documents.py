@@ -13,8 +13,8 @@ import re
 import tempfile
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
-from gspn_framework_package.formats.plan_file import PLAN_FILE, read_plan
-from gspn_framework_package.formats.registry import FORMATS, read_net_with_notes
+from gspn_framework_package.formats.plan_file import PLAN_FILE, read_subject
+from gspn_framework_package.formats.registry import FORMATS
 from gspn_framework_package.formats.thesis_input import is_thesis_input
 from gspn_framework_package.model.errors import InputError, LimitError, RefusedError, UsageError
 from gspn_framework_package.model.net import Net
@@ -100,11 +100,8 @@ class Folder:
     def open(self, path: str) -> Document:
         """The net or plan at ``path``. :raises GspnError: it cannot be read."""
         whole = self.resolve(path)
-        if self._kind(whole) == "plan":
-            plan = read_plan(whole)
-            return _checked(Document(path, plan.net, plan, True, tuple(plan.notes)))
-        net, notes = read_net_with_notes(whole)
-        return _checked(Document(path, net, notes=tuple(notes)))
+        found = read_subject(whole)
+        return _checked(Document(path, found.net, found.plan, found.plan is not None, found.notes))
 
     def _inside(self, whole: str) -> bool:
         real = os.path.realpath(whole)
@@ -151,14 +148,11 @@ def read_upload(files: Any) -> Document:
         if len(plans) > 1:
             raise UsageError("more than one input file was sent")
         try:
-            if plans:
-                plan = read_plan(os.path.join(folder, plans[0]))
-                return _checked(Document(plans[0], plan.net, plan, notes=tuple(plan.notes)))
-            if len(sent) > 1:
+            if not plans and len(sent) > 1:
                 raise UsageError("several nets were sent, and no input file that chooses")
-            name = next(iter(sent))
-            net, notes = read_net_with_notes(os.path.join(folder, name))
-            return _checked(Document(name, net, notes=tuple(notes)))
+            name = plans[0] if plans else next(iter(sent))
+            found = read_subject(os.path.join(folder, name))
+            return _checked(Document(name, found.net, found.plan, notes=found.notes))
         except InputError as error:
             if error.file:  # the folder is nobody's business
                 error.file = os.path.basename(error.file)

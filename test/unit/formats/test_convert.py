@@ -94,9 +94,12 @@ def test_wrong_usage_has_one_clear_message(words, message, tmp_path, capsys, mon
     assert list(tmp_path.iterdir()) == []
 
 
-def test_plans_say_their_constants_themselves(tmp_path, capsys):
-    assert convert(PLANS / "measure", tmp_path / "n.xml", "--const", "N=1") == 2
-    assert "a plan says them itself" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    "words", [["--const", "N=1"], ["--net", "x"], ["--servers", "infinite"], ["--controllable"]], ids=" ".join
+)
+def test_plans_say_themselves_how_their_net_is_read(words, tmp_path, capsys):
+    assert convert(PLANS / "measure", tmp_path / "n.xml", *words) == 2
+    assert "this is a plan, which says it itself" in capsys.readouterr().err
 
 
 def test_every_format_has_its_own_endings():
