@@ -11,7 +11,7 @@ import unittest
 
 import actionlib
 import rospy
-from actionlib_msgs.msg import GoalStatus
+from actionlib_msgs.msg import GoalStatus, GoalStatusArray
 from move_base_msgs.msg import MoveBaseAction
 
 HERE = os.path.dirname(os.path.abspath(__file__))
@@ -22,7 +22,7 @@ from waiting import wait_for  # noqa: E402
 from gspn_framework_package.execution.firing import StartAction  # noqa: E402
 from gspn_framework_package.model.builder import NetBuilder  # noqa: E402
 from gspn_framework_package.model.plan import FunctionAction, Plan, ServerAction  # noqa: E402
-from gspn_framework_package.msg import ExecGSPNAction, ExecGSPNGoal, ExecGSPNResult  # noqa: E402
+from gspn_framework_package.msg import ExecGSPNAction, ExecGSPNActionResult, ExecGSPNGoal, ExecGSPNResult  # noqa: E402
 from gspn_framework_package.ros.action_caller import ActionCaller  # noqa: E402
 from gspn_framework_package.ros.action_targets import action_targets  # noqa: E402
 from gspn_framework_package.ros.goal_id import parse_goal_id  # noqa: E402
@@ -48,7 +48,7 @@ class Robot:
         self.robot = robot
         self.ended, self.feedback = queue.Queue(), []
         self._tasks = queue.SimpleQueue()
-        options.setdefault("patience", IMPATIENT)
+        options.setdefault("patience", IMPATIENT._replace(server=10))
         self.caller = ActionCaller(
             robot,
             action_targets(plan, robot, namespace),
@@ -268,10 +268,42 @@ class ActionsTest(unittest.TestCase):
                 self.assertEqual(robot.do("P%d" % i).result, "T_P%d" % i)
                 self.assertLessEqual(robot.caller.connections, 3)
 
+    # -- servers of the same process ---------------------------------------------------------------
+
+    def test_goals_for_own_servers_need_no_connection_and_are_told_on_topics_all_the_same(self):
+        plan, servers = self.serve({"P1": "instant", "P2": "tell", "P3": "breaks"})
+        results, statuses = [], []
+        name = self.namespace + "/P1"
+        heard = [rospy.Subscriber(name + "/result", ExecGSPNActionResult, results.append),
+                 rospy.Subscriber(name + "/status", GoalStatusArray, statuses.append)]  # fmt: skip
+        wait_for(lambda: all(topic.get_num_connections() for topic in heard), what="connections")
+        robot = self.robot(plan, own_servers=servers.servers)
+        ended = robot.do("P1")
+        self.assertEqual(ended, (ended.identity, "T_P1", "", ""))
+        wait_for(lambda: results, what="the result")
+        self.assertEqual((results[0].status.goal_id.id, results[0].result.transition), (str(ended.identity), "T_P1"))
+        wait_for(lambda: any(status.status_list for status in statuses), what="a status with the goal")
+        self.acts().heard.set()
+        self.assertEqual(robot.do("P2").reason, "")
+        self.assertEqual([list(f.time_passed) for f in robot.feedback], [[1], [2, 3]])
+        self.assertEqual(robot.do("P3").reason, "aborted")
+        self.assertEqual(robot.caller.connections, 0)
+
+    def test_a_goal_for_an_own_server_can_be_cancelled(self):
+        plan, servers = self.serve({"P1": "until_cancelled"})
+        robot = self.robot(plan, own_servers=servers.servers)
+        robot.send("P1")
+        wait_for(robot.is_under_way, what="the goal to be taken")
+        acts = self.acts()
+        acts.ended.clear()
+        robot.cancel()
+        wait_for(lambda: [cancelled for _, cancelled in acts.ended] == [True], what="the end of the action")
+        self.assertTrue(robot.ended.empty())
+
     # -- servers that misbehave --------------------------------------------------------------------
 
     def test_a_missing_server_is_reported_with_its_name(self):
-        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "nobody")}))
+        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "nobody")}), patience=IMPATIENT)
         robot.send("P1")
         wait_for(lambda: "nobody" in robot.caller.doing(), what="what it waits for")
         ended = robot.ended.get(timeout=5)
