@@ -50,12 +50,27 @@ class LaunchFilesTest(unittest.TestCase):
         before = self.state("/team/robot_2")
         master = rosgraph.Master("/test")
         self.assertTrue(master.lookupNode("/team/robot_2/place_servers"))
-        node = xmlrpc.client.ServerProxy(master.lookupNode("/team/robot_2/executor"))
-        os.kill(node.getPid("/test")[2], signal.SIGKILL)
+        os.kill(self.process("/team/robot_2/executor"), signal.SIGKILL)
         self.wait_for_moves(run, "robot_2", 3)
         after = self.state("/team/robot_2")
         self.assertEqual((before.incarnation, after.incarnation), (0, 1))
         self.assertGreater(after.visit, before.visit)
+
+        # the process that has forked all of them
+        executors = [self.process("/team/robot_%d/executor" % number) for number in (1, 2)]
+        with open("/proc/%d/stat" % executors[0]) as file:
+            parent = int(file.read().rpartition(")")[2].split()[1])
+        os.kill(parent, signal.SIGKILL)
+        wait_for(lambda: not any(os.path.exists("/proc/%d" % executor) for executor in executors), 40,
+                 "the end of the robots' processes")  # fmt: skip
+        for robot in ("robot_1", "robot_2"):
+            self.wait_for_moves(run, robot, 3)
+        self.assertEqual(self.state("/team/robot_2").incarnation, 2)
+
+    def process(self, name):
+        """The process id of a node."""
+        node = xmlrpc.client.ServerProxy(rosgraph.Master("/test").lookupNode(name))
+        return node.getPid("/test")[2]
 
     def test_hosted_robots_move_each_in_a_namespace_of_its_own(self):
         for number in (1, 2, 3):
