@@ -34,6 +34,7 @@ def test_each_tool(show_net, open_page):
     page = open_page(site.address)
     agree(page, site)
     page.click("#step")
+    settle(page, 1)
     agree(page, site)
     assert site.board().n == 1
     page.fill("#n-steps", "7")

@@ -123,6 +123,7 @@ export class AnalysisPanel extends EventTarget {
       if (report.result) this.show(report.result, request, body);
       if (report.state === "running") { this.showProgress(report); continue; }
       this.job = null;
+      if (report.state === "done" && !request.structure) this.answers.scrollIntoView({ block: "nearest" });
       const words = { done: `Done in ${seconds(report.seconds)}.`, cancelled: `Cancelled after ${seconds(report.seconds)}.`, failed: report.error };
       this.status.replaceChildren(h("p", { class: report.state === "done" ? "muted" : "", "data-state": report.state },
         report.state === "failed" && h("span", { class: "badge bad", text: "no answer" }), ` ${words[report.state]}`));

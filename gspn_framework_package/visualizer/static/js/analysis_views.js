@@ -194,7 +194,7 @@ export class AnswerViews {
     const means = (values) => Object.fromEntries(Object.entries(values).map(([name, value]) => [name, value.mean]));
     const table = (head, values) => h("table", {}, h("thead", {}, h("tr", {}, head.map((text, i) => h("th", { class: i ? "number" : "", text })))),
       h("tbody", {}, Object.entries(values).slice(0, 400).map(([name, value]) => h("tr", {}, h("td", {}, this.node(name)), h("td", { class: "number", text: estimate(value) })))));
-    return this.section("Simulated runs",
+    return this.section("What the runs showed",
       this.facts([
         ["Runs", `${found.replications.toLocaleString("en")}${found.time === null ? "" : ` of ${number(found.time)} s`}`],
         found.warmup > 0 && ["Left out", `the first ${number(found.warmup)} s`],

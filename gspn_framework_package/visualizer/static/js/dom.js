@@ -53,7 +53,7 @@ export function ask(title, content, buttons) {
     const done = (value) => { dialog.onclose = null; dialog.close(); resolve(value); };
     dialog.replaceChildren(
       h("h2", { text: title, id: "dialog-title" }),
-      ...[content].flat(),
+      h("div", { class: "content" }, content),
       h("div", { class: "actions" }, buttons.map(([label, value, kind]) =>
         h("button", { class: kind || "", text: label, onclick: () => done(value), autofocus: kind === "primary" })))
     );

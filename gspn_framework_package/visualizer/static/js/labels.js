@@ -6,7 +6,7 @@ import { RADIUS, BAR } from "./geometry.js";
 const CHARACTERS = 24;
 const FONT = 11;
 const WIDTH = 6.3; // mean width of a character at that size
-const SMALLEST = 0.16; // below this zoom no names
+const SMALLEST = 0.28; // below this zoom no names
 const DRAWN = 700; // at most
 const CELL = 64;
 const ARCS = 1500; // names keep clear of arcs in nets with up to this many
@@ -69,14 +69,19 @@ export class Labels {
       const box = element.getBoundingClientRect();
       put([box.left - left, box.top - top, box.right - left, box.bottom - top]);
     }
+    const line = shown * 1.25, unit = (shown / FONT) * WIDTH;
+    for (const [node, sx, sy] of seen) {
+      if (!node.value) continue;
+      const [half, top] = [(node.value.textContent.length * unit) / 2, sy + Number(node.value.getAttribute("y")) * k];
+      put([sx - half, top - line * 0.85, sx + half, top + line * 0.15]);
+    }
     const chosen = view.selection && view.nodeOf(view.selection);
     seen.sort((a, b) => (b[0] === chosen) - (a[0] === chosen) || (a[0].kind === "place" ? 0 : 1) - (b[0].kind === "place" ? 0 : 1));
     let drawn = 0;
-    const line = shown * 1.25, unit = (shown / FONT) * WIDTH;
     for (const [node, sx, sy] of seen) {
       const [w, h] = node.kind === "place" ? [RADIUS, RADIUS] : BAR[node.kind];
       const flag = node.kind === "place" ? 0 : 11;
-      const length = [...node.text].length * unit;
+      const length = [...node.text].length * unit * (node === chosen ? 1.12 : 1);
       const gap = 3;
       const spots = [
         [sx - length / 2, sy + h * k + gap, "middle", 0, h + (gap + shown * 0.95) / k],

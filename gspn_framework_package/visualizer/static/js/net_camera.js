@@ -7,6 +7,9 @@ const SMALL = 0.35; // below this zoom a firing is a flash: what travels could h
 const [NEAREST, FARTHEST] = [4, 0.02];
 const LARGEST_FIT = 1.6;
 const FLIGHT = 260; // ms
+const READABLE = 0.55; // from this zoom on names can be read
+const EDGE = 60; // px from the edge within which a node is taken to be out of sight
+const THIN = 0.5; // below this zoom lines are drawn bolder, so that they stay visible
 
 const limited = (k) => Math.min(NEAREST, Math.max(FARTHEST, k));
 
@@ -53,10 +56,14 @@ export class Camera {
     this.set(next, px - ((px - x) * next) / k, py - ((py - y) * next) / k);
   }
 
+  /** Bring a node into sight, large enough to read its name. */
   flyTo(node) {
     const { width, height } = this.size;
     const from = { ...this.now };
-    const k = Math.max(from.k, 0.9);
+    const [sx, sy] = [node.x * from.k + from.x, node.y * from.k + from.y];
+    const inSight = sx > EDGE && sy > EDGE && sx < width - EDGE && sy < height - EDGE;
+    if (inSight && from.k >= READABLE) return; // what is seen well is not moved
+    const k = Math.max(from.k, READABLE);
     const to = { k, x: width / 2 - k * node.x, y: height / 2 - k * node.y };
     this.fitted = false;
     if (matchMedia("(prefers-reduced-motion: reduce)").matches) { this.set(to.k, to.x, to.y); return; }
@@ -88,6 +95,7 @@ export class Camera {
     for (const layer of this.view.moving) layer.setAttribute("transform", transform);
     this.small = k < SMALL;
     this.view.container.classList.toggle("far", k < FAR);
+    this.view.container.style.setProperty("--bold", Math.max(1, THIN / k).toFixed(1));
     this.cull();
   }
 

@@ -80,6 +80,15 @@ export function drawEnabled(node, enabled) {
   }
 }
 
+/** The robots that were lost in a place: struck out, at its edge. */
+export function drawLost(node, robots) {
+  if (node.lost) { node.lost.remove(); node.lost = null; }
+  if (!robots.length) return;
+  node.lost = s("g", {}, robots.map((robot, i) => s("g", { class: "lost-mark", transform: at({ x: RADIUS * 0.8 + i * 17, y: -RADIUS * 0.8 }), "data-lost": robot.name },
+    s("title", { text: `${robot.name} is lost` }), s("circle", { r: 8 }), s("text", { text: shortName(robot.name) }), s("path", { d: "M-5.5 5.5L5.5 -5.5" }))));
+  node.element.append(node.lost);
+}
+
 /** Colour and text of a result; null takes both away. `wanted.kind`: bad, good, mark, or heat with a level from 0 to 1. */
 export function paintNode(node, wanted) {
   node.element.classList.remove("paint-bad", "paint-good", "paint-mark");
@@ -93,7 +102,7 @@ export function paintNode(node, wanted) {
     node.element.classList.add(`paint-${wanted.kind}`);
   }
   if (wanted.text) {
-    node.value = s("text", { class: "value", y: -(node.kind === "place" ? RADIUS : BAR[node.kind][1]) - 6, text: wanted.text });
+    node.value = s("text", { class: "value", y: -(node.kind === "place" ? RADIUS : BAR[node.kind][1] + 11) - 6, text: wanted.text });
     node.element.append(node.value);
   }
 }

@@ -5,7 +5,7 @@ import { h, s } from "./dom.js";
 import { Arcs } from "./net_arcs.js";
 import { Camera } from "./net_camera.js";
 import { Pointer } from "./net_pointer.js";
-import { at, buildPlace, buildTransition, drawPlace, drawEnabled, paintNode } from "./net_nodes.js";
+import { at, buildPlace, buildTransition, drawPlace, drawLost, drawEnabled, paintNode } from "./net_nodes.js";
 import { KeptPositions } from "./kept_positions.js";
 import { Travel } from "./travel.js";
 import { Labels } from "./labels.js";
@@ -117,8 +117,11 @@ export class NetView extends EventTarget {
       } else if (event.k === "mark") {
         this.reset();
       } else if (event.k === "robots") {
-        for (let p = 0; p < this.places.length; p++) if (this.places[p].robots) this.dirty.places.add(p);
-        for (const robot of event.r) if (robot.place >= 0) this.dirty.places.add(robot.place);
+        for (let p = 0; p < this.places.length; p++) if (this.places[p].robots || this.places[p].lost) this.dirty.places.add(p);
+        for (const { name } of event.r) {
+          const place = this.model.board.robots.get(name)?.place;
+          if (place >= 0) this.dirty.places.add(place);
+        }
       }
     }
     this.request();
@@ -145,8 +148,11 @@ export class NetView extends EventTarget {
     }
     if (!board) return;
     if (this.dirty.places.size) {
-      const robots = this.robotsByPlace(board);
-      for (const p of this.dirty.places) drawPlace(this.places[p], board.marking[p] - (this.pending.get(p) || 0), robots.get(p) || []);
+      const { here, lost } = this.robotsByPlace(board);
+      for (const p of this.dirty.places) {
+        drawPlace(this.places[p], board.marking[p] - (this.pending.get(p) || 0), here.get(p) || []);
+        if (lost.has(p) || this.places[p].lost) drawLost(this.places[p], lost.get(p) || []);
+      }
       this.dirty.places.clear();
     }
     for (const t of this.dirty.transitions) drawEnabled(this.transitions[t], board.enabled.has(t));
@@ -155,16 +161,16 @@ export class NetView extends EventTarget {
     this.dispatchEvent(new CustomEvent("frame", { detail: { n: board.n } }));
   }
 
-  /** The robots that stand somewhere, not on their way: place -> robots. */
+  /** The robots that stand somewhere, not on their way, and those that were lost there: place -> robots. */
   robotsByPlace(board) {
-    const robots = new Map();
+    const [here, lost] = [new Map(), new Map()];
     for (const robot of board.robots.values()) {
-      if (robot.place === undefined || robot.place < 0 || robot.phase === "lost" || robot.phase === "left") continue;
-      if (this.pendingRobots.has(robot.name)) continue;
+      if (robot.place === undefined || robot.place < 0 || robot.phase === "left" || this.pendingRobots.has(robot.name)) continue;
+      const robots = robot.phase === "lost" ? lost : here;
       if (!robots.has(robot.place)) robots.set(robot.place, []);
       robots.get(robot.place).push(robot);
     }
-    return robots;
+    return { here, lost };
   }
 
   flash(t) {
@@ -183,6 +189,7 @@ export class NetView extends EventTarget {
     for (const node of this.nodes) {
       paintNode(node, paint && (node.kind === "place" ? paint.places : paint.transitions)?.[node.index]);
     }
+    this.labels.later();
   }
 
   // -- selecting, moving ---------------------------------------------------------------------------

@@ -4,7 +4,7 @@ import { s, number } from "./dom.js";
 
 export const CURVES = ["#2f7fc1", "#d1622b", "#2a9d63", "#9a55c4", "#c43b5f", "#17899a", "#a07a13", "#6a66d6"];
 
-const W = 316, H = 170, LEFT = 40, BOTTOM = 26, TOP = 8, RIGHT = 8;
+const W = 316, H = 170, LEFT = 40, BOTTOM = 31, TOP = 8, RIGHT = 8;
 
 function nice(value) {
   if (value <= 0) return 1;

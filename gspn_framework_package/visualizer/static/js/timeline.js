@@ -3,8 +3,11 @@
 import { $, seconds } from "./dom.js";
 import { colourOf } from "./colours.js";
 
-const SPANS = [10, 30, 60, 300, 1200, 7200, 86400];
+const SPANS = [1, 2, 5, 10, 30, 60, 300, 1200, 7200, 86400];
+const TICKS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600, 14400]; // s
 const LABEL = 92;
+
+const axisTime = (t) => (t < 60 ? `${Number(t.toFixed(1))} s` : seconds(t));
 
 /** Fires "visit" (detail n). */
 export class TimeLine extends EventTarget {
@@ -100,12 +103,12 @@ export class TimeLine extends EventTarget {
     const end = model.now();
     const have = model.events.length ? end - model.events[0].t : 0;
     this.shownSpan = this.span || SPANS.find((span) => span >= Math.min(have, 60)) || 60;
-    const begin = end - this.shownSpan;
+    const begin = Math.max(0, end - this.shownSpan); // a short run fills the lanes from the left
     const right = width - 14;
     const x = (t) => LABEL + ((t - begin) / this.shownSpan) * (right - LABEL);
-    this.scale = { begin, end, right };
+    this.scale = { begin, end: begin + this.shownSpan, right };
 
-    const lanes = this.segments(Math.max(begin, 0), end);
+    const lanes = this.segments(begin, end);
     const names = [...lanes.keys()].sort((a, b) => a.localeCompare(b, undefined, { numeric: true }));
     const top = 8, axis = 20, rows = names.length + 1;
     const room = height - top - axis;
@@ -117,13 +120,12 @@ export class TimeLine extends EventTarget {
     c.strokeStyle = ink("--line-soft");
     c.fillStyle = ink("--ink-3");
     c.textAlign = "center";
-    const tick = this.shownSpan / 5;
-    for (let i = 0; i <= 5; i++) {
-      const t = end - i * tick;
-      if (t < -1e-9) continue;
+    const tick = TICKS.find((step) => (step / this.shownSpan) * (right - LABEL) >= 70) || this.shownSpan;
+    for (let i = Math.ceil(begin / tick - 1e-9); i * tick <= begin + this.shownSpan + 1e-9; i++) {
+      const t = i * tick;
       c.beginPath(); c.moveTo(x(t), top); c.lineTo(x(t), height - axis); c.stroke();
-      c.textAlign = i === 0 ? "right" : "center";
-      c.fillText(seconds(Math.max(0, t)), i === 0 ? Math.min(right, x(t)) : x(t), height - axis / 2);
+      c.textAlign = x(t) > right - 20 ? "right" : "center";
+      c.fillText(axisTime(t), Math.min(right, x(t)), height - axis / 2);
     }
 
     // firings
@@ -156,8 +158,7 @@ export class TimeLine extends EventTarget {
         c.fillStyle = phase === "lost" || phase === "failed" ? ink("--bad") : colour;
         c.fillRect(a, y + 2, Math.max(1, b - a - 1), bar);
         c.globalAlpha = 1;
-        if (phase === "lost") continue;
-        const label = model.scene.places[place]?.name || "";
+        const label = phase === "lost" ? "lost" : model.scene.places[place]?.name || "";
         if (b - a > 34 && step >= 14) {
           c.fillStyle = waits || phase === "inactive" ? ink("--ink") : "#fff";
           c.textAlign = "left";
