@@ -193,7 +193,8 @@ def load_room(file: Union[str, Path]) -> Room:
     try:
         text = Path(file).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError("cannot read the room: %s" % error, file=str(file)) from None
+        hint = None if Path(file).is_absolute() else "the path begins in %s" % Path.cwd()
+        raise InputError("cannot read the room: %s" % error, file=str(file), hint=hint) from None
     return parse_room(text, str(file))
 
 

@@ -274,6 +274,36 @@ def test_the_referee_sees_two_in_one_location(scene):
     assert [(name, who) for _, name, who in referee.together] == [("L1", ("robot_1", "robot_2"))]
 
 
+class Unruly(Patrol):
+    """A patrol whose plan has lost its rule: everybody goes on to the next location, whoever is in it."""
+
+    def _decide(self, member, answer):
+        member.state, member.at = "check", self._next(member.at)
+        self.referee.order.grant(member.robot.name, member.at)
+
+
+@pytest.mark.parametrize("looks", [True, False])
+def test_a_plan_without_its_rule_is_found_out_by_the_poses(monkeypatch, looks):
+    """The robots' own look before they enter holds the rule all the same; without it two are in one location."""
+    if not looks:
+        monkeypatch.setattr(patrol, "occupant", lambda location, robots, radius: None)
+    run = Unruly(ROOM, names(4), seed=1)
+    # robot_2 stays in L2
+    while ROOM.locations["L2"].area.distance(position(run, "robot_2")) > 0.0:
+        run.step()
+    run.kill("robot_2")
+    while run.team.time < 45 and not run.referee.together:
+        run.step()
+    found = run.referee.report()["two_in_one_location"]
+    run.team.close()
+    if looks:
+        assert found == 0
+        assert any("robot_2 is in it" in member.feedback for member in run._members)
+    else:
+        assert found == 1
+        assert run.referee.together[0][1:] == ("L2", ("robot_1", "robot_2"))
+
+
 def test_the_referee_sees_an_entry_out_of_turn(scene):
     team, referee = scene(Pose(0.0, -1.9), Pose(1.9, 0.0))
     for robot, location in (("robot_2", "L1"), ("robot_1", "L1"), ("robot_2", "L2")):
