@@ -1,0 +1,116 @@
+"""Analyses that the page asks for: each in a process that is limited and can be killed."""
+
+import json
+import resource
+import subprocess
+import sys
+import time
+
+import pytest
+from page_client import PageClient, small_net
+
+from gspn_framework_package.benchmark.nets import kanban
+from gspn_framework_package.visualizer.analysis_jobs import JOBS_AT_ONCE
+from gspn_framework_package.visualizer.analysis_worker import MEMORY_BYTES
+from gspn_framework_package.visualizer.documents import Document
+from gspn_framework_package.visualizer.project import Project
+from gspn_framework_package.visualizer.session import Session
+
+ENDLESS = {"limit": 2_000_000, "seconds": 100}
+
+
+@pytest.fixture(name="ask")
+def _ask():
+    clients = []
+
+    def make(net):
+        project = Project()
+        project.show(Session("net", Document("net", net)))
+        clients.append(PageClient(project))
+        return clients[-1]
+
+    yield make
+    for client in clients:
+        client.app.extensions["gspn_jobs"].close()
+
+
+def start(client, **fields):
+    return client.post("/api/analysis?id=net", fields)
+
+
+def job_of(client, answer):
+    return client.app.extensions["gspn_jobs"]._jobs[answer.get_json()["job"]]
+
+
+def ended(client, answer):
+    deadline = time.monotonic() + 60
+    while True:
+        report = client.get("/api/analysis/" + answer.get_json()["job"]).get_json()
+        if report["state"] != "running":
+            return report
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_a_small_net_is_analysed(ask):
+    client = ask(small_net())
+    report = ended(client, start(client, structure=True, timing=True))
+    assert report["state"] == "done", report["error"]
+    assert report["result"]["bounded"] is True
+    # its one tangible marking is never left: the token is back at once
+    assert report["result"]["likely_states"] == [{"marking": {"a": 1}, "probability": 1.0, "mean_stay": "infinite"}]
+
+
+def test_more_than_a_few_at_once_are_refused_and_each_can_be_killed(ask):
+    client = ask(kanban(6))
+    running = [start(client, **ENDLESS) for _ in range(JOBS_AT_ONCE)]
+    refused = start(client, **ENDLESS)
+    assert refused.status_code == 409 and "running already" in refused.get_json()["error"]
+    for answer in running:
+        process = job_of(client, answer)._process
+        assert client.post("/api/analysis/%s/cancel" % answer.get_json()["job"]).status_code == 200
+        process.wait(20)
+        assert ended(client, answer)["state"] == "cancelled"
+    assert start(client, **ENDLESS).status_code == 200
+
+
+def test_time_over_ends_the_process(ask):
+    client = ask(kanban(6))
+    answer = start(client, limit=2_000_000, seconds=1)
+    report = ended(client, answer)
+    assert report["state"] == "failed" and "not decided within 1 s" in report["error"]
+    job_of(client, answer)._process.wait(20)
+
+
+@pytest.mark.parametrize("fields", [{"limit": 2_000_001}, {"limit": 0}, {"seconds": 121}, {"seconds": 0}, {"limit": "5"}])
+def test_limits_have_limits(ask, fields):
+    assert start(ask(small_net()), **fields).status_code == 400
+
+
+@pytest.mark.parametrize(
+    "simulate",
+    [{"replications": 100_001, "time": 1}, {"replications": 0, "time": 1}, {"time": -1}, {"time": "x"}, [], {"until": 3}, {}],
+)
+def test_simulated_runs_have_limits(ask, simulate):
+    client = ask(small_net())
+    report = ended(client, start(client, simulate=simulate))
+    assert report["state"] == "failed" and report["error"] and "Traceback" not in report["error"]
+
+
+@pytest.mark.parametrize("rewards", [{"a": "x"}, {"nothing": 1}, [1]])
+def test_rewards_that_make_no_sense_are_refused(ask, rewards):
+    client = ask(small_net())
+    report = ended(client, start(client, timing=True, rewards=rewards))
+    assert report["state"] == "failed" and "Traceback" not in report["error"]
+
+
+def test_the_process_limits_its_memory_and_processor_time():
+    script = """
+import json, resource
+from gspn_framework_package.visualizer.analysis_worker import _limit_itself
+_limit_itself(10.0)
+print(json.dumps([resource.getrlimit(resource.RLIMIT_AS), resource.getrlimit(resource.RLIMIT_CPU)]))
+"""
+    found = json.loads(subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, check=True).stdout)
+    assert found[0] == [MEMORY_BYTES, MEMORY_BYTES]
+    assert found[1][0] != resource.RLIM_INFINITY and found[1][0] <= 60
