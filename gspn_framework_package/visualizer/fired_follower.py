@@ -119,11 +119,12 @@ class FiredFollower:
         """Whether the team was further, when it said this, than what is shown now."""
         if self.full:
             return team.slots - 1 > self._last[0] and team.marking != self.marking
-        return any(
-            seen.visit is not None
-            and (name not in self.robots or (self.robots[name].visit or 0) < seen.visit)
-            for name, seen in team.robots.items()
-        )
+        known = {name: seen.visit or 0 for name, seen in self.robots.items()}
+        further = {n: seen.visit - known.get(n, -1) for n, seen in team.robots.items() if seen.visit is not None}
+        if any(steps > 0 for steps in further.values()):
+            return True
+        # what moves counters only is no robot's visit
+        return not any(further.values()) and team.marking != self.marking
 
     def adopt(self, team: TeamSeen, why: str) -> List[Event]:
         """Take over what a robot said of the team, and what has been heard since."""

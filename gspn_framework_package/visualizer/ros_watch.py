@@ -194,6 +194,14 @@ class RosWatch(Activity):
     def _on_world(self, message: Any) -> None:
         self._hub.set_latest("world", json.loads(message.data))
 
+    def _on_obeyed(self, order: Tuple[str, str]) -> None:
+        """An order is in the team's log: the page soon shows what came of it. After a stop the robots leave, and
+        there may be nobody left to ask."""
+        command, argument = order
+        if command == "stop":
+            self._set_status(running=False, ended=argument, stalled="")
+        self._ask_now.set()
+
     # -- asking the team ---------------------------------------------------------------------------
 
     def _ask_around(self) -> None:
@@ -367,7 +375,7 @@ class RosWatch(Activity):
                 continue
             if not response.success:
                 raise RefusedError(response.message)
-            self._ask_now.set()  # the page soon shows what came of it
+            self._queue.put(("obeyed", (command, argument)))
             return {"message": response.message}
         raise RefusedError(
             "no robot of the team answers" if self._names else "no robot has been heard of yet"

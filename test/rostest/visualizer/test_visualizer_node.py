@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import urllib.error
 import urllib.request
 
 import rospy
@@ -23,6 +24,7 @@ class Page:
 
     def __init__(self, plan):
         self.plan = plan
+        self.refusals = []
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
@@ -37,25 +39,33 @@ class Page:
 
     def snapshot(self):
         try:
-            with urllib.request.urlopen(self.address + "/api/poll?id=live", timeout=5) as answer:
+            with urllib.request.urlopen(self.address + "/api/poll?id=live", timeout=20) as answer:
                 return json.load(answer)["snapshot"]
         except OSError:
             return None
 
     def board(self):
-        return self.snapshot()["board"]
+        return wait_for(self.snapshot, 30, "an answer of the page")["board"]
 
     def phases(self):
         return {robot["name"]: robot.get("phase") for robot in self.board()["robots"]}
 
     def order(self, command):
+        """Order until the team obeys: a robot that does not find the order's place in the log in time refuses it."""
+        wait_for(lambda: self.obeyed(command), 60, "the team to obey: " + command)
+
+    def obeyed(self, command):
         request = urllib.request.Request(
             self.address + "/api/do?id=live",
             json.dumps({"command": command}).encode(),
             {"Content-Type": "application/json", "X-Gspn-Page": "1"},
         )
-        with urllib.request.urlopen(request, timeout=15) as answer:
-            return json.load(answer)
+        try:
+            with urllib.request.urlopen(request, timeout=30):
+                return True
+        except urllib.error.HTTPError as error:
+            self.refusals.append(error.read())
+            return False
 
     def end(self):
         if self.process.poll() is None:
@@ -81,27 +91,27 @@ class VisualizerTest(RobotTestCase):
         self.assertEqual(len(team["robot_1"].status()["members"]), 2)
 
         team["robot_2"].kill()
-        wait_for(lambda: page.phases().get("robot_2") == "lost", 30, "the page to show the loss")
-        wait_for(lambda: sum(page.board()["marking"]) == 1, 15, "the token to be taken out")
-        self.assertEqual(page.phases()["robot_1"] in ("doing", "done"), True)
+        wait_for(lambda: page.phases().get("robot_2") == "lost", 60, "the page to show the loss")
+        wait_for(lambda: sum(page.board()["marking"]) == 1, 30, "the token to be taken out")
+        wait_for(lambda: page.phases()["robot_1"] in ("doing", "done"), 15, "robot_1 to go on on the page")
 
         page.order("stop")
         self.assertEqual(team["robot_1"].exit_code(30), 1)
-        wait_for(lambda: page.board()["status"]["ended"] or not page.snapshot(), 15, "the end on the page")
+        wait_for(lambda: page.board()["status"]["ended"], 30, "the end on the page")
         team.close()
 
     def sees_the_marking(self, team, page):
         """While nothing fires, the page and the replicas have one marking; meanwhile it has firings."""
-        wait_for(lambda: set(page.phases()) == {"robot_1", "robot_2"}, 20, "both robots on the page")
+        wait_for(lambda: set(page.phases()) == {"robot_1", "robot_2"}, 40, "both robots on the page")
         before = page.board()["n"]
         team.wait_for_firings(4)
-        wait_for(lambda: page.board()["n"] > before + 3, 20, "firings on the page")
+        wait_for(lambda: page.board()["n"] > before + 3, 40, "firings on the page")
         page.order("pause")
         state = team.wait_for_agreement()
-        wait_for(lambda: page.board()["marking"] == list(state.counts), 15, "the team's marking on the page")
-        wait_for(lambda: page.board()["status"]["paused"], 15, "the pause on the page")
+        wait_for(lambda: page.board()["marking"] == list(state.counts), 60, "the team's marking on the page")
+        wait_for(lambda: page.board()["status"]["paused"], 30, "the pause on the page")
         page.order("resume")
-        wait_for(lambda: not page.board()["status"]["paused"], 15, "the end of the pause on the page")
+        wait_for(lambda: not page.board()["status"]["paused"], 30, "the end of the pause on the page")
 
     def test_full_synchronisation(self):
         self.watch("full")
