@@ -6,6 +6,7 @@ from typing import Any, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse import csgraph
 
 from gspn_framework_package.analysis.graph import components_of
 from gspn_framework_package.analysis.plan_analysis import PlanSpace
@@ -42,6 +43,7 @@ class Chain:
         self.rates = _without_loops(rates)
         self.exit_rates = np.asarray(self.rates.sum(axis=1)).reshape(-1)
         self.initial = initial
+        self._inflow: Optional[Any] = None
 
     def _as_it_is(self, absorbing: Optional[Any]) -> Tuple[Any, Any]:
         """Rates and initial distribution where no state is vanishing."""
@@ -75,15 +77,26 @@ class Chain:
     def __len__(self) -> int:
         return len(self.states)
 
+    @property
+    def inflow(self) -> Any:
+        """The transposed rates, by rows (CSR): from where each state is entered."""
+        if self._inflow is None:
+            self._inflow = self.rates.T.tocsr()
+        return self._inflow
+
     def column(self, place: int) -> Any:
         """Token counts of place number ``place`` in the states of the chain."""
         return self.graph.column(place)[self.states]
 
     def bottom_components(self) -> List[Any]:
         """The recurrent classes: for each an int array of states, by their first state."""
-        found = components_of(self.rates)
-        if found.number == 1:
+        start = int(self.initial.argmax())
+        if all(  # two searches take a third of the time of looking for components
+            len(csgraph.breadth_first_order(arcs, start, return_predecessors=False)) == len(self)
+            for arcs in (self.rates, self.inflow)
+        ):
             return [np.arange(len(self))]
+        found = components_of(self.rates)
         order = np.argsort(found.of, kind="stable")
         ends = np.cumsum(np.bincount(found.of, minlength=found.number))
         classes = [order[ends[c - 1] if c else 0 : ends[c]] for c in np.flatnonzero(found.bottom)]

@@ -76,8 +76,7 @@ class Growing:
         """Have room for ``count`` rows in all."""
         capacity = len(self.array)
         if count > capacity:
-            capacity = max(count, capacity + (capacity >> 1))
-            self._resize(capacity)
+            self._resize(max(count, capacity + (capacity >> 2)))  # more room would be filled with zeros, and counts
 
     def extend(self, rows: Any) -> None:
         """Append ``rows``."""

@@ -127,7 +127,9 @@ def _mask_by_transition(packed: PackedNet, block: Any) -> Any:
 
 
 class _Table:
-    """Hash table from packed states to their numbers; at most half full."""
+    """Hash table from packed states to their numbers; at most half full. The steps of a search grow by one each time:
+    they reach every slot all the same, and few searches take long, which matters since all go on until the last ends.
+    """
 
     def __init__(self, states: Growing) -> None:
         self._rebuild(1 << 12, states)
@@ -144,6 +146,7 @@ class _Table:
         single = keys.shape[1] == 1
         fresh = []
         first_key = keys[:, 0] if single else keys
+        step = 0
         while len(open_keys):
             here = at[open_keys]
             seen = slots[here]
@@ -165,7 +168,8 @@ class _Table:
                     same[rows] = mine == other[:, 0] if single else (mine == other).all(axis=1)
             numbers[open_keys[same]] = seen[same]
             open_keys = open_keys[~same]
-            at[open_keys] = (at[open_keys] + 1) & mask
+            step += 1
+            at[open_keys] = (at[open_keys] + step) & mask
         return self._number(numbers, keys, fresh, known, at, states)
 
     def _number(self, numbers: Any, keys: Any, fresh: Any, known: int, at: Any, states: Growing) -> Any:
@@ -198,12 +202,14 @@ class _Table:
             at = _hash(keys) & mask
             numbers = np.arange(begin, begin + len(keys), dtype=self._slots.dtype)
             open_keys = np.arange(len(keys))
+            step = 0
             while len(open_keys):  # all keys differ: whoever does not hold its slot goes on
+                step += 1
                 here = at[open_keys]
                 free = self._slots[here] == _EMPTY
                 self._slots[here[free]] = numbers[open_keys[free]]
                 open_keys = open_keys[self._slots[here] != numbers[open_keys]]
-                at[open_keys] = (at[open_keys] + 1) & mask
+                at[open_keys] = (at[open_keys] + step) & mask
 
 
 def _hash(keys: Any) -> Any:

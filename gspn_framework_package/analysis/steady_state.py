@@ -58,9 +58,9 @@ def stationary(chain: Chain, states: Any, watch: Optional[Watch] = None) -> Solu
     if len(states) == 1:
         return Solution(np.ones(1), 0.0, "LU")
     whole = len(states) == len(chain)
-    inner = chain.rates if whole else chain.rates[states][:, states]
+    inflow = chain.inflow if whole else chain.inflow[states][:, states]
     exits = chain.exit_rates if whole else chain.exit_rates[states]
-    return solve(inner.T, exits, None, order=sweep_order(chain, states), watch=watch)
+    return solve(inflow, exits, None, order=sweep_order(chain, states), watch=watch)
 
 
 def _absorption(chain: Chain, classes: List[Any], watch: Watch) -> Solution:
@@ -74,7 +74,7 @@ def _absorption(chain: Chain, classes: List[Any], watch: Watch) -> Solution:
     inflow = chain.initial.copy()
     worst, method = 0.0, "LU"
     if len(inside) and chain.initial[inside].any():
-        among = chain.rates[inside][:, inside].T
+        among = chain.inflow[inside][:, inside]
         order = sweep_order(chain, inside)
         times = solve(among, chain.exit_rates[inside], chain.initial[inside], order=order, watch=watch)
         flows = chain.rates[inside].T @ times.values

@@ -10,7 +10,7 @@ import math
 from typing import Any, Iterable, List, NamedTuple, Optional, Tuple
 
 import numpy as np
-from scipy import sparse, special
+from scipy import special
 
 from gspn_framework_package.analysis.chain import Chain
 from gspn_framework_package.analysis.exploration import Cancel, Progress, Watch
@@ -77,7 +77,7 @@ class Evolution:
 
     def _tick(self, vector: Any) -> Any:
         if self._moves is None:
-            self._moves = sparse.csr_matrix(self.chain.rates.T) / self._clock
+            self._moves = self.chain.inflow / self._clock
             self._stays = 1.0 - self.chain.exit_rates / self._clock
         return self._stays * vector + self._moves @ vector
 

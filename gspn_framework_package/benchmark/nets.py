@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Tuple
+from typing import Callable, Mapping, Tuple
 
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Net
@@ -196,3 +196,14 @@ def readers_writers(k: int) -> Net:
     net.immediate("rest", weight=9.0, inputs="again", outputs="think")
     net.immediate("go_on", weight=1.0, inputs="again", outputs="request")
     return net.build()
+
+
+FAMILIES: Mapping[str, Callable[[int], Net]] = {
+    "kanban": kanban,
+    "fms": flexible_manufacturing,
+    "philosophers": philosophers,
+    "polling": polling,
+    "courier": courier,
+    "readers_writers": readers_writers,
+}
+"""Short name -> the nets of that kind, by size."""

@@ -25,10 +25,12 @@ from gspn_framework_package.formats import (
     encode_net,
     format_named,
     format_of_name,
+    read_net_with_notes,
     write_net,
 )
 from gspn_framework_package.formats.markov_chain import drn, prism_files
 from gspn_framework_package.formats.source import write_bytes
+from gspn_framework_package.model.composition import expand_place
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
 
@@ -57,6 +59,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ),
     )
     parser.add_argument(
+        "--expand",
+        action="append",
+        nargs=4,
+        default=[],
+        metavar=("PLACE", "NET", "ENTRY", "EXIT"),
+        help="put the net of a file in the place of PLACE: tokens come in at its place ENTRY and leave from EXIT "
+        "(may be repeated)",
+    )
+    parser.add_argument(
         "--label",
         action="append",
         default=[],
@@ -82,11 +93,17 @@ def run(args: argparse.Namespace) -> int:
     suffix = Path(args.output).suffix.lower()
     chain = args.to or next((name for name, ending in CHAINS.items() if ending == suffix), None)
     if chain in CHAINS:
+        if args.expand:
+            raise UsageError("--expand is for nets", hint="write the expanded net first, then its chain")
         return _write_chain(args, chain)
     if args.label:
         raise UsageError("--label is for chains: %s" % ", ".join(CHAINS.values()))
     target = format_named(args.to) if args.to else format_of_name(args.output)
     net, notes = read_net_argument(args)
+    for place, path, entry, leaving in args.expand:
+        subnet, subnet_notes = read_net_with_notes(path)
+        net = expand_place(net, place, subnet, entry, leaving)
+        notes += subnet_notes
     if args.output == "-":
         data, losses = encode_net(net, target, _bounds(net, target))
         sys.stdout.buffer.write(data)

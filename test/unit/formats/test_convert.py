@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from gspn_framework_package.cli.main import main
-from gspn_framework_package.formats import FORMATS, read_net
+from gspn_framework_package.formats import FORMATS, read_net, write_net
+from gspn_framework_package.model.builder import NetBuilder
 
 DATA = Path(__file__).parent / "data"
 PLANS = Path(__file__).resolve().parents[3] / "plans"
@@ -105,3 +106,19 @@ def test_plans_say_themselves_how_their_net_is_read(words, tmp_path, capsys):
 def test_every_format_has_its_own_endings():
     endings = [ending for entry in FORMATS.values() for ending in entry.extensions]
     assert len(endings) == len(set(endings))
+
+
+def test_a_place_becomes_a_net(tmp_path, capsys):
+    outer = (NetBuilder("outer").place("Idle", 1).place("Inspect").immediate("start", inputs="Idle", outputs="Inspect")
+             .exponential("done", inputs="Inspect", outputs="Idle").build())  # fmt: skip
+    inner = (NetBuilder("inner").place("Approach").place("Look")
+             .exponential("arrive", inputs="Approach", outputs="Look").build())  # fmt: skip
+    write_net(outer, tmp_path / "outer.xml")
+    write_net(inner, tmp_path / "inner.pnml")
+    whole = tmp_path / "whole.xml"
+    expand = ["--expand", "Inspect", tmp_path / "inner.pnml", "Approach"]
+    assert convert(tmp_path / "outer.xml", whole, *expand, "Look") == 0
+    assert [p.name for p in read_net(whole).places] == ["Idle", "Inspect.Approach", "Inspect.Look"]
+    assert convert(tmp_path / "outer.xml", whole, *expand, "Nowhere") == 2
+    assert "Nowhere" in capsys.readouterr().err
+    assert convert(tmp_path / "outer.xml", tmp_path / "chain.tra", *expand, "Look") == 2
