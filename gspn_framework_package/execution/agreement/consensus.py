@@ -312,7 +312,7 @@ class Consensus:
             "items": [i.to_json() for i in self.host.own_items() if i.origin not in held_items],
         }
         self.host.answer(message, vote)
-        if not self.partial:  # those whose facts these are learn the outcome at first hand
+        if not self.partial and self.host.is_small:  # those whose facts these are learn the outcome at first hand
             origins = {origin[0] for _, origin, _ in message["batch"]}
             known = {self.host.name, message["from"]}
             copy = {k: v for k, v in vote.items() if k != "items"}

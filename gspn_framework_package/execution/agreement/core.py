@@ -38,19 +38,24 @@ class Pace(NamedTuple):
     """After which a message without an answer is sent again (longer and longer, up to 1 s)."""
     takeover: float = 0.3
     """For which a fact waits for the leader before its robot proposes itself."""
+    gather: float = 0.0
+    """For which the leader lets facts come in between two slots."""
     backoff: float = 0.02
     """For which a proposer gives way after its first defeat; doubled at each one in a row."""
 
     def for_team(self, size: int) -> Pace:
         """The pace for a team of that size: what everybody tells everybody is told less often in a
         large one, so that what each replica hears a second grows no further; and a leader that has
-        so many to ask is given time, or all want to take over from it at once."""
+        so many to ask is given time, or all want to take over from it at once. One millisecond for
+        each robot that a small team would not have is for gathering facts: each slot costs messages
+        to and from everybody, however much is in it."""
         slower = max(1.0, size / SMALL_TEAM)
         return self._replace(
             heartbeat=self.heartbeat * slower,
             greeting=self.greeting * slower,
             retry=self.retry * slower,
             takeover=self.takeover * slower,
+            gather=self.gather + 0.001 * max(0, size - SMALL_TEAM),
         )
 
 
@@ -80,6 +85,7 @@ class Core:
         self.log_id = log_id
         size = len(plan.robots) + len(plan.witness)
         self.is_small = size <= SMALL_TEAM
+        """Everybody may tell everybody something about each slot."""
         self.pace = (pace or Pace()).for_team(size)
         self.partial = plan.synchronisation is Synchronisation.PARTIAL
         self.witness = robot in plan.witness
@@ -119,6 +125,8 @@ class Core:
         self._told: Tuple[Any, ...] = ()
         self._wait_until: Optional[float] = None
         """Before that we do not propose."""
+        self._gathers_until = 0.0
+        """Before that we do not propose as leader."""
         self._gave_way = False
         """In the open slot of partial synchronisation, to another's attempt."""
         self._defeats = 0

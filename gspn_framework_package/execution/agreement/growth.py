@@ -39,12 +39,14 @@ class Growth(Core):
 
     def _tell_chosen(self, slot: int, ballot: Ballot, origins: Set[str], electorate: List[str]) -> None:
         """Tell the others, unless what comes next tells it too."""
-        if not self.partial:
+        self._gathers_until = self._now + self.pace.gather
+        if not self.partial and self.pace.gather <= 0:
             self.consensus.propose(self._now)
             attempt = self.consensus.attempt
             if attempt is not None and attempt.ballot == ballot:
                 return
-        voted = not self.partial and not is_quorum([self.name], electorate)  # so the others saw the batch
+        # the others saw the batch, and those whose facts were in it each other's votes
+        voted = self.is_small and not self.partial and not is_quorum([self.name], electorate)
         told = [m for m in self._all_others() if not (voted and m in origins)]
         self.send_all(told, {"kind": "learn", "slot": slot, "ballot": list(ballot)})
 

@@ -14,6 +14,8 @@ class Host(Protocol):
 
     name: str
     ledger: Ledger
+    is_small: bool
+    """Whether the team is so small that everybody may tell everybody something about each slot."""
 
     def electorate(self) -> List[str]:
         """The members whose votes count in the open slot, in the order of the log."""

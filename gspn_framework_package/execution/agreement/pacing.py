@@ -66,7 +66,8 @@ class Pacing(Conduct):
                 self._wait_until = None
                 consensus.propose(self._now, consensus.is_frozen() or self.pool.has_control())
         elif consensus.leads():
-            consensus.propose(self._now)
+            if self._now >= self._gathers_until:
+                consensus.propose(self._now)
         else:
             self._follow_leader()
 
@@ -128,6 +129,8 @@ class Pacing(Conduct):
         elif self._wants():
             if self._wait_until is not None:
                 times.append(self._wait_until)
+            if self.consensus.leads() and self._gathers_until > self._now:
+                times.append(self._gathers_until)
             if self._told and not self.partial or not self.may_vote():
                 times.append(self._told[4] if self._told else self._now + self.pace.retry)
         elif self._hold_since is not None:
