@@ -101,6 +101,7 @@ class ExecutionNode(Worker):
         quiet = 3 * self._replica.pace.heartbeat
         self._link = link(robot, options.run, namespace, self._received, self._serve_neighbour, quiet)
         self._link.serve_at(self._services.uri)
+        self._told_end: Callable[[str], None] = lambda robot: None
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
 
     def _open_log(self) -> None:
@@ -125,17 +126,14 @@ class ExecutionNode(Worker):
         if self._servers is not None:
             self._servers.start()
 
-    def start(self) -> None:
-        """Begin; before, :meth:`serve`."""
+    def start(self, ended: Callable[[str], None]) -> None:
+        """Begin; before, :meth:`serve`. :param ended: told the name of the robot once the node has ended."""
+        self._told_end = ended
         self._thread.start()
 
     def stop(self) -> None:
         """End soon, without leaving the team: the action under way is cancelled."""
         self.enqueue(self._end)
-
-    def is_running(self) -> bool:
-        """Whether the node was started and has not ended."""
-        return self._thread.is_alive()
 
     def join(self, timeout: Optional[float] = None) -> None:
         """Wait until the node has ended; at once where it was never started."""
@@ -172,7 +170,10 @@ class ExecutionNode(Worker):
             else:
                 rospy.logfatal("%s: the node fails", self.robot, exc_info=True)
         finally:
-            self._close()
+            try:
+                self._close()
+            finally:
+                self._told_end(self.robot)
 
     def _turn(self) -> None:
         now = time.monotonic()

@@ -164,6 +164,10 @@ def _check_alone(plan: Plan) -> int:
     return 0
 
 
+MASTER_PERIOD = 2.0
+"""Seconds between two questions to the master whether it is still the same; in a team of more than eight, which would
+ask it all the time, in proportion longer."""
+
 _Body = Callable[[Plan, str, str, NodeOptions, threading.Event], int]
 
 
@@ -215,15 +219,21 @@ def _run_robots(
         if options.check:
             servers = {server for node in nodes for server in node.foreign_servers}
             await_servers(servers, options.server_timeout, ending)
-        watch = MasterWatch()
+        watch = MasterWatch(MASTER_PERIOD * max(1.0, len(plan.robots) / 8))
         watch.start()
         with registered_together():
             for node in nodes:
                 node.serve()
+        running = [node.robot for node in nodes]
+
+        def ended(robot: str) -> None:
+            running.remove(robot)
+            if not running:
+                ending.set()
+
         for node in nodes:
-            node.start()
-        while not ending.wait(0.1) and any(node.is_running() for node in nodes):
-            pass
+            node.start(ended)
+        ending.wait()
         watch.stop()
     finally:
         for node in nodes:
