@@ -83,6 +83,15 @@ EXPERIMENTS: Dict[str, Experiment] = {
 """By the name that the command line knows them by."""
 
 
+THESIS_START = 1200.0
+"""Seconds that the thesis waited for the execution to start with more than 13 tokens ("around 20 minutes", 6.1.1)."""
+
+
+def thesis_start(robots: int) -> Optional[float]:
+    """What the thesis says of the time to start in 6.1.1; None where it says nothing."""
+    return THESIS_START if robots > 13 else None
+
+
 class Result(NamedTuple):
     """One point. ``servers``: place servers in the team; ``None`` in ``measured`` where the robots did not start."""
 
@@ -117,44 +126,35 @@ class Result(NamedTuple):
         return row
 
 
-def run_experiment(
-    name: str, master: Master, modes: Iterable[str], points: Iterable[Point], window: float, partial: bool, tell: Tell
-) -> List[Result]:
-    """Points of an experiment, in each mode. A point that fails is a result with a note.
+def run_point(
+    name: str, robots: int, places: int, mode: str, master: Master, window: float, partial: bool = False
+) -> Result:
+    """Run one point of an experiment. One that fails is a result with a note.
 
-    :param window: seconds that each point is measured for.
+    :param window: seconds that it is measured for.
     :param partial: with partial synchronisation.
     """
     experiment = EXPERIMENTS[name]
-    results = []
-    points = list(points)
-    for mode in modes:
-        for robots, places in points:
-            plan = experiment.plan(robots, places)
-            if partial:
-                plan = replace(plan, synchronisation=Synchronisation.PARTIAL)
-            tell("%s: %d robots, %d places, %s" % (name, robots, places, mode))
-            results.append(_run_point(name, mode, plan, places, master, window, experiment.timeout))
-    return results
-
-
-def _run_point(
-    name: str, mode: str, plan: Plan, places: int, master: Master, window: float, timeout: float
-) -> Result:
-    robots = len(plan.robots)
+    plan = experiment.plan(robots, places)
+    if partial:
+        plan = replace(plan, synchronisation=Synchronisation.PARTIAL)
     servers = robots * sum(1 for action in plan.actions.values() if action is not None)
     measured, note = None, ""
     faults: List[str] = []
+    run = TeamRun(master, plan, mode)
     try:
-        with TeamRun(master, plan, mode) as run:
+        with run:
             try:
-                measured = run.measure(window, timeout)
+                measured = run.measure(window, experiment.timeout)
             finally:
                 faults = run.faults()
         if measured.all_fired is None:
-            note = "not all robots fired within %g s" % timeout
+            note = "not all robots fired within %g s" % experiment.timeout
     except ExecutionError as error:
         note = error.message
+    violation = run.violation()
+    if violation:
+        faults.append("the logs contradict each other: " + violation)
     if faults:
         note = (note + "; first fault: " if note else "first fault: ") + faults[0][:300]
     return Result(name, mode, robots, places, servers, measured, len(faults), note)

@@ -26,6 +26,8 @@ from gspn_framework_package.benchmark.processes import (
     descendants,
     machine_load,
 )
+from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.history import verify
 from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.errors import ExecutionError, UsageError
 from gspn_framework_package.model.plan import Plan
@@ -189,22 +191,29 @@ class TeamRun:
             return [line.rstrip() for line in file if "[ERROR]" in line or "[FATAL]" in line or "Traceback" in line]
 
 
+    def violation(self) -> str:
+        """What the history checker has against the robots' logs, once they have ended; "" for nothing."""
+        paths = [tail.path for tail in self._tails if os.path.exists(tail.path)]
+        found = verify([read_log(path) for path in paths]).violation
+        return "" if found is None else str(found)
+
+
 class _Tail:
     """Reads the times at which a robot's visits began from its log, as far as it is written."""
 
     def __init__(self, path: str) -> None:
         self.visits: List[float] = []
         self.opened: Optional[float] = None
-        self._path = path
+        self.path = path
         self._file: Optional[IO[str]] = None
         self._rest = ""
         self._visit = -1
 
     def read(self) -> List[float]:
         if self._file is None:
-            if not os.path.exists(self._path):
+            if not os.path.exists(self.path):
                 return self.visits
-            self._file = open(self._path, encoding="utf-8")  # noqa: SIM115
+            self._file = open(self.path, encoding="utf-8")  # noqa: SIM115
         lines = (self._rest + self._file.read()).split("\n")
         self._rest = lines.pop()
         for line in lines:

@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import argparse
-import csv
+import contextlib
 import json
-import os
 import signal
 import sys
-import time
 from typing import Any, Dict, List, Sequence
 
 from gspn_framework_package.benchmark import scaling
 from gspn_framework_package.benchmark.figures import draw_figures
-from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
+from gspn_framework_package.benchmark.machine import machine_line, table
+from gspn_framework_package.benchmark.results import Results
 from gspn_framework_package.benchmark.team_run import LAUNCH_FILES, Master, need_ros
+from gspn_framework_package.model.errors import UsageError
 
 NAME = "bench"
 HELP = "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)"
 
 COLUMNS = (
     ("robots", "robots"), ("places", "places"), ("servers", "servers"), ("mode", "mode"),
-    ("all_fired_s", "all fired [s]"), ("firings_per_s", "firings/s"), ("cpu_percent_of_core", "CPU [% of a core]"),
+    ("all_fired_s", "all fired [s]"), ("thesis", "thesis [s]"), ("firings_per_s", "firings/s"),
+    ("cpu_percent_of_core", "CPU [% of a core]"),
     ("pss_mb", "PSS [MB]"), ("processes", "processes"), ("threads", "threads"), ("descriptors", "descriptors"),
     ("machine_cpu", "machine CPU [%]"), ("machine_memory", "machine memory [%]"),
 )  # fmt: skip
@@ -44,7 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--partial", action="store_true", help="with partial synchronisation")
     parser.add_argument("--window", type=float, default=5.0, metavar="S",
                         help="seconds that each point is measured for (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--output", metavar="FOLDER", help="write results.csv, results.json and the figures there")
+    parser.add_argument("--output", metavar="FOLDER",
+                        help="write results.csv, results.json and the figures there; go on where a run into that "
+                        "folder was interrupted")  # fmt: skip
+    parser.add_argument("--again", action="store_true", help="measure points again that the folder holds")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.epilog = (
         "CPU and memory of the machine are psutil's cpu_percent and virtual_memory, five samples averaged, with the "
@@ -58,45 +62,63 @@ def run(args: argparse.Namespace) -> int:
     wanted = args.experiments or known
     for name in wanted:
         if name not in known:
-            from gspn_framework_package.model.errors import UsageError
-
             raise UsageError("there is no experiment '%s'" % name, hint="there are: " + ", ".join(known))
-    rows: List[Dict[str, Any]] = []
+    results = Results(args.output or "")
     before = scaling.baseline()
-    baseline = {"cpu_percent": round(before.cpu_percent, 1), "memory_percent": round(before.memory_percent, 1)}
-    on_ros = [name for name in wanted if name != "standalone"]
-    if on_ros:
-        need_ros()
-        signal.signal(signal.SIGTERM, _terminated)  # so that the robots under way are ended in order
-        modes = list(LAUNCH_FILES) if args.mode == "both" else [args.mode]
-        with Master() as master:
-            for name in on_ros:
-                points = scaling.EXPERIMENTS[name].chosen(args.quick, args.sizes)
-                results = scaling.run_experiment(name, master, modes, points, args.window, args.partial, _tell)
-                rows += [result.row() for result in results]
-                if not args.json:
-                    _print(name, rows, baseline)
-    if "standalone" in wanted:
-        rows += scaling.standalone_results(args.quick, args.window, _tell)
-    report = {
-        "machine": describe_machine(), "baseline": baseline, "window_s": args.window,
-        "synchronisation": "partial" if args.partial else "full",
-        "date": time.strftime("%Y-%m-%d"), "results": rows,
-    }  # fmt: skip
+    baseline = {"baseline_cpu_percent": round(before.cpu_percent, 1),
+                "baseline_memory_percent": round(before.memory_percent, 1)}  # fmt: skip
+    told: List[Dict[str, Any]] = []
+    for name in wanted:
+        if name == "standalone":
+            for row in scaling.standalone_results(args.quick, args.window, _tell):
+                results.add({**row, "synchronisation": "", "window_s": args.window})
+            continue
+        if name == wanted[0] or not told:
+            need_ros()
+        told += _run_experiment(name, args, results, baseline)
+        if not args.json:
+            _print(name, results)
     if args.output:
-        _write(args.output, report)
+        for path in draw_figures(results.rows, args.output):
+            _tell("drew " + path)
     if args.json:
-        print(json.dumps(report, indent=2))
+        print(json.dumps(results.report(), indent=2))
     else:
         if "standalone" in wanted:
-            _print_standalone(rows)
+            _print_standalone(results.rows)
         print("\n%s\nbaseline: CPU %.1f %%, memory %.1f %%" % (
-            machine_line(report["machine"]), before.cpu_percent, before.memory_percent))  # fmt: skip
-    failed = [row for row in rows if row.get("note") or row.get("faults")]
+            machine_line(results.machine), before.cpu_percent, before.memory_percent))  # fmt: skip
+    failed = [row for row in told if row.get("note") or row.get("faults")]
     for row in failed:
         print("%(experiment)s, %(robots)d robots, %(places)d places, %(mode)s: %(faults)d faults %(note)s" % row,
               file=sys.stderr)  # fmt: skip
     return 1 if failed else 0
+
+
+def _run_experiment(
+    name: str, args: argparse.Namespace, results: Results, baseline: Dict[str, float]
+) -> List[Dict[str, Any]]:
+    """The points that are not there yet, on a master of their own."""
+    synchronisation = "partial" if args.partial else "full"
+    modes = list(LAUNCH_FILES) if args.mode == "both" else [args.mode]
+    points = [
+        {"experiment": name, "mode": mode, "robots": robots, "places": places, "synchronisation": synchronisation}
+        for mode in modes for robots, places in scaling.EXPERIMENTS[name].chosen(args.quick, args.sizes)
+    ]  # fmt: skip
+    points = [point for point in points if args.again or not results.has(point)]
+    rows = []
+    signal.signal(signal.SIGTERM, _terminated)  # so that the robots under way are ended in order
+    with contextlib.ExitStack() as stack:
+        master = stack.enter_context(Master()) if points else None
+        for point in points:
+            assert master is not None
+            _tell("%(experiment)s: %(robots)d robots, %(places)d places, %(mode)s" % point)
+            result = scaling.run_point(
+                name, int(point["robots"]), int(point["places"]), str(point["mode"]), master, args.window, args.partial
+            )
+            rows.append({**point, **result.row(), **baseline, "window_s": args.window})
+            results.add(rows[-1])
+    return rows
 
 
 def _sizes(text: str) -> List[int]:
@@ -115,18 +137,19 @@ def _tell(text: str) -> None:
     print("bench: %s ..." % text, file=sys.stderr, flush=True)
 
 
-def _print(name: str, rows: Sequence[Dict[str, Any]], baseline: Dict[str, float]) -> None:
+def _print(name: str, results: Results) -> None:
     experiment = scaling.EXPERIMENTS[name]
     print("\n%s (%s)\n" % (experiment.title, experiment.source))
-    print(table([head for _, head in COLUMNS], [_cells(r, baseline) for r in rows if r["experiment"] == name]),
-          flush=True)  # fmt: skip
+    print(table([head for _, head in COLUMNS], [_cells(row) for row in results.of(name)]), flush=True)
 
 
-def _cells(row: Dict[str, Any], baseline: Dict[str, float]) -> List[Any]:
+def _cells(row: Dict[str, Any]) -> List[Any]:
     told = dict(row)
     if "machine_cpu_percent" in row:
-        told["machine_cpu"] = row["machine_cpu_percent"] - baseline["cpu_percent"]
-        told["machine_memory"] = row["machine_memory_percent"] - baseline["memory_percent"]
+        told["machine_cpu"] = row["machine_cpu_percent"] - row["baseline_cpu_percent"]
+        told["machine_memory"] = row["machine_memory_percent"] - row["baseline_memory_percent"]
+    if row["experiment"] == "tokens":
+        told["thesis"] = scaling.thesis_start(row["robots"])
     return [told.get(key) for key, _ in COLUMNS]
 
 
@@ -135,19 +158,3 @@ def _print_standalone(rows: Sequence[Dict[str, Any]]) -> None:
     found = [r for r in rows if r["mode"] == "standalone"]
     print(table(["agents", "firings/s", "CPU [% of a core]"],
                 [[r["robots"], r["firings_per_s"], r["cpu_percent_of_core"]] for r in found]))  # fmt: skip
-
-
-def _write(folder: str, report: Dict[str, Any]) -> None:
-    os.makedirs(folder, exist_ok=True)
-    rows = report["results"]
-    names: Dict[str, None] = {}
-    for row in rows:
-        names.update(dict.fromkeys(row))
-    with open(os.path.join(folder, "results.csv"), "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(names))
-        writer.writeheader()
-        writer.writerows(rows)
-    with open(os.path.join(folder, "results.json"), "w", encoding="utf-8") as file:
-        json.dump(report, file, indent=2)
-    for path in draw_figures(rows, report["baseline"], folder):
-        _tell("drew " + path)

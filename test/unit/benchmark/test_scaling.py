@@ -9,9 +9,11 @@ from gspn_framework_package.benchmark import policy, scaling
 from gspn_framework_package.benchmark.figures import draw_figures
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
 from gspn_framework_package.benchmark.plans import ring_plan, tokens_plan
+from gspn_framework_package.benchmark.results import Results
 from gspn_framework_package.benchmark.team_run import _Tail
 from gspn_framework_package.benchmark.token_game import game_rate
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.model.errors import UsageError
 
 
 def test_the_points_that_are_asked_for_are_run():
@@ -67,13 +69,41 @@ def test_the_log_of_a_robot_tells_when_its_visits_began(tmp_path):
 def test_figures_are_drawn_of_what_was_measured(tmp_path):
     rows = [
         {"experiment": name, "mode": "process", "robots": n, "places": n, "servers": n, "all_fired_s": 1.0 * n,
-         "machine_cpu_percent": 5.0, "machine_memory_percent": 9.0, "cpu_percent_of_core": 2.0 * n}
+         "machine_cpu_percent": 5.0, "machine_memory_percent": 9.0, "cpu_percent_of_core": 2.0 * n,
+         "baseline_cpu_percent": 1.0, "baseline_memory_percent": 2.0}
         for name in ("tokens", "places", "one") for n in (1, 2, 3)
     ]  # fmt: skip
-    drawn = draw_figures(rows, {"cpu_percent": 1.0, "memory_percent": 2.0}, str(tmp_path))
+    drawn = draw_figures(rows, str(tmp_path))
     names = {path.rsplit("/", 1)[1] for path in drawn}
     assert names == {"figure_%s_process.svg" % n for n in ("6_2", "6_4", "6_5", "6_6")} | {"start.svg"}
     assert all(b"<svg" in (tmp_path / name).read_bytes() for name in names)
+
+
+def test_results_are_taken_up_again(tmp_path):
+    point = {"experiment": "one", "mode": "process", "robots": 1, "places": 2, "synchronisation": "full"}
+    results = Results(str(tmp_path))
+    results.add({**point, "firings_per_s": 1.0, "note": "something went wrong"})
+    assert not Results(str(tmp_path)).has(point)
+    results.add({**point, "firings_per_s": 2.0, "note": ""})
+    results.add({**point, "places": 3, "firings_per_s": 3.0})
+    again = Results(str(tmp_path))
+    assert [row["firings_per_s"] for row in again.of("one")] == [2.0, 3.0]
+    assert again.has(point)
+    assert not again.has({**point, "mode": "hosted"})
+    assert len((tmp_path / "results.csv").read_text().splitlines()) == 3
+
+
+def test_results_of_another_machine_are_not_mixed_in(tmp_path):
+    Results(str(tmp_path)).add({"experiment": "one"})
+    path = tmp_path / "results.json"
+    report = json.loads(path.read_text())
+    report["machine"]["cores"] = "a thousand"
+    path.write_text(json.dumps(report))
+    with pytest.raises(UsageError, match="another machine"):
+        Results(str(tmp_path))
+    path.write_text("[]")
+    with pytest.raises(UsageError, match="no results"):
+        Results(str(tmp_path))
 
 
 def test_the_scan_of_the_policy_benchmark_finds_the_row_of_the_fewest_wildcards():

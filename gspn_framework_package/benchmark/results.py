@@ -1,0 +1,78 @@
+"""The results of the scaling experiments in a folder, point by point, so that a run that was interrupted goes on."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import time
+from typing import Any, Dict, List, Sequence, Tuple
+
+from gspn_framework_package.benchmark.machine import describe_machine
+from gspn_framework_package.model.errors import UsageError
+
+Row = Dict[str, Any]
+
+KEY = ("experiment", "mode", "robots", "places", "synchronisation")
+"""What makes a point different from every other one."""
+
+
+def key_of(row: Row) -> Tuple[Any, ...]:
+    """Which point a row is the result of."""
+    return tuple(row.get(name) for name in KEY)
+
+
+class Results:
+    """Rows of figures; where there is a folder, ``results.json`` and ``results.csv`` in it hold them after each point.
+
+    :param folder: "" to keep nothing. What is there already is taken up.
+    :raises UsageError: the folder holds other results than these.
+    """
+
+    def __init__(self, folder: str = "") -> None:
+        self.folder = folder
+        self.rows: List[Row] = []
+        self.machine = describe_machine()
+        path = os.path.join(folder, "results.json")
+        if folder and os.path.exists(path):
+            with open(path, encoding="utf-8") as file:
+                try:
+                    report = json.load(file)
+                    known, self.rows = report["machine"], list(report["results"])
+                except (ValueError, KeyError, TypeError):
+                    raise UsageError("these are no results of gspn bench", file=path) from None
+            if (known.get("cpu"), known.get("cores")) != (self.machine["cpu"], self.machine["cores"]):
+                raise UsageError("these results are of another machine", file=path, hint="choose another folder")
+
+    def has(self, row: Row) -> bool:
+        """Whether that point was measured, without a fault."""
+        return any(key_of(known) == key_of(row) and not known.get("note") for known in self.rows)
+
+    def add(self, row: Row) -> None:
+        """Keep a row, in the place of an older one of the same point."""
+        self.rows = [known for known in self.rows if key_of(known) != key_of(row)] + [row]
+        self.write()
+
+    def report(self) -> Dict[str, Any]:
+        """Everything, ready to be written as JSON."""
+        return {"machine": self.machine, "date": time.strftime("%Y-%m-%d"), "results": self.rows}
+
+    def write(self) -> None:
+        """Write both files."""
+        if not self.folder:
+            return
+        os.makedirs(self.folder, exist_ok=True)
+        names: Dict[str, None] = {}
+        for row in self.rows:
+            names.update(dict.fromkeys(row))
+        with open(os.path.join(self.folder, "results.csv"), "w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, list(names))
+            writer.writeheader()
+            writer.writerows(self.rows)
+        with open(os.path.join(self.folder, "results.json"), "w", encoding="utf-8") as file:
+            json.dump(self.report(), file, indent=1)
+
+    def of(self, experiment: str) -> Sequence[Row]:
+        """The rows of an experiment, by mode, size and synchronisation."""
+        found = [row for row in self.rows if row["experiment"] == experiment]
+        return sorted(found, key=lambda r: (r["mode"] != "process", r["mode"], r["robots"], r["places"]))
