@@ -7,6 +7,7 @@ plan), ``run`` (name of the run; "" takes the first that is heard), ``host``, ``
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Any
 
@@ -45,7 +46,7 @@ def _server() -> WebServer:
     robots = int(_parameter("robots", 0))
     if robots:
         plan = plan.for_robots(robots)
-    document = Document(path, plan.net, plan, notes=tuple(plan.notes))
+    document = Document(_title(path), plan.net, plan, notes=tuple(plan.notes))
     project = Project()
     project.show(Session("live", document, RosWatch(plan, _parameter("run", ""))))
     names = [name for name in _parameter("names", "").replace(",", " ").split() if name]
@@ -57,6 +58,11 @@ def _server() -> WebServer:
         _parameter("token", "") or None,
         int(_parameter("viewers", 24)),
     )
+
+
+def _title(path: str) -> str:
+    """The end of a path: enough for a viewer, who need not know this machine's folders."""
+    return os.path.join(*os.path.abspath(path).split(os.sep)[-2:])
 
 
 def _parameter(name: str, default: Any) -> Any:

@@ -3,16 +3,19 @@
 import http.client
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from page_client import small_net
 
+from gspn_framework_package import visualizer
 from gspn_framework_package.benchmark.page.viewers import measure_memory
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.visualizer.documents import Document
@@ -202,3 +205,9 @@ def test_serve_serves_until_it_is_interrupted():
             assert process.wait(15) == 0
         finally:
             process.kill()
+
+
+def test_the_page_names_all_its_modules_so_that_they_load_at_once():
+    static = Path(visualizer.__file__).parent / "static"
+    named = set(re.findall(r'"/static/js/([a-z_]+\.js)"', (static / "index.html").read_text()))
+    assert named == {path.name for path in (static / "js").iterdir()}

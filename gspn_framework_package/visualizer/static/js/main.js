@@ -246,7 +246,7 @@ class Page {
 
   showRun() {
     const { model } = this;
-    const { status } = model.head;
+    const { status } = model.mode === "REPLAY" ? model.board : model.head;
     if (model.mode === "LIVE") {
       const says = status.ended ? `over: ${status.ended}` : model.info.says || MODE_SAYS.LIVE;
       $("frame-name").replaceChildren(h("b", { text: "LIVE" }), ` — ${says}`);

@@ -3,6 +3,9 @@
 import { $ } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
 
+const WIDEST = 300; // px
+const SHARE = 0.5; // of the height of the panel, at most
+
 export class Room {
   constructor(model) {
     this.model = model;
@@ -35,7 +38,9 @@ export class Room {
     const c = this.canvas.getContext("2d");
     const ratio = window.devicePixelRatio || 1;
     const [x0, y0, x1, y1] = extent(room);
-    const width = 300, height = Math.round(Math.min(300, Math.max(150, (width * (y1 - y0)) / (x1 - x0))));
+    const { clientWidth, clientHeight } = this.box.parentElement;
+    const width = Math.min(WIDEST, clientWidth - 28);
+    const height = Math.round(Math.min(WIDEST, clientHeight * SHARE, Math.max(150, (width * (y1 - y0)) / (x1 - x0))));
     if (this.canvas.width !== width * ratio || this.canvas.height !== height * ratio) {
       this.canvas.width = width * ratio;
       this.canvas.height = height * ratio;
