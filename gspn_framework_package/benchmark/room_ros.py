@@ -235,7 +235,8 @@ def _watch(
 
     begin = time.monotonic()
     first: Optional[Tuple[float, float, float]] = None
-    while watcher.time < minutes * 60:
+    # from the first firing on: how long a team takes to start is told apart
+    while first is None or watcher.time < first[1] + minutes * 60:
         if launch.poll() is not None:
             raise ExecutionError("the patrol ended by itself", hint=_last_lines(output))
         if first is None and watcher.firings:
@@ -246,7 +247,6 @@ def _watch(
         if loss is not None:
             loss.poll(watcher, master)
         time.sleep(0.2)
-    assert first is not None
     cost = cost_of(descendants(launch.pid))
     wall, simulated = time.monotonic() - first[0], watcher.time - first[1]
     order = EntryOrder()
