@@ -21,7 +21,7 @@ from typing import Any, Dict, Iterator, List, Optional
 from gspn_framework_package.benchmark.team.schedule import Schedule, run_schedule
 from gspn_framework_package.benchmark.team.world import ViolationError
 
-SIZES = {2: 36, 3: 54, 5: 8, 8: 2}
+SIZES = {2: 36, 3: 54, 5: 7, 8: 2, 12: 1}
 """Robots in a team, and how many of a hundred schedules have that many."""
 
 TELL_EVERY = 30.0
@@ -44,7 +44,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--schedules", type=int, default=2000, metavar="N", help="how many (default %(default)s)")
     parser.add_argument("--seed", type=int, metavar="S", help="the first seed (default: by the clock)")
-    parser.add_argument("--robots", type=int, nargs="+", metavar="N", help="team sizes (default: 2, 3, 5 and 8)")
+    parser.add_argument("--robots", type=int, nargs="+", metavar="N", help="team sizes (default: 2, 3, 5, 8 and 12)")
     parser.add_argument("--only", metavar="SEED:N:MODE", help="run just this schedule, e.g. 17:3:full")
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after that time")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
