@@ -3,6 +3,7 @@
 import base64
 import json
 import os
+from pathlib import Path
 
 import pytest
 from page_client import PageClient, folder_project, small_net
@@ -13,6 +14,8 @@ from gspn_framework_package.model.errors import GspnError, LimitError, RefusedEr
 from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.visualizer import documents
 from gspn_framework_package.visualizer.documents import Folder, read_upload
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture(name="served")
@@ -140,6 +143,23 @@ def test_hostile_and_broken_uploads_get_one_message(data):
     answer = client.post("/api/upload", {"files": sent(net__xml=data)})
     assert answer.status_code in (400, 409)
     assert "root:" not in answer.get_json()["error"] and "gspn_upload_" not in answer.get_json()["error"]
+
+
+@pytest.mark.parametrize("declared", ['<!ENTITY e "x">', '<!ENTITY e SYSTEM "file:///etc/passwd">', '<!ENTITY % e "x">'])
+def test_a_net_that_declares_entities_is_refused_whether_it_uses_them_or_not(declared):
+    text = (ROOT / "plans/patrol/net.xml").read_bytes()
+    begin = text.index(b"<pnml")
+    hostile = b"<?xml version='1.0'?><!DOCTYPE pnml [" + declared.encode() + b"]>" + text[begin:]
+    client = PageClient()
+    assert client.post("/api/upload", {"files": sent(net__xml=text)}).status_code == 200
+    answer = client.post("/api/upload", {"files": sent(net__xml=hostile)})
+    assert answer.status_code == 400 and "XML entities" in answer.get_json()["error"]
+
+
+def test_xml_that_nests_without_end_is_refused_by_the_parser():
+    data = b"<pnml><net>" + b"<a>" * 1000 + b"</a>" * 1000 + b"</net></pnml>"
+    answer = PageClient().post("/api/upload", {"files": sent(net__xml=data)})
+    assert answer.status_code == 400 and "depth" in answer.get_json()["error"].lower()
 
 
 @pytest.mark.parametrize("name", ["../x.xml", "/etc/x.xml", "a/b.xml", "..", "", "x\\y.xml", "a\0.xml"])
