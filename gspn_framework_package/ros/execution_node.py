@@ -25,6 +25,7 @@ from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.ros.action_caller import CONNECT_POLL, ActionCaller, ActionEnded
 from gspn_framework_package.ros.action_targets import action_targets
+from gspn_framework_package.ros.eager_publisher import eager_publisher
 from gspn_framework_package.ros.goal_id import GoalIdentity
 from gspn_framework_package.ros.links import ServiceLink, TopicLink
 from gspn_framework_package.ros.messages import fired_message, state_name
@@ -76,7 +77,7 @@ class ExecutionNode(Worker):
         self._told_visit = 0
         self._plan_hash = plan.hash()
         self._narrator = Narrator(robot, namespace)
-        self._fired = rospy.Publisher(FIRED_TOPIC, FiredTransition, queue_size=1000)
+        self._fired = eager_publisher(FIRED_TOPIC, FiredTransition)
         self._open_log()
         witness = robot in plan.witness  # votes, and has no token that could do anything
         targets = {} if witness else action_targets(plan, robot, namespace)
