@@ -19,7 +19,10 @@ class NetRules:
 
     def is_over(self, marking: Marking) -> bool:
         """Whether the condition holds that ends it all."""
-        return self._until is not None and self._until.holds(marking)
+        if self._until is None:
+            return False
+        labels = {"deadlock": not self.net.enabled(marking)} if self._until.labels else {}
+        return self._until.holds(marking, labels)
 
     def timed(self, marking: Marking) -> List[Tuple[int, float]]:
         """The enabled exponential transitions, with their rates (1/s)."""

@@ -41,13 +41,10 @@ _BLOCK = 32
 """States, or entries to come, that are in flight together."""
 
 _SHARE = 8192
-"""States of a round that one core expands, at most."""
+"""States of a round that one core expands, at most; where there are no more, one does it alone."""
 
 _SHARE_ARCS = 1 << 17
 """Arcs that the buffers of a share have room for, at most (but for nets of very many transitions)."""
-
-_WORTH_SHARING = 2048
-"""From so many states on a round is shared."""
 
 _CORES = 8
 """More cores do not help: the entering waits for all of them, and they for it."""
@@ -74,7 +71,7 @@ def explore(packed: PackedNet, limit: int, watch: Watch, cores: int = 0) -> RawG
     with ThreadPoolExecutor(max(cores - 1, 1), thread_name_prefix="explore") as others:
         while explored < states.used <= limit:
             end = min(explored + share * cores, states.used)
-            bounds = _shares(explored, end, cores)
+            bounds = _shares(explored, end, -(-(end - explored) // share))
             while len(buffers) < len(bounds):
                 buffers.append(_Buffers(share, transitions, packed.words, targets, labels))
             work = [(packed, states.array, table, part, buffer) for part, buffer in zip(bounds, buffers)]
@@ -119,8 +116,6 @@ class _Buffers:
 
 def _shares(begin: int, end: int, cores: int) -> List[Tuple[int, int]]:
     """The states of a round, shared out."""
-    if end - begin < _WORTH_SHARING:
-        cores = 1
     cuts = [begin + (end - begin) * core // cores for core in range(cores + 1)]
     return list(zip(cuts, cuts[1:]))
 

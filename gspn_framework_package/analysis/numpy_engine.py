@@ -143,14 +143,16 @@ class _Table:
         numbers = np.empty(len(keys), dtype=slots.dtype)
         at = _hash(keys) & mask
         open_keys: Any = np.arange(len(keys), dtype=slots.dtype)
-        single = keys.shape[1] == 1
+        # Behind the states, where their candidate numbers point: so a slot's number leads to what it stands for.
+        states.reserve(known + len(keys))
+        states.array[known : known + len(keys)] = keys
+        pool = states.array
         fresh = []
-        first_key = keys[:, 0] if single else keys
         step = 0
         while len(open_keys):
             here = at[open_keys]
             seen = slots[here]
-            empty = np.flatnonzero(seen == _EMPTY)
+            empty = (seen == _EMPTY).nonzero()[0]
             if len(empty):
                 # Candidates are numbered from ``known`` on. Written backwards, because of several writers to
                 # one slot the last one stays: so states are numbered in order of discovery, as in numba.
@@ -159,13 +161,9 @@ class _Table:
                 seen[empty] = slots[here[empty]]
                 won = open_keys[empty[seen[empty] == candidates]]
                 fresh.append(won)
-            old = seen < known
-            same = np.empty(len(open_keys), dtype=bool)
-            for which, pool, shift in ((old, states.array, 0), (~old, keys, known)):
-                rows = np.flatnonzero(which)
-                if len(rows):
-                    mine, other = first_key[open_keys[rows]], pool[seen[rows] - shift]
-                    same[rows] = mine == other[:, 0] if single else (mine == other).all(axis=1)
+            same = keys[open_keys, 0] == pool[seen, 0]
+            for w in range(1, keys.shape[1]):
+                same &= keys[open_keys, w] == pool[seen, w]
             numbers[open_keys[same]] = seen[same]
             open_keys = open_keys[~same]
             step += 1

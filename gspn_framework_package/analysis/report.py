@@ -15,6 +15,12 @@ from gspn_framework_package.model.errors import CancelledError, RefusedError
 
 INFINITE = "infinite"
 
+STRUCTURE = (
+    "place_invariants", "transition_invariants", "conservative", "strictly_conservative", "consistent", "repetitive",
+    "siphons", "traps", "classes", "conflict_sets",
+)  # fmt: skip
+"""The keys of what the structure alone says."""
+
 
 class Questions(NamedTuple):
     """What is asked beyond the usual.

@@ -107,7 +107,7 @@ def simulate(
     :param replications: how many runs.
     :param seed: the same seed gives the same result.
     :param warmup: time (s) at the start of each run that means leave out.
-    :param until: a condition that ends a run.
+    :param until: a condition that ends a run; of a net, ``deadlock`` may be part of it.
     :param confidence: level of the confidence intervals.
     :raises UsageError: numbers that make no sense; neither ``time`` nor a condition.
     :raises ExpressionError: the condition cannot be read.
@@ -124,7 +124,7 @@ def simulate(
         assert isinstance(subject, Net)
         names = [p.name for p in subject.places]
         condition = until
-        rules = NetRules(subject, parse_condition(until, names) if until is not None else None)
+        rules = NetRules(subject, parse_condition(until, names, ["deadlock"]) if until is not None else None)
     runs = _Runs(_Graph(rules), replications, time, warmup, np.random.Generator(np.random.PCG64(seed)))
     runs.go(Watch(progress, cancel))
     return _summary(runs, rules.net, seed, confidence, condition is not None)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, Mapping, Tuple
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.report import Questions, report, rows
+from gspn_framework_package.analysis.report import STRUCTURE, Questions, report, rows
 from gspn_framework_package.analysis.state_space import ENGINES, STATE_LIMIT
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.progress import ProgressLine
@@ -111,6 +111,10 @@ def run(args: argparse.Namespace) -> int:
             writer.writerow(("measure", "name", "value"))
             writer.writerows(rows(data))
     if args.json:
+        for option, keys in ((args.no_structure, STRUCTURE), (args.no_time, ("steady_state",))):
+            if option:  # every key is there, whatever is left out
+                data.update(dict.fromkeys(keys))
+                data["undecided"].update(dict.fromkeys(keys, "left out, as asked"))
         json.dump(data, sys.stdout, indent=2, allow_nan=False, ensure_ascii=False)
         print()
     else:

@@ -63,7 +63,6 @@ def test_cores_number_the_states_alike(net, cores):
     packed = PackedNet(net, starting_widths(net, [8] * len(net.places)))
     with pytest.MonkeyPatch.context() as patch:
         one = numba_engine.explore(packed, 10**6, Watch(), cores=1)
-        patch.setattr(numba_engine, "_WORTH_SHARING", 2)
         patch.setattr(numba_engine, "_SHARE", 3)
         patch.setattr(numba_engine, "_BLOCK", 1)
         many = numba_engine.explore(packed, 10**6, Watch(), cores=cores)

@@ -64,6 +64,15 @@ def test_first_passage_of_a_counter():
     assert abs(short.reached.mean - exact.within[0]) <= short.reached.half_width
 
 
+def test_a_run_until_nothing_is_enabled():
+    net = (NetBuilder().place("a", tokens=2).place("b").place("c").exponential("x", inputs="a", outputs="b")
+           .exponential("y", inputs="b", outputs="c").build())  # fmt: skip
+    result = simulate(net, until="deadlock", replications=2000, seed=3)
+    assert result.reached.mean == 1.0
+    expected = Analysis(net).first_passage("deadlock").mean_time
+    assert abs(result.time_to_condition.mean - expected) < 2 * result.time_to_condition.half_width
+
+
 def test_the_same_seed_gives_the_same_result():
     results = [simulate(kanban(1), time=50, replications=20, seed=seed) for seed in (5, 5, 6)]
     assert results[0] == results[1] != results[2]

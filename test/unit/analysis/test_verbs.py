@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from gspn_framework_package.analysis.report import STRUCTURE
 from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import write_net
@@ -56,6 +57,14 @@ def test_the_json_of_a_net(run, saved):
     assert data["undecided"] == {}
 
 
+def test_what_is_left_out_is_null_and_says_so(run, saved):
+    whole = json.loads(run("analyse", saved(kanban(1)), "--json")[1])
+    part = json.loads(run("analyse", saved(kanban(1)), "--json", "--no-structure", "--no-time")[1])
+    assert part.keys() == whole.keys()
+    left_out = {key for key in whole if part[key] is None}
+    assert left_out == part["undecided"].keys() == {*STRUCTURE, "steady_state"}
+
+
 def test_questions(run, saved):
     code, out, _ = run(
         "analyse", saved(philosophers(4)), "--json", "--no-structure", "--at", 1, 5, "--reach", "deadlock",
@@ -63,7 +72,7 @@ def test_questions(run, saved):
         "--time-to-steady-state", "--reward", "eat1=2", "--reward", "put1=1",
     )  # fmt: skip
     data = json.loads(out)
-    assert code == 0 and "siphons" not in data
+    assert code == 0 and data["siphons"] is None
     assert [r["reachable"] for r in data["reach"]] == [True, False]
     assert sorted(data["reach"][0]["witness"]) == ["take_left%d" % i for i in range(1, 5)]
     assert data["reach"][0]["marking"] == {"left%d" % i: 1 for i in range(1, 5)}
