@@ -3,6 +3,7 @@ effects."""
 
 from __future__ import annotations
 
+import math
 import random
 from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
@@ -24,7 +25,7 @@ from gspn_framework_package.execution.firing import (
 from gspn_framework_package.execution.ledger import Item, Ledger, Origin
 from gspn_framework_package.execution.team_state import GONE, RobotState
 from gspn_framework_package.execution.token_game import TokenGame
-from gspn_framework_package.model.plan import Plan, Synchronisation
+from gspn_framework_package.model.plan import Plan, Synchronisation, Timing
 
 
 class Pace(NamedTuple):
@@ -43,15 +44,20 @@ class Pace(NamedTuple):
     backoff: float = 0.02
     """For which a proposer gives way after its first defeat; doubled at each one in a row."""
 
-    def for_team(self, size: int) -> Pace:
+    def for_team(self, size: int, timing: Timing) -> Pace:
         """The pace for a team of that size: what everybody tells everybody is told less often in a
         large one, so that what each replica hears a second grows no further; and a leader that has
         so many to ask is given time, or all want to take over from it at once. One millisecond for
         each robot that a small team would not have is for gathering facts: each slot costs messages
-        to and from everybody, however much is in it."""
+        to and from everybody, however much is in it.
+
+        :param timing: of the plan: nobody shall seem silent for as long as it says only because
+            heartbeats are so rare.
+        """
         slower = max(1.0, size / SMALL_TEAM)
+        silence = min([t for t in (timing.evict_after, timing.fence_after) if t > 0], default=math.inf)
         return self._replace(
-            heartbeat=self.heartbeat * slower,
+            heartbeat=max(self.heartbeat, min(self.heartbeat * slower, silence / 4)),
             greeting=self.greeting * slower,
             retry=self.retry * slower,
             takeover=self.takeover * slower,
@@ -86,7 +92,7 @@ class Core:
         size = len(plan.robots) + len(plan.witness)
         self.is_small = size <= SMALL_TEAM
         """Everybody may tell everybody something about each slot."""
-        self.pace = (pace or Pace()).for_team(size)
+        self.pace = (pace or Pace()).for_team(size, plan.timing)
         self.partial = plan.synchronisation is Synchronisation.PARTIAL
         self.witness = robot in plan.witness
         self.place = place
