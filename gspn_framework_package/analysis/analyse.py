@@ -38,6 +38,9 @@ from gspn_framework_package.model.plan import Plan
 _SEARCHED = 100_000
 """Markings among which one is looked for in a net that has infinitely many."""
 
+_BEGINNING = 20_000
+"""Markings that are visited of a net that is known to have infinitely many: there will be questions left anyway."""
+
 _FIRST_TREE = 5_000
 """Nodes of the first coverability tree that is tried, before markings are visited."""
 
@@ -123,6 +126,7 @@ class Analysis:
     @property
     def properties(self) -> Properties:
         """Deadlocks, liveness and the like. :raises LimitError: the state space is not complete."""
+        self._refuse_if_unbounded("what depends on all markings")
         return self._once("properties", lambda: Properties(self.space))
 
     @property
@@ -146,20 +150,20 @@ class Analysis:
         if None in bounds.values():
             unbounded = self._unbounded_places()
         if unbounded is None:  # not decided: visit markings, and see
-            space = self._visit(self.net)
+            space = self._visit(self.net, self.limit)
             if space.complete or not counters:
                 return space
             return self._without(counters)
         if unbounded and set(unbounded) <= set(counters):
             return self._without(counters)
-        return self._visit(self.net)
+        return self._visit(self.net, min(self.limit, _BEGINNING) if unbounded else self.limit)
 
     def _without(self, counters: Sequence[str]) -> StateSpace:
         self._known["left_out"] = tuple(counters)
-        return self._visit(self.net.without_places(counters))
+        return self._visit(self.net.without_places(counters), self.limit)
 
-    def _visit(self, net: Net) -> StateSpace:
-        return explore(net, limit=self.limit, engine=self._engine, progress=self._progress, cancel=self._cancel)
+    def _visit(self, net: Net, limit: int) -> StateSpace:
+        return explore(net, limit=limit, engine=self._engine, progress=self._progress, cancel=self._cancel)
 
     @property
     def _invariant_bounds(self) -> Dict[str, Optional[int]]:
@@ -176,6 +180,21 @@ class Analysis:
             return None
         self._known["tree"] = tree
         return tree.unbounded_places
+
+    @property
+    def _is_unbounded(self) -> bool:
+        """Whether the first tree says that there are infinitely many markings, so that no limit would do."""
+        if self.plan is not None or self.space.complete or "tree" not in self._known:
+            return False
+        return not self._known["tree"].bounded
+
+    def _refuse_if_unbounded(self, question: str) -> None:
+        """:raises LimitError: it is."""
+        if self._is_unbounded:
+            raise LimitError(
+                "%s: not decided, since the net is unbounded" % question,
+                hint="%s can grow without end" % ", ".join(self._known["tree"].unbounded_places),
+            )
 
     def _is_counter(self, name: str) -> bool:
         p = self.net.place_number(name)
@@ -292,6 +311,7 @@ class Analysis:
     @property
     def chain(self) -> Chain:
         """The Markov chain. :raises RefusedError: nobody decides a choice, or there is a timeless trap."""
+        self._refuse_if_unbounded("its Markov chain")
         return self._once("chain", lambda: Chain.of(self.space))
 
     @property
@@ -318,7 +338,7 @@ class Analysis:
         :raises LimitError: there are too many markings before it holds, or a linear system was not solved.
         """
         space: StateSpace
-        if self._looks_at_counters(condition):
+        if self._looks_at_counters(condition) or self._is_unbounded:
             until = self._until(condition)
             space, graph = until, until.rated()
         else:
@@ -332,7 +352,8 @@ class Analysis:
             plan = Plan(net=self.net, resource_places=frozenset(p.name for p in self.net.places), until=condition)
         else:
             plan = replace(plan, until="(%s) or (%s)" % (plan.until, condition) if plan.until else condition)
-        return explore_plan(plan, limit=self.limit, progress=self._progress, cancel=self._cancel)
+        limit = min(self.limit, _SEARCHED) if self._is_unbounded else self.limit
+        return explore_plan(plan, limit=limit, progress=self._progress, cancel=self._cancel)
 
     def time_to_steady_state(self, tolerance: float = 1e-3) -> float:
         """The time (s) from which on the distribution stays within ``tolerance`` of the steady state."""

@@ -46,6 +46,12 @@ _SHARE = 8192
 _SHARE_ARCS = 1 << 17
 """Arcs that the buffers of a share have room for, at most (but for nets of very many transitions)."""
 
+_NARROW = 512
+"""Rounds of fewer states are done one after the other in compiled code: starting it takes longer than they do."""
+
+_STRIDE = 1 << 18
+"""States between two looks at the watch there."""
+
 _CORES = 8
 """More cores do not help: the entering waits for all of them, and they for it."""
 
@@ -58,6 +64,7 @@ def explore(packed: PackedNet, limit: int, watch: Watch, cores: int = 0) -> RawG
     transitions = len(packed.order)
     cores = cores or min(int(vars(config)["NUMBA_NUM_THREADS"]), _CORES)
     share = max(_BLOCK, min(_SHARE, _SHARE_ARCS // max(transitions, 1)))
+    narrow = min(_NARROW, share)
     states = Growing(np.uint64, packed.words)
     states.extend(packed.initial[None, :])
     offsets = Growing(np.int64)
@@ -70,6 +77,11 @@ def explore(packed: PackedNet, limit: int, watch: Watch, cores: int = 0) -> RawG
     explored = 0
     with ThreadPoolExecutor(max(cores - 1, 1), thread_name_prefix="explore") as others:
         while explored < states.used <= limit:
+            if states.used - explored < narrow:
+                explored = _go_narrow(packed, explored, limit, table, states, offsets, targets, labels, buffers[0])
+                table = _with_room(table, states.used + narrow * transitions)
+                watch.step("states", states.used)
+                continue
             end = min(explored + share * cores, states.used)
             bounds = _shares(explored, end, -(-(end - explored) // share))
             while len(buffers) < len(bounds):
@@ -77,13 +89,10 @@ def explore(packed: PackedNet, limit: int, watch: Watch, cores: int = 0) -> RawG
             work = [(packed, states.array, table, part, buffer) for part, buffer in zip(bounds, buffers)]
             running = [others.submit(_expand, *arguments) for arguments in work[1:]]
             done = [_expand(*work[0])] + [future.result() for future in running]
-            overflow = np.bitwise_or.reduce([buffer.overflow for buffer in buffers])
-            if overflow.any():
-                raise FieldOverflowError(tuple(int(bits) for bits in overflow))
+            _check_overflow(buffers)
             new = sum(count for _, count in done)
             states.reserve(states.used + new)
-            while 2 * (states.used + new) > len(table):
-                table = _grown(table)
+            table = _with_room(table, states.used + new)
             offsets.reserve(offsets.used + end - explored)
             for (arcs, misses), buffer, (begin, stop) in zip(done, buffers, bounds):
                 base = targets.used
@@ -120,6 +129,34 @@ def _shares(begin: int, end: int, cores: int) -> List[Tuple[int, int]]:
     return list(zip(cuts, cuts[1:]))
 
 
+def _check_overflow(buffers: List[_Buffers]) -> None:
+    overflow = np.bitwise_or.reduce([buffer.overflow for buffer in buffers])
+    if overflow.any():
+        raise FieldOverflowError(tuple(int(bits) for bits in overflow))
+
+
+def _go_narrow(
+    packed: PackedNet, explored: int, limit: int, table: Any, states: Growing, offsets: Growing, targets: Growing,
+    labels: Growing, buffer: _Buffers,
+) -> int:  # fmt: skip
+    """Do rounds of few states until they grow or the room is used up; returns the first state not explored."""
+    room = _NARROW * max(len(packed.order), 1)
+    states.reserve(states.used + 2 * room)
+    targets.reserve(targets.used + 2 * room)
+    labels.reserve(len(targets.array))
+    offsets.reserve(len(states.array) + 1)
+    most = min(limit, len(states.array) - room, states.used + _STRIDE)
+    explored, states.used, targets.used = _narrow_for(packed.words)(
+        explored, states.used, most, min(_NARROW, len(buffer.ends)), states.array, table,
+        packed.need, packed.need_guard, packed.inhibit, packed.inhibit_guard, packed.change, packed.class_ends,
+        packed.guard, targets.array, labels.array, targets.used, offsets.array, buffer.ends, buffer.keys, buffer.arcs,
+        buffer.overflow,
+    )  # fmt: skip
+    labels.used, offsets.used = targets.used, explored + 1
+    _check_overflow([buffer])
+    return int(explored)
+
+
 def _expand(packed: PackedNet, states: Any, table: Any, share: Tuple[int, int], buffer: _Buffers) -> Tuple[int, int]:
     """Fill ``buffer``; how many arcs there are, and how many of them lead to markings not known yet."""
     arcs, misses, _ = _expand_for(packed.words)(
@@ -137,11 +174,13 @@ def _expand(packed: PackedNet, states: Any, table: Any, share: Tuple[int, int], 
 # filled from one end to the other, without a look at the states.
 
 
-def _grown(table: Any) -> Any:
-    """A table of twice the size with the same entries."""
-    larger = np.zeros(2 * len(table), dtype=np.uint64)
-    _refill(table, larger)
-    return larger
+def _with_room(table: Any, states: int) -> Any:
+    """The table, or a larger one with the same entries, that so many states fill no more than half."""
+    while 2 * states > len(table):
+        larger = np.zeros(2 * len(table), dtype=np.uint64)
+        _refill(table, larger)
+        table = larger
+    return table
 
 
 @njit(cache=True, nogil=True)
@@ -325,3 +364,53 @@ def _expand_for(words: int) -> Any:
         return arcs, misses, touched
 
     return expand
+
+
+@lru_cache(maxsize=None)
+def _narrow_for(words: int) -> Any:
+    """Rounds of few states, for markings of that many words."""
+    expand, enter = _expand_for(words), _enter_for(words)
+
+    @njit(cache=True, nogil=True)
+    def narrow(
+        explored: Any,
+        known: Any,
+        most: Any,
+        few: Any,
+        states: Any,
+        table: Any,
+        need: Any,
+        need_guard: Any,
+        inhibit: Any,
+        inhibit_guard: Any,
+        change: Any,
+        class_ends: Any,
+        guard: Any,
+        targets: Any,
+        labels: Any,
+        arcs: Any,
+        offsets: Any,
+        ends: Any,
+        keys: Any,
+        key_arcs: Any,
+        overflow: Any,
+    ) -> Any:
+        """Go on while fewer than ``few`` states are waiting and at most ``most`` are known, and while there is room
+        for what they may lead to; returns the first state not explored, the number known, and that of arcs."""
+        while explored < known <= most and known - explored < few:
+            new = (known - explored) * need.shape[0]
+            if 2 * (known + new) > len(table) or arcs + new > len(targets):
+                break
+            found, misses, _ = expand(
+                explored, known, states, table, need, need_guard, inhibit, inhibit_guard, change, class_ends, guard,
+                targets[arcs:], labels[arcs:], ends, keys, key_arcs, overflow,
+            )  # fmt: skip
+            if overflow.any():
+                break
+            for s in range(explored, known):
+                offsets[s + 1] = arcs + ends[s - explored]
+            explored, known = known, enter(table, states, known, keys[:misses], key_arcs[:misses], targets[arcs:])
+            arcs += found
+        return explored, known, arcs
+
+    return narrow

@@ -24,12 +24,15 @@ _MIX = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xFF51AFD7ED558CCD))
 _SHIFT = np.uint64(32)
 _EMPTY = -1
 
+_ROWS = 1 << 15
+"""States of one round, at most."""
 
-def explore(packed: PackedNet, limit: int, watch: Watch, chunk: int = 1 << 15) -> RawGraph:
+
+def explore(packed: PackedNet, limit: int, watch: Watch, rounds: Optional[int] = None) -> RawGraph:
     """The reachability graph of ``packed``.
 
     :param limit: the exploration ends when more than this many states are known.
-    :param chunk: states of one round.
+    :param rounds: it also ends after so many rounds.
     :raises FieldOverflowError: the fields are too narrow.
     """
     transitions = len(packed.order)
@@ -41,8 +44,10 @@ def explore(packed: PackedNet, limit: int, watch: Watch, chunk: int = 1 << 15) -
     labels = Growing(label_type(transitions))
     table = _Table(states)
     explored = 0
-    rows = max(1, min(chunk, (1 << 20) // max(transitions, 1)))
-    while explored < states.used <= limit:
+    rows = max(1, min(_ROWS, (1 << 20) // max(transitions, 1)))
+    done = 0
+    while explored < states.used <= limit and done != rounds:
+        done += 1
         block = states.array[explored : min(explored + rows, states.used)]
         sources, fired = _enabled(packed, block)
         successors = block[sources]

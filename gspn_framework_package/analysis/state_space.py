@@ -40,6 +40,9 @@ ENGINES = ("auto", "numpy", "numba")
 _SMALL = 100_000
 """Up to this many states numpy is done before numba's machine code is even loaded."""
 
+_FEW_ROUNDS = 1_000
+"""Rounds that numpy is given for them: it is slow where the graph is deep and narrow."""
+
 _INVARIANT_EFFORT = 2_000
 """Candidate invariants worth looking at for the sake of narrow fields."""
 
@@ -264,8 +267,8 @@ def _run(packed: PackedNet, limit: int, watch: Watch, engine: str) -> Tuple[RawG
     if engine == "numpy" or (engine == "auto" and not numba_is_there()):
         return numpy_engine.explore(packed, limit, watch), "numpy"
     if engine == "auto" and "numba" not in sys.modules:
-        graph = numpy_engine.explore(packed, min(limit, _SMALL), watch)
-        if limit <= _SMALL or graph.explored == len(graph.states):
+        graph = numpy_engine.explore(packed, min(limit, _SMALL), watch, rounds=_FEW_ROUNDS)
+        if graph.explored == len(graph.states) or len(graph.states) > limit:
             return graph, "numpy"
     try:
         from gspn_framework_package.analysis import numba_engine

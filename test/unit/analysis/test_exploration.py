@@ -99,6 +99,15 @@ def test_the_limit_stops_an_unbounded_net(engine):
     assert space.path_to(3) == ["more"] * 3
 
 
+@pytest.mark.skipif(not numba_is_there(), reason="numba is missing")
+def test_a_deep_and_narrow_graph():
+    net = (NetBuilder().place("a").exponential("up", outputs="a", inhibitors={"a": 20_000})
+           .exponential("down", inputs="a").build())  # fmt: skip
+    space = explore(net)  # numpy, which would take a round for every state, gives up
+    assert (space.engine, space.complete, len(space), space.arcs) == ("numba", True, 20_001, 40_000)
+    assert space.column(0).tolist() == list(range(20_001))
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 def test_cancel(engine):
     with pytest.raises(CancelledError):

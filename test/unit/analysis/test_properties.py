@@ -80,7 +80,7 @@ def test_analysis_of_an_unbounded_net():
     analysis = Analysis(producer_consumer(), limit=2000)
     assert analysis.boundedness.bounded is False
     assert analysis.boundedness.bounds["buffer"] is None
-    with pytest.raises(LimitError, match="not decided within"):
+    with pytest.raises(LimitError, match=r"unbounded \(buffer can grow without end\)"):
         _ = analysis.properties
     found = analysis.reach("buffer == 7")
     assert found.reachable and [step.transition for step in found.witness] == ["make", "put"] * 7
@@ -88,6 +88,15 @@ def test_analysis_of_an_unbounded_net():
     assert analysis.cover({"ready": 1, "made": 1}).reachable is False
     covered = analysis.cover({"buffer": 3})
     assert covered.reachable and covered.witness[-1].marking["buffer"] >= 3
+
+
+def test_a_time_that_only_finitely_many_markings_matter_for_is_known_in_an_unbounded_net():
+    """The first time that a queue is n long, with arrivals as fast as services: n (n + 1) / 2."""
+    queue = NetBuilder("queue").place("jobs").exponential("come", outputs="jobs").exponential("go", inputs="jobs")
+    analysis = Analysis(queue.build())
+    assert analysis.first_passage("jobs >= 20").mean_time == pytest.approx(210, rel=1e-9)
+    with pytest.raises(LimitError, match="unbounded"):
+        _ = analysis.chain
 
 
 def test_counters_that_nothing_reads_are_left_out():
