@@ -24,6 +24,9 @@ _MIX = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xFF51AFD7ED558CCD))
 _SHIFT = np.uint64(32)
 _EMPTY = -1
 
+_SMALL_TABLE = 1 << 17
+"""Slots of a table up to which it is a quarter full at most, instead of half: fewer searches then take long."""
+
 _ROWS = 1 << 15
 """States of one round, at most."""
 
@@ -132,7 +135,7 @@ def _mask_by_transition(packed: PackedNet, block: Any) -> Any:
 
 
 class _Table:
-    """Hash table from packed states to their numbers; at most half full. The steps of a search grow by one each time:
+    """Hash table from packed states to their numbers; half full at most. The steps of a search grow by one each time:
     they reach every slot all the same, and few searches take long, which matters since all go on until the last ends.
     """
 
@@ -190,12 +193,11 @@ class _Table:
         return numbers
 
     def _make_room(self, count: int, states: Growing) -> None:
-        if 2 * count <= len(self._slots):
-            return
         capacity = len(self._slots)
-        while capacity < 2 * count:
+        while capacity < (4 if capacity < _SMALL_TABLE else 2) * count:
             capacity *= 2
-        self._rebuild(capacity, states)
+        if capacity > len(self._slots):
+            self._rebuild(capacity, states)
 
     def _rebuild(self, capacity: int, states: Growing) -> None:
         self._slots = np.full(capacity, _EMPTY, dtype=np.int32 if capacity < 2**31 else np.int64)
