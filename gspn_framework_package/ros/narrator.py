@@ -16,6 +16,9 @@ LINES_PER_SECOND = 4
 ACTIVITY_PERIOD = 0.1
 """Seconds between two messages on ``activity``, at least."""
 
+UNHEARD_PERIOD = 1.0
+"""The same while nobody listens: the last message is latched."""
+
 DIAGNOSTICS_PERIOD = 1.0
 
 WAITING_TIME = 1.0
@@ -72,9 +75,11 @@ class Narrator:
         :param activity: called for what the robot does, a JSON object.
         :param status: called for what ``/diagnostics`` shows, (level, message, values).
         """
+        period = ACTIVITY_PERIOD if self._activity.get_num_connections() else UNHEARD_PERIOD
+        self._activity_at = min(self._activity_at, now + period)
         if self._changed and now >= self._activity_at:
             self._changed = False
-            self._activity_at = now + ACTIVITY_PERIOD
+            self._activity_at = now + period
             told = activity()
             if told != self._told:
                 self._told = told
