@@ -22,7 +22,7 @@ from gspn_framework_package.world.referee import EntryOrder
 from gspn_framework_package.world.room import Room
 from gspn_framework_package.world.room_file import load_room
 
-START = 60.0
+START = 120.0
 """Seconds within which the first robot must have driven."""
 
 _CHECK = re.compile(r"Go_Check_(\w+)$")
