@@ -12,6 +12,7 @@ from typing import Callable, List
 
 from gspn_framework_package.benchmark.faults import dying_node
 from gspn_framework_package.benchmark.faults.team import Master, Team
+from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.plan import Synchronisation
 
@@ -81,9 +82,15 @@ class Soak:
 
     def _kill_without_log(self) -> bool:
         # only one at a time may have lost its memory, and the others must be able to let it in again
-        if len(self.team.alive()) < 3 or not self._is_complete():
+        try:
+            told = self.team.statuses()
+        except ExecutionError:
             return False
         name = self._victim()
+        members = told[name]["members"] if name in told else []
+        others = [robot for robot in members if robot in told and robot != name]
+        if not all(status["active"] for status in told.values()) or not is_quorum(others, members):
+            return False
         self.team.kill(name)
         log = self.team.log_file(name)
         if os.path.exists(log):

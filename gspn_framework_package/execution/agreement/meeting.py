@@ -30,6 +30,7 @@ class Meeting(Growth):
         sender = message["from"]
         peer = self.peers.get(sender)
         peer.log = message["log"]
+        peer.active = message["active"]
         peer.silent = frozenset(message["silent"])
         peer.welcomes = message["known"].get(self.name, "")
         if message["first"] and self._first_hash and message["first"] != self._first_hash:

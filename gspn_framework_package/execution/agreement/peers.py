@@ -20,6 +20,8 @@ class Peer:
     """The id of the log of *ours* that it knows."""
     silent: FrozenSet[str] = frozenset()
     """Whom it does not hear."""
+    active: bool = True
+    """Whether it takes part, as far as it told: one that lost its log does not until it is let in."""
     cast_out: FrozenSet[str] = frozenset()
     """Whom it takes for evicted by force."""
 

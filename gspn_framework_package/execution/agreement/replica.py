@@ -179,7 +179,11 @@ class Replica(Pacing):
             return "stopped: no contact to a quorum"
         attempt = self.consensus.attempt
         if attempt is not None and attempt.tries > 1:
-            return "waits for an answer of %s" % ", ".join(self.consensus.missing())
+            voteless = [m for m in self.others() if not self.peers.get(m).active]
+            missing = [m for m in self.consensus.missing() if m not in voteless]
+            if missing or not voteless:
+                return "waits for an answer of %s" % ", ".join(missing)
+            return "has no quorum; without a vote: %s" % ", ".join(voteless)
         if not self.has_quorum():
             return "has no quorum; silent: %s" % ", ".join(self._silent())
         if self.partial and self._wants() and self._silent():  # whose attempt it is changes all the time

@@ -187,6 +187,22 @@ def test_of_two_the_first_goes_on_alone_and_the_second_says_what_it_waits_for() 
     assert world.status("r2")["members"] == ["r2"]
 
 
+@pytest.mark.parametrize("partial", [False, True])
+def test_a_team_whose_quorum_lost_its_memory_says_so(partial: bool) -> None:
+    world = team(TOKENS, 2, partial)
+    world.run(1.0)
+    world.nodes["r1"].crash()
+    world.nodes["r1"].lose_log()
+    world.nodes["r1"].start()
+    world.run(4.0)
+    length = world.length()
+    assert world.status("r1")["waits_for"] == "waits to be let into the team"
+    assert world.status("r2")["waits_for"] == "has no quorum; without a vote: r1"
+    world.run(8.0)
+    assert world.length() == length
+    world.check()
+
+
 def test_a_witness_keeps_two_robots_going_whichever_dies() -> None:
     for dead in ("r1", "r2"):
         world = team(MEET, 2, evict_after=0.4, witness=True)
