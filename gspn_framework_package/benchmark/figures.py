@@ -5,9 +5,15 @@ from __future__ import annotations
 import os
 from typing import Any, Dict, List, Sequence
 
+import psutil
+
 Row = Dict[str, Any]
 
 STYLES = {"process": "o-", "hosted": "s--"}
+
+QUIET = 10.0
+"""Percent of the processors that may be busy before a run, for the machine's figures to tell of the run (the
+thesis's baseline: 0.8 % CPU, 25.9 % memory)."""
 
 
 def draw_figures(rows: Sequence[Row], folder: str) -> List[str]:
@@ -36,11 +42,16 @@ def draw_figures(rows: Sequence[Row], folder: str) -> List[str]:
         for mode, points in _by_mode(rows, experiment).items():
             _, axis = pyplot.subplots()
             x = [row[key] for row in points]
-            for what, style, name in (("cpu", "o-", "CPU of the machine"), ("memory", "s-", "virtual memory")):
-                over = [row["machine_%s_percent" % what] - row["baseline_%s_percent" % what] for row in points]
-                axis.plot(x, [max(0.0, value) for value in over], style, label=name + ", % over the baseline")
-            axis.plot(x, [row["cpu_percent_of_core"] for row in points], "^:",
-                      label="CPU of the robots' processes, % of one core")  # fmt: skip
+            memory = psutil.virtual_memory().total / 1e6
+            axis.plot(x, [row["cpu_percent_of_core"] / (os.cpu_count() or 1) for row in points], "^-",
+                      label="CPU of the robots' processes, % of the machine")  # fmt: skip
+            axis.plot(x, [100 * row["pss_mb"] / memory for row in points], "v-",
+                      label="memory of the robots' processes, %")  # fmt: skip
+            quiet = [row for row in points if row["baseline_cpu_percent"] <= QUIET]
+            for what, style, name in (("cpu", "o:", "CPU of the machine"), ("memory", "s:", "virtual memory")):
+                over = [row["machine_%s_percent" % what] - row["baseline_%s_percent" % what] for row in quiet]
+                if quiet:
+                    axis.plot([row[key] for row in quiet], over, style, label=name + ", % over the baseline")
             axis.set_xlabel(label)
             axis.legend()
             axis.set_title("As Figure %s of the thesis (%s)" % (number.replace("_", "."), _mode_name(mode)))

@@ -70,7 +70,7 @@ def test_figures_are_drawn_of_what_was_measured(tmp_path):
     rows = [
         {"experiment": name, "mode": "process", "robots": n, "places": n, "servers": n, "all_fired_s": 1.0 * n,
          "machine_cpu_percent": 5.0, "machine_memory_percent": 9.0, "cpu_percent_of_core": 2.0 * n,
-         "baseline_cpu_percent": 1.0, "baseline_memory_percent": 2.0}
+         "baseline_cpu_percent": 1.0, "pss_mb": 20.0 * n, "baseline_memory_percent": 2.0}
         for name in ("tokens", "places", "one") for n in (1, 2, 3)
     ]  # fmt: skip
     drawn = draw_figures(rows, str(tmp_path))
