@@ -40,8 +40,8 @@ ENGINES = ("auto", "numpy", "numba")
 _SMALL = 100_000
 """Up to this many states numpy is done before numba's machine code is even loaded."""
 
-_FEW_ROUNDS = 1_000
-"""Rounds that numpy is given for them: it is slow where the graph is deep and narrow."""
+_FEW_ROUNDS = 5_000
+"""Rounds that numpy is given for them, a second or so: it is slow where the graph is deep and narrow."""
 
 _INVARIANT_EFFORT = 2_000
 """Candidate invariants worth looking at for the sake of narrow fields."""
