@@ -37,8 +37,10 @@ class Experiment(NamedTuple):
         beyond the points that are listed."""
         if not sizes:
             return self.quick if quick else self.points
-        first, last = self.points[0], self.points[-1]
-        return tuple((n, first[1]) if first[0] != last[0] else (first[0], n) for n in sizes)
+        robots, places = self.points[0]
+        if any(point[1] != places for point in self.points):
+            return tuple((robots, n) for n in sizes)
+        return tuple((n, places) for n in sizes)
 
 
 def _tokens(robots: int, places: int) -> Plan:

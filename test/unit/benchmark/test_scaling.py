@@ -22,6 +22,7 @@ def test_the_points_that_are_asked_for_are_run():
     assert tokens.chosen(True, ()) == tokens.quick
     assert tokens.chosen(True, (2, 60)) == ((2, 7), (60, 7))
     assert one.chosen(False, (2000,)) == ((1, 2000),)
+    assert scaling.EXPERIMENTS["large"].chosen(False, (100,)) == ((100, 20),)
 
 
 def test_the_points_of_the_thesis_are_there():
