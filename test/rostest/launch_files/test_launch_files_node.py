@@ -78,6 +78,14 @@ class LaunchFilesTest(unittest.TestCase):
             self.wait_for_moves("hosted_three", robot, 3)
             self.assertEqual(self.state("/hosted/" + robot).robot, robot)
 
+    def test_robots_may_be_nodes_of_roslaunch(self):
+        for number in (1, 2):
+            robot = "robot_%d" % number
+            self.wait_for_moves("nodes_two", robot, 3)
+            self.assertEqual(self.state("/nodes/" + robot).robot, robot)
+        parameters = rospy.get_param("/nodes/robot_2/executor")
+        self.assertEqual((parameters["number"], parameters["run"]), (2, "nodes_two"))
+
 
 if __name__ == "__main__":
     import rostest
