@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import re
 from pathlib import Path
 from typing import Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple, Union
 
@@ -116,9 +117,17 @@ def read_net_with_notes(
     file = str(path)
     data = read_bytes(file)
     try:
+        _check_constants(data, constants)
         return _read(data, file, wanted, options)
     except GspnError as error:
         raise error.located(file=file) from None
+
+
+def _check_constants(data: bytes, constants: Mapping[str, float]) -> None:
+    """:raises UsageError: a constant that no word of the file is: a slip of the pen, which would change nothing."""
+    for name in constants:
+        if b"\0" not in data and not re.search(rb"(?<!\w)%s(?!\w)" % re.escape(name).encode(), data):
+            raise UsageError("the constant '%s' does not occur in the file" % name, hint="is it spelt as it is there?")
 
 
 def write_net(

@@ -122,3 +122,11 @@ def test_a_place_becomes_a_net(tmp_path, capsys):
     assert convert(tmp_path / "outer.xml", whole, *expand, "Nowhere") == 2
     assert "Nowhere" in capsys.readouterr().err
     assert convert(tmp_path / "outer.xml", tmp_path / "chain.tra", *expand, "Look") == 2
+
+
+def test_a_constant_that_the_file_does_not_have_is_an_error(tmp_path, capsys):
+    whole = tmp_path / "net.pnml"
+    assert convert(DATA / "greatspn.PNPRO", whole, "--net", "machine", "--const", "NN=3") == 2
+    assert "the constant 'NN' does not occur in the file" in capsys.readouterr().err
+    assert convert(DATA / "greatspn.PNPRO", whole, "--net", "machine", "--const", "N=3") == 0
+    assert read_net(whole).place("waiting").tokens == 3
