@@ -108,6 +108,7 @@ def measure(kind: str, seed: int) -> Optional[Dict[str, Any]]:
     while team.time < LIMIT and any(navigator.active for navigator in team.navigators.values()):
         team.step()
     ends = [navigator.status for navigator in team.navigators.values()]
+    reasons = [navigator.reason for navigator in team.navigators.values() if navigator.status is Status.FAILED]
     contacts = team.physics.contacts
     team.close()
     return {
@@ -119,6 +120,7 @@ def measure(kind: str, seed: int) -> Optional[Dict[str, Any]]:
         "arrived": ends.count(Status.REACHED),
         "given_up": ends.count(Status.FAILED),
         "still_on_the_way": robots - ends.count(Status.REACHED) - ends.count(Status.FAILED),
+        "reasons": reasons,
         "seconds": round(team.time, 1),
     }
 
@@ -152,7 +154,8 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
             results.append(result)
             if any(result[fault] for fault in _FAULTS):
                 print("%s, seed %d: %s" % (kind, seed, result), file=sys.stderr, flush=True)
-            print("%s, seed %d: %d robots, %g s" % (kind, seed, result["robots"], result["seconds"]), file=sys.stderr)
+            told = "%s, seed %d: %d robots, %g s" % (kind, seed, result["robots"], result["seconds"])
+            print("; given up: ".join([told, *result["reasons"]]), file=sys.stderr, flush=True)
     machine = describe_machine(("numpy", "scipy", "pybullet"))
     if args.json:
         print(json.dumps({"machine": machine, "results": results}, indent=2))
