@@ -316,7 +316,8 @@ class Navigator:
 
     def _in_sight(self, here: Point, path: Sequence[Point]) -> Point:
         """The farthest point of the path, within reach, to which it goes straight."""
-        target = path[0] if path else here
+        # the next cell at least, never the own one, around whose middle it would turn for ever
+        target = path[min(1, len(path) - 1)] if path else here
         for point in [*path[2::2], *path[-1:]]:
             if math.dist(here, point) > _LOOK_AHEAD or not self._grid.is_clear(here, point, 0.02):
                 break

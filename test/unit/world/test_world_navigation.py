@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gspn_framework_package.benchmark import room_tight
 from gspn_framework_package.world.avoidance import STANDING_GAP, Peer, brake, choose, follow
 from gspn_framework_package.world.grid import RESOLUTION, SPARE, Grid
 from gspn_framework_package.world.navigation import GIVE_UP_AFTER, Navigator, Observation, Status
@@ -143,6 +144,13 @@ def test_a_gap_beside_a_parked_robot_is_passed_or_the_goal_is_given_up(gap):
         assert "blocked by robots" in navigator.reason
     elif gap > 2 * radius + STANDING_GAP + SPARE + RESOLUTION:
         assert navigator.status is Status.REACHED
+
+
+def test_a_narrow_gap_between_corners_is_driven_through():
+    """Where nothing ahead is in sight but for the next cell."""
+    result = room_tight.measure("clutter", 17)
+    assert (result["arrived"], result["touches"], result["touches_of_solids"]) == (2, 0, 0)
+    assert result["seconds"] < 20
 
 
 def test_who_gets_nowhere_gives_up_in_the_end_however_often_it_stepped_aside():
