@@ -53,6 +53,7 @@ def draw_figures(rows: Sequence[Row], folder: str) -> List[str]:
                 if quiet:
                     axis.plot([row[key] for row in quiet], over, style, label=name + ", % over the baseline")
             axis.set_xlabel(label)
+            axis.set_ylim(bottom=0)
             axis.legend()
             axis.set_title("As Figure %s of the thesis (%s)" % (number.replace("_", "."), _mode_name(mode)))
             save("figure_%s_%s" % (number, mode))
@@ -72,6 +73,7 @@ def _draw_servers(rows: Sequence[Row], pyplot: Any, save: Any) -> None:
             axis.plot([r["servers"] for r in points], [r["cpu_percent_of_core"] for r in points], style, label=label)
         axis.set_xlabel("action servers")
         axis.set_ylabel("CPU of the robots' processes, % of one core")
+        axis.set_ylim(bottom=0)
         axis.legend()
         axis.set_title("As Figure 6.5 of the thesis (%s)" % _mode_name(mode))
         save("figure_6_5_" + mode)
