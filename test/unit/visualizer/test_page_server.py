@@ -202,7 +202,7 @@ def test_serve_serves_until_it_is_interrupted():
             connection.request("GET", "/api/hello")
             assert json.load(connection.getresponse())["first"] == "file-plan.json"
             process.send_signal(signal.SIGINT)
-            assert process.wait(15) == 0
+            assert process.wait(60) == 0
         finally:
             process.kill()
 
