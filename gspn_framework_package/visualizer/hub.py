@@ -132,9 +132,9 @@ class Hub:
 
     def change_info(self, **info: Any) -> None:
         """Change what the page knows of this run; told as a latest value."""
-        with self._condition:
+        with self._condition:  # one step: nobody sees the change before it counts as news, nor half of two changes
             self.info.update(info)
-        self.set_latest("info", self.info)
+            self.set_latest("info", self.info)
 
     # -- the viewers' side -------------------------------------------------------------------------
 

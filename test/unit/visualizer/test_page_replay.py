@@ -45,10 +45,10 @@ def finished(activity):
     """A hub that has taken in all of a replay."""
     hub = Hub("", Board(0, []))
     activity.begin(hub)
-    cursor = None
-    while hub.info.get("loading"):
-        cursor = hub.news(cursor).cursor
+    cursor = hub.news(None).cursor
+    while hub.info.get("loading"):  # asked after the cursor was taken: the end of the loading is news to it
         assert hub.wait(cursor, 20)
+        cursor = hub.news(cursor).cursor
     return hub
 
 
