@@ -33,7 +33,7 @@ def network():
 def test_cuts_are_real_and_heal(network):
     network.verify()
     network.cut(rules.one_way(["x"], ["y"]))
-    assert network.travel_time("x", "y") is None
+    assert network.travel_time("x", "y", 0.3) is None
     assert network.travel_time("y", "x") is not None
     assert network.travel_time("x", "z") is not None
     network.verify()
@@ -53,7 +53,7 @@ def test_the_relay_delays():
         pytest.skip("not possible here: " + reason)
     with Network(["x", "y"], DELAY) as network:
         network.verify()
-        assert network.travel_time("x", "y", 2.0) >= DELAY
+        assert network.travel_time("x", "y") >= DELAY
 
 
 def test_nothing_is_left_behind():
@@ -65,7 +65,7 @@ def test_nothing_is_left_behind():
         names = subprocess.check_output(["ip", "netns", "list"], text=True)
         assert network.namespace("x") in names
         raise ZeroDivisionError
-    assert sleeper.wait(5) != 0
+    assert sleeper.wait(20) != 0
     assert network.namespace("x") not in subprocess.check_output(["ip", "netns", "list"], text=True)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from pathlib import Path
 from typing import Any, Dict, List, Tuple
 
@@ -167,7 +168,7 @@ def test_functions_that_do_not_succeed_leave_the_agent_to_the_operator(
         "def go(is_cancelled):\n    %s\n" % body,
         net=LINE,
         tokens={"P1": 1},
-        timeout={"P1": 0.2},
+        timeout={"P1": 0.2 if "timeout" in reason else DEADLINE},
     )
     executor, recorder = run(plan)
     recorder.until(lambda: recorder.faults)
@@ -177,7 +178,7 @@ def test_functions_that_do_not_succeed_leave_the_agent_to_the_operator(
     executor.order(log.Retry("1"))
     recorder.until(lambda: len(recorder.faults) == 2)
     executor.stop()
-    ended = executor.wait(5)
+    ended = executor.wait(DEADLINE)
     assert ended is not None and not ended.finished
 
 
@@ -203,7 +204,7 @@ def test_stop_cancels_what_runs_and_does_not_wait_for_what_never_returns(tmp_pat
     executor, recorder = run(plan)
     recorder.until(lambda: list(recorder.states.values()).count([S.FREE, S.OCCUPIED]) == 2)
     executor.stop("enough")
-    ended = executor.wait(5)
+    ended = executor.wait(DEADLINE)
     assert ended is not None and (ended.reason, ended.finished) == ("enough", False)
     with pytest.raises(UsageError):
         executor.start()
@@ -237,7 +238,7 @@ def test_the_environment_fires_at_its_rates(tmp_path: Path) -> None:
     executor, recorder = run(plan)
     recorder.until(lambda: [f.transition for f in recorder.firings].count("work") >= 2)
     executor.stop()
-    assert executor.wait(5) is not None
+    assert executor.wait(DEADLINE) is not None
 
 
 def test_a_listener_that_breaks_does_not_break_silently(tmp_path: Path) -> None:
@@ -265,14 +266,26 @@ def test_a_place_bound_to_a_server_cannot_run_without_ros(tmp_path: Path) -> Non
         StandaloneExecutor(plan)
 
 
+def run_thirty_at_once(pool: WorkerPool) -> None:
+    """Tasks that end only when all of them run."""
+    gate = threading.Barrier(31)
+    for _ in range(30):
+        pool.submit(lambda: gate.wait(DEADLINE) and None)  # type: ignore[func-returns-value]
+    gate.wait(DEADLINE)
+
+
 def test_the_pool_makes_threads_on_demand_and_uses_idle_ones_again() -> None:
-    pool = WorkerPool("test", idle_seconds=0.05)
+    pool = WorkerPool("test", idle_seconds=600)
     for _ in range(5):
-        gate = threading.Barrier(31)
-        for _ in range(30):
-            pool.submit(lambda gate=gate: gate.wait(DEADLINE) and None)  # type: ignore[misc]
-        gate.wait(DEADLINE)
-    done = threading.Event()
-    pool.submit(done.set)
-    assert done.wait(DEADLINE)
-    assert pool._made <= 151
+        run_thirty_at_once(pool)
+        deadline = time.monotonic() + DEADLINE
+        while pool._idle < 30:
+            assert time.monotonic() < deadline
+            time.sleep(0.001)
+    assert pool._made == 30
+
+
+def test_a_task_is_run_even_where_the_idle_threads_are_just_ending() -> None:
+    pool = WorkerPool("test", idle_seconds=0.0005)
+    for _ in range(100):
+        run_thirty_at_once(pool)

@@ -117,10 +117,10 @@ def test_waiting_wakes_up_for_events_and_latest_values():
     assert not hub.wait(cursor, 0.01)
     for wake in (lambda: hub.publish(fire()), lambda: hub.set_latest("room", {"x": 1})):
         woken = []
-        waiter = threading.Thread(target=lambda c=cursor, w=woken: w.append(hub.wait(c, 5.0)))
+        waiter = threading.Thread(target=lambda c=cursor, w=woken: w.append(hub.wait(c, 20)))
         waiter.start()
         wake()
-        waiter.join(5.0)
+        waiter.join(20)
         assert woken == [True]
         news, cursor = read(hub, cursor)
     assert news["latest"] == {"room": {"x": 1}} and news["events"] == []
