@@ -10,7 +10,6 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -18,6 +17,7 @@ import time
 import xmlrpc.client
 from typing import IO, Any, Dict, List, NamedTuple, Optional, Sequence
 
+from gspn_framework_package.benchmark.ports import free_port
 from gspn_framework_package.benchmark.processes import (
     MachineLoad,
     ProcessCost,
@@ -66,9 +66,7 @@ class Master:
 
     def __enter__(self) -> Master:
         self.folder = tempfile.mkdtemp(prefix="gspn_bench_")
-        with socket.socket() as probe:
-            probe.bind(("localhost", 0))
-            port = probe.getsockname()[1]
+        port = free_port()
         self.uri = "http://localhost:%d" % port
         self.environment = dict(os.environ, ROS_MASTER_URI=self.uri, ROS_HOSTNAME="localhost",
                                 ROS_HOME=self.folder, ROS_LOG_DIR=os.path.join(self.folder, "log"))  # fmt: skip

@@ -16,7 +16,7 @@ from gspn_framework_package.cli.net_input import (
     add_net_arguments,
     print_notes,
     read_net_argument,
-    read_subject,
+    read_net_or_plan_argument,
 )
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats import (
@@ -137,7 +137,7 @@ def _write_chain(args: argparse.Namespace, kind: str) -> int:
     """Write a computed chain: one file, or PRISM's three beside each other."""
     if args.output == "-":
         raise UsageError("a chain is not written to standard output")
-    subject, notes = read_subject(args)
+    subject, notes = read_net_or_plan_argument(args)
     with ProgressLine() as progress:
         chain = explicit_chain(Analysis(subject, limit=args.limit, progress=progress), _labels(args.label))
     empty = [label for label, states in chain.labels.items() if not states]

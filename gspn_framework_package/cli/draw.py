@@ -9,7 +9,7 @@ from typing import Union
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.coverability import CoverabilityTree
 from gspn_framework_package.analysis.drawing import chain_graph, tree_graph
-from gspn_framework_package.cli.net_input import add_net_arguments, print_notes, read_subject
+from gspn_framework_package.cli.net_input import add_net_arguments, print_notes, read_net_or_plan_argument
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats.dot import IMAGE_FORMATS, Graph, net_graph, render
 from gspn_framework_package.formats.source import write_bytes
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
         )
     if args.limit < 1:
         raise UsageError("--limit must be at least 1")
-    subject, notes = read_subject(args)
+    subject, notes = read_net_or_plan_argument(args)
     graph = _graph(subject, args.what, args.limit)
     text = graph.text()
     if image in ("dot", "gv"):

@@ -53,16 +53,16 @@ def read_net_argument(args: argparse.Namespace) -> Tuple[Net, List[str]]:
 
     :raises GspnError: it cannot be read, or the arguments make no sense.
     """
-    subject, notes = read_subject(args)
+    subject, notes = read_net_or_plan_argument(args)
     return (subject.net if isinstance(subject, Plan) else subject), notes
 
 
-def read_subject(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]:
+def read_net_or_plan_argument(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]:
     """The net or plan that the arguments name, and the reader's notes.
 
     :raises GspnError: it cannot be read, or the arguments make no sense.
     """
-    found = plan_file.read_subject(
+    found = plan_file.read_net_or_plan(
         args.net_file,
         format=args.source_format,
         net=args.net,

@@ -27,7 +27,7 @@ def read_subject(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]
 
     :raises GspnError: it cannot be read, or the arguments make no sense.
     """
-    subject, notes = net_input.read_subject(args)
+    subject, notes = net_input.read_net_or_plan_argument(args)
     if not isinstance(subject, Plan):
         if args.robots is not None or args.only_net:
             raise UsageError("--robots and --only-net are for plans")

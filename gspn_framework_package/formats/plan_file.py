@@ -45,7 +45,7 @@ def read_plan(path: str) -> Plan:
         raise
 
 
-class Subject(NamedTuple):
+class NetOrPlan(NamedTuple):
     """What can be simulated and analysed: a ``net``, and the ``plan`` where it is the net of one; ``notes`` for people
     on how it was read."""
 
@@ -54,7 +54,7 @@ class Subject(NamedTuple):
     notes: Tuple[str, ...]
 
 
-def read_subject(
+def read_net_or_plan(
     path: str,
     *,
     format: Optional[str] = None,
@@ -62,7 +62,7 @@ def read_subject(
     constants: Mapping[str, float] = NO_CONSTANTS,
     infinite_servers: Optional[bool] = None,
     missing_weight: float = 1.0,
-) -> Subject:
+) -> NetOrPlan:
     """Read a plan, as :func:`read_plan`, or a net, as :func:`~gspn_framework_package.formats.registry.read_net`, with
     the options of that. A folder and a JSON file are taken for a plan, unless a format is given.
 
@@ -76,7 +76,7 @@ def read_subject(
                 hint="this is a plan, which says it itself",
             )
         plan = read_plan(path)
-        return Subject(plan.net, plan, tuple(plan.notes))
+        return NetOrPlan(plan.net, plan, tuple(plan.notes))
     found, notes = read_net_with_notes(
         path,
         format=format,
@@ -85,7 +85,7 @@ def read_subject(
         infinite_servers=infinite_servers,
         missing_weight=missing_weight,
     )
-    return Subject(found, None, tuple(notes))
+    return NetOrPlan(found, None, tuple(notes))
 
 
 def is_plan(path: str) -> bool:

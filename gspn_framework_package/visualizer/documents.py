@@ -13,7 +13,7 @@ import re
 import tempfile
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
-from gspn_framework_package.formats.plan_file import PLAN_FILE, read_subject
+from gspn_framework_package.formats.plan_file import PLAN_FILE, read_net_or_plan
 from gspn_framework_package.formats.registry import FORMATS
 from gspn_framework_package.formats.thesis_input import is_thesis_input
 from gspn_framework_package.model.errors import InputError, LimitError, RefusedError, UsageError
@@ -100,7 +100,7 @@ class Folder:
     def open(self, path: str) -> Document:
         """The net or plan at ``path``. :raises GspnError: it cannot be read."""
         whole = self.resolve(path)
-        found = read_subject(whole)
+        found = read_net_or_plan(whole)
         return _checked(Document(path, found.net, found.plan, found.plan is not None, found.notes))
 
     def _inside(self, whole: str) -> bool:
@@ -151,7 +151,7 @@ def read_upload(files: Any) -> Document:
             if not plans and len(sent) > 1:
                 raise UsageError("several nets were sent, and no input file that chooses")
             name = plans[0] if plans else next(iter(sent))
-            found = read_subject(os.path.join(folder, name))
+            found = read_net_or_plan(os.path.join(folder, name))
             return _checked(Document(name, found.net, found.plan, notes=found.notes))
         except InputError as error:
             if error.file:  # the folder is nobody's business

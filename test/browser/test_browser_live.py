@@ -8,6 +8,7 @@ import sys
 import pytest
 from page_reading import dots, marking, settle
 
+from gspn_framework_package.benchmark.ports import free_port
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.visualizer.activity import Activity
 from gspn_framework_package.visualizer.board import Board
@@ -192,12 +193,6 @@ def test_more_viewers_than_streams_poll_and_agree(show_net, open_page):
     for page in (one, two):
         settle(page, 1)
         assert marking(page) == site.board().marking
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def feed(port):

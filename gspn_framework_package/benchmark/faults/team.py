@@ -9,7 +9,6 @@ import os
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -20,6 +19,7 @@ from typing import Any, Callable, Dict, List
 from gspn_framework_package.benchmark.faults import dying_node
 from gspn_framework_package.benchmark.log_tail import LogTail
 from gspn_framework_package.benchmark.plans import tokens_plan
+from gspn_framework_package.benchmark.ports import free_port
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.history import Verdict, verify
 from gspn_framework_package.formats.plan_json import plan_to_json
@@ -40,9 +40,7 @@ class Master:
     """A ROS master that can be killed, and comes back on its port."""
 
     def __init__(self) -> None:
-        with socket.socket() as probe:
-            probe.bind(("localhost", 0))
-            self._port = probe.getsockname()[1]
+        self._port = free_port()
         os.environ["ROS_MASTER_URI"] = "http://localhost:%d" % self._port
         os.environ["ROS_HOSTNAME"] = "localhost"
         os.environ.pop("ROS_IP", None)

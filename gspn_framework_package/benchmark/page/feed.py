@@ -6,13 +6,13 @@ from __future__ import annotations
 import contextlib
 import math
 import random
-import socket
 import subprocess
 import sys
 import threading
 import time
 from typing import Iterator, NamedTuple, Tuple
 
+from gspn_framework_package.benchmark.ports import free_port
 from gspn_framework_package.execution.simulator import Simulator
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import ExecutionError
@@ -139,9 +139,7 @@ class Served(NamedTuple):
 @contextlib.contextmanager
 def served(nodes: int, rate: float) -> Iterator[Served]:
     """A server in a process of its own. :raises ExecutionError: it did not start."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
+    port = free_port()
     command = [sys.executable, "-m", __name__, str(nodes), str(rate), str(port)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin and process.stdout

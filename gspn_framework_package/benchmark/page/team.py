@@ -27,6 +27,7 @@ import psutil
 from gspn_framework_package.benchmark.page.feed import served
 from gspn_framework_package.benchmark.page.rendering import SCREEN, chromium
 from gspn_framework_package.benchmark.plans import tokens_plan
+from gspn_framework_package.benchmark.ports import free_port
 from gspn_framework_package.benchmark.processes import cpu_seconds, descendants
 from gspn_framework_package.benchmark.team_run import Master, TeamRun, need_ros
 from gspn_framework_package.execution.event_log import read_log
@@ -134,9 +135,7 @@ class _Server:
     """The node ``visualizer`` of the run."""
 
     def __init__(self, master: Master, plan: str, robots: int) -> None:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = int(probe.getsockname()[1])
+        self.port = free_port()
         command = [sys.executable, "-m", "gspn_framework_package.visualizer.ros_node",
                    "_plan:=" + plan, "_robots:=%d" % robots, "_port:=%d" % self.port]  # fmt: skip
         self._process = subprocess.Popen(command, env=master.environment, stdin=subprocess.DEVNULL,

@@ -3,16 +3,15 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 
-with socket.socket() as probe:
-    probe.bind(("localhost", 0))
-    PORT = probe.getsockname()[1]
+from gspn_framework_package.benchmark.ports import free_port  # noqa: E402
+
+PORT = free_port()
 os.environ["ROS_MASTER_URI"] = "http://localhost:%d" % PORT
 
 import rosgraph  # noqa: E402

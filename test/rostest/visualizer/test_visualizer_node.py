@@ -4,7 +4,6 @@
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import urllib.error
@@ -18,6 +17,8 @@ sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 from robots import RobotTestCase, copy_plan, start_node  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
+from gspn_framework_package.benchmark.ports import free_port  # noqa: E402
+
 
 class Page:
     """The node ``visualizer``, and what its page is told."""
@@ -25,9 +26,7 @@ class Page:
     def __init__(self, plan):
         self.plan = plan
         self.refusals = []
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = probe.getsockname()[1]
+        self.port = free_port()
         self.address = "http://127.0.0.1:%d" % self.port
         self.start()
 
