@@ -94,6 +94,12 @@ def _explain(error: Exception) -> Tuple[str, int]:
     """Return what to tell the user of ``error``, and the exit code."""
     if isinstance(error, GspnError):
         return f"error: {error}", error.exit_code
+    if isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith(__package__.split(".")[0]):
+        return (
+            f"error: {sys.executable} has no Python library '{error.name}'\n"
+            "Install it, or use the Python that ./run_demo prepares in a checkout: .workspace/venv/bin/python3",
+            EXIT_USAGE,
+        )
     if isinstance(error, OSError) and error.filename is not None:
         return f"error: {os.fsdecode(error.filename)}: {error.strerror}", EXIT_USAGE
     return (

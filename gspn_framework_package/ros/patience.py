@@ -14,7 +14,7 @@ class Patience(NamedTuple):
     """Until the server's status lists the goal; the goal is sent again every third of it."""
     status: float = 5.0
     """Between two statuses of the server while the goal is under way."""
-    result: float = 1.0
+    result: float = 3.0
     """Until the result of a goal comes that has ended, or that the server no longer knows."""
 
 

@@ -317,6 +317,16 @@ def test_arguments_reach_the_verb(verb):
     [
         (InputError("no place p", file="a.json", line=3), 2, "gspn: error: a.json:3: no place p"),
         (FileNotFoundError(2, "No such file", "b.json"), 2, "gspn: error: b.json: No such file"),
+        (
+            ModuleNotFoundError("No module named 'lxml'", name="lxml"),
+            2,
+            "gspn: error: %s has no Python library 'lxml'" % sys.executable,
+        ),
+        (
+            ModuleNotFoundError("No module named 'x'", name="gspn_framework_package.x"),
+            70,
+            "gspn: internal error: ModuleNotFoundError: No module named 'x'",
+        ),
         (KeyboardInterrupt(), 130, "gspn: interrupted"),
         (KeyError("x"), 70, "gspn: internal error: KeyError: 'x'"),
         (RecursionError("too deep"), 70, "gspn: internal error: RecursionError: too deep"),

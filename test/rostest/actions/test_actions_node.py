@@ -29,7 +29,7 @@ from gspn_framework_package.ros.goal_id import parse_goal_id  # noqa: E402
 from gspn_framework_package.ros.patience import Patience  # noqa: E402
 from gspn_framework_package.ros.place_servers import KEPT_ENDED, PlaceServers  # noqa: E402
 
-IMPATIENT = Patience(server=1.0, acknowledgement=0.9, status=1.0, result=0.3)
+PATIENT = Patience(server=20, acknowledgement=20, status=20, result=20)
 MOVE_BASE = "move_base_msgs/MoveBaseAction"
 EXEC = "gspn_framework_package/ExecGSPNAction"
 
@@ -48,7 +48,7 @@ class Robot:
         self.robot = robot
         self.ended, self.feedback = queue.Queue(), []
         self._tasks = queue.SimpleQueue()
-        options.setdefault("patience", IMPATIENT._replace(server=10))
+        options.setdefault("patience", PATIENT)
         self.caller = ActionCaller(
             robot,
             action_targets(plan, robot, namespace),
@@ -78,7 +78,7 @@ class Robot:
         command = StartAction(self.robot, place, incarnation, visit or self._visits, attempt)
         self._tasks.put((self.caller.start, command, time.monotonic()))
 
-    def do(self, place, seconds=10.0, **options):
+    def do(self, place, seconds=20.0, **options):
         self.send(place, **options)
         return self.ended.get(timeout=seconds)
 
@@ -106,7 +106,7 @@ class Server:
         self.server.start()
 
     def next(self):
-        return self.goals.get(timeout=10)
+        return self.goals.get(timeout=20)
 
 
 class ActionsTest(unittest.TestCase):
@@ -303,23 +303,22 @@ class ActionsTest(unittest.TestCase):
     # -- servers that misbehave --------------------------------------------------------------------
 
     def test_a_missing_server_is_reported_with_its_name(self):
-        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "nobody")}), patience=IMPATIENT)
+        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "nobody")}), patience=PATIENT._replace(server=1))
         robot.send("P1")
         wait_for(lambda: "nobody" in robot.caller.doing(), what="what it waits for")
-        ended = robot.ended.get(timeout=5)
+        ended = robot.ended.get(timeout=20)
         self.assertEqual(ended.reason, "no server")
         self.assertIn(self.namespace + "/nobody", ended.detail)
 
     def test_a_server_that_comes_late_gets_the_goal(self):
-        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "late")}),
-                           patience=IMPATIENT._replace(server=15))  # fmt: skip
+        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "late")}))
         robot.send("P1")
         wait_for(lambda: robot.caller.connections == 1, what="the client's topics")
         server = Server(self.namespace + "/late", ExecGSPNAction)
         goal = server.next()
         goal.set_accepted()
         goal.set_succeeded(ExecGSPNResult("T1"))
-        self.assertEqual(robot.ended.get(timeout=10).result, "T1")
+        self.assertEqual(robot.ended.get(timeout=20).result, "T1")
 
     def test_a_server_that_dies_with_the_goal_is_noticed(self):
         for how, signal in (("killed", "KILL"), ("stopped", "STOP")):
@@ -335,22 +334,21 @@ class ActionsTest(unittest.TestCase):
             )
             process = subprocess.Popen([sys.executable, "-c", code])
             self._closing.append(process.kill)
-            robot = self.robot(plan_of({"P1": ServerAction(EXEC, how)}),
-                               patience=IMPATIENT._replace(server=20))  # fmt: skip
+            robot = self.robot(plan_of({"P1": ServerAction(EXEC, how)}), patience=PATIENT._replace(status=1, result=0.3))
             robot.send("P1")
             wait_for(robot.is_under_way, 20, "the server to take the goal")
             subprocess.check_call(["kill", "-" + signal, str(process.pid)])
-            ended = robot.ended.get(timeout=5)
+            ended = robot.ended.get(timeout=20)
             self.assertEqual(ended.reason, "server died", ended.detail)
 
     def test_a_server_that_forgets_the_goal_is_noticed(self):
         server = Server(self.namespace + "/forgets", ExecGSPNAction)
-        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "forgets")}))
+        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "forgets")}), patience=PATIENT._replace(result=0.3))
         robot.send("P1")
         server.next().set_accepted()
         wait_for(robot.is_under_way, what="the server to take the goal")
         server.server.status_list = []  # as after a restart
-        ended = robot.ended.get(timeout=5)
+        ended = robot.ended.get(timeout=20)
         self.assertEqual(ended.reason, "server died")
         self.assertIn("does not know the goal", ended.detail)
 
@@ -367,8 +365,7 @@ class ActionsTest(unittest.TestCase):
         rospy.Subscriber(name + "/goal", type(spec.action_goal), goals.append)
         rospy.Subscriber(name + "/cancel", GoalID, lambda message: None)
         status.publish(GoalStatusArray())
-        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "deaf")}),
-                           patience=IMPATIENT._replace(server=10))  # fmt: skip
+        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "deaf")}), patience=PATIENT._replace(acknowledgement=0.9))
         ended = robot.do("P1")
         self.assertEqual(ended.reason, "lost")
         self.assertGreaterEqual(len(goals), 2)
@@ -405,7 +402,7 @@ class ActionsTest(unittest.TestCase):
         wait_for(lambda: others.count("/second") > 10, 20, "statuses of the second server")
         self.assertTrue(robot.ended.empty())
         goal.set_succeeded(ExecGSPNResult("T1"))
-        self.assertEqual(robot.ended.get(timeout=5).result, "T1")
+        self.assertEqual(robot.ended.get(timeout=20).result, "T1")
 
     def test_an_action_that_takes_too_long_is_cancelled(self):
         server = Server(self.namespace + "/slow", ExecGSPNAction)
@@ -413,7 +410,7 @@ class ActionsTest(unittest.TestCase):
         robot = self.robot(plan)
         robot.send("P1")
         server.next().set_accepted()
-        ended = robot.ended.get(timeout=5)
+        ended = robot.ended.get(timeout=20)
         self.assertEqual((ended.reason, ended.detail), ("timeout", "it took longer than 0.5 s"))
         wait_for(lambda: server.cancelled, what="the cancel request")
 
@@ -430,7 +427,7 @@ class ActionsTest(unittest.TestCase):
         second = server.next()
         second.set_accepted()
         second.set_succeeded(ExecGSPNResult("T2"))
-        self.assertEqual(robot.ended.get(timeout=5).result, "T2")
+        self.assertEqual(robot.ended.get(timeout=20).result, "T2")
         self.assertTrue(robot.ended.empty())
 
     # -- action types of others --------------------------------------------------------------------
@@ -453,7 +450,7 @@ class ActionsTest(unittest.TestCase):
         self.assertGreater(target.header.stamp.to_sec(), 0)
         goal.set_accepted()
         goal.set_succeeded()
-        self.assertEqual(robot.ended.get(timeout=5)[1:], ("T_there", "", ""))
+        self.assertEqual(robot.ended.get(timeout=20)[1:], ("T_there", "", ""))
         for place, how, expected in (
             ("P1", "set_aborted", ("T_blocked", "", "")),
             ("P2", "set_succeeded", ("", "", "")),
@@ -464,10 +461,10 @@ class ActionsTest(unittest.TestCase):
             goal = server.next()
             goal.set_accepted()
             getattr(goal, how)(text="no way")
-            self.assertEqual(robot.ended.get(timeout=5)[1:], expected, (place, how))
+            self.assertEqual(robot.ended.get(timeout=20)[1:], expected, (place, how))
         robot.send("P2")
         server.next().set_rejected(text="not now")
-        self.assertEqual(robot.ended.get(timeout=5)[1:], ("", "rejected", "not now"))
+        self.assertEqual(robot.ended.get(timeout=20)[1:], ("", "rejected", "not now"))
 
     def test_a_goal_that_does_not_fit_is_refused_before_the_run(self):
         from gspn_framework_package.model.errors import PlanError

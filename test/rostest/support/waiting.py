@@ -3,7 +3,7 @@
 import time
 
 
-def wait_for(condition, seconds=10.0, what="the condition"):
+def wait_for(condition, seconds=20.0, what="the condition"):
     """Wait until ``condition()`` is true and return its value; an AssertionError after a deadline."""
     deadline = time.monotonic() + seconds
     while True:
