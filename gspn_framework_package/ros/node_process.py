@@ -38,6 +38,7 @@ def run_node(name: str, body: Callable[[threading.Event], int]) -> int:
     :returns: the exit code: that of ``body`` or of its error, or 128 + the signal.
     """
     raise_descriptor_limit()
+    say_nothing_of_sockets_after_the_end()
     ending, ended = threading.Event(), threading.Event()
     signals: List[int] = []
 
@@ -140,6 +141,18 @@ def raise_descriptor_limit(wanted: int = 65536) -> None:
     wanted = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
     if soft != resource.RLIM_INFINITY and soft < wanted:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+
+
+def say_nothing_of_sockets_after_the_end() -> None:
+    """A node that ends closes its sockets under threads of rospy that are about to use them: that is no news, and
+    what else has to be said does not get lost among tracebacks."""
+    tell = threading.excepthook
+
+    def tell_unless_ended(args: Any) -> None:
+        if not (rospy.is_shutdown() and issubclass(args.exc_type, OSError)):
+            tell(args)
+
+    threading.excepthook = tell_unless_ended
 
 
 class _Lines(logging.handlers.QueueHandler):

@@ -79,7 +79,9 @@ class PlaceServers:
         self._timer.start()
 
     def stop(self) -> None:
-        """Cancel what runs, and take no more goals."""
+        """Cancel what runs, and take no more goals. No results are told: nobody asked for the end of these goals, and
+        a robot whose servers end a moment before itself must not take it for a failure of the action. A robot that
+        goes on sees that the server has gone."""
         self._stopping.set()
         with self._lock:
             running = list(self._running.values())
@@ -92,6 +94,8 @@ class PlaceServers:
 
     def accept(self, server: PlaceServer, handle: ServerGoalHandle, caller: str) -> None:
         """A goal came in for ``server``, from the node ``caller``."""
+        if self._stopping.is_set():
+            return
         place = handle.get_goal().place
         goal_id = handle.get_goal_id().id
         action = server.action(place)
@@ -137,10 +141,12 @@ class PlaceServers:
         finally:
             with self._lock:
                 self._running.pop(goal_id, None)
+        if self._stopping.is_set() or rospy.is_shutdown():  # the node's end has ended it, see stop()
+            return
         try:
             self._tell_result(goal, result, failure)
         except rospy.ROSException:
-            if not self._stopping.is_set():  # else the publisher is closed: nobody is there to be told
+            if not self._stopping.is_set():  # else the publisher was closed in the meantime
                 raise
 
     @staticmethod

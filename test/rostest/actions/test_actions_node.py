@@ -210,6 +210,17 @@ class ActionsTest(unittest.TestCase):
         process.kill()
         wait_for(lambda: acts.ended == [(0, True)], 10, "its end")
 
+    def test_the_end_of_the_servers_is_no_result_of_an_action(self):
+        plan, servers = self.serve({"P1": "until_cancelled"})
+        acts = self.acts()
+        robot = self.robot(plan, patience=PATIENT._replace(result=0.3))
+        robot.send("P1", visit=4)
+        wait_for(lambda: acts.seen == [4], what="the action")
+        wait_for(robot.is_under_way, what="the goal to be taken")
+        servers.stop()
+        wait_for(lambda: acts.ended == [(4, True)], what="its end")
+        self.assertEqual(robot.ended.get(timeout=20).reason, "server died")
+
     def test_a_place_that_is_not_served_is_rejected(self):
         plan = plan_of({"P1": FunctionAction("acts.instant", "both"),
                         "P2": FunctionAction("acts.instant", "both")})  # fmt: skip
@@ -225,11 +236,13 @@ class ActionsTest(unittest.TestCase):
         self.assertEqual((ended.reason, "P3" in ended.detail), ("rejected", True))
 
     def test_a_client_of_the_thesis_works_against_a_place_server(self):
-        self.serve({"P1": "instant"})
+        _, servers = self.serve({"P1": "instant"})
         client = actionlib.SimpleActionClient(self.namespace + "/P1", ExecGSPNAction)
-        self.assertTrue(client.wait_for_server(rospy.Duration(10)))
+        self.assertTrue(client.wait_for_server(rospy.Duration(20)))
+        (server,) = servers.servers.values()
+        wait_for(server.result_pub.get_num_connections, what="the server's side of the connection")
         self.assertEqual(
-            client.send_goal_and_wait(ExecGSPNGoal("P1"), rospy.Duration(10)),
+            client.send_goal_and_wait(ExecGSPNGoal("P1"), rospy.Duration(20)),
             GoalStatus.SUCCEEDED,
         )
         self.assertEqual(client.get_result().transition, "T_P1")
@@ -274,9 +287,10 @@ class ActionsTest(unittest.TestCase):
         plan, servers = self.serve({"P1": "instant", "P2": "tell", "P3": "breaks"})
         results, statuses = [], []
         name = self.namespace + "/P1"
-        heard = [rospy.Subscriber(name + "/result", ExecGSPNActionResult, results.append),
-                 rospy.Subscriber(name + "/status", GoalStatusArray, statuses.append)]  # fmt: skip
-        wait_for(lambda: all(topic.get_num_connections() for topic in heard), what="connections")
+        rospy.Subscriber(name + "/result", ExecGSPNActionResult, results.append)
+        rospy.Subscriber(name + "/status", GoalStatusArray, statuses.append)
+        publishers = (servers.servers[name].result_pub, servers.servers[name].status_pub)
+        wait_for(lambda: all(publisher.get_num_connections() for publisher in publishers), what="connections")
         robot = self.robot(plan, own_servers=servers.servers)
         ended = robot.do("P1")
         self.assertEqual(ended, (ended.identity, "T_P1", "", ""))

@@ -114,7 +114,7 @@ class ServicesTest(RobotTestCase):
         wait_for(lambda: "operator" in robot_2.status()["waits_for"], what="the failure")
         self.assertEqual(gspn("retry", "robot_2")[0], 0)
         wait_for(lambda: robot_2.state().place == "C", what="the second attempt")
-        wait_for(lambda: team.transitions()[-1] == "T2", what="the news of it")
+        wait_for(lambda: team.transitions()[-1:] == ["T2"], what="the news of it")
 
         code, output = gspn("set-place", "robot_9", "B")
         self.assertEqual(code, 1, output)

@@ -11,7 +11,9 @@ import tempfile
 import time
 import unittest
 import uuid
+import xmlrpc.client
 
+import rosgraph
 import rospy
 from waiting import wait_for
 
@@ -88,6 +90,15 @@ class Robot:
 
         return wait_for(answer, 20, "an answer of %s" % name)
 
+    def is_heard_by(self, listener):
+        """Whether the node knows that ``listener`` is connected to its firings (the listener knows it earlier)."""
+        try:
+            address = rosgraph.Master(rospy.get_name()).lookupNode(self.namespace + "/executor")
+            _, _, connections = xmlrpc.client.ServerProxy(address).getBusInfo(rospy.get_name())
+        except (OSError, rosgraph.MasterException):
+            return False
+        return any(c[1] == listener and c[2] == "o" and c[4] == "/fired_transitions" for c in connections)
+
     def state(self):
         return self.call("get_state", GetState, "", "")
 
@@ -140,9 +151,9 @@ class Team:
         return self
 
     def wait_until_heard(self, seconds=30):
-        """Wait until this process is connected to every robot: what was published before is not heard."""
-        wait_for(lambda: self._subscriber.get_num_connections() >= len(self.robots), seconds,
-                 "connections to all robots")  # fmt: skip
+        """Wait until every robot knows that this process listens: what it publishes before is not heard."""
+        for robot in self:
+            wait_for(lambda: robot.is_heard_by(rospy.get_name()), seconds, "a connection to " + robot.name)  # noqa: B023
 
     def transitions(self):
         return [message.transition for message in list(self.fired)]
