@@ -14,7 +14,7 @@ from typing import Any, Dict, List, Optional, Tuple
 from gspn_framework_package.benchmark.plans import plans_folder
 from gspn_framework_package.benchmark.processes import cost_of, descendants
 from gspn_framework_package.benchmark.team_run import Master, need_ros
-from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.event_log import EventLog, read_log, replay
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError
@@ -30,9 +30,9 @@ _PLACE = re.compile(r"(Check_Temperature|Alarm|Decide)_(\w+)$")
 
 
 class Watcher:
-    """Listens to a patrol: the referee's report, what the plan grants, where it misses a policy row."""
+    """Listens to a patrol: the referee's report, and what the plan grants."""
 
-    def __init__(self, robots: List[str], room: Room) -> None:
+    def __init__(self, room: Room) -> None:
         import rospy
         from std_msgs.msg import String
 
@@ -43,13 +43,10 @@ class Watcher:
         self.report: Dict[str, Any] = {}
         self.world: Dict[str, Any] = {"time": 0.0}
         self.firings: Dict[Tuple[int, int], Tuple[str, str]] = {}
-        self.misses = 0
         self.rule_broken = 0
         rospy.Subscriber("/world/referee", String, self._on_report, queue_size=1)
         rospy.Subscriber("/world/state", String, self._on_state, queue_size=1)
         rospy.Subscriber("/fired_transitions", FiredTransition, self._on_firing, queue_size=1000)
-        for robot in robots:
-            rospy.Subscriber("/%s/activity" % robot, String, self._on_activity, queue_size=100)
 
     def _on_report(self, message: Any) -> None:
         report = json.loads(message.data)
@@ -70,11 +67,6 @@ class Watcher:
         with self._lock:
             self.firings[(message.slot, message.index)] = (message.transition, message.robot)
             self.rule_broken += any(count > 1 for count in inside.values())
-
-    def _on_activity(self, message: Any) -> None:
-        if "no row" in message.data:
-            with self._lock:
-                self.misses += 1
 
     @property
     def time(self) -> float:
@@ -180,7 +172,7 @@ def measure_ros(
         import rospy
 
         rospy.init_node("bench_room", anonymous=True, disable_signals=True)
-        watcher = Watcher(names, load_room(room))
+        watcher = Watcher(load_room(room))
         output = os.path.join(master.folder, "patrol.txt")
         words = ["roslaunch", "gspn_framework_package", "patrol.launch", "robots:=%d" % robots]
         words += ["world:=" + os.path.abspath(room), "real_time_factor:=%g" % factor, "run:=room_%d" % seed]
@@ -215,10 +207,25 @@ def read_logs(folder: str) -> Dict[str, Any]:
     }
     return {
         "failed_actions": len(failed),
+        "policy_misses": count_policy_misses(max(logs, key=lambda log: len(log.records))),
         "log_violations": int(verdict.violation is not None),
         "verdict": "valid" if verdict.violation is None else "rule %d: %s" % verdict.violation,
         "slots": verdict.slots,
     }
+
+
+def count_policy_misses(event_log: EventLog) -> int:
+    """How many transitions of a log were drawn by their weights, for want of a row of the policy."""
+    net, policy = event_log.plan.net, event_log.plan.policy.bind(event_log.plan.net)
+    misses = 0
+    for step in replay(event_log):
+        for firing in step.firings:
+            if firing.drawn is not None:
+                before = list(firing.marking)
+                for place, change in net.effect(net.transition_index[firing.transition]):
+                    before[place] -= change
+                misses += not policy.matches(before)
+    return misses
 
 
 def _watch(
@@ -265,7 +272,6 @@ def _watch(
         "seed": seed,
         **figures(watcher.report),
         "overtakings": len(order.out_of_turn),
-        "policy_misses": watcher.misses,
         "rule_broken_in_marking": watcher.rule_broken,
         "firings": len(watcher.firings),
         "start_seconds": first[0] - begin,
