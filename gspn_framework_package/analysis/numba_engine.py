@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from typing import Any, List, Tuple
+from typing import Any, List, NamedTuple, Tuple
 
 import numpy as np
 from numba import config, njit
@@ -72,34 +72,38 @@ def explore(packed: PackedNet, limit: int, watch: Watch, cores: int = 0) -> RawG
     targets = Growing(np.int32 if limit < 2**31 - 2**24 else np.int64)
     labels = Growing(label_type(transitions))
     table = np.zeros(1 << 12, dtype=np.uint64)
-    _enter_for(packed.words)(table, states.array, 0, packed.initial[None, :], np.zeros(0, np.int64), targets.array)
-    buffers = [_Buffers(share, transitions, packed.words, targets, labels)]
+    expand, enter = _expand_for(packed.words), _enter_for(packed.words)
+    enter(table, states.array, 0, packed.initial[None, :], np.zeros(0, np.int64), targets.array)
+    rules = _Rules(*(getattr(packed, name) for name in _Rules._fields))
+    buffers = [_new_buffers(share, transitions, packed.words, targets, labels)]
     explored = 0
     with ThreadPoolExecutor(max(cores - 1, 1), thread_name_prefix="explore") as others:
         while explored < states.used <= limit:
             if states.used - explored < narrow:
-                explored = _go_narrow(packed, explored, limit, table, states, offsets, targets, labels, buffers[0])
+                explored = _go_narrow(rules, explored, limit, table, states, offsets, targets, labels, buffers[0])
                 table = _with_room(table, states.used + narrow * transitions)
                 watch.step("states", states.used)
                 continue
             end = min(explored + share * cores, states.used)
             bounds = _shares(explored, end, -(-(end - explored) // share))
             while len(buffers) < len(bounds):
-                buffers.append(_Buffers(share, transitions, packed.words, targets, labels))
-            work = [(packed, states.array, table, part, buffer) for part, buffer in zip(bounds, buffers)]
-            running = [others.submit(_expand, *arguments) for arguments in work[1:]]
-            done = [_expand(*work[0])] + [future.result() for future in running]
+                buffers.append(_new_buffers(share, transitions, packed.words, targets, labels))
+            work: List[Tuple[Any, ...]] = [
+                (rules, states.array, table, part, buffer) for part, buffer in zip(bounds, buffers)
+            ]
+            running = [others.submit(expand, *arguments) for arguments in work[1:]]
+            done = [expand(*work[0])] + [future.result() for future in running]
             _check_overflow(buffers)
-            new = sum(count for _, count in done)
+            new = sum(misses for _, misses, _ in done)
             states.reserve(states.used + new)
             table = _with_room(table, states.used + new)
             offsets.reserve(offsets.used + end - explored)
-            for (arcs, misses), buffer, (begin, stop) in zip(done, buffers, bounds):
+            for (arcs, misses, _), buffer, (begin, stop) in zip(done, buffers, bounds):
                 base = targets.used
                 targets.extend(buffer.targets[:arcs])
                 labels.extend(buffer.labels[:arcs])
                 offsets.extend(buffer.ends[: stop - begin] + base)
-                states.used = _enter_for(packed.words)(
+                states.used = enter(
                     table, states.array, states.used, buffer.keys[:misses], buffer.arcs[:misses], targets.array[base:]
                 )
             explored = end
@@ -109,18 +113,40 @@ def explore(packed: PackedNet, limit: int, watch: Watch, cores: int = 0) -> RawG
     return RawGraph(states.finished(), offsets.finished(), targets.finished(), labels.finished(), explored)
 
 
-class _Buffers:
+class _Rules(NamedTuple):
+    """What the compiled code reads of a packed net."""
+
+    need: Any
+    need_guard: Any
+    inhibit: Any
+    inhibit_guard: Any
+    change: Any
+    class_ends: Any
+    guard: Any
+
+
+class _Buffers(NamedTuple):
     """What one core finds in its share: targets (-1: not known yet) and labels of the arcs, where the arcs of each
     state end; and of the arcs whose target is not known their numbers, and the packed markings that they lead to."""
 
-    def __init__(self, states: int, transitions: int, words: int, targets: Growing, labels: Growing) -> None:
-        room = states * transitions
-        self.targets = np.empty(room, dtype=targets.array.dtype)
-        self.labels = np.empty(room, dtype=labels.array.dtype)
-        self.ends = np.empty(states, dtype=np.int64)
-        self.keys = np.empty((room, words), dtype=np.uint64)
-        self.arcs = np.empty(room, dtype=np.int64)
-        self.overflow = np.zeros(words, dtype=np.uint64)
+    targets: Any
+    labels: Any
+    ends: Any
+    keys: Any
+    arcs: Any
+    overflow: Any
+
+
+def _new_buffers(states: int, transitions: int, words: int, targets: Growing, labels: Growing) -> _Buffers:
+    room = states * transitions
+    return _Buffers(
+        np.empty(room, dtype=targets.array.dtype),
+        np.empty(room, dtype=labels.array.dtype),
+        np.empty(states, dtype=np.int64),
+        np.empty((room, words), dtype=np.uint64),
+        np.empty(room, dtype=np.int64),
+        np.zeros(words, dtype=np.uint64),
+    )
 
 
 def _shares(begin: int, end: int, cores: int) -> List[Tuple[int, int]]:
@@ -136,35 +162,23 @@ def _check_overflow(buffers: List[_Buffers]) -> None:
 
 
 def _go_narrow(
-    packed: PackedNet, explored: int, limit: int, table: Any, states: Growing, offsets: Growing, targets: Growing,
+    rules: _Rules, explored: int, limit: int, table: Any, states: Growing, offsets: Growing, targets: Growing,
     labels: Growing, buffer: _Buffers,
 ) -> int:  # fmt: skip
     """Do rounds of few states until they grow or the room is used up; returns the first state not explored."""
-    room = _NARROW * max(len(packed.order), 1)
+    room = _NARROW * max(len(rules.need), 1)
     states.reserve(states.used + 2 * room)
     targets.reserve(targets.used + 2 * room)
     labels.reserve(len(targets.array))
     offsets.reserve(len(states.array) + 1)
     most = min(limit, len(states.array) - room, states.used + _STRIDE)
-    explored, states.used, targets.used = _narrow_for(packed.words)(
-        explored, states.used, most, min(_NARROW, len(buffer.ends)), states.array, table,
-        packed.need, packed.need_guard, packed.inhibit, packed.inhibit_guard, packed.change, packed.class_ends,
-        packed.guard, targets.array, labels.array, targets.used, offsets.array, buffer.ends, buffer.keys, buffer.arcs,
-        buffer.overflow,
+    explored, states.used, targets.used = _narrow_for(len(rules.guard))(
+        rules, explored, states.used, most, min(_NARROW, len(buffer.ends)), states.array, table, offsets.array,
+        buffer._replace(targets=targets.array, labels=labels.array), targets.used,
     )  # fmt: skip
     labels.used, offsets.used = targets.used, explored + 1
     _check_overflow([buffer])
     return int(explored)
-
-
-def _expand(packed: PackedNet, states: Any, table: Any, share: Tuple[int, int], buffer: _Buffers) -> Tuple[int, int]:
-    """Fill ``buffer``; how many arcs there are, and how many of them lead to markings not known yet."""
-    arcs, misses, _ = _expand_for(packed.words)(
-        *share, states, table, packed.need, packed.need_guard, packed.inhibit, packed.inhibit_guard, packed.change,
-        packed.class_ends, packed.guard, buffer.targets, buffer.labels, buffer.ends, buffer.keys, buffer.arcs,
-        buffer.overflow,
-    )  # fmt: skip
-    return int(arcs), int(misses)
 
 
 # -- the hash table -----------------------------------------------------------------------------------------
@@ -267,27 +281,15 @@ def _expand_for(words: int) -> Any:
     """Expanding for markings of that many words."""
 
     @njit(cache=True, nogil=True)
-    def expand(
-        begin: Any,
-        end: Any,
-        states: Any,
-        table: Any,
-        need: Any,
-        need_guard: Any,
-        inhibit: Any,
-        inhibit_guard: Any,
-        change: Any,
-        class_ends: Any,
-        guard: Any,
-        targets: Any,
-        labels: Any,
-        ends: Any,
-        keys: Any,
-        key_arcs: Any,
-        overflow: Any,
-    ) -> Any:
-        """Expand the states ``begin`` to ``end``; returns the number of arcs, that of keys, and what keeps the
-        compiler from leaving the touching out."""
+    def expand(rules: Any, states: Any, table: Any, share: Any, found: Any) -> Any:
+        """Expand the states from the first of ``share`` up to the second; what comes of them goes into ``found``.
+
+        Returns the number of arcs, that of arcs that lead to markings not known yet, and what keeps the compiler from
+        leaving the touching out.
+        """
+        need, need_guard, inhibit, inhibit_guard, change, class_ends, guard = rules
+        targets, labels, ends, keys, key_arcs, overflow = found
+        begin, end = share
         transitions = need.shape[0]
         shift, mask = _shift(table), np.uint64(len(table) - 1)
         batch = np.empty((_BLOCK * transitions, words), np.uint64)
@@ -344,14 +346,14 @@ def _expand_for(words: int) -> Any:
                     if entry == _ZERO:
                         break
                     if entry & ~_LOW == high:
-                        found = np.int64(entry & _LOW) - 1
+                        known = np.int64(entry & _LOW) - 1
                         same = True
                         for w in range(words):
-                            if states[found, w] != batch[i, w]:
+                            if states[known, w] != batch[i, w]:
                                 same = False
                                 break
                         if same:
-                            number = found
+                            number = known
                             break
                     slot = (slot + _ONE) & mask
                 targets[arcs + i] = number
@@ -373,44 +375,25 @@ def _narrow_for(words: int) -> Any:
 
     @njit(cache=True, nogil=True)
     def narrow(
-        explored: Any,
-        known: Any,
-        most: Any,
-        few: Any,
-        states: Any,
-        table: Any,
-        need: Any,
-        need_guard: Any,
-        inhibit: Any,
-        inhibit_guard: Any,
-        change: Any,
-        class_ends: Any,
-        guard: Any,
-        targets: Any,
-        labels: Any,
+        rules: Any, explored: Any, known: Any, most: Any, few: Any, states: Any, table: Any, offsets: Any, found: Any,
         arcs: Any,
-        offsets: Any,
-        ends: Any,
-        keys: Any,
-        key_arcs: Any,
-        overflow: Any,
-    ) -> Any:
+    ) -> Any:  # fmt: skip
         """Go on while fewer than ``few`` states are waiting and at most ``most`` are known, and while there is room
-        for what they may lead to; returns the first state not explored, the number known, and that of arcs."""
+        for what they may lead to: of targets and labels ``found`` has all, ``arcs`` of them told. Returns the first
+        state not explored, the number known, and that of arcs."""
         while explored < known <= most and known - explored < few:
-            new = (known - explored) * need.shape[0]
-            if 2 * (known + new) > len(table) or arcs + new > len(targets):
+            new = (known - explored) * rules.need.shape[0]
+            if 2 * (known + new) > len(table) or arcs + new > len(found.targets):
                 break
-            found, misses, _ = expand(
-                explored, known, states, table, need, need_guard, inhibit, inhibit_guard, change, class_ends, guard,
-                targets[arcs:], labels[arcs:], ends, keys, key_arcs, overflow,
-            )  # fmt: skip
-            if overflow.any():
+            targets, labels = found.targets[arcs:], found.labels[arcs:]
+            buffers = _Buffers(targets, labels, found.ends, found.keys, found.arcs, found.overflow)
+            more, misses, _ = expand(rules, states, table, (explored, known), buffers)
+            if found.overflow.any():
                 break
             for s in range(explored, known):
-                offsets[s + 1] = arcs + ends[s - explored]
-            explored, known = known, enter(table, states, known, keys[:misses], key_arcs[:misses], targets[arcs:])
-            arcs += found
+                offsets[s + 1] = arcs + found.ends[s - explored]
+            known, explored = enter(table, states, known, found.keys[:misses], found.arcs[:misses], targets), known
+            arcs += more
         return explored, known, arcs
 
     return narrow

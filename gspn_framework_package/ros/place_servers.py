@@ -239,7 +239,8 @@ class PlaceServer(ActionServer):
         self.status_list_timeout = rospy.Duration(5.0)
         topic = self.ns + "/"
         self.status_pub = rospy.Publisher(topic + "status", GoalStatusArray, latch=True, queue_size=50)
-        self.result_pub = rospy.Publisher(topic + "result", self.ActionResult, queue_size=50)
+        # latched: a client knows of its connection a moment earlier than this side; what is told between gets lost
+        self.result_pub = rospy.Publisher(topic + "result", self.ActionResult, latch=True, queue_size=50)
         self.feedback_pub = rospy.Publisher(topic + "feedback", self.ActionFeedback, queue_size=50)
         self.goal_sub = rospy.Subscriber(topic + "goal", self.ActionGoal, self.internal_goal_callback, tcp_nodelay=True)
         self.cancel_sub = rospy.Subscriber(topic + "cancel", GoalID, self.internal_cancel_callback, tcp_nodelay=True)
