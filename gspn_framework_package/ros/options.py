@@ -55,14 +55,17 @@ class NodeOptions(NamedTuple):
     """Seconds until a goal that no server takes is reported."""
     status_timeout: float = DEFAULT_PATIENCE.status
     """Seconds of silence until an action server is taken for dead."""
+    result_timeout: float = DEFAULT_PATIENCE.result
+    """Seconds until the result of a goal that has ended is taken for lost."""
 
     @property
     def patience(self) -> Patience:
         """The times of the action side."""
-        return DEFAULT_PATIENCE._replace(
+        return Patience(
             server=self.server_timeout,
             acknowledgement=self.acknowledgement_timeout,
             status=self.status_timeout,
+            result=self.result_timeout,
         )
 
     def log_file(self, robot: str) -> str:

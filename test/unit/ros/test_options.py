@@ -11,6 +11,7 @@ from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.ros.node_main import robot_of
 from gspn_framework_package.ros.options import options_from
+from gspn_framework_package.ros.patience import Patience
 
 
 def test_what_is_not_given_has_its_default():
@@ -19,8 +20,8 @@ def test_what_is_not_given_has_its_default():
 
 
 def test_numbers_and_names_of_yaml_are_taken_as_meant():
-    options = options_from({"plan": "folder", "run": 42, "robot": 7, "server_timeout": 3})
-    assert (options.run, options.robot, options.patience.server) == ("42", "7", 3.0)
+    options = options_from({"plan": "folder", "run": 42, "robot": 7, "server_timeout": 9, "result_timeout": 0.5})
+    assert (options.run, options.robot, options.patience) == ("42", "7", Patience(9.0, 3.0, 5.0, 0.5))
 
 
 @pytest.mark.parametrize(
