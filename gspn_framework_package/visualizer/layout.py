@@ -1,8 +1,8 @@
 """Where the nodes of a net are drawn, and how its arcs run.
 
 Positions in the file are used when every node has one. Otherwise Graphviz lays the net out: ``dot``
-in layers, with a deadline; ``sfdp`` where that takes too long; a grid when all else fails. A layout
-is computed once for a net and kept by its hash.
+in layers, with a deadline; ``sfdp`` where that takes too long; a grid when all else fails, and where
+there are no arcs. A layout is computed once for a net and kept by its hash.
 """
 
 from __future__ import annotations
@@ -106,6 +106,8 @@ def _compute(net: Net, anew: bool, deadline: float) -> Layout:
             routed = _graphviz(net, "neato", deadline / 4, given)
             routes = routed.routes if routed is not None else {}
         return Layout(given, routes, "file")
+    if not net.arcs:  # Graphviz would put them all in one line
+        return Layout(_grid(net), {}, "grid")
     best: Optional[Layout] = None
     for engine in ("dot", "sfdp"):
         layout = None

@@ -59,7 +59,8 @@ def test_routes_of_a_drawn_net_meet_its_nodes():
 
 def test_positions_that_lie_on_each_other_are_not_used():
     net = Net([Place("a", position=(0.0, 0.0)), Place("b", position=(0.0, 0.0))], [])
-    assert lay_out(net).engine == "dot"
+    found = lay_out(net)
+    assert found.engine != "file" and nearest(found.positions) >= 2 * PLACE_RADIUS
 
 
 def test_without_graphviz_a_grid_does(monkeypatch):
@@ -83,3 +84,10 @@ def test_names_of_any_kind_are_laid_out():
     names = ['"', "a\nb", "<b>x</b>", "\\", "--", "ü" * 300, "digraph{"]
     net = Net([Place(n) for n in names], [Transition("t")], [Arc(n, "t") for n in names])
     assert set(lay_out(net).positions) == {*names, "t"}
+
+
+def test_places_without_arcs_fill_the_screen_instead_of_one_line():
+    found = lay_out(Net([Place("p%d" % i) for i in range(60)], [], []))
+    xs, ys = zip(*found.positions.values())
+    assert nearest(found.positions) >= 2 * PLACE_RADIUS
+    assert 0.5 < (max(xs) - min(xs)) / (max(ys) - min(ys)) < 4
