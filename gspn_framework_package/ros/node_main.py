@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import sys
-import threading
 import time
 from typing import Callable, Dict, Iterable, List, Tuple
 
@@ -13,6 +12,7 @@ import rospy
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError, GspnError, UsageError
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.ros.ending import Ending
 from gspn_framework_package.ros.node_process import (
     ERRORS,
     await_master,
@@ -43,7 +43,7 @@ def run_team() -> int:
     name = rospy.names.get_mappings().get("__name", "gspn_team")
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # until there is a team
     try:
-        await_master(threading.Event())
+        await_master(Ending())
         return _fork(read_options_of(rospy.names.ns_join(_own_namespace(), name)))
     except ERRORS as error:
         return tell_error(name, error)
@@ -93,7 +93,7 @@ def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
         raise ExecutionError("the plan is refused: %s" % "; ".join(reasons), file=plan.file)
 
 
-def await_servers(names: Iterable[str], seconds: float, ending: threading.Event) -> None:
+def await_servers(names: Iterable[str], seconds: float, ending: Ending) -> None:
     """Wait until the master knows every one of these action servers.
 
     :raises ExecutionError: one was not there in time.
@@ -116,12 +116,12 @@ def await_servers(names: Iterable[str], seconds: float, ending: threading.Event)
         ending.wait(0.2)
 
 
-def _execute(options: NodeOptions, ending: threading.Event) -> int:
+def _execute(options: NodeOptions, ending: Ending) -> int:
     plan, robot = robot_of(read_plan(options.plan), options)
     return _run_robots(plan, {robot: _own_namespace()}, options, ending)
 
 
-def _host(options: NodeOptions, ending: threading.Event) -> int:
+def _host(options: NodeOptions, ending: Ending) -> int:
     plan, namespaces = _team(options)
     return _run_robots(plan, namespaces, options, ending)
 
@@ -168,7 +168,7 @@ MASTER_PERIOD = 2.0
 """Seconds between two questions to the master whether it is still the same; in a team of more than eight, which would
 ask it all the time, in proportion longer."""
 
-_Body = Callable[[Plan, str, str, NodeOptions, threading.Event], int]
+_Body = Callable[[Plan, str, str, NodeOptions, Ending], int]
 
 
 def _member(plan: Plan, robot: str, namespace: str, name: str, options: NodeOptions, body: _Body) -> Member:
@@ -179,11 +179,11 @@ def _member(plan: Plan, robot: str, namespace: str, name: str, options: NodeOpti
     return Member(rospy.names.ns_join(namespace, name), be_robot)
 
 
-def _run_robot(plan: Plan, robot: str, namespace: str, options: NodeOptions, ending: threading.Event) -> int:
+def _run_robot(plan: Plan, robot: str, namespace: str, options: NodeOptions, ending: Ending) -> int:
     return _run_robots(plan, {robot: namespace}, options, ending, checked=True)
 
 
-def _serve_robot(plan: Plan, robot: str, namespace: str, options: NodeOptions, ending: threading.Event) -> int:
+def _serve_robot(plan: Plan, robot: str, namespace: str, options: NodeOptions, ending: Ending) -> int:
     return _serve_places(plan, robot, namespace, ending)
 
 
@@ -192,7 +192,7 @@ def _own_namespace() -> str:
 
 
 def _run_robots(
-    plan: Plan, namespaces: Dict[str, str], options: NodeOptions, ending: threading.Event, checked: bool = False
+    plan: Plan, namespaces: Dict[str, str], options: NodeOptions, ending: Ending, checked: bool = False
 ) -> int:
     """Execute a plan for some robots, each with its own replica, until the run is over for all of them.
 
@@ -243,12 +243,12 @@ def _run_robots(
     return max(node.exit_code or 0 for node in nodes)
 
 
-def _serve(options: NodeOptions, ending: threading.Event) -> int:
+def _serve(options: NodeOptions, ending: Ending) -> int:
     plan, robot = robot_of(read_plan(options.plan), options)
     return _serve_places(plan, robot, _own_namespace(), ending)
 
 
-def _serve_places(plan: Plan, robot: str, namespace: str, ending: threading.Event) -> int:
+def _serve_places(plan: Plan, robot: str, namespace: str, ending: Ending) -> int:
     from gspn_framework_package.ros.master_watch import MasterWatch
     from gspn_framework_package.ros.place_servers import PlaceServers
 

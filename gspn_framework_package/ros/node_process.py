@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import xmlrpc.client
-from typing import Any, Callable, List, Optional
+from typing import Any, Callable, Optional
 
 import rosgraph
 import rospkg
@@ -23,40 +23,34 @@ from rospy.impl.paramserver import get_param_server_cache
 from rospy.impl.rosout import RosOutHandler
 
 from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.ros.ending import Ending
 from gspn_framework_package.ros.registration import master_proxy
 
 ERRORS = (GspnError, rospy.ROSException, OSError, http.client.HTTPException, xmlrpc.client.Error)
 """What a node may end with, told in one line."""
 
 
-def run_node(name: str, body: Callable[[threading.Event], int]) -> int:
+def run_node(name: str, body: Callable[[Ending], int]) -> int:
     """Start a ROS node, and end it in order on SIGINT, SIGTERM and ``rosnode kill``.
 
     :param name: of the node, where nobody gives it another.
-    :param body: what the node does; given an event that is set when the node shall end. Its errors
-        are told in one line.
+    :param body: what the node does; given what tells when the node shall end. Its errors are told in one line.
     :returns: the exit code: that of ``body`` or of its error, or 128 + the signal.
     """
     raise_descriptor_limit()
     say_nothing_of_sockets_after_the_end()
-    ending, ended = threading.Event(), threading.Event()
-    signals: List[int] = []
-
-    def on_signal(number: int, frame: Any) -> None:
-        signals.append(number)
-        ending.set()
+    ending, ended = Ending(), threading.Event()
+    ending.listen(signal.SIGINT, signal.SIGTERM)
 
     def on_shutdown() -> None:
         # rosnode kill: rospy closes its topics after this, so that a goal must be cancelled now
         ending.set()
         ended.wait(2.0)
 
-    signal.signal(signal.SIGINT, on_signal)
-    signal.signal(signal.SIGTERM, on_signal)
     try:
         await_master(ending)
         if ending.is_set():
-            return 128 + signals[0]
+            return 128 + ending.signals[0]
         rospy.init_node(name, disable_signals=True)
         accept_many_connections()
         publish_log_lines_on_a_thread()
@@ -66,7 +60,7 @@ def run_node(name: str, body: Callable[[threading.Event], int]) -> int:
         code = tell_error(name, error)
     ended.set()
     rospy.signal_shutdown("the end")
-    return code if not signals or code else 128 + signals[0]
+    return code if not ending.signals or code else 128 + ending.signals[0]
 
 
 def tell_error(name: str, error: BaseException) -> int:
@@ -121,7 +115,7 @@ def share_log_configuration() -> None:
                     return
 
 
-def await_master(ending: threading.Event) -> None:
+def await_master(ending: Ending) -> None:
     """Wait until the ROS master answers, and say so; rospy itself fails without one."""
     told = False
     while not ending.is_set():
