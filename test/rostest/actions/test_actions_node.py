@@ -106,7 +106,10 @@ class Server:
         self.server.start()
 
     def next(self):
-        return self.goals.get(timeout=20)
+        """The next goal, once its result would be heard: a client knows of its connection a moment earlier."""
+        goal = self.goals.get(timeout=20)
+        wait_for(self.server.result_pub.get_num_connections, what="a client of the results")
+        return goal
 
 
 class ActionsTest(unittest.TestCase):
