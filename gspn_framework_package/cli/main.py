@@ -18,7 +18,7 @@ import traceback
 from typing import Dict, NoReturn, Optional, Sequence, Tuple
 
 from gspn_framework_package import __version__
-from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.model.errors import GspnError, missing_library
 
 EXIT_USAGE = 2
 EXIT_INTERNAL = 70  # EX_SOFTWARE of sysexits.h
@@ -95,11 +95,7 @@ def _explain(error: Exception) -> Tuple[str, int]:
     if isinstance(error, GspnError):
         return f"error: {error}", error.exit_code
     if isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith(__package__.split(".")[0]):
-        return (
-            f"error: {sys.executable} has no Python library '{error.name}'\n"
-            "Install it, or use the Python that ./run_demo prepares in a checkout: .workspace/venv/bin/python3",
-            EXIT_USAGE,
-        )
+        return f"error: {missing_library(error)}", EXIT_USAGE
     if isinstance(error, OSError) and error.filename is not None:
         return f"error: {os.fsdecode(error.filename)}: {error.strerror}", EXIT_USAGE
     return (

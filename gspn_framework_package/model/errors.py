@@ -7,6 +7,7 @@ the answer is "no", 2 when the input or the usage is wrong.
 
 from __future__ import annotations
 
+import sys
 from typing import Optional
 
 
@@ -107,3 +108,11 @@ class CancelledError(RefusedError):
 
 class ExecutionError(RefusedError):
     """A run that cannot go on: a missing server, a stalled team, a broken action function."""
+
+
+def missing_library(error: ModuleNotFoundError) -> str:
+    """What to tell a person whose Python lacks a library."""
+    return (
+        "%s has no Python library '%s'\n"
+        "Install it, or use the Python that ./run_demo prepares in a checkout: .workspace/venv/bin/python3"
+    ) % (sys.executable, error.name)

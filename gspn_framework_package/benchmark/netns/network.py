@@ -27,6 +27,9 @@ _CLONE_NEWNET = 0x40000000
 _numbers = itertools.count(1)
 _libc = ctypes.CDLL(None, use_errno=True)
 
+ARRIVAL = 5.0
+"""Seconds that a datagram may take which must arrive, on a busy machine; what must not is not waited for as long."""
+
 
 class Network:
     """Nodes with an address each, which can be kept from reaching one another; ends with the ``with`` block, and with
@@ -113,7 +116,7 @@ class Network:
         """The command line that runs another one in a node's namespace, as the same process."""
         return [_program("ip"), "netns", "exec", self.namespace(node), *words]
 
-    def travel_time(self, source: str, target: str, patience: float = 5.0) -> Optional[float]:
+    def travel_time(self, source: str, target: str, patience: float = ARRIVAL) -> Optional[float]:
         """Seconds that a datagram takes from one node to the other; None: it did not arrive within ``patience``."""
         with inside(self.namespace(target)), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
             receiver.bind((self.address(target), PROBE_PORT))
@@ -134,8 +137,7 @@ class Network:
                 if source == target:
                     continue
                 cut = (source, target) in self.cuts
-                # what must arrive may take its time on a busy machine; what must not is not waited for as long
-                patience = 0.05 + 4 * self.delay if cut else 5.0
+                patience = 0.05 + 4 * self.delay if cut else ARRIVAL
                 arrived = self.travel_time(source, target, patience) is not None
                 if arrived == cut:
                     raise ExecutionError(

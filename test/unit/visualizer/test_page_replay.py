@@ -1,12 +1,9 @@
 """Recorded runs on the page: event logs and rosbags lead to the marking that the run had."""
 
 import json
-import threading
 
 import pytest
 
-from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
-from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.visualizer.bag_replay import TYPE, BagReplay
@@ -20,24 +17,10 @@ PLAN = "plans/tokens/instant.json"
 
 
 @pytest.fixture(name="recorded", scope="module")
-def _recorded(tmp_path_factory):
-    """An event log of 200 firings, and the firings."""
-    plan = read_plan(PLAN)
+def _recorded(record_run, tmp_path_factory):
+    """An event log of 200 firings, the firings, and the state at the end."""
     path = str(tmp_path_factory.mktemp("runs") / "run.jsonl")
-    enough = threading.Event()
-
-    class Watch(Listener):
-        def on_step(self, slot, entries, firings, state):
-            if slot > 200:
-                enough.set()
-
-    writer = EventLogWriter(path, header(plan, "run", "", "log", agents=True))
-    executor = StandaloneExecutor(plan, Watch(), writer)
-    executor.start()
-    assert enough.wait(30)
-    executor.stop()
-    executor.wait(10)
-    steps = list(replay(read_log(path)))
+    steps = record_run(read_plan(PLAN), path, 200)
     return path, [f for step in steps for f in step.firings], steps[-1].state
 
 

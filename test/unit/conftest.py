@@ -1,0 +1,37 @@
+"""What tests of several layers begin with."""
+
+import threading
+
+import pytest
+
+from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
+from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
+
+
+class _Slots(Listener):
+    """Tells when a run has filled so many slots of its log."""
+
+    def __init__(self, slots):
+        self._slots = slots
+        self.filled = threading.Event()
+
+    def on_step(self, slot, entries, firings, state):
+        if slot > self._slots:
+            self.filled.set()
+
+
+def _record_run(plan, path, slots):
+    listener = _Slots(slots)
+    executor = StandaloneExecutor(plan, listener, EventLogWriter(path, header(plan, "run", "", "log", agents=True)))
+    executor.start()
+    assert listener.filled.wait(30)
+    executor.stop()
+    assert executor.wait(30) is not None
+    return list(replay(read_log(path)))
+
+
+@pytest.fixture(scope="session", name="record_run")
+def _recorder():
+    """``record_run(plan, path, slots)``: run a plan on threads until its event log at ``path`` has more than so many
+    slots; the replayed steps."""
+    return _record_run
