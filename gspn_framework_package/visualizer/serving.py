@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
+import socket
 import threading
-from typing import Any, Optional, Sequence
+from typing import Any, Callable, Optional, Sequence
 
 import waitress
 
@@ -18,6 +19,9 @@ THREADS_BESIDE_VIEWERS = 8
 
 OUTPUT_BYTES = 1_000_000
 """What is buffered at most for a viewer that does not read, before its thread is held."""
+
+LAST_REQUESTS = 2.0
+"""Seconds that requests under way are given to end when the server stops."""
 
 
 class WebServer:
@@ -48,7 +52,7 @@ class WebServer:
         try:
             self._server = waitress.create_server(
                 self._call,
-                host=host,
+                host=_one_address(host),
                 port=port,
                 threads=viewers + THREADS_BESIDE_VIEWERS,
                 outbuf_high_watermark=OUTPUT_BYTES,
@@ -78,31 +82,67 @@ class WebServer:
         if is_loopback(self.host):
             name = "[%s]" % self.host if ":" in self.host else self.host
         else:
-            import socket
-
             name = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host
         token = "#token=%s" % self.guard.token if self.guard.token else ""
         return "http://%s:%d/%s" % (name, self.port, token)
 
     def run(self) -> None:
-        """Serve until interrupted, in this thread."""
-        try:
-            self._server.run()
-        except OSError:
-            if not self._stopped:  # its sockets were closed under it, on another thread
-                raise
+        """Serve until interrupted."""
+        self.start()
+        assert self._thread is not None
+        self._thread.join()
 
     def start(self) -> None:
         """Serve in a thread."""
-        self._thread = threading.Thread(target=self.run, name="web", daemon=True)
+        self._thread = threading.Thread(target=self._server.run, name="web", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
         """Stop serving, and end what the project runs."""
+        if self._stopped:
+            return
+        self._stopped = True
         streams = self._app.extensions["gspn_streams"]
         streams.close()
         self._app.extensions["gspn_jobs"].close()
         self.project.close()  # which wakes the streams
         streams.wait(1.0)
-        self._stopped = True
+        # Waitress knows only the end of a process. A thread of its own that outlives a request writes to the pipe that
+        # wakes the server's thread, by the number of the file: were the pipe closed before, the byte would go to
+        # whatever file has the number since. So: no more requests, then the end of those threads, then the pipe.
+        self._do(self._hang_up)
+        self._server.task_dispatcher.shutdown(timeout=LAST_REQUESTS)
+        if not self._server.task_dispatcher.threads:
+            self._do(self._close)
+
+    def _do(self, action: Callable[[], None]) -> None:
+        """Do something with the sockets, on the thread that watches them: to another they may be closed any time."""
+        if self._thread is None:
+            action()
+            return
+        done = threading.Event()
+
+        def act() -> None:
+            action()
+            done.set()
+
+        self._server.trigger.pull_trigger(act)
+        done.wait(LAST_REQUESTS)
+
+    def _hang_up(self) -> None:
+        self._server.accepting = False
+        for channel in list(self._server.active_channels.values()):
+            channel.handle_close()
+
+    def _close(self) -> None:
+        self._hang_up()  # who came in the meantime
         self._server.close()
+
+
+def _one_address(host: str) -> str:
+    """The first address of a name, IPv4 before IPv6: ``localhost`` is both, and a server has one port at one address.
+
+    :raises OSError: nobody knows the name.
+    """
+    found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    return str(min(found)[4][0])

@@ -4,6 +4,7 @@ import http.client
 import json
 import os
 import re
+import select
 import signal
 import socket
 import subprocess
@@ -12,6 +13,7 @@ import threading
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 from page_client import small_net
 
@@ -152,6 +154,65 @@ def test_many_viewers_get_every_event(serve):
     assert results == [200] * 20
 
 
+def test_a_request_that_outlives_the_server_writes_into_no_file_of_others(serve, monkeypatch):
+    monkeypatch.setattr("gspn_framework_package.visualizer.serving.LAST_REQUESTS", 0.1)
+    under_way, go_on = threading.Event(), threading.Event()
+    workers = []
+
+    def command(*_):
+        workers.append(threading.current_thread())
+        under_way.set()
+        assert go_on.wait(30)
+        return {}
+
+    monkeypatch.setattr(Session, "command", command)
+    server = serve()
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+    head = {"Content-Type": "application/json", "X-Gspn-Page": "1"}
+    connection.request("POST", "/api/do?id=small", '{"command": "step"}', head)
+    assert under_way.wait(30)
+    server.stop()
+    pairs = [socket.socketpair() for _ in range(20)]  # files that get the numbers of those that the server has closed
+    ends = [end for pair in pairs for end in pair]
+    go_on.set()
+    readable, deadline = [], time.monotonic() + 30
+    while workers[0].is_alive() and not readable:
+        assert time.monotonic() < deadline
+        readable, _, _ = select.select(ends, [], [], 0.05)
+    for end in ends:
+        end.close()
+    assert not readable
+
+
+@pytest.mark.parametrize("requests", [0, 1])
+def test_a_server_that_stops_leaves_no_thread_and_no_file(serve, requests):
+    files, threads = psutil.Process().num_fds(), threading.active_count()
+    server = serve()
+    streams = [stream(server) for _ in range(requests)]
+    for _, response in streams:
+        next_news(response)
+    server.stop()
+    server.stop()  # which is no harm
+    for connection, response in streams:
+        response.close()
+        connection.close()
+    assert psutil.Process().num_fds() == files
+    deadline = time.monotonic() + 20
+    while threading.active_count() > threads:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_a_name_with_several_addresses_is_listened_on_at_one(serve, monkeypatch):
+    both = [
+        (socket.AF_INET6, socket.SOCK_STREAM, 6, "", ("::1", 0, 0, 0)),
+        (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", 0)),
+    ]
+    found = socket.getaddrinfo
+    monkeypatch.setattr(socket, "getaddrinfo", lambda host, *a, **k: both if host == "pair" else found(host, *a, **k))
+    assert serve(host="pair").port > 0
+
+
 def test_a_host_header_is_checked_on_the_wire(serve):
     server = serve()
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
@@ -194,15 +255,20 @@ def test_a_port_that_is_taken_is_told(serve, capsys):
 def test_serve_serves_until_it_is_interrupted():
     command = [sys.executable, "-m", "gspn_framework_package", "serve", "plans/patrol", "--port", "0"]
     environment = {**os.environ, "PYTHONPATH": os.getcwd()}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, env=environment, **pipes) as process:
         try:
             line = process.stdout.readline()
             port = int(line.split("127.0.0.1:")[1].split("/")[0])
             connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
             connection.request("GET", "/api/hello")
             assert json.load(connection.getresponse())["first"] == "file-plan.json"
+            viewer = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+            viewer.request("GET", "/api/stream?id=file-plan.json")
+            next_news(viewer.getresponse())
             process.send_signal(signal.SIGINT)
             assert process.wait(60) == 0
+            assert process.stderr.read() == ""
         finally:
             process.kill()
 
