@@ -1,10 +1,12 @@
 """The analysis panel, the input screen, and the page by keyboard alone."""
 
+import pytest
 from page_reading import settle
 
 from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.formats.registry import write_net
 from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.visualizer import analysis_jobs
 
 
 def flawed():
@@ -118,12 +120,21 @@ def test_every_property_of_the_thesis_is_answered(show_net, open_page):
     page.wait_for_selector("#answers dt:has-text('Reward')")
 
 
-def test_a_long_analysis_shows_progress_and_is_cancelled(show_net, open_page):
-    site = show_net(kanban(6))
+@pytest.fixture(name="open_long_analysis")
+def _open_long_analysis(show_net, open_page, monkeypatch):
+    """A site, and a page whose state space takes most of a minute."""
+    monkeypatch.setattr(analysis_jobs, "STATES", 10**9)  # the limit that ships is reached in two seconds
+    site = show_net(kanban(7))
     page = open_page(site.address)
     page.keyboard.press("3")
     page.click("summary:has-text('Settings')")
-    page.fill("#an-limit", "2000000")
+    page.fill("#an-limit", str(10**9))
+    yield site, page
+    site.server._app.extensions["gspn_jobs"].close()
+
+
+def test_a_long_analysis_shows_progress_and_is_cancelled(open_long_analysis):
+    site, page = open_long_analysis
     page.click("button:has-text('State space')")
     page.wait_for_selector("#an-cancel")
     page.wait_for_selector("#analysis:has-text(' states')", timeout=60_000)
@@ -139,15 +150,25 @@ def _ends(jobs):
     return True
 
 
-def test_an_analysis_has_limits_on_states_and_time(show_net, open_page):
-    page = open_page(show_net(philosophers(14)).address)
-    page.keyboard.press("3")
-    page.click("summary:has-text('Settings')")
+def test_an_analysis_is_cancelled_before_it_has_begun(open_long_analysis):
+    _, page = open_long_analysis
+
+    def cancel_first(route):
+        page.click("#an-cancel")
+        route.continue_()
+
+    page.route("**/api/analysis?*", cancel_first)
+    page.click("button:has-text('State space')")
+    page.wait_for_selector("[data-state='cancelled']")
+
+
+def test_an_analysis_has_limits_on_states_and_time(open_long_analysis):
+    _, page = open_long_analysis
     page.fill("#an-limit", "500")
     page.click("button:has-text('State space')")
     analysed(page)
     page.wait_for_selector("#answers:has-text('not decided within')")
-    page.fill("#an-limit", "2000000")
+    page.fill("#an-limit", str(10**9))
     page.fill("#an-seconds", "1")
     page.click("button:has-text('State space')")
     page.wait_for_selector("[data-state='failed']:has-text('not decided within 1 s')")

@@ -105,20 +105,27 @@ export class AnalysisPanel extends EventTarget {
     if (this.job) { toast("an analysis is running: wait, or cancel it", true); return; }
     const { limit, seconds: most, from, policy } = this.settings;
     const body = { ...request, limit: Math.round(Number(limit.value)), seconds: Number(most.value), from: from.value, policy: policy.checked && Boolean(this.model.scene.plan) && from.value === "initial" };
-    this.job = "starting";
+    const job = this.job = { key: null, unwanted: false };
     this.views.unpaint();
     this.showProgress({ seconds: 0, progress: {} });
     const started = await attempt(() => post("analysis", body, { id: this.model.session.id }));
+    if (started) job.key = started.job;
+    if (started && job.unwanted) attempt(() => this.cancel(job));
+    if (this.job !== job) return;
     if (!started) { this.job = null; this.status.replaceChildren(); return; }
-    this.job = started.job;
-    this.follow(request, body);
+    this.follow(job, request, body);
   }
 
-  async follow(request, body) {
-    const job = this.job;
+  /** Also before the server has said what the job is called. */
+  cancel(job) {
+    job.unwanted = true;
+    return job.key && post(`analysis/${job.key}/cancel`);
+  }
+
+  async follow(job, request, body) {
     while (this.job === job) {
       await new Promise((resolve) => { setTimeout(resolve, POLL); });
-      const report = await get(`analysis/${job}`).catch((error) => ({ state: "failed", error: error.message, seconds: 0 }));
+      const report = await get(`analysis/${job.key}`).catch((error) => ({ state: "failed", error: error.message, seconds: 0 }));
       if (this.job !== job) return;
       if (report.result) this.show(report.result, request, body);
       if (report.state === "running") { this.showProgress(report); continue; }
@@ -141,7 +148,7 @@ export class AnalysisPanel extends EventTarget {
       return;
     }
     this.progressText = h("span", { class: "muted", text });
-    this.cancelButton = h("button", { id: "an-cancel", text: "Cancel", onclick: () => this.job !== "starting" && attempt(() => post(`analysis/${this.job}/cancel`)) });
+    this.cancelButton = h("button", { id: "an-cancel", text: "Cancel", onclick: () => this.job && attempt(() => this.cancel(this.job)) });
     this.status.replaceChildren(bar, h("div", { class: "buttons" }, this.cancelButton, this.progressText));
   }
 
@@ -153,7 +160,7 @@ export class AnalysisPanel extends EventTarget {
   }
 
   close() {
-    if (this.job && this.job !== "starting") post(`analysis/${this.job}/cancel`).catch(() => {});
+    if (this.job) Promise.resolve(this.cancel(this.job)).catch(() => {});
     this.job = null;
   }
 }
