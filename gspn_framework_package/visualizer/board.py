@@ -5,7 +5,8 @@ An *event* is a JSON object that a source hands to the hub; ``k`` is its kind:
 ``fire``
     ``tr`` transition (index) fired; ``d`` pairs (place index, change of its count); ``m`` moves
     (robot, from, to) by place index, None for "from nowhere" and "to nowhere"; ``en``, ``dis``
-    transitions that became enabled or ceased to be; ``who`` the robot that asked.
+    transitions that became enabled or ceased to be; ``who`` the robot that asked; ``s`` (slot, index)
+    in the log, in a run that has one.
 ``undo``
     as ``fire``, for a firing that was taken back.
 ``mark``
@@ -25,7 +26,36 @@ from __future__ import annotations
 
 from typing import Any, Dict, Iterable, List, Mapping, Sequence, Set
 
+from gspn_framework_package.execution.enabled_set import Change, EnabledSet
+from gspn_framework_package.model.net import Net
+
 Event = Dict[str, Any]
+
+
+def fire_event(
+    net: Net, t: int, change: Change, who: str = "", moves: Sequence[Sequence[Any]] = (), back: bool = False
+) -> Event:
+    """Transition ``t`` fired, or was taken ``back``.
+
+    :param change: what that changed in the enabled transitions.
+    :param who: the robot that asked.
+    :param moves: (robot, from, to), see the module.
+    """
+    return {
+        "k": "undo" if back else "fire",
+        "tr": t,
+        "who": who,
+        "d": [[p, -count if back else count] for p, count in net.effect(t)],
+        "m": list(moves),
+        "en": list(change.added),
+        "dis": list(change.removed),
+    }
+
+
+def mark_event(enabled: EnabledSet, why: str) -> Event:
+    """The whole marking of ``enabled``, and what is enabled in it."""
+    return {"k": "mark", "marking": list(enabled.marking), "enabled": sorted(enabled.now), "why": why}
+
 
 NOTES_KEPT = 50
 """How many of the latest notes a board carries, so that one who comes late sees them."""

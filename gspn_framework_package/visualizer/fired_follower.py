@@ -14,7 +14,7 @@ from typing import Any, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Se
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.model.plan import Plan, Synchronisation
-from gspn_framework_package.visualizer.board import Board, Event
+from gspn_framework_package.visualizer.board import Board, Event, fire_event, mark_event
 
 PATIENCE = 0.25
 """Seconds that a firing which does not fit waits for the ones before it."""
@@ -207,25 +207,11 @@ class FiredFollower:
             self.robots[robot] = RobotSeen(target, visit)
         if not news.private:
             self._last = max(self._last, (news.slot, news.index))
-        return {
-            "k": "fire",
-            "tr": t,
-            "who": news.robot,
-            "d": [list(pair) for pair in self.net.effect(t)],
-            "m": moves,
-            "en": list(change.added),
-            "dis": list(change.removed),
-            "s": [news.slot, news.index],
-        }
+        return {**fire_event(self.net, t, change, news.robot, moves), "s": [news.slot, news.index]}
 
     def _whole(self, marking: Sequence[int], why: str) -> Event:
         self._enabled.move_to(marking)
-        return {
-            "k": "mark",
-            "marking": list(marking),
-            "enabled": sorted(self._enabled.now),
-            "why": why,
-        }
+        return mark_event(self._enabled, why)
 
 
 def _same(a: FiredNews, b: FiredNews) -> bool:

@@ -16,7 +16,7 @@ from gspn_framework_package.visualizer.activity import (
     text_field,
     whole_number,
 )
-from gspn_framework_package.visualizer.board import Board, Event
+from gspn_framework_package.visualizer.board import Board, Event, fire_event, mark_event
 from gspn_framework_package.visualizer.hub import Hub
 
 STEPS_AT_ONCE = 10_000
@@ -106,16 +106,7 @@ class Simulation(Activity):
         self._time += firing.delay
         t = firing.transition
         self._past.append(before._replace(transition=t))
-        return {
-            "k": "fire",
-            "t": round(self._time, 4),
-            "tr": t,
-            "who": "",
-            "d": [list(pair) for pair in self.net.effect(t)],
-            "m": [],
-            "en": list(self._simulator.change.added),
-            "dis": list(self._simulator.change.removed),
-        }
+        return self._now(fire_event(self.net, t, self._simulator.change))
 
     def _back(self, fields: Fields) -> Dict[str, Any]:
         steps = whole_number(fields, "steps", 1, 1, STEPS_AT_ONCE)
@@ -127,17 +118,8 @@ class Simulation(Activity):
             if past.transition < 0:
                 events.append(self._whole("step back"))
                 continue
-            events.append(
-                {
-                    "k": "undo",
-                    "t": round(self._time, 4),
-                    "tr": past.transition,
-                    "d": [[p, -change] for p, change in self.net.effect(past.transition)],
-                    "m": [],
-                    "en": list(self._simulator.change.added),
-                    "dis": list(self._simulator.change.removed),
-                }
-            )
+            undone = fire_event(self.net, past.transition, self._simulator.change, back=True)
+            events.append(self._now(undone))
         if not events:
             raise RefusedError("there is no step to take back")
         self._publish(*events)
@@ -176,13 +158,10 @@ class Simulation(Activity):
     # -- what the page sees ------------------------------------------------------------------------
 
     def _whole(self, why: str) -> Event:
-        return {
-            "k": "mark",
-            "t": round(self._time, 4),
-            "marking": list(self._simulator.marking),
-            "enabled": sorted(self._simulator.enabled.now),
-            "why": why,
-        }
+        return self._now(mark_event(self._simulator.enabled, why))
+
+    def _now(self, event: Event) -> Event:
+        return {**event, "t": round(self._time, 4)}
 
     def _publish(self, *events: Event) -> None:
         if events:

@@ -10,7 +10,7 @@ from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.team_state import GONE, Phase, RobotState, TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.net import Marking
-from gspn_framework_package.visualizer.board import Board, Event
+from gspn_framework_package.visualizer.board import Board, Event, fire_event, mark_event
 
 
 class TeamEvents:
@@ -93,28 +93,13 @@ class TeamEvents:
             else:
                 shown = self._robots.setdefault(move.robot, {"name": move.robot})
                 shown.update(place=target, phase="doing", why="")
-        events.append(
-            {
-                "k": "fire",
-                "tr": t,
-                "who": firing.robot,
-                "d": [list(pair) for pair in self.net.effect(t)],
-                "m": moves,
-                "en": list(change.added),
-                "dis": list(change.removed),
-                "s": [firing.slot, firing.index],
-            }
-        )
+        fired = fire_event(self.net, t, change, firing.robot, moves)
+        events.append({**fired, "s": [firing.slot, firing.index]})
         return events
 
     def _whole(self, marking: Marking, why: str) -> Event:
         self._enabled.move_to(marking)
-        return {
-            "k": "mark",
-            "marking": list(marking),
-            "enabled": sorted(self._enabled.now),
-            "why": why,
-        }
+        return mark_event(self._enabled, why)
 
     def _robots_changed(self, state: TeamState) -> List[Event]:
         changed = []

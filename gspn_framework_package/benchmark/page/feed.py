@@ -18,7 +18,7 @@ from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.visualizer.activity import Activity
-from gspn_framework_package.visualizer.board import Board
+from gspn_framework_package.visualizer.board import Board, fire_event
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.project import Project
@@ -100,19 +100,8 @@ class Feed(Activity):
             firing = self._simulator.step()
             if firing is None:
                 return
-            change = self._simulator.change
-            hub.publish(
-                {
-                    "k": "fire",
-                    "tr": firing.transition,
-                    "who": "",
-                    "d": [list(pair) for pair in self._net.effect(firing.transition)],
-                    "m": [],
-                    "en": list(change.added),
-                    "dis": list(change.removed),
-                    "w": round(time.time() * 1000, 1),
-                }
-            )
+            fired = fire_event(self._net, firing.transition, self._simulator.change)
+            hub.publish({**fired, "w": round(time.time() * 1000, 1)})
             if self._rate:
                 due += 1 / self._rate
                 time.sleep(max(0.0, due - time.monotonic()))
