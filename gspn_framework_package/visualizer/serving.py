@@ -109,34 +109,34 @@ class WebServer:
         streams.wait(1.0)
         # Waitress knows only the end of a process. A thread of its own that outlives a request writes to the pipe that
         # wakes the server's thread, by the number of the file: were the pipe closed before, the byte would go to
-        # whatever file has the number since. So: no more requests, then the end of those threads, then the pipe.
+        # whatever file has the number since. So: no more requests, then the end of all threads, then the pipe.
         self._do(self._hang_up)
-        self._server.task_dispatcher.shutdown(timeout=LAST_REQUESTS)
+        self._server.task_dispatcher.shutdown(cancel_pending=False, timeout=LAST_REQUESTS)
         if not self._server.task_dispatcher.threads:
-            self._do(self._close)
+            self._do(self._watch_nothing)
+            if self._thread is not None:
+                self._thread.join(LAST_REQUESTS)
+            if self._thread is None or not self._thread.is_alive():
+                self._server.close()
 
     def _do(self, action: Callable[[], None]) -> None:
-        """Do something with the sockets, on the thread that watches them: to another they may be closed any time."""
+        """Do something with the sockets, on the thread that watches them: from another they must not be closed. It may
+        be done before this has returned, or later."""
         if self._thread is None:
             action()
-            return
-        done = threading.Event()
-
-        def act() -> None:
-            action()
-            done.set()
-
-        self._server.trigger.pull_trigger(act)
-        done.wait(LAST_REQUESTS)
+        else:
+            self._server.trigger.pull_trigger(action)
 
     def _hang_up(self) -> None:
         self._server.accepting = False
         for channel in list(self._server.active_channels.values()):
             channel.handle_close()
 
-    def _close(self) -> None:
+    def _watch_nothing(self) -> None:
+        """Which ends the thread."""
         self._hang_up()  # who came in the meantime
-        self._server.close()
+        self._server.del_channel()
+        self._server.trigger.del_channel()
 
 
 def _one_address(host: str) -> str:
