@@ -133,8 +133,9 @@ def served(nodes: int, rate: float) -> Iterator[Served]:
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin and process.stdout
         try:
-            if process.stdout.readline().strip() != b"ready":
-                raise ExecutionError("the server of the benchmark did not start")
+            said = process.stdout.readline().strip()
+            if said != b"ready":
+                raise ExecutionError("the server of the benchmark did not start; it said: '%s'" % said.decode())
             yield Served(port, process.pid)
         finally:
             process.stdin.close()
