@@ -31,6 +31,12 @@ from gspn_framework_package.model.net import Net
 
 Event = Dict[str, Any]
 
+NOTES_KEPT = 50
+"""How many of the latest notes a board carries, so that one who comes late sees them."""
+
+_SINCE = ("place", "phase")
+"""A robot is "since" the moment at which one of these changed."""
+
 
 def fire_event(
     net: Net, t: int, change: Change, who: str = "", moves: Sequence[Sequence[Any]] = (), back: bool = False
@@ -55,13 +61,6 @@ def fire_event(
 def mark_event(enabled: EnabledSet, why: str) -> Event:
     """The whole marking of ``enabled``, and what is enabled in it."""
     return {"k": "mark", "marking": list(enabled.marking), "enabled": sorted(enabled.now), "why": why}
-
-
-NOTES_KEPT = 50
-"""How many of the latest notes a board carries, so that one who comes late sees them."""
-
-_SINCE = ("place", "phase")
-"""A robot is "since" the moment at which one of these changed."""
 
 
 class Board:

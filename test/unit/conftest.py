@@ -1,11 +1,15 @@
 """What tests of several layers begin with."""
 
+import sys
 import threading
+from pathlib import Path
 
 import pytest
 
 from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
+
+sys.path.append(str(Path(__file__).parents[1] / "rostest" / "support"))  # "waiting", which needs no ROS
 
 
 class _Slots(Listener):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
 from pathlib import Path
 from typing import Any, Dict, List, Tuple
 
 import pytest
+from waiting import wait_for
 
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.firing import Firing
@@ -278,10 +278,7 @@ def test_the_pool_makes_threads_on_demand_and_uses_idle_ones_again() -> None:
     pool = WorkerPool("test", idle_seconds=600)
     for _ in range(5):
         run_thirty_at_once(pool)
-        deadline = time.monotonic() + DEADLINE
-        while pool._idle < 30:
-            assert time.monotonic() < deadline
-            time.sleep(0.001)
+        wait_for(lambda: pool._idle >= 30, seconds=DEADLINE, what="idle threads")
     assert pool._made == 30
 
 

@@ -6,9 +6,9 @@ import subprocess
 import sys
 import textwrap
 import threading
-import time
 
 import pytest
+from waiting import wait_for
 
 from gspn_framework_package.ros.process_family import Member, run_family
 
@@ -62,17 +62,14 @@ def start(tmp_path):
             parent.wait()
 
 
-def wait_for(condition, what, seconds=30):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.01)
-
-
 def notes(folder, name, number):
     """Wait until so many processes have left that note: their ids."""
     path = folder / name
-    wait_for(lambda: path.exists() and len(path.read_text().split("\n")) > number, "%d notes '%s'" % (number, name))
+    wait_for(
+        lambda: path.exists() and len(path.read_text().split("\n")) > number,
+        seconds=30,
+        what="%d notes '%s'" % (number, name),
+    )
     return [int(word) for word in path.read_text().split()]
 
 
@@ -103,7 +100,7 @@ def test_a_parent_that_is_killed_takes_its_processes_along(start, tmp_path):
     children = notes(tmp_path, "waits", 2)
     parent.kill()
     assert sorted(notes(tmp_path, "told", 2)) == sorted(children)
-    wait_for(lambda: not any(is_alive(child) for child in children), "the end of the children")
+    wait_for(lambda: not any(is_alive(child) for child in children), seconds=30, what="the end of the children")
 
 
 def test_a_process_that_dies_is_started_again_and_the_others_go_on(start, tmp_path):

@@ -4,10 +4,10 @@ import json
 import resource
 import subprocess
 import sys
-import time
 
 import pytest
 from page_client import PageClient, small_net
+from waiting import wait_for
 
 from gspn_framework_package.benchmark.nets import kanban
 from gspn_framework_package.visualizer import analysis_jobs
@@ -45,13 +45,11 @@ def job_of(client, answer):
 
 
 def ended(client, answer):
-    deadline = time.monotonic() + 60
-    while True:
-        report = client.get("/api/analysis/" + answer.get_json()["job"]).get_json()
-        if report["state"] != "running":
-            return report
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    def report():
+        found = client.get("/api/analysis/" + answer.get_json()["job"]).get_json()
+        return found if found["state"] != "running" else None
+
+    return wait_for(report, seconds=60, what="the analysis")
 
 
 def test_a_small_net_is_analysed(ask):

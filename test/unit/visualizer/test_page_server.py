@@ -18,6 +18,7 @@ import psutil
 import pytest
 import waitress.trigger
 from page_client import small_net
+from waiting import wait_for
 
 from gspn_framework_package import visualizer
 from gspn_framework_package.benchmark.page.viewers import measure_memory
@@ -105,9 +106,7 @@ def test_more_streams_than_viewers_are_refused_and_freed_again(serve, monkeypatc
     assert second.status == 503
     response.close()
     connection.close()
-    deadline = time.monotonic() + 20
-    while stream(server)[1].status != 200:
-        assert time.monotonic() < deadline
+    wait_for(lambda: stream(server)[1].status == 200, what="a place for a viewer")
 
 
 def test_a_stalled_viewer_grows_no_memory_and_stops_nobody():
@@ -189,10 +188,7 @@ def test_a_request_that_outlives_the_server_writes_into_no_file_of_others(serve,
 def test_a_server_stops_when_its_thread_was_awake_already(serve, monkeypatch):
     def pull(trigger):
         os.write(trigger.trigger, b"x")  # of another thread, a moment before
-        deadline = time.monotonic() + 30
-        while trigger.thunks and trigger._map:
-            assert time.monotonic() < deadline
-            time.sleep(0.001)
+        wait_for(lambda: not (trigger.thunks and trigger._map), seconds=30, what="the server's thread")
         os.write(trigger.trigger, b"x")
 
     monkeypatch.setattr(waitress.trigger.trigger, "_physical_pull", pull)
@@ -214,10 +210,7 @@ def test_a_server_that_stops_leaves_no_thread_and_no_file(serve, requests):
         connection.close()
     gc.collect()
     assert psutil.Process().num_fds() <= files
-    deadline = time.monotonic() + 20
-    while threading.active_count() > threads:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_for(lambda: threading.active_count() <= threads, what="the end of the threads")
 
 
 def test_a_name_with_several_addresses_is_listened_on_at_one(serve, monkeypatch):

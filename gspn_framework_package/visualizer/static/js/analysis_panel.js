@@ -109,8 +109,10 @@ export class AnalysisPanel extends EventTarget {
     this.views.unpaint();
     this.showProgress({ seconds: 0, progress: {} });
     const started = await attempt(() => post("analysis", body, { id: this.model.session.id }));
-    if (started) job.key = started.job;
-    if (started && job.unwanted) attempt(() => this.cancel(job));
+    if (started) {
+      job.key = started.job;
+      if (job.unwanted) attempt(() => this.cancel(job));
+    }
     if (this.job !== job) return;
     if (!started) { this.job = null; this.status.replaceChildren(); return; }
     this.follow(job, request, body);
