@@ -86,15 +86,15 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     # -- the page ----------------------------------------------------------------------------------
 
-    @app.get("/")
+    @app.route("/")
     def page() -> Response:
         return app.send_static_file("index.html")
 
-    @app.get("/favicon.ico")
+    @app.route("/favicon.ico")
     def icon() -> Response:
         return app.send_static_file("icon.svg")
 
-    @app.post("/api/login")
+    @app.route("/api/login", methods=["POST"])
     def login() -> Any:
         if not guard.knows(str(_body(COMMAND_BYTES).get("token", ""))):
             return {"error": "that is not the token"}, 401
@@ -103,20 +103,20 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
             response.set_cookie(COOKIE, guard.token, httponly=True, samesite="Strict")
         return response
 
-    @app.get("/api/hello")
+    @app.route("/api/hello")
     def hello() -> Dict[str, Any]:
         return {"version": __version__, **project.to_json()}
 
     # -- opening -----------------------------------------------------------------------------------
 
-    @app.post("/api/open")
+    @app.route("/api/open", methods=["POST"])
     def open_file() -> Dict[str, Any]:
         path = _body(COMMAND_BYTES).get("path")
         if not isinstance(path, str):
             raise UsageError("'path' is missing")
         return {"id": project.open(path).key}
 
-    @app.post("/api/upload")
+    @app.route("/api/upload", methods=["POST"])
     def upload() -> Dict[str, Any]:
         document: Document = read_upload(_body(UPLOAD_BYTES).get("files"))
         key = "upload-" + secrets.token_hex(6)
@@ -127,11 +127,11 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     def session() -> Session:
         return project.session(request.args.get("id", ""))
 
-    @app.get("/api/session")
+    @app.route("/api/session")
     def describe() -> Dict[str, Any]:
         return session().to_json()
 
-    @app.post("/api/do")
+    @app.route("/api/do", methods=["POST"])
     def command() -> Dict[str, Any]:
         fields = _body(COMMAND_BYTES)
         name = fields.pop("command", None)
@@ -139,12 +139,12 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
             raise UsageError("'command' is missing")
         return session().command(name, fields)
 
-    @app.get("/api/state")
+    @app.route("/api/state")
     def state_at() -> Dict[str, Any]:
         hub = session().hub
         return {"epoch": hub.epoch, "board": hub.board_at(_number("at")).to_json()}
 
-    @app.get("/api/events")
+    @app.route("/api/events")
     def past_events() -> Dict[str, Any]:
         hub = session().hub
         return {
@@ -152,13 +152,13 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
             "events": hub.events(_number("after"), _number("to"), _number("limit", 5000)),
         }
 
-    @app.get("/api/poll")
+    @app.route("/api/poll")
     def poll() -> Response:
         hub = session().hub
         news = hub.news(Cursor.parse(request.args.get("since")))
         return Response(news.text, mimetype="application/json")
 
-    @app.get("/api/stream")
+    @app.route("/api/stream")
     def stream() -> Any:
         hub = session().hub
         if not streams.take():
@@ -170,16 +170,16 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     # -- analysis ----------------------------------------------------------------------------------
 
-    @app.post("/api/analysis")
+    @app.route("/api/analysis", methods=["POST"])
     def analyse() -> Dict[str, Any]:
         opened = session()
         return {"job": jobs.start(opened.document, opened.hub.board().marking, _body(COMMAND_BYTES))}
 
-    @app.get("/api/analysis/<job>")
+    @app.route("/api/analysis/<job>")
     def progress(job: str) -> Dict[str, Any]:
         return jobs.report(job)
 
-    @app.post("/api/analysis/<job>/cancel")
+    @app.route("/api/analysis/<job>/cancel", methods=["POST"])
     def cancel(job: str) -> Dict[str, Any]:
         _body(COMMAND_BYTES)
         jobs.cancel(job)
