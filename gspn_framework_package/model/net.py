@@ -277,7 +277,9 @@ class Net:
         reasons = []
         for p, weight in self.inputs[t]:
             if marking[p] < weight:
-                reasons.append("%s has %d of %d tokens" % (self.places[p].name, marking[p], weight))
+                reasons.append(
+                    "%s has %d of %d token%s" % (self.places[p].name, marking[p], weight, "s" if weight > 1 else "")
+                )
         for p, weight in self.inhibitors[t]:
             if marking[p] >= weight:
                 reasons.append(
@@ -286,7 +288,13 @@ class Net:
                 )
         for p, change, capacity in self._capacities[t]:
             if marking[p] + change > capacity:
-                reasons.append("%s is full (capacity %d)" % (self.places[p].name, capacity))
+                left = capacity - marking[p]
+                reasons.append(
+                    "%s is full (capacity %d)" % (self.places[p].name, capacity)
+                    if left <= 0
+                    else "%s has room for %d of %d more tokens (capacity %d)"
+                    % (self.places[p].name, left, change, capacity)
+                )
         return reasons
 
     def effect(self, t: int) -> WeightedPlaces:

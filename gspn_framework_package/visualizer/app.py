@@ -22,6 +22,7 @@ from gspn_framework_package.visualizer.documents import Document, read_upload
 from gspn_framework_package.visualizer.guard import COOKIE, SECURITY_HEADERS, Guard
 from gspn_framework_package.visualizer.hub import Cursor, Hub
 from gspn_framework_package.visualizer.project import Project
+from gspn_framework_package.visualizer.reasons import reasons_in
 from gspn_framework_package.visualizer.session import Session
 
 UPLOAD_BYTES = 12_000_000
@@ -143,6 +144,11 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     def state_at() -> Dict[str, Any]:
         hub = session().hub
         return {"epoch": hub.epoch, "board": hub.board_at(_number("at")).to_json()}
+
+    @app.route("/api/reasons")
+    def why() -> Dict[str, Any]:
+        at = _number("at") if request.args.get("at") else None
+        return reasons_in(session(), request.args.get("transition", ""), at)
 
     @app.route("/api/events")
     def past_events() -> Dict[str, Any]:

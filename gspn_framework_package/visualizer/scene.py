@@ -34,8 +34,9 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
                 "weight": t.weight,
                 "priority": t.priority,
                 "servers": t.servers,
+                "environment": plan is not None and _is_environment(net, plan, i),
             }
-            for t in net.transitions
+            for i, t in enumerate(net.transitions)
         ],
         "arcs": [_arc(net, a) for a in range(len(net.arcs))],
         "layout": layout_to_json(net, layout),
@@ -73,6 +74,11 @@ def _kind(place: str, plan: Optional[Plan]) -> str:
     if plan is None:
         return "plain"
     return "resource" if place in plan.resource_places else "action"
+
+
+def _is_environment(net: Net, plan: Plan, t: int) -> bool:
+    """Whether the environment, or the operator in its name, may fire transition ``t``: it takes no robot."""
+    return all(net.places[p].name in plan.resource_places for p, _ in net.inputs[t])
 
 
 def _action(place: str, plan: Optional[Plan]) -> Optional[str]:

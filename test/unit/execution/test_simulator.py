@@ -135,5 +135,5 @@ def test_a_chosen_transition_fires_only_when_enabled():
     net = NetBuilder().place("p", 1).exponential("a", 2, inputs="p").build()
     simulator = Simulator(net)
     assert simulator.fire(0).delay > 0
-    with pytest.raises(NotEnabledError, match="p has 0 of 1 tokens"):
+    with pytest.raises(NotEnabledError, match="p has 0 of 1 token"):
         simulator.fire(0)

@@ -35,8 +35,8 @@ def test_firing_moves_weights_and_respects_inhibitors_and_capacities() -> None:
     assert net.named(marking, zeros=False) == {"idle": 2, "store": 2}
     full = net.fire(marking, begin)
     assert not net.is_enabled(full, end)
-    assert net.why_disabled(full, end) == ["store is full (capacity 3)"]
-    with pytest.raises(NotEnabledError, match="transition 'end'.*store is full"):
+    assert net.why_disabled(full, end) == ["store has room for 1 of 2 more tokens (capacity 3)"]
+    with pytest.raises(NotEnabledError, match="transition 'end'.*store has room for 1 of 2"):
         net.fire(full, end)
     closed = net.marking({"idle": 1, "closed": 1})
     assert net.why_disabled(closed, begin) == ["closed holds 1 and inhibits from 1 on"]

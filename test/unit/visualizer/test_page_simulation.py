@@ -37,7 +37,7 @@ def test_steps_end_where_nothing_is_enabled():
 def test_a_chosen_transition_fires_if_it_is_enabled(client):
     assert client.do("fire", transition="t").status_code == 200
     refused = client.do("fire", transition="t")
-    assert refused.status_code == 409 and "a has 0 of 1 tokens" in refused.get_json()["error"]
+    assert refused.status_code == 409 and "a has 0 of 1 token" in refused.get_json()["error"]
     assert client.do("fire", transition="nonsense").status_code == 400
     assert client.board()["n"] == 1
 

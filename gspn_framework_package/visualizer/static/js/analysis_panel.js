@@ -92,13 +92,13 @@ export class AnalysisPanel extends EventTarget {
 
   /** "a = 1, b = 2" as {a: 1, b: 2}. */
   namedNumbers(text, whole) {
-    const numbers = {};
+    const numbers = new Map();
     for (const part of text.split(/[,;]/).filter((p) => p.trim())) {
       const found = /^\s*(.*?)\s*(?:=|>=)\s*(-?\d*\.?\d+)\s*$/.exec(part);
       if (!found || (whole && !/^\d+$/.test(found[2]))) throw new Error(`'${part.trim()}' is not of the form name = number`);
-      numbers[found[1].replace(/^['"]|['"]$/g, "")] = Number(found[2]);
+      numbers.set(found[1].replace(/^['"]|['"]$/g, ""), Number(found[2]));
     }
-    return numbers;
+    return Object.fromEntries(numbers);
   }
 
   async ask(request) {

@@ -162,13 +162,14 @@ export class AnswerViews {
     const steady = result.steady_state;
     if (!steady) return this.section("Steady state", h("p", {}, this.answer(result, "steady_state", null)));
     const tokens = Object.entries(steady.mean_tokens), flows = Object.entries(steady.throughput);
+    const waits = new Map(Object.entries(steady.mean_waiting_time || {}));
     const states = result.likely_states || [];
     const stay = ({ mean_stay: value }) => (value === "infinite" ? "for ever" : number(value));
     return this.section("Steady state",
       steady.reward !== undefined && this.facts([["Reward", `${number(steady.reward)} /s`]]),
       steady.components?.length > 1 && h("p", { class: "muted", text: `It ends up in one of ${steady.components.length} recurrent classes, with probabilities ${steady.components.slice(0, 8).map((c) => number(c.probability)).join(", ")}.` }),
       h("div", { class: "buttons" }, this.painter("Show mean tokens", "Mean number of tokens", ...this.heat(steady.mean_tokens)), this.painter("Show throughput", "Firings a second", ...this.heat(steady.throughput))),
-      h("h3", { text: "Tokens" }), this.table(["Place", "mean", "wait (s)"], tokens.map(([name, value]) => [name, value, steady.mean_waiting_time?.[name] ?? null])),
+      h("h3", { text: "Tokens" }), this.table(["Place", "mean", "wait (s)"], tokens.map(([name, value]) => [name, value, waits.get(name) ?? null])),
       h("h3", { text: "Throughput (1/s)" }), this.table(["Transition", "firings"], flows),
       this.distribution(steady.token_distribution),
       states.length > 0 && [h("h3", { text: "The most probable markings" }), h("table", { class: "states" },

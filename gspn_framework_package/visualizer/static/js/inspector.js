@@ -2,22 +2,8 @@
 // A transition: kind, rate or weight, how often it fired, why it is not enabled.
 
 import { h, $, seconds, plural, number } from "./dom.js";
+import { get } from "./api.js";
 import { robotCard } from "./robots_panel.js";
-
-/** Why a transition is not enabled, from the marking that is shown; empty when it is. */
-export function reasons(model, t) {
-  const { scene, board } = model;
-  const found = [];
-  for (const [p, transition, forth, weight, inhibitor] of scene.arcs) {
-    if (transition !== t) continue;
-    const place = scene.places[p], tokens = board.marking[p];
-    if (forth && inhibitor && tokens >= weight) found.push(`${place.name} holds ${tokens} and inhibits from ${weight} on`);
-    else if (forth && !inhibitor && tokens < weight) found.push(`${place.name} has ${tokens} of ${weight} ${weight === 1 ? "token" : "tokens"}`);
-    else if (!forth && place.capacity !== null && tokens + weight > place.capacity) found.push(`${place.name} has room for ${place.capacity - tokens} (capacity ${place.capacity})`);
-  }
-  if (!found.length && !board.enabled.has(t)) found.push("an immediate transition that is enabled goes first");
-  return found;
-}
 
 /** Fires "fire" (detail index), "choose" (detail {kind, index, fly}), "probability" (detail {index, value}),
  * "environment" (detail index). */
@@ -27,16 +13,45 @@ export class Inspector extends EventTarget {
     this.model = model;
     this.panel = $("inspector");
     this.selection = null;
+    this.why = null; // the server's last answer for the transition that is selected
     this.update();
   }
 
   select(selection) {
     this.selection = selection;
+    this.why = null;
     this.update();
   }
 
+  /** Ask the server what keeps the selected transition from firing, at the moment that is shown. */
+  async askWhy(index) {
+    const { model } = this;
+    const moment = `${model.epoch}:${model.board.n}:${index}`;
+    if (this.why?.moment === moment || this.asking) return;
+    this.asking = true;
+    const answer = await get("reasons", { id: model.session.id, transition: model.scene.transitions[index].name, at: model.board.n }).catch(() => null);
+    this.asking = false;
+    const wanted = this.selection?.kind === "transition" ? this.selection.index : null;
+    if (answer && wanted === index) {
+      this.why = { ...answer, moment };
+      this.refresh();
+    } else if (wanted !== null && wanted !== index) this.askWhy(wanted);
+  }
+
+  /** The last answer; pale where it is of another moment than the one that is shown. */
+  reasons(enabled) {
+    const { why, model } = this;
+    if (!why || why.enabled !== enabled || !why.reasons.length) return null;
+    return h("ul", { class: `reasons ${why.at === model.board.n ? "" : "stale"}` }, why.reasons.map((reason) => h("li", { text: reason })));
+  }
+
   later() {
-    if (!this.timer) this.timer = setTimeout(() => { this.timer = 0; if (!this.panel.contains(document.activeElement) || document.activeElement.tagName !== "INPUT") this.update(); }, 200);
+    if (!this.timer) this.timer = setTimeout(() => { this.timer = 0; this.refresh(); }, 200);
+  }
+
+  /** Draw anew, unless a person is typing. */
+  refresh() {
+    if (!this.panel.contains(document.activeElement) || document.activeElement.tagName !== "INPUT") this.update();
   }
 
   update() {
@@ -46,6 +61,7 @@ export class Inspector extends EventTarget {
     const content = !selection ? this.overview() : selection.kind === "place" ? this.place(selection.index) : this.transition(selection.index);
     this.panel.replaceChildren(...content.flat(2).filter(Boolean));
     if (focus) this.panel.querySelector(`[data-focus="${focus}"]`)?.focus();
+    if (selection?.kind === "transition") this.askWhy(selection.index);
   }
 
   facts(pairs) {
@@ -109,16 +125,15 @@ export class Inspector extends EventTarget {
     const { scene, board, mode, info, latest } = this.model;
     const transition = scene.transitions[index];
     const enabled = board.enabled.has(index);
-    const why = enabled ? [] : reasons(this.model, index);
     const choice = (latest.choices || []).find(([t]) => t === index);
     const servers = transition.servers === null ? ", infinitely many servers" : transition.servers > 1 ? `, ${transition.servers} servers` : "";
-    const environment = mode === "LIVE" && !this.takesRobots(index);
+    const environment = mode === "LIVE" && transition.environment;
     const mine = info.probabilities?.[String(index)];
     const arcs = (forth) => scene.arcs.filter(([, t, direction]) => t === index && direction === forth);
     return [
       h("h2", { text: transition.name }),
       h("p", {}, h("span", { class: `badge ${enabled ? "good" : ""}`, text: enabled ? "enabled" : "not enabled" })),
-      why.length > 0 && h("ul", { class: "reasons" }, why.map((reason) => h("li", { text: reason }))),
+      this.reasons(enabled),
       this.facts([
         ["Kind", transition.timed ? "exponential" : "immediate"],
         ["Rate", transition.timed ? `${number(transition.rate)} /s${servers}` : null],
@@ -138,10 +153,5 @@ export class Inspector extends EventTarget {
       arcs(1).length > 0 && [h("h3", { text: "Takes from" }), arcs(1).map(([p, , , weight, inhibitor]) => h("p", {}, this.link("place", p), inhibitor ? ` (inhibits from ${weight} on)` : weight > 1 ? ` × ${weight}` : ""))],
       arcs(0).length > 0 && [h("h3", { text: "Gives to" }), arcs(0).map(([p, , , weight]) => h("p", {}, this.link("place", p), weight > 1 ? ` × ${weight}` : ""))],
     ];
-  }
-
-  takesRobots(t) {
-    const { scene } = this.model;
-    return scene.arcs.some(([p, transition, forth, , inhibitor]) => transition === t && !inhibitor && scene.places[p].kind === "action");
   }
 }

@@ -5,12 +5,13 @@ export class KeptPositions {
     this.key = `gspn-layout-${hash}`;
   }
 
-  /** Name -> [x, y]. */
+  /** Map of names to [x, y]. */
   read() {
     try {
-      return JSON.parse(localStorage.getItem(this.key)) || {};
+      const kept = Object.entries(JSON.parse(localStorage.getItem(this.key)) || {});
+      return new Map(kept.filter(([, point]) => Array.isArray(point) && point.length === 2 && point.every(Number.isFinite)));
     } catch (error) {
-      return {};
+      return new Map();
     }
   }
 

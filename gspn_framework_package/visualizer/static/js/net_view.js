@@ -45,8 +45,8 @@ export class NetView extends EventTarget {
     this.routes = layout.routes;
     const make = (kind, index, [x, y], name) => {
       const node = this.nodes[index + (kind === "place" ? 0 : scene.places.length)] || { kind, index, name };
-      [node.x, node.y] = moved[name] || [x, y];
-      node.moved = Boolean(moved[name]);
+      [node.x, node.y] = moved.get(name) || [x, y];
+      node.moved = moved.has(name);
       return node;
     };
     this.places = scene.places.map((p, i) => make("place", i, layout.places[i], p.name));

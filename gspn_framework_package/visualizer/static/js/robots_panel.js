@@ -20,7 +20,7 @@ export function robotCard(model, robot, buttons = []) {
   const gone = robot.phase === "lost" || robot.phase === "left";
   const disc = h("span", { class: "disc", text: shortName(robot.name), "aria-hidden": "true" });
   disc.style.background = colourOf(robot.name);
-  const feedback = model.following && !gone ? (model.latest.feedback || {})[robot.name] : null;
+  const feedback = model.following && !gone ? new Map(Object.entries(model.latest.feedback || {})).get(robot.name) : null;
   const since = robot.since !== undefined && robot.since !== null ? Math.max(0, model.now() - robot.since) : null;
   const attempt = robot.attempt > 1 ? `, attempt ${robot.attempt}` : "";
   return h("div", { class: `robot-card ${robot.phase || ""}`, "data-robot": robot.name }, disc,

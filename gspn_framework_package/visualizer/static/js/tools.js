@@ -79,12 +79,11 @@ export class Tools {
 
   setProbability(index, value) {
     const { scene, info } = this.model;
-    const probabilities = {};
-    for (const [t, p] of Object.entries(info.probabilities || {})) probabilities[scene.transitions[t].name] = p;
+    const probabilities = new Map(Object.entries(info.probabilities || {}).map(([t, p]) => [scene.transitions[t].name, p]));
     const { name } = scene.transitions[index];
-    if (String(value).trim() === "") delete probabilities[name];
-    else probabilities[name] = Number(value);
-    return this.simulate("probabilities", { probabilities });
+    if (String(value).trim() === "") probabilities.delete(name);
+    else probabilities.set(name, Number(value));
+    return this.simulate("probabilities", { probabilities: Object.fromEntries(probabilities) });
   }
 
   async probabilities() {
@@ -105,11 +104,11 @@ export class Tools {
       h("table", {}, h("thead", {}, h("tr", {}, h("th", { text: "Transition" }), h("th", { text: "In the net" }), h("th", { class: "number", text: "Now" }), h("th", { text: "Probability" }))), h("tbody", {}, rows)),
     ], [["Cancel", ""], ["All by rate and weight", "none"], ["Set", "set", "primary"]]);
     if (!answer) return;
-    const probabilities = {};
+    const probabilities = new Map();
     if (answer === "set") {
-      for (const [index, input] of inputs) if (input.value.trim() !== "") probabilities[scene.transitions[index].name] = Number(input.value);
+      for (const [index, input] of inputs) if (input.value.trim() !== "") probabilities.set(scene.transitions[index].name, Number(input.value));
     }
-    await this.simulate("probabilities", { probabilities });
+    await this.simulate("probabilities", { probabilities: Object.fromEntries(probabilities) });
   }
 
   // -- the bar -------------------------------------------------------------------------------------

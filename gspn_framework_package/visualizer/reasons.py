@@ -1,0 +1,59 @@
+"""Why a transition cannot fire, by the rules of the token game: the page works out none of it itself."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, Optional
+
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.visualizer.board import Board
+from gspn_framework_package.visualizer.session import Session
+
+NAMED = 4
+"""Transitions that go first are named up to this number."""
+
+
+def reasons_in(session: Session, transition: str, at: Optional[int] = None) -> Dict[str, Any]:
+    """What keeps a transition of an open net from firing.
+
+    :param transition: its name.
+    :param at: number of the event after which it is asked about; None for now.
+    :returns: ``transition``, whether it is ``enabled``, the ``reasons`` as texts (of an enabled one: which robots
+        it still waits for), and ``at``: the number of the event after which this holds.
+    :raises NetError: the net has no transition of that name.
+    """
+    net, plan, hub = session.document.net, session.document.plan, session.hub
+    t = net.transition_number(transition)
+    board = hub.board() if at is None else hub.board_at(at)
+    reasons = net.why_disabled(board.marking, t)
+    if not reasons and hub.mode == "SIMULATE":  # in a run actions take time, and priorities do not count
+        reasons = _who_goes_first(net, board, t)
+    enabled = not reasons
+    if enabled and plan is not None and hub.mode != "SIMULATE":
+        reasons = _robots_awaited(net, plan, board, t)
+    return {"transition": transition, "enabled": enabled, "reasons": reasons, "at": board.n}
+
+
+def _who_goes_first(net: Net, board: Board, t: int) -> List[str]:
+    first = net.enabled(board.marking)
+    if t in first:
+        return []
+    names = ", ".join(net.transitions[u].name for u in first[:NAMED])
+    if len(first) > NAMED:
+        names += " and %d more" % (len(first) - NAMED)
+    verb = "goes" if len(first) == 1 else "go"
+    return ["%s %s first (%s)" % (names, verb, "immediate" if net.transitions[t].timed else "higher priority")]
+
+
+def _robots_awaited(net: Net, plan: Plan, board: Board, t: int) -> List[str]:
+    """Robots that have to be done with their actions before ``t`` fires."""
+    awaited = []
+    for p, weight in net.inputs[t]:
+        if net.places[p].name in plan.resource_places:
+            continue
+        here = [robot for robot in board.robots.values() if robot.get("place") == p]
+        done = sum(robot.get("phase") == "done" and not robot.get("paused") for robot in here)
+        if done < weight:
+            robots = "robot is" if weight == 1 else "robots are"
+            awaited.append("%s: %d of %d %s done" % (net.places[p].name, done, weight, robots))
+    return awaited
