@@ -28,9 +28,16 @@ async function request(path, options) {
   return answerOf(response);
 }
 
-export function get(path, query = {}) {
+export function get(path, query = {}, options = {}) {
   const text = new URLSearchParams(query).toString();
-  return request(`/api/${path}${text ? `?${text}` : ""}`);
+  return request(`/api/${path}${text ? `?${text}` : ""}`, options);
+}
+
+/** A signal that ends a request after so many milliseconds. */
+function within(milliseconds) {
+  const controller = new AbortController();
+  setTimeout(() => controller.abort(), milliseconds);
+  return controller.signal;
 }
 
 export function post(path, body = {}, query = {}) {
@@ -46,15 +53,16 @@ const SILENCE = 8000; // ms without even a ping: the stream is taken for dead
 const POLL = 500; // ms between polls
 const RETRY = 1000; // ms before another attempt
 
-/** Follows one open net. `onNews(news)` gets what the server's hub says, `onState(state)` one of
- * waiting, open, polling, lost, gone. */
+/** Follows one open net. `onNews(news)` gets what the server's hub says, `onState(state, heard)` one of
+ * waiting, open, polling, lost, gone, locked; `heard`: performance.now() when the server was heard last. */
 export class NewsStream {
   constructor(id, onNews, onState) {
     this.id = id;
     this.onNews = onNews;
     this.onState = onState;
     this.cursor = "";
-    this.heard = performance.now();
+    this.heard = performance.now(); // the server
+    this.begun = this.heard; // the stream, or its last sign of life
     this.closed = false;
     this.polls = false;
     this.watch = setInterval(() => this.check(), 1000);
@@ -63,15 +71,15 @@ export class NewsStream {
 
   open() {
     if (this.closed) return;
-    this.heard = performance.now();
+    this.begun = performance.now();
     const query = new URLSearchParams({ id: this.id });
     if (this.cursor) query.set("since", this.cursor);
     const source = new EventSource(`/api/stream?${query}`);
     this.source = source;
-    source.onopen = () => { this.heard = performance.now(); this.onState("open"); };
-    source.addEventListener("ping", () => { this.heard = performance.now(); });
+    source.onopen = () => { this.hear(); this.say("open"); };
+    source.addEventListener("ping", () => this.hear());
     source.onmessage = (message) => {
-      this.heard = performance.now();
+      this.hear();
       this.take(JSON.parse(message.data));
     };
     source.onerror = () => {
@@ -84,6 +92,10 @@ export class NewsStream {
     };
   }
 
+  hear() { this.heard = this.begun = performance.now(); }
+
+  say(state) { this.onState(state, this.heard); }
+
   take(news) {
     this.cursor = news.cursor;
     this.onNews(news);
@@ -92,12 +104,12 @@ export class NewsStream {
   async poll() {
     if (this.closed || this.source) return;
     try {
-      const news = await get("poll", this.cursor ? { id: this.id, since: this.cursor } : { id: this.id });
+      const news = await get("poll", this.cursor ? { id: this.id, since: this.cursor } : { id: this.id }, { signal: within(SILENCE) });
       if (this.closed) return;
+      this.hear();
       this.take(news);
-      this.heard = performance.now();
       if (this.polls) {
-        this.onState("polling");
+        this.say("polling");
         setTimeout(() => this.poll(), news.more ? 0 : POLL);
       } else {
         // the server is there: try the stream again, and stay with polling if it is refused again
@@ -109,10 +121,10 @@ export class NewsStream {
       if (this.closed) return;
       this.polls = false;
       if (error.status === 400 || error.status === 401) {
-        this.onState(error.status === 401 ? "locked" : "gone");
+        this.say(error.status === 401 ? "locked" : "gone");
         if (error.status === 400) return;
       } else {
-        this.onState("lost");
+        this.say("lost");
       }
       setTimeout(() => (this.polls ? this.poll() : this.retry()), RETRY);
     }
@@ -123,10 +135,10 @@ export class NewsStream {
   }
 
   check() {
-    if (this.source && performance.now() - this.heard > SILENCE) {
+    if (this.source && performance.now() - this.begun > SILENCE) {
       this.source.close();
       this.source = null;
-      this.onState("lost");
+      this.say("lost");
       this.poll();
     }
   }

@@ -1,6 +1,6 @@
 // The page: opens a net, follows its hub, and keeps all views on the same board.
 
-import { $, h, ask, attempt, announce, toast, seconds } from "./dom.js";
+import { $, h, ask, attempt, announce, plural, seconds } from "./dom.js";
 import { get, post, NewsStream } from "./api.js";
 import { Model } from "./model.js";
 import { NetView } from "./net_view.js";
@@ -15,6 +15,7 @@ import { Room } from "./room.js";
 import { bindKeys, showHelp } from "./keys.js";
 import { openingScreen, hideOpening } from "./opening.js";
 import { forgetRobots } from "./colours.js";
+import { notice, closeNotice } from "./notice.js";
 
 const MODE_SAYS = {
   LIVE: "what is shown happens now",
@@ -22,6 +23,8 @@ const MODE_SAYS = {
   SIMULATE: "a game of tokens, nothing moves in the world",
 };
 const TABS = ["inspector", "robots", "analysis"];
+const NOT_HEARD = ["lost", "gone", "locked"]; // states of the connection in which nothing more is known
+const clock = (time) => time.toLocaleTimeString([], { hour12: false });
 
 class Page {
   constructor() {
@@ -126,7 +129,55 @@ class Page {
       this.readyAt = performance.now();
       document.body.dataset.ready = (this.readyAt - begun).toFixed(1);
     });
-    this.stream = new NewsStream(key, (news) => model.take(news), (state) => { this.connection = state; this.showConnection(); });
+    this.stream = new NewsStream(key, (news) => this.takeNews(news), (state, heard) => this.setConnection(state, heard));
+    const cut = this.cutOff(this.hello, key);
+    if (cut) this.tellCut("The last run of this plan was cut off.", cut);
+  }
+
+  // -- losing the server, and finding it again -------------------------------------------------------
+
+  setConnection(state, heard) {
+    const lost = NOT_HEARD.includes(state);
+    const back = !lost && this.model.lostAt !== null;
+    this.connection = state;
+    if (lost && this.model.lostAt === null) this.lostSince = new Date(Date.now() - (performance.now() - heard));
+    this.model.setHeard(lost ? heard : null);
+    this.showRun();
+    this.showConnection();
+    if (back) this.askWhoIsThere();
+  }
+
+  takeNews(news) {
+    const { model } = this;
+    const ran = model.mode === "LIVE" && model.head.status.running ? { epoch: model.epoch, name: model.head.status.run || "" } : null;
+    model.take(news);
+    if (ran && model.lostAt !== null && model.epoch !== ran.epoch) this.ranBefore = ran;
+  }
+
+  /** After the server was away: is it the same one, and what became of the run? */
+  async askWhoIsThere() {
+    const { model } = this;
+    const before = this.hello;
+    const hello = await get("hello").catch(() => null);
+    if (!hello || this.model !== model) return;
+    this.hello = hello;
+    const ran = this.ranBefore;
+    this.ranBefore = null;
+    if (hello.server === before.server && !ran) return;
+    const cut = this.cutOff(hello, model.session.id);
+    const again = `The server was started again (not heard since ${clock(this.lostSince)}).`;
+    if (cut || (ran && !model.head.status.running)) this.tellCut(`${again} The run ${ran?.name ? `“${ran.name}” ` : ""}was cut off.`, cut);
+    else notice(again);
+  }
+
+  /** The run of this plan that the server's end cut off, if there is one. */
+  cutOff(hello, key) {
+    return (hello.cut || []).find(({ path }) => key === `file-${path}`);
+  }
+
+  tellCut(says, cut) {
+    const offers = cut?.log ? [["Replay its log", () => attempt(async () => this.go((await post("open", { path: cut.log })).id))]] : [];
+    notice(cut ? `${says} ${plural(cut.events, "event")} of it ${cut.events === 1 ? "is" : "are"} in its log${cut.log ? "" : ", outside the served folder"}.` : says, offers);
   }
 
   closeNet() {
@@ -137,6 +188,9 @@ class Page {
     this.stream = this.model = this.view = this.robots = this.line = this.analysis = this.tools = null;
     this.selection = null;
     this.paused = false;
+    delete document.body.dataset.stale;
+    this.ranBefore = null;
+    closeNotice();
     $("alarms").replaceChildren();
     $("legend").hidden = true;
     $("room").hidden = true;
@@ -238,7 +292,6 @@ class Page {
     document.body.dataset.mode = mode;
     $("mode").textContent = mode;
     const says = info.says || MODE_SAYS[mode] || "";
-    $("frame-name").replaceChildren(h("b", { text: mode }), ` — ${says}`);
     announce(`${mode}: ${says}`);
     this.showConnection();
     if (mode !== "SIMULATE" && this.model.scene.plan) this.openTab("robots");
@@ -246,11 +299,13 @@ class Page {
 
   showRun() {
     const { model } = this;
+    if (!model.board) return;
     const { status } = model.mode === "REPLAY" ? model.board : model.head;
-    if (model.mode === "LIVE") {
-      const says = status.ended ? `over: ${status.ended}` : model.info.says || MODE_SAYS.LIVE;
-      $("frame-name").replaceChildren(h("b", { text: "LIVE" }), ` — ${says}`);
-    }
+    document.body.toggleAttribute("data-stale", model.stale);
+    let says = model.info.says || MODE_SAYS[model.mode] || "";
+    if (model.mode === "LIVE" && status.ended) says = `over: ${status.ended}`;
+    if (model.stale) says = `as it was at ${clock(this.lostSince)}; nothing has been heard since`;
+    $("frame-name").replaceChildren(h("b", { text: model.mode }), says ? ` — ${says}` : "");
     const { session, mode } = model;
     $("execution").hidden = !(session.executable || (mode === "LIVE" && model.info.commands?.includes("stop")));
     $("start").hidden = !session.executable || Boolean(status.running);
@@ -277,7 +332,8 @@ class Page {
     const pill = $("connection");
     if (!this.model) { pill.hidden = true; return; }
     pill.hidden = false;
-    const words = { waiting: "connecting", open: "connected", polling: "connected (polling)", lost: "connection lost, trying again", gone: "no longer open on the server", locked: "the server asks for its token" };
+    const since = this.lostSince ? ` since ${clock(this.lostSince)}` : "";
+    const words = { waiting: "connecting", open: "connected", polling: "connected (polling)", lost: `connection lost${since}, trying again`, gone: "no longer open on the server", locked: "the server asks for its token" };
     pill.dataset.state = this.connection === "gone" || this.connection === "locked" ? "lost" : this.connection;
     let text = words[this.connection];
     if (this.model.mode === "LIVE" && this.model.lastEvent !== null && (this.connection === "open" || this.connection === "polling")) {

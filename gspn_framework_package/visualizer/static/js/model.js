@@ -57,6 +57,7 @@ export class Model extends EventTarget {
     this.latest = {};
     this.following = true;
     this.lastEvent = null; // performance.now() of the last event, for its age
+    this.lostAt = null; // performance.now() when the server was last heard; null while it is heard
     this.playing = false;
     this.speed = 1;
   }
@@ -114,10 +115,20 @@ export class Model extends EventTarget {
     this.tell("events", { events });
   }
 
-  /** Seconds of the run that the view shows; a live one goes on between events. */
+  /** The server is heard, or (with the time at which it was heard last) is not. */
+  setHeard(lostAt) {
+    if (this.lostAt !== null && lostAt !== null) return;
+    this.lostAt = lostAt;
+    this.tell("view");
+  }
+
+  /** Whether what is shown may have changed long since: nobody tells. A recorded run does not change. */
+  get stale() { return this.lostAt !== null && this.mode !== "REPLAY"; }
+
+  /** Seconds of the run that the view shows; a live one goes on between events, while the server is heard. */
   now() {
     if (this.mode === "LIVE" && this.following && this.board.status.running) {
-      return Math.max(this.board.t, (performance.now() - this.clockBase) / 1000);
+      return Math.max(this.board.t, ((this.lostAt ?? performance.now()) - this.clockBase) / 1000);
     }
     return this.playing ? Math.max(this.board.t, this.playClock || 0) : this.board.t;
   }

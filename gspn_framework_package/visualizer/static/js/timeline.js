@@ -25,7 +25,7 @@ export class TimeLine extends EventTarget {
     };
     this.observer = new ResizeObserver(() => this.update());
     this.observer.observe(this.canvas);
-    this.clock = setInterval(() => { if (model.mode === "LIVE" && model.following && model.board?.status.running) this.later(); }, 200);
+    this.clock = setInterval(() => { if (model.mode === "LIVE" && model.following && model.lostAt === null && model.board?.status.running) this.later(); }, 200);
   }
 
   later() {

@@ -1,0 +1,20 @@
+// A bar above the net for what a person has to know and may act on: a run that was cut off, a server that was
+// started again. It stays until it is closed or the net is.
+
+import { $, h } from "./dom.js";
+
+const bar = h("div", { id: "notice", class: "notice", role: "alert", hidden: true });
+
+/** Show `text`; `actions` are [label, what to do]. */
+export function notice(text, actions = []) {
+  $("tools").after(bar);
+  bar.hidden = false;
+  bar.replaceChildren(h("span", { class: "what-is", text }),
+    ...actions.map(([label, act]) => h("button", { text: label, onclick: act })),
+    h("button", { class: "icon small", "aria-label": "Close this notice", text: "×", onclick: closeNotice }));
+}
+
+export function closeNotice() {
+  bar.hidden = true;
+  bar.replaceChildren();
+}
