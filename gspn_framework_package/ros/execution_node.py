@@ -28,13 +28,11 @@ from gspn_framework_package.ros.action_targets import action_targets
 from gspn_framework_package.ros.eager_publisher import eager_publisher
 from gspn_framework_package.ros.goal_id import GoalIdentity
 from gspn_framework_package.ros.links import ServiceLink, TopicLink
-from gspn_framework_package.ros.messages import fired_message, state_name
+from gspn_framework_package.ros.messages import FIRED_TOPIC, fired_message, state_name
 from gspn_framework_package.ros.narrator import Narrator, level_of
 from gspn_framework_package.ros.node_services import NodeServices, View, Worker
 from gspn_framework_package.ros.options import NodeOptions
 from gspn_framework_package.ros.place_servers import PlaceServers
-
-FIRED_TOPIC = "/fired_transitions"
 
 FAREWELL = 2.0
 """Seconds for which a node goes on after the end of the run, so that the others hear of it."""
@@ -64,6 +62,7 @@ class ExecutionNode(Worker):
 
     def __init__(self, plan: Plan, robot: str, namespace: str, options: NodeOptions) -> None:
         self.plan, self.robot, self.namespace, self.options = plan, robot, namespace, options
+        self.run = options.run
         self.exit_code: Optional[int] = None
         self.reason = ""
         self._tasks: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -342,6 +341,7 @@ class ExecutionNode(Worker):
     def status(self) -> Dict[str, Any]:
         """See :class:`Worker`."""
         status = dict(self._replica.status(), log_file=self._log.path, messages_sent=self._link.sent)
+        status["plan"] = self._plan_hash
         status["waits_for"] = self._waits_for()
         return status
 
@@ -373,6 +373,8 @@ class ExecutionNode(Worker):
         view = self.view()
         return {
             "robot": self.robot,
+            "run": self.run,
+            "plan": self._plan_hash,
             "place": view.place,
             "state": view.robot_state,
             "visit": view.visit,

@@ -11,6 +11,9 @@ from gspn_framework_package.execution.team_state import GONE, Phase, RobotState,
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.msg import FiredTransition
 
+FIRED_TOPIC = "/fired_transitions"
+"""All teams on a master publish what fires on this topic; a message names its run and its plan."""
+
 
 def fired_message(fired: Fired, net: Net, plan_hash: str, run: str) -> FiredTransition:
     """The news of a firing, for ``fired_transitions``."""

@@ -28,8 +28,8 @@ WAITING_TIME = 1.0
 class Narrator:
     """All methods belong to the node's worker thread.
 
-    Publishes ``NAMESPACE/activity`` (std_msgs/String, JSON: robot, place, state, visit, attempt,
-    waits_for, feedback; at most ten a second, the last one latched) and ``/diagnostics``
+    Publishes ``NAMESPACE/activity`` (std_msgs/String, JSON: robot, run, plan (its hash), place,
+    state, visit, attempt, waits_for, feedback; at most ten a second, the last one latched) and ``/diagnostics``
     (diagnostic_msgs/DiagnosticArray, once a second).
     """
 

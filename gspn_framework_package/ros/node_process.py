@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import http.client
 import logging
 import logging.handlers
 import os
@@ -12,7 +11,6 @@ import resource
 import signal
 import sys
 import threading
-import xmlrpc.client
 from typing import Any, Callable, Optional
 
 import rosgraph
@@ -24,9 +22,9 @@ from rospy.impl.rosout import RosOutHandler
 
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.ros.ending import Ending
-from gspn_framework_package.ros.registration import master_proxy
+from gspn_framework_package.ros.registration import MASTER_ERRORS, master_proxy
 
-ERRORS = (GspnError, rospy.ROSException, OSError, http.client.HTTPException, xmlrpc.client.Error)
+ERRORS = (GspnError, rospy.ROSException, *MASTER_ERRORS)
 """What a node may end with, told in one line."""
 
 
@@ -122,7 +120,7 @@ def await_master(ending: Ending) -> None:
         try:
             master_proxy().getPid("/gspn")
             return
-        except (OSError, http.client.HTTPException, xmlrpc.client.Error) as error:
+        except MASTER_ERRORS as error:
             if not told:
                 print("waits for the ROS master at %s (%s)" % (rosgraph.get_master_uri(), error), file=sys.stderr)
             told = True

@@ -49,6 +49,7 @@ class Worker:
     """What the services need of the node; all of it may be called from any thread."""
 
     robot: str
+    run: str
 
     def enqueue(self, function: Callable[..., Any], *arguments: Any) -> None:
         """Have the worker thread call ``function(*arguments)`` soon."""
@@ -148,6 +149,9 @@ class NodeServices:
     def _set_place(self, request: Any) -> SetPlaceResponse:
         if request.agreement:
             return SetPlaceResponse(True, "", self._protocol(request.agreement))
+        other = self._other_run(request.run)
+        if other:
+            return SetPlaceResponse(False, other, "")
         if not request.place:
             robot = request.robot or self._worker.robot
             return SetPlaceResponse(False, "nothing to do: no place was given for %s" % robot, "")
@@ -155,7 +159,16 @@ class NodeServices:
         ok, text = self._order(entry)
         return SetPlaceResponse(ok, text, "")
 
+    def _other_run(self, run: str) -> str:
+        """Why a call that means ``run`` is refused here; "" where it is meant for this node."""
+        if run in ("", self._worker.run):
+            return ""
+        return "%s is in run '%s', not in run '%s': nothing was done" % (self._worker.robot, self._worker.run, run)
+
     def _command(self, request: Any) -> CommandResponse:
+        other = self._other_run(request.run)
+        if other:
+            return CommandResponse(False, other)
         if request.command == "status":
             try:
                 status = self._worker.ask(self._worker.status, ANSWER_TIME)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import queue
 import time
-import xmlrpc.client
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 import rosgraph
@@ -13,7 +12,7 @@ import rospy
 
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.ros.node_services import ORDER_TIME
-from gspn_framework_package.ros.registration import master_proxy
+from gspn_framework_package.ros.registration import MASTER_ERRORS, master_proxy
 from gspn_framework_package.ros.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest
 
@@ -65,7 +64,7 @@ class OperatorClient:
                 if service == "command" and namespace + "/get_place" in names:
                     _, _, uri = master.lookupService("/gspn_operator", name)
                     nodes.append(NodeAddress(namespace or "/", uri))
-        except (OSError, xmlrpc.client.Error) as error:
+        except MASTER_ERRORS as error:
             raise ExecutionError("no ROS master answers at %s (%s)" % (rosgraph.get_master_uri(), error)) from None
         if not nodes:
             raise ExecutionError("no execution node is known to the ROS master at %s" % rosgraph.get_master_uri())
@@ -75,7 +74,7 @@ class OperatorClient:
         """The answers of all nodes to a command without arguments; None for one that is silent."""
         answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
         for node in self.nodes:
-            self._send(node, CommandRequest(command, "", ""), answers)
+            self._send(node, CommandRequest(command=command), answers)
         got: Dict[NodeAddress, Optional[Answer]] = dict.fromkeys(self.nodes)
         deadline = time.monotonic() + seconds
         while any(answer is None for answer in got.values()):
@@ -117,7 +116,8 @@ class OperatorClient:
             ),
         )
         answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
-        self._send(node, CommandRequest(command, robot, argument), answers)
+        request = CommandRequest(command, robot, argument, there[node]["run"])
+        self._send(node, request, answers)
         try:
             answer = answers.get(timeout=ORDER_TIME + PATIENCE)
         except queue.Empty:

@@ -23,6 +23,9 @@ CALLS = 500
 RETRY = 0.2
 """Seconds until the master is asked again that did not answer (as rospy does)."""
 
+MASTER_ERRORS = (OSError, http.client.HTTPException, xmlrpc.client.Error)
+"""What a call of :func:`master_proxy` may raise: there is no master, or it does not answer in time or in order."""
+
 
 class Entry(NamedTuple):
     """Something to register: ``kind`` is a value of rospy's ``Registration``; ``detail``: the type of a topic, the
@@ -97,7 +100,7 @@ def _register_for_sure(entries: Sequence[Entry]) -> None:
         try:
             register(entries)
             return
-        except (OSError, http.client.HTTPException, xmlrpc.client.Error) as error:
+        except MASTER_ERRORS as error:
             if not told:
                 logging.getLogger("rospy.registration").error("the master does not register: %s", error)
             told = True

@@ -12,7 +12,7 @@ import rospy
 from std_msgs.msg import String
 
 from gspn_framework_package.msg import FiredTransition
-from gspn_framework_package.ros.execution_node import FIRED_TOPIC
+from gspn_framework_package.ros.messages import FIRED_TOPIC
 
 
 class Doing(NamedTuple):

@@ -6,7 +6,7 @@ with it raises a :class:`~gspn_framework_package.model.errors.GspnError` that th
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, Mapping
+from typing import Any, Callable, Dict, Mapping, Optional
 
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.visualizer.hub import Hub
@@ -53,9 +53,13 @@ def whole_number(fields: Fields, key: str, default: int, low: int, high: int) ->
     return value
 
 
-def text_field(fields: Fields, key: str) -> str:
-    """A text among the fields of a command. :raises UsageError: it is not there."""
-    value = fields.get(key)
+def text_field(fields: Fields, key: str, default: Optional[str] = None) -> str:
+    """A text among the fields of a command.
+
+    :param default: what stands for a field that is left out; None: it must be there.
+    :raises UsageError: it is not there, or not a text.
+    """
+    value = fields.get(key, default)
     if not isinstance(value, str):
         raise UsageError("'%s' is missing" % key)
     return value

@@ -16,7 +16,9 @@ An *event* is a JSON object that a source hands to the hub; ``k`` is its kind:
 ``note``
     ``text`` for people, of a ``level`` (info, warning, fault), about ``robot`` or nobody.
 ``status``
-    fields of the status that changed: ``running``, ``paused``, ``ended``, ``finished``.
+    fields of the status that changed: ``run`` (the name of the run that is shown, "" where there is none or it is
+    not known yet), ``running``, ``paused``, ``ended`` (why, None before), ``finished``, ``stalled``, ``fault`` (whether
+    the run ended because something broke).
 
 The hub adds ``n`` (number, from 1) and ``t`` (seconds since the beginning, where the source gave
 none).

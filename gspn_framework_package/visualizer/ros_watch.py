@@ -10,7 +10,7 @@ import json
 import queue
 import threading
 import time
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, Callable, Dict, FrozenSet, List, Optional, Set, Tuple
 
 import rospy
 from std_msgs.msg import String
@@ -19,9 +19,11 @@ from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import FiredTransition
+from gspn_framework_package.ros.messages import FIRED_TOPIC
+from gspn_framework_package.ros.registration import MASTER_ERRORS, master_proxy
 from gspn_framework_package.ros.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest
-from gspn_framework_package.visualizer.activity import Activity, Fields, text_field
+from gspn_framework_package.visualizer.activity import Activity, Fields, Handler, text_field
 from gspn_framework_package.visualizer.board import Event
 from gspn_framework_package.visualizer.feedback import Feedback
 from gspn_framework_package.visualizer.fired_follower import (
@@ -32,7 +34,6 @@ from gspn_framework_package.visualizer.fired_follower import (
 )
 from gspn_framework_package.visualizer.hub import Hub
 
-FIRED_TOPIC = "fired_transitions"
 ACTIVITY = "/activity"
 
 LOOK_AROUND = 2.0
@@ -58,8 +59,17 @@ PHASES = {
 SILENT = 3
 """Questions without any answer, after which the run is taken to be over."""
 
+UNHEARD = 3
+"""Answers in a row by which the team has moved without a firing that was heard, after which the page warns of it."""
+
 TOLD_BY_OTHERS = ("lost", "left", "failed")
 """Phases that a robot does not tell itself."""
+
+Order = Tuple[str, str, str]
+"""An order for the team: the command, the robot and the argument of the Command service."""
+
+Answer = Tuple[str, Dict[str, Any]]
+"""The namespace of a robot, and the status that it answered."""
 
 
 class RosWatch(Activity):
@@ -70,8 +80,11 @@ class RosWatch(Activity):
     (std_msgs/String). Calls ``NAMESPACE/command`` (gspn_framework_package/Command): ``status`` now
     and then, and what the page orders. Nobody waits for it.
 
+    Other teams may run on the same master: only robots of the plan and the run that is shown are
+    listed, followed and given orders, and every order names the run.
+
     :param plan: the plan, with the robots that began.
-    :param run: only firings of this run are shown; "" takes the run that is heard first.
+    :param run: the run that is shown; "" takes the first run of this plan that is heard.
     """
 
     mode = "LIVE"
@@ -83,33 +96,46 @@ class RosWatch(Activity):
         self._hash = plan.hash()
         self._run = run
         self._queue: queue.SimpleQueue[Tuple[str, Any]] = queue.SimpleQueue()
-        self._namespaces: Dict[str, str] = {}
+        self._topics: Set[str] = set()
+        # namespace -> robot; replaced, never changed: three threads read them
         self._names: Dict[str, str] = {}
+        self._strangers: FrozenSet[str] = frozenset()
         self._follower = FiredFollower(plan)
         self._shown: Dict[str, Dict[str, Any]] = {}
         self._status: Dict[str, Any] = {}
-        self._other_plans: Dict[str, None] = {}
+        self._others: Set[Tuple[str, str]] = set()
+        self._early: Dict[str, Any] = {}
         self._subscribers: List[Any] = []
         self._stop = threading.Event()
         self._asking, self._ordering = ServiceCalls(ANSWER_TIME), ServiceCalls(ORDER_TIME)
         self._ask_now = threading.Event()
         self._turn = self._silent = 0
         self._before: Optional[TeamSeen] = None
+        self._heard = True
+        self._unheard = 0
         self.commands = {
-            name: self._ordered(name) for name in ("stop", "pause", "resume", "retry")
+            "stop": self._ordered(lambda f: ("stop", "", text_field(f, "reason", "") or "stopped on the page")),
+            "pause": self._ordered(lambda f: ("pause", text_field(f, "robot", ""), "")),
+            "resume": self._ordered(lambda f: ("resume", text_field(f, "robot", ""), "")),
+            "retry": self._ordered(lambda f: ("retry", text_field(f, "robot"), "")),
+            "evict": self._ordered(lambda f: ("evict", text_field(f, "robot"), "")),
+            "leave": self._ordered(lambda f: ("leave", text_field(f, "robot"), "")),
+            "set_place": self._ordered(self._set_place),
+            "fire": self._ordered(self._fire),
         }
-        self.commands["environment"] = self._environment
 
     def begin(self, hub: Hub) -> None:
         """Subscribe, and ask the team where it is."""
         self._hub = hub
         self._feedback = Feedback(hub)
         self._status = {
+            "run": self._run,
             "running": False,
             "paused": False,
             "ended": None,
             "finished": False,
             "stalled": "",
+            "fault": False,
         }
         info = {"commands": sorted(self.commands), "says": "a team of robots on ROS"}
         hub.restart(self.mode, self._follower.board(self._status), info)
@@ -156,22 +182,47 @@ class RosWatch(Activity):
         """Time went by."""
 
     def _on_fired(self, message: Any) -> None:
-        if message.plan != self._hash:
-            if message.plan not in self._other_plans:
-                self._other_plans[message.plan] = None
-                self._note("warning", "", "another plan runs on this topic; it is not shown")
-            return
-        self._run = self._run or message.run
-        if message.run != self._run:
-            return
-        self._hub.publish(*self._follower.take(fired_news(message, time.monotonic())))
+        if not self._run and message.plan == self._hash:
+            self._show_run(message.run)
+        if self._is_shown(message.plan, message.run):
+            self._heard = True
+            self._hub.publish(*self._follower.take(fired_news(message, time.monotonic())))
+
+    def _is_shown(self, plan: str, run: str) -> bool:
+        """Whether what was heard is of the plan and the run that the page shows; a note for the first of another."""
+        if (plan, run) == (self._hash, self._run):
+            return True
+        if (plan, run) not in self._others:
+            self._others.add((plan, run))
+            if run == self._run:
+                text = "run '%s' has another plan, or another number of robots, than this page was given"
+            elif plan == self._hash:
+                text = "run '%s' on this master has the same plan; it is not shown"
+            else:
+                text = "run '%s' on this master has another plan; it is not shown"
+            self._note("warning", "", text % run)
+        return False
+
+    def _show_run(self, run: str) -> None:
+        """It was not said which run is to be shown: it is this one. What its robots told before is shown now."""
+        self._run = run
+        self._set_status(run=run)
+        early, self._early = self._early, {}
+        for told in early.items():
+            self._on_activity(told)
 
     def _on_activity(self, told: Tuple[str, Any]) -> None:
         namespace, message = told
         activity = json.loads(message.data)
         name = str(activity["robot"])
-        self._namespaces[name] = namespace
-        self._names[namespace] = name
+        if not self._run:  # this may be what was left of a run that is over
+            self._early[namespace] = message
+            return
+        if not self._is_shown(str(activity["plan"]), str(activity["run"])):
+            self._names = {n: robot for n, robot in self._names.items() if n != namespace}
+            self._strangers |= {namespace}
+            return
+        self._is_ours(namespace, name)
         state = str(activity.get("state", ""))
         waits = str(activity.get("waits_for", ""))
         self._show_robot(
@@ -188,16 +239,21 @@ class RosWatch(Activity):
         else:
             self._feedback.forget(name)
 
+    def _is_ours(self, namespace: str, name: str) -> None:
+        if self._names.get(namespace) != name:
+            self._names = {**self._names, namespace: name}
+            self._strangers -= {namespace}
+
     def _on_room(self, message: Any) -> None:
         self._hub.set_latest("room", json.loads(message.data))
 
     def _on_world(self, message: Any) -> None:
         self._hub.set_latest("world", json.loads(message.data))
 
-    def _on_obeyed(self, order: Tuple[str, str]) -> None:
+    def _on_obeyed(self, order: Order) -> None:
         """An order is in the team's log: the page soon shows what came of it. After a stop the robots leave, and
         there may be nobody left to ask."""
-        command, argument = order
+        command, _, argument = order
         if command == "stop":
             self._set_status(running=False, ended=argument, stalled="")
         self._ask_now.set()
@@ -212,31 +268,45 @@ class RosWatch(Activity):
             try:
                 self._find_robots()
                 self._queue.put(("answers", (lost_track, self._ask(self._askable()))))
-            except (OSError, rospy.ROSException) as error:
+            except MASTER_ERRORS as error:
                 rospy.logwarn_throttle(30.0, "the page: the master does not answer: %s" % error)
             self._ask_now.wait(LOOK_AROUND)
 
     def _find_robots(self) -> None:
-        for topic, kind in rospy.get_published_topics():
+        _, _, topics = self._master().getPublishedTopics(rospy.get_name(), "")
+        for topic, kind in topics:
             namespace = topic[: -len(ACTIVITY)]
-            if topic.endswith(ACTIVITY) and kind == String._type and namespace not in self._names:
-                self._names[namespace] = ""
+            if topic.endswith(ACTIVITY) and kind == String._type and namespace not in self._topics:
+                self._topics.add(namespace)
                 self._subscribe(topic, String, "activity", namespace)
 
-    def _on_answers(self, asked: Tuple[bool, List[Dict[str, Any]]]) -> None:
-        lost_track, answers = asked
+    @staticmethod
+    def _master() -> Any:
+        return master_proxy(ANSWER_TIME)
+
+    def _on_answers(self, asked: Tuple[bool, List[Answer]]) -> None:
+        lost_track, heard = asked
+        answers = []
+        if not self._run:
+            same_plan = [status for _, status in heard if status["plan"] == self._hash]
+            for status in sorted(same_plan, key=lambda s: bool(s["ended"]))[:1]:
+                self._show_run(status["run"])
+        for namespace, status in heard:
+            if self._is_shown(status["plan"], status["run"]):
+                self._is_ours(namespace, status["robot"])
+                answers.append(status)
         if not answers:
             self._silent += 1
             if lost_track:
                 self._hub.publish(*self._follower.give_up("firings were missed"))
             if self._silent >= SILENT and self._status["running"]:
-                self._set_status(running=False, ended="no robot answers any more", stalled="")
+                self._set_status(running=False, ended="no robot answers any more", stalled="", fault=True)
             return
         self._silent = 0
         newest = max(answers, key=lambda a: int(a["log_length"]))
-        self._run = self._run or str(newest["run"])
         team, before = self._team_seen(newest, answers), self._before
         self._before = team
+        self._note_deafness(team, before)
         # Behind what the team said a while ago, too: news that are under way are no loss.
         behind = self._follower.is_behind(team) and (
             before is None or self._follower.is_behind(before)
@@ -249,42 +319,56 @@ class RosWatch(Activity):
                 self._show_robot(name, place=seen.place)
         self._show_status(newest)
 
+    def _note_deafness(self, team: TeamSeen, before: Optional[TeamSeen]) -> None:
+        """Warn, once, where the team goes on and none of its firings is heard: the topic may have another name here."""
+        if self._heard:
+            self._unheard = 0
+        elif before is not None and team.marking != before.marking:
+            self._unheard += 1
+            if self._unheard == UNHEARD:
+                topic = rospy.resolve_name(FIRED_TOPIC)
+                self._note(
+                    "warning", "",
+                    "the team moves, but no firing is heard on %s: the page shows what robots answer every %g s. "
+                    "Is the topic remapped, or cannot this machine reach the robots?" % (topic, LOOK_AROUND),
+                )  # fmt: skip
+        self._heard = False
+
     def _askable(self) -> List[str]:
         """Whom to ask: in full synchronisation one robot knows all, in partial each knows itself."""
-        gone = [n for n, name in self._names.items() if name in self._follower.gone]
-        namespaces = sorted(set(self._names) - set(gone)) or sorted(self._names)
-        if self._follower.full and self._before is not None and namespaces and not self._silent:
+        names, strangers = self._names, self._strangers
+        namespaces = sorted(self._topics - strangers)
+        if self._follower.full and self._before is not None and not self._silent:
+            there = [n for n in sorted(names) if names[n] not in self._follower.gone] or namespaces
             self._turn += 1  # another one each time: one that died would not answer
-            return [namespaces[self._turn % len(namespaces)]]
-        return sorted(self._names)
+            return [there[self._turn % len(there)]] if there else []
+        return namespaces
 
-    def _ask(self, namespaces: List[str]) -> List[Dict[str, Any]]:
+    def _ask(self, namespaces: List[str]) -> List[Answer]:
         """What the robots say of the team; those that do not answer in time say nothing."""
-        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        request = CommandRequest(command="status")
+        answers: queue.SimpleQueue[Tuple[str, Any]] = queue.SimpleQueue()
+        request = CommandRequest(command="status", run=self._run)
         asked = [self._call(n, request, self._asking, answers) for n in namespaces]
         found = []
         give_up = time.monotonic() + ANSWER_TIME + 0.2
         try:
             for _ in range(sum(asked)):
-                response = answers.get(timeout=max(0.0, give_up - time.monotonic()))
-                status: Dict[str, Any] = json.loads(response.message)
-                if not self._run or status.get("run") == self._run:
-                    found.append(status)
+                namespace, response = answers.get(timeout=max(0.0, give_up - time.monotonic()))
+                if response.success:  # else: it is in another run
+                    found.append((namespace, json.loads(response.message)))
         except queue.Empty:
             pass
         return found
 
     def _call(
-        self, namespace: str, request: Any, calls: ServiceCalls, answers: queue.SimpleQueue[Any]
+        self, namespace: str, request: Any, calls: ServiceCalls, answers: queue.SimpleQueue[Tuple[str, Any]]
     ) -> bool:
-        """Call a robot's ``command`` service; whether an answer may come."""
+        """Call a robot's ``command`` service; whether an answer may come. :raises OSError: no master answers."""
         name = rospy.names.ns_join(namespace, "command")
-        try:
-            code, _, uri = rospy.get_master().lookupService(name)
-        except OSError:
-            return False
-        return code == 1 and calls.call(namespace, uri, name, Command, request, answers.put)
+        code, _, uri = self._master().lookupService(rospy.get_name(), name)
+        return code == 1 and calls.call(
+            namespace, uri, name, Command, request, lambda response: answers.put((namespace, response))
+        )
 
     def _team_seen(self, newest: Dict[str, Any], answers: List[Dict[str, Any]]) -> TeamSeen:
         robots: Dict[str, RobotSeen] = {}
@@ -312,7 +396,7 @@ class RosWatch(Activity):
         for robot in status["robots"]:
             phase = PHASES.get(robot["state"], "")
             was = self._shown.get(robot["robot"], {}).get("phase")
-            silent = robot["robot"] not in self._namespaces  # it tells nothing itself
+            silent = robot["robot"] not in self._names.values()  # it tells nothing itself
             if silent or phase in TOLD_BY_OTHERS or was in TOLD_BY_OTHERS:
                 self._show_robot(robot["robot"], phase=phase, why=robot["waits_for"])
         phases = [PHASES.get(r["state"], "") for r in status["robots"]]
@@ -350,33 +434,47 @@ class RosWatch(Activity):
 
     # -- the page's orders -------------------------------------------------------------------------
 
-    def _ordered(self, command: str) -> Any:
+    def _ordered(self, order_from: Callable[[Fields], Order]) -> Handler:
         def run(fields: Fields) -> Dict[str, Any]:
-            robot = text_field(fields, "robot") if command == "retry" else ""
-            argument = "stopped on the page" if command == "stop" else ""
-            return self._order(command, robot, argument)
+            return self._order(order_from(fields))
 
         return run
 
-    def _environment(self, fields: Fields) -> Dict[str, Any]:
+    def _set_place(self, fields: Fields) -> Order:
+        place = text_field(fields, "place")
+        self._net.place_number(place)
+        return "set_place", text_field(fields, "robot"), place
+
+    def _fire(self, fields: Fields) -> Order:
         name = text_field(fields, "transition")
         self._net.transition_number(name)
-        return self._order("fire", "", name)
+        return "fire", "", name
 
-    def _order(self, command: str, robot: str, argument: str) -> Dict[str, Any]:
-        for namespace in sorted(self._names):
-            answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
-            request = CommandRequest(command, robot, argument)
-            if not self._call(namespace, request, self._ordering, answers):
-                continue
+    def _order(self, order: Order) -> Dict[str, Any]:
+        """Give an order to the first robot of the run that answers. :raises RefusedError: it was not carried out."""
+        command, robot, argument = order
+        request = CommandRequest(command, robot, argument, self._run)
+        for namespace in self._first_to_order(command, robot):
+            answers: queue.SimpleQueue[Tuple[str, Any]] = queue.SimpleQueue()
             try:
-                response = answers.get(timeout=ORDER_TIME + 0.2)
+                if not self._call(namespace, request, self._ordering, answers):
+                    continue
+                _, response = answers.get(timeout=ORDER_TIME + 0.2)
             except queue.Empty:
                 continue
+            except MASTER_ERRORS as error:
+                raise RefusedError("the ROS master does not answer (%s)" % error) from None
             if not response.success:
                 raise RefusedError(response.message)
-            self._queue.put(("obeyed", (command, argument)))
+            self._queue.put(("obeyed", order))
             return {"message": response.message}
         raise RefusedError(
-            "no robot of the team answers" if self._names else "no robot has been heard of yet"
+            "no robot of run '%s' answers" % self._run if self._names else "no robot of the run has been heard of yet"
         )
+
+    def _first_to_order(self, command: str, robot: str) -> List[str]:
+        """The namespaces of the run's robots, in the order in which they are to be tried: first the one that is meant
+        (last, where it is to be cast out), and those that are gone at the end."""
+        names, gone = self._names, self._follower.gone
+        own_last = command == "evict"
+        return sorted(names, key=lambda n: (names[n] in gone, (names[n] == robot) == own_last, n))

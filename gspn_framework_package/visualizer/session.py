@@ -7,7 +7,7 @@ from collections import OrderedDict
 from typing import Any, Callable, Dict, List, Optional
 
 from gspn_framework_package.model.errors import InputError, RefusedError, UsageError
-from gspn_framework_package.visualizer.activity import Activity, Fields
+from gspn_framework_package.visualizer.activity import Activity, Fields, text_field
 from gspn_framework_package.visualizer.board import Board
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.hub import Hub
@@ -68,8 +68,11 @@ class Session:
     def command(self, name: str, fields: Fields) -> Dict[str, Any]:
         """Do what the page asks: start and stop of an execution, and what the activity offers.
 
+        An order for a run names it in the field ``run``: one that another run has taken the place of gets no orders.
+
         :raises GspnError: it cannot be done, and why.
         """
+        meant = text_field(fields, "run", "")
         with self._lock:
             if name == "start":
                 return self._start(fields)
@@ -77,6 +80,12 @@ class Session:
                 return self._simulate()
             if name == "layout":
                 return layout_to_json(self.document.net, lay_out(self.document.net, anew=True))
+            shown = str(self.hub.board().status.get("run") or "")
+            if meant not in ("", shown):
+                raise RefusedError(
+                    "the order is for run '%s'; %s: nothing was done"
+                    % (meant, "the page shows run '%s'" % shown if shown else "the page shows no run")
+                )
             activity = self.activity
         return activity.command(name, fields)
 

@@ -58,7 +58,7 @@ class StandaloneRun(Activity, Listener):
             "pause": self._order(lambda fields: log.Pause("")),
             "resume": self._order(lambda fields: log.Resume("")),
             "retry": self._order(lambda fields: log.Retry(text_field(fields, "robot"))),
-            "environment": self._order(lambda fields: log.Fire(self._transition(fields))),
+            "fire": self._order(lambda fields: log.Fire(self._transition(fields))),
         }
 
     def begin(self, hub: Hub) -> None:

@@ -70,13 +70,16 @@ class ServicesTest(RobotTestCase):
             self.assertEqual((state.robot, state.place, state.state), ("robot_1", "A", "Doing"))
             self.assertEqual(dict(zip(state.places, state.counts)),
                              {"A": 2, "B": 0, "C": 0, "stock": 2})  # fmt: skip
-            nothing = robot.call("set_place", SetPlace, "", "", "")
+            nothing = robot.call("set_place", SetPlace, "", "", "", "")
             self.assertFalse(nothing.success)
             self.assertIn("no place was given", nothing.message)
-            unknown = robot.call("set_place", SetPlace, "Z", "", "")
+            unknown = robot.call("set_place", SetPlace, "Z", "", "", "")
             self.assertFalse(unknown.success)
             self.assertIn("Z", unknown.message)
-            moved = robot.call("set_place", SetPlace, "C", "robot_2", "")
+            stranger = robot.call("set_place", SetPlace, "C", "robot_2", "", "another_run")
+            self.assertFalse(stranger.success)
+            self.assertIn("run '%s', not in run 'another_run'" % team.run, stranger.message)
+            moved = robot.call("set_place", SetPlace, "C", "robot_2", "", "")
             self.assertTrue(moved.success, moved.message)
             wait_for(lambda: team["robot_2"].state().place == "C", what="the move")  # noqa: B023
             self.assertEqual(team["robot_1"].state().place, "A")

@@ -102,8 +102,8 @@ class Robot:
     def state(self):
         return self.call("get_state", GetState, "", "")
 
-    def command(self, command, robot="", argument=""):
-        return self.call("command", Command, command, robot, argument)
+    def command(self, command, robot="", argument="", run=""):
+        return self.call("command", Command, command, robot, argument, run)
 
     def status(self):
         return json.loads(self.command("status").message)

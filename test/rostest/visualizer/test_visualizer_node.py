@@ -23,8 +23,9 @@ from gspn_framework_package.benchmark.ports import free_port  # noqa: E402
 class Page:
     """The node ``visualizer``, and what its page is told."""
 
-    def __init__(self, plan):
-        self.plan = plan
+    def __init__(self, plan, namespace="/", **parameters):
+        self.plan, self.namespace = plan, namespace
+        self.parameters = {"robots": 2, **parameters}
         self.refusals = []
         self.port = free_port()
         self.address = "http://127.0.0.1:%d" % self.port
@@ -32,8 +33,9 @@ class Page:
 
     def start(self):
         self.process = start_node(
-            "visualizer_node", "/", subprocess.DEVNULL, "visualizer", plan=self.plan, robots=2, port=self.port
-        )
+            "visualizer_node", self.namespace, subprocess.DEVNULL, "visualizer", plan=self.plan, port=self.port,
+            **self.parameters
+        )  # fmt: skip
         wait_for(self.snapshot, 30, "the page")
 
     def snapshot(self):
@@ -49,21 +51,21 @@ class Page:
     def phases(self):
         return {robot["name"]: robot.get("phase") for robot in self.board()["robots"]}
 
-    def order(self, command):
+    def order(self, command, **fields):
         """Order until the team obeys: a robot that does not find the order's place in the log in time refuses it."""
-        wait_for(lambda: self.obeyed(command), 60, "the team to obey: " + command)
+        wait_for(lambda: self.obeyed(command, **fields), 60, "the team to obey: " + command)
 
-    def obeyed(self, command):
+    def obeyed(self, command, **fields):
         request = urllib.request.Request(
             self.address + "/api/do?id=live",
-            json.dumps({"command": command}).encode(),
+            json.dumps({"command": command, **fields}).encode(),
             {"Content-Type": "application/json", "X-Gspn-Page": "1"},
         )
         try:
             with urllib.request.urlopen(request, timeout=30):
                 return True
         except urllib.error.HTTPError as error:
-            self.refusals.append(error.read())
+            self.refusals.append((error.code, json.load(error)["error"]))
             return False
 
     def end(self):
@@ -117,6 +119,42 @@ class VisualizerTest(RobotTestCase):
 
     def test_partial_synchronisation(self):
         self.watch("partial")
+
+    def test_of_two_teams_on_a_master_the_page_shows_and_orders_its_own(self):
+        """The robots of both have the same names and the same plan; the other's namespaces come first."""
+        plan = copy_plan("plans/patrol", agreement={"evict_after": 0})
+        names = ["robot_1", "robot_2"]
+        ours = self.team(plan, names, {name: "/ours/" + name for name in names}, robots=2).start()
+        other = self.team(plan, names, {name: "/a/" + name for name in names}, robots=2).start()
+        page = Page(plan, "/desk", run=ours.run)  # the topic of the firings is no matter of its namespace
+        self.addCleanup(page.end)
+        wait_for(lambda: page.board()["status"]["running"], 30, "the team on the page")
+        ours.wait_for_firings(4)
+        other.wait_for_firings(4)
+        wait_for(lambda: sum(page.board()["counts"]) > 3, 30, "firings on the page")
+        self.assertEqual(page.board()["status"]["run"], ours.run)
+
+        self.assertFalse(page.obeyed("pause", run=other.run))
+        code, text = page.refusals[-1]
+        self.assertEqual(code, 409)
+        self.assertIn(ours.run, text)
+        self.assertIn(other.run, text)
+        refused = ours["robot_1"].command("pause", run=other.run)
+        self.assertFalse(refused.success)
+        self.assertIn("run '%s', not in run '%s'" % (ours.run, other.run), refused.message)
+
+        page.order("pause", robot="robot_2", run=ours.run)
+        wait_for(lambda: ours["robot_2"].state().state == "Paused", 30, "the pause of one robot")
+        self.assertNotEqual(other["robot_2"].state().state, "Paused")
+        page.order("resume", robot="robot_2")
+        page.order("set_place", robot="robot_2", place="p2:Alarm_L1")
+        page.order("evict", robot="robot_2")
+        wait_for(lambda: page.phases().get("robot_2") == "lost", 30, "the eviction on the page")
+        page.order("stop", reason="enough of this")
+        self.assertEqual(ours["robot_1"].exit_code(30), 1)
+        wait_for(lambda: page.board()["status"]["ended"] == "enough of this", 30, "the end on the page")
+        other.wait_for_firings(4)
+        self.assertTrue(other["robot_1"].status()["active"])
 
 
 if __name__ == "__main__":

@@ -240,7 +240,7 @@ class Page {
     this.list.addEventListener("fire", fire);
     this.inspector.addEventListener("fire", fire);
     this.inspector.addEventListener("probability", ({ detail }) => this.tools.setProbability(detail.index, detail.value));
-    this.inspector.addEventListener("environment", ({ detail }) => attempt(() => this.tools.do("environment", { transition: model.scene.transitions[detail].name })));
+    this.inspector.addEventListener("environment", ({ detail }) => attempt(() => this.tools.do("fire", { transition: model.scene.transitions[detail].name })));
     this.robots.addEventListener("operate", ({ detail }) => attempt(() => this.tools.do(detail.command, { robot: detail.robot })));
     for (const part of [this.log, this.line]) part.addEventListener("visit", ({ detail }) => attempt(() => model.show(detail)));
   }
