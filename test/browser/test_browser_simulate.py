@@ -177,7 +177,7 @@ def test_nothing_overlaps(show_net, open_page, folder):
 def test_the_panels_do_not_overlap(show_net, open_page):
     page = open_page(show_net(cycle()).address)
     assert not overlaps(boxes(page, "header, .left, .centre, .right, .timeline, .log"))
-    assert not overlaps(boxes(page, "header > *:not([hidden]), header .group button"), slack=2)
+    assert not overlaps(boxes(page, "header > button, header .what, header .state > *, header .group button"), slack=2)
     assert not overlaps(boxes(page, "#tools > *"))
     assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth")
     assert page.evaluate("() => document.querySelector('#tools').scrollWidth <= document.querySelector('#tools').clientWidth")

@@ -36,6 +36,15 @@ export function announce(message) {
   $("announce").textContent = message;
 }
 
+/** For what cannot wait until the screen reader has finished. */
+export function announceNow(message) {
+  $("announce-now").textContent = message;
+}
+
+/** Compares names as people count: p2 comes before p10. */
+const collator = new Intl.Collator("en", { numeric: true });
+export const natural = (a, b) => collator.compare(a, b);
+
 /** Runs an action; what goes wrong is shown. */
 export async function attempt(action) {
   try {

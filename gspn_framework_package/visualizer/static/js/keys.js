@@ -15,6 +15,8 @@ const TABLE = [
   ["/", "search; then ↓ and Enter go through the list"],
   ["Shift + Enter", "in the list: fire"],
   ["1  2  3", "inspector, robots, analysis"],
+  ["P  D  T", "fold and unfold: places and transitions, details, time line"],
+  ["W", "more room for the details"],
   ["O", "open another net"],
   ["Esc", "choose nothing"],
 ];
@@ -71,8 +73,12 @@ function actionOf(event, page) {
     case "f": case "F": return () => view.camera.fit();
     case "+": case "=": return () => view.camera.zoom(1.25);
     case "-": return () => view.camera.zoom(0.8);
-    case "/": return () => { $("list-search").focus(); $("list-search").select(); };
-    case "1": case "2": case "3": return () => page.openTab(["inspector", "robots", "analysis"][Number(event.key) - 1]);
+    case "p": case "P": return () => page.panels.toggle("left");
+    case "d": case "D": return () => page.panels.toggle("right");
+    case "t": case "T": return () => page.panels.toggle("bottom");
+    case "w": case "W": return () => { page.panels.open("right"); page.panels.widen(); };
+    case "/": return () => { page.panels.open("left"); $("list-search").focus(); $("list-search").select(); };
+    case "1": case "2": case "3": return () => page.showTab(["inspector", "robots", "analysis"][Number(event.key) - 1]);
     case "o": case "O": return () => page.openScreen();
     case "Escape": return () => page.choose(null);
     default: return null;

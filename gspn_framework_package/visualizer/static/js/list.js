@@ -1,6 +1,6 @@
 // The list at the left: places and transitions, the enabled first, searchable; drawn only as far as seen.
 
-import { h, $ } from "./dom.js";
+import { h, $, natural } from "./dom.js";
 
 const ROW = 26; // px, as in panels.css
 const ROWS_DRAWN = 150; // more are found by searching
@@ -14,7 +14,10 @@ export class NodeList extends EventTarget {
     this.search = $("list-search");
     this.search.value = "";
     this.chosen = null;
-    this.cursor = null;
+    const { scene } = model;
+    const inOrder = (items) => items.sort((a, b) => natural(a.name, b.name));
+    this.transitions = inOrder(scene.transitions.map((t, index) => ({ kind: "transition", index, key: `t${index}`, name: t.name, sign: t.timed ? "timed" : "immediate" })));
+    this.places = inOrder(scene.places.map((p, index) => ({ kind: "place", index, key: `p${index}`, name: p.name, sign: p.kind === "resource" ? "resource" : "place" })));
     this.search.oninput = () => this.update();
     this.search.onkeydown = (event) => {
       if (event.key === "ArrowDown" || event.key === "Enter") {
@@ -28,7 +31,7 @@ export class NodeList extends EventTarget {
       }
     };
     this.list.onkeydown = (event) => {
-      const steps = { ArrowDown: 1, ArrowUp: -1, PageDown: 10, PageUp: -10 }[event.key];
+      const steps = { ArrowDown: 1, ArrowUp: -1, PageDown: 10, PageUp: -10, Home: -Infinity, End: Infinity }[event.key];
       if (steps) { event.preventDefault(); event.stopPropagation(); this.move(steps, true); }
       else if (event.key === "Enter") {
         event.preventDefault();
@@ -47,15 +50,13 @@ export class NodeList extends EventTarget {
     clearTimeout(this.timer);
     this.timer = 0;
     const begun = performance.now();
-    const { scene, board } = this.model;
+    const { board } = this.model;
     if (!board) return;
     const wanted = this.search.value.trim().toLowerCase();
     const match = (name) => !wanted || name.toLowerCase().includes(wanted);
-    const transitions = scene.transitions.map((t, index) => ({ kind: "transition", index, key: `t${index}`, name: t.name, sign: t.timed ? "timed" : "immediate" }));
-    const places = scene.places.map((p, index) => ({ kind: "place", index, key: `p${index}`, name: p.name, sign: p.kind === "resource" ? "resource" : "place" }));
-    const enabled = transitions.filter((t) => board.enabled.has(t.index) && match(t.name));
-    const others = transitions.filter((t) => !board.enabled.has(t.index) && match(t.name));
-    const marked = places.filter((p) => match(p.name));
+    const enabled = this.transitions.filter((t) => board.enabled.has(t.index) && match(t.name));
+    const others = this.transitions.filter((t) => !board.enabled.has(t.index) && match(t.name));
+    const marked = this.places.filter((p) => match(p.name));
     marked.sort((a, b) => (board.marking[b.index] > 0) - (board.marking[a.index] > 0));
     const groups = [[`Enabled (${enabled.length})`, enabled, true], [`Places (${marked.length})`, marked], [`Not enabled (${others.length})`, others]];
     this.items = groups.flatMap(([, items]) => items);

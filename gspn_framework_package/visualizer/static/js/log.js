@@ -1,4 +1,5 @@
-// The firing log: the latest first, filtered by transition, robot or place.
+// The firing log: the latest first, filtered by transition, robot or place. The arrows go through its lines,
+// Enter shows the net as it was after the one that is chosen.
 
 import { h, $, seconds } from "./dom.js";
 
@@ -13,11 +14,46 @@ export class FiringLog extends EventTarget {
     this.filter = $("log-filter");
     this.filter.value = "";
     this.filter.oninput = () => this.update();
+    this.chosen = null; // number of the event whose line is chosen
     this.list.onclick = (event) => {
       const row = event.target.closest("li[data-n]");
-      if (row) this.dispatchEvent(new CustomEvent("visit", { detail: Number(row.dataset.n) }));
+      if (row) this.visit(Number(row.dataset.n));
     };
+    this.list.onkeydown = (event) => this.key(event);
     this.update();
+  }
+
+  visit(n) {
+    this.choose(n);
+    this.dispatchEvent(new CustomEvent("visit", { detail: n }));
+  }
+
+  key(event) {
+    const rows = [...this.list.querySelectorAll("li[data-n]")];
+    if (!rows.length) return;
+    const steps = { ArrowDown: 1, ArrowUp: -1, PageDown: 10, PageUp: -10, Home: -Infinity, End: Infinity }[event.key];
+    const at = rows.findIndex((row) => Number(row.dataset.n) === this.chosen);
+    if (steps) this.choose(Number(rows[Math.max(0, Math.min(rows.length - 1, at < 0 ? 0 : at + steps))].dataset.n));
+    else if (event.key === "Enter" && at >= 0) this.visit(this.chosen);
+    else return;
+    event.preventDefault();
+    event.stopPropagation();
+  }
+
+  choose(n) {
+    this.chosen = n;
+    this.mark()?.scrollIntoView({ block: "nearest" });
+  }
+
+  /** Set off the line that is chosen, if it is drawn. */
+  mark() {
+    this.list.querySelector("[aria-selected]")?.removeAttribute("aria-selected");
+    this.list.removeAttribute("aria-activedescendant");
+    const row = this.chosen === null ? null : this.list.querySelector(`li[data-n="${this.chosen}"]`);
+    if (!row) return null;
+    row.setAttribute("aria-selected", "true");
+    this.list.setAttribute("aria-activedescendant", row.id);
+    return row;
   }
 
   later() {
@@ -53,10 +89,11 @@ export class FiringLog extends EventTarget {
       const text = this.say(event);
       if (text === null || (wanted && !text.toLowerCase().includes(wanted))) continue;
       const kind = event.k === "note" ? (event.level === "fault" ? "fault" : "note") : event.k;
-      rows.push(h("li", { class: kind, "data-n": event.n, title: text }, h("time", { text: seconds(event.t) }), h("span", { class: "what-happened", text })));
+      rows.push(h("li", { role: "option", id: `log-${event.n}`, class: kind, "data-n": event.n, title: text }, h("time", { text: seconds(event.t) }), h("span", { class: "what-happened", text })));
     }
-    if (!rows.length) rows.push(h("li", {}, h("time"), h("span", { class: "what-happened muted", text: wanted ? "nothing like that" : "nothing has fired yet" })));
+    if (!rows.length) rows.push(h("li", { role: "option", class: "nothing", "aria-disabled": "true" }, h("time"), h("span", { class: "what-happened muted", text: wanted ? "nothing like that" : "nothing has fired yet" })));
     this.list.replaceChildren(...rows);
+    this.mark();
     this.cost = performance.now() - begun;
   }
 }

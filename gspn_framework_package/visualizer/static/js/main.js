@@ -1,6 +1,6 @@
 // The page: opens a net, follows its hub, and keeps all views on the same board.
 
-import { $, h, ask, attempt, announce, plural, seconds } from "./dom.js";
+import { $, h, ask, attempt, announce, announceNow, plural, seconds } from "./dom.js";
 import { get, post, NewsStream } from "./api.js";
 import { Model } from "./model.js";
 import { NetView } from "./net_view.js";
@@ -13,6 +13,7 @@ import { TimeLine } from "./timeline.js";
 import { Tools } from "./tools.js";
 import { Room } from "./room.js";
 import { bindKeys, showHelp } from "./keys.js";
+import { Panels } from "./panels.js";
 import { openingScreen, hideOpening } from "./opening.js";
 import { forgetRobots } from "./colours.js";
 import { notice, closeNotice } from "./notice.js";
@@ -33,6 +34,7 @@ class Page {
     this.connection = "waiting";
     this.theme(localStorage.getItem("gspn-theme"));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.theme(localStorage.getItem("gspn-theme")));
+    this.panels = new Panels(() => this.room?.shown && this.room.update());
     this.bind();
     bindKeys(this);
     setInterval(() => this.showConnection(), 500);
@@ -105,7 +107,7 @@ class Page {
     if (!session) { await this.openScreen(); return; }
     this.closeNet();
     forgetRobots();
-    $("page").hidden = false;
+    $("page").hidden = $("folds").hidden = false;
     const model = (this.model = new Model(session));
     window.gspn = { page: this, model };
     $("title").textContent = session.scene.name;
@@ -195,7 +197,7 @@ class Page {
     $("legend").hidden = true;
     $("room").hidden = true;
     $("execution").hidden = true;
-    $("page").hidden = true;
+    $("page").hidden = $("folds").hidden = true;
   }
 
   // -- one board, many views -----------------------------------------------------------------------
@@ -228,7 +230,10 @@ class Page {
       if (detail.keys.includes("room") || detail.keys.includes("world")) { if (this.room.news()) this.tools?.build(); }
     });
     model.addEventListener("view", () => { this.tools?.refresh(); this.line.later(); this.showConnection(); });
-    this.view.addEventListener("select", ({ detail }) => this.choose(detail));
+    this.view.addEventListener("select", ({ detail }) => {
+      this.choose(detail);
+      if (detail && this.panels.form !== "wide") this.panels.open("right");
+    });
     this.view.addEventListener("activate", ({ detail }) => {
       if (detail.kind === "transition" && model.mode === "SIMULATE") this.tools.fire(detail.index);
     });
@@ -275,6 +280,12 @@ class Page {
     else model.play();
   }
 
+  /** Open a tab, also where the details are folded. */
+  showTab(name) {
+    this.panels.open("right");
+    this.openTab(name);
+  }
+
   openTab(name) {
     for (const tab of TABS) {
       const on = tab === name;
@@ -315,7 +326,7 @@ class Page {
     const alarms = [];
     const robots = [...model.board.robots.values()];
     const named = (phase) => robots.filter((robot) => robot.phase === phase).map((robot) => robot.name);
-    const alarm = (text, kind = "") => alarms.push(h("button", { class: `alarm ${kind}`, text, title: text, onclick: () => this.openTab("robots") }));
+    const alarm = (text, kind = "") => alarms.push(h("button", { class: `alarm ${kind}`, text, title: text, onclick: () => this.showTab("robots") }));
     if (named("lost").length) alarm(`Lost: ${named("lost").join(", ")}`);
     if (named("failed").length) alarm(`Failed: ${named("failed").join(", ")}`);
     if (status.stalled) alarm(`Stalled: ${status.stalled}`);
@@ -336,6 +347,9 @@ class Page {
     const words = { waiting: "connecting", open: "connected", polling: "connected (polling)", lost: `connection lost${since}, trying again`, gone: "no longer open on the server", locked: "the server asks for its token" };
     pill.dataset.state = this.connection === "gone" || this.connection === "locked" ? "lost" : this.connection;
     let text = words[this.connection];
+    if (pill.dataset.state === "lost" && this.announced !== this.connection) announceNow(text);
+    else if (this.announced && pill.dataset.state !== "lost" && this.connection !== "waiting") announceNow(text);
+    this.announced = pill.dataset.state === "lost" ? this.connection : null;
     if (this.model.mode === "LIVE" && this.model.lastEvent !== null && (this.connection === "open" || this.connection === "polling")) {
       text = `last event ${seconds((performance.now() - this.model.lastEvent) / 1000)} ago`;
     }
@@ -352,6 +366,12 @@ class Page {
 
   bind() {
     $("open-screen").onclick = () => this.openScreen();
+    $("skip").onclick = (event) => {
+      event.preventDefault();
+      if (!this.model) { document.querySelector("#opening button")?.focus(); return; }
+      this.panels.open("left");
+      $("list-search").focus();
+    };
     $("help").onclick = () => showHelp();
     $("theme").onclick = () => {
       const next = document.documentElement.dataset.theme === "dark" ? "light" : "dark";

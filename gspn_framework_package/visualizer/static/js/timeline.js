@@ -1,12 +1,16 @@
-// The time line: a lane per robot in its colour (paler while it waits), a lane of firings; scrubber below.
+// The time line: a lane of firings, and below it a lane per robot in its colour (paler while it waits); in a
+// simulation, where there are no robots, how the tokens of the places change. The scrubber is under it.
 
-import { $, seconds } from "./dom.js";
+import { $, h, natural, seconds } from "./dom.js";
 import { colourOf } from "./colours.js";
+import { phaseOf } from "./robots_panel.js";
 
 const SPANS = [1, 2, 5, 10, 30, 60, 300, 1200, 7200, 86400];
 const TICKS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600, 14400]; // s
-const LABEL = 92;
+const LABEL = [92, 0.22]; // px, and share of the width, for the names of the lanes: at least, at most
+const LANE = [20, 26]; // px, least and largest height of a lane
 
+const spanText = (t) => (t < 60 ? `${t} s` : t < 3600 ? `${t / 60} min` : `${t / 3600} h`);
 const axisTime = (t) => (t < 60 ? `${Number(t.toFixed(1))} s` : seconds(t));
 
 /** Fires "visit" (detail n). */
@@ -19,13 +23,45 @@ export class TimeLine extends EventTarget {
     this.canvas.onclick = (event) => this.clicked(event);
     this.canvas.onwheel = (event) => {
       event.preventDefault();
-      const at = SPANS.indexOf(this.shownSpan || 30);
-      this.span = SPANS[Math.max(0, Math.min(SPANS.length - 1, at + (event.deltaY > 0 ? 1 : -1)))];
-      this.update();
+      this.zoom(event.deltaY > 0 ? 1 : -1);
     };
+    this.canvas.onkeydown = (event) => this.key(event);
+    const spans = $("span");
+    spans.replaceChildren(h("option", { value: "", text: "all" }), ...SPANS.map((span) => h("option", { value: span, text: spanText(span) })));
+    spans.onchange = () => { this.span = Number(spans.value) || null; this.update(); };
     this.observer = new ResizeObserver(() => this.update());
     this.observer.observe(this.canvas);
     this.clock = setInterval(() => { if (model.mode === "LIVE" && model.following && model.lostAt === null && model.board?.status.running) this.later(); }, 200);
+  }
+
+  /** Show more of the run (1), or less (-1). */
+  zoom(direction) {
+    const at = SPANS.indexOf(this.shownSpan || 30);
+    this.span = SPANS[Math.max(0, Math.min(SPANS.length - 1, at + direction))];
+    $("span").value = this.span;
+    this.update();
+  }
+
+  key(event) {
+    const { model } = this;
+    const visit = (n) => this.dispatchEvent(new CustomEvent("visit", { detail: n }));
+    const act = {
+      ArrowRight: () => model.stepView(1), ArrowLeft: () => model.stepView(-1),
+      Home: () => visit(model.oldest), End: () => visit(model.head.n),
+      PageUp: () => visit(this.eventAt(model.board.t + this.shownSpan / 2)), PageDown: () => visit(this.eventAt(model.board.t - this.shownSpan / 2)),
+      "+": () => this.zoom(-1), "-": () => this.zoom(1),
+    }[event.key];
+    if (!act || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    event.stopPropagation();
+    act();
+  }
+
+  /** Number of the last event at hand that is not after `t`. */
+  eventAt(t) {
+    const { events, oldest } = this.model;
+    const index = this.firstAt(t + 1e-9, events.length);
+    return index > 0 ? events[index - 1].n : oldest;
   }
 
   later() {
@@ -73,6 +109,39 @@ export class TimeLine extends EventTarget {
     return lanes;
   }
 
+  /** How the tokens of places changed since `begin`: of the place that is selected, and of those that changed most
+   * often, at most `count`; in natural order. [{name, points: [[from, tokens], ...], most}, ...] */
+  tokens(begin, count) {
+    const { model } = this;
+    const { marking } = model.board;
+    const last = model.indexAfter(model.board.n), first = this.firstAt(begin, last);
+    const changes = new Map(); // place -> how often
+    for (let i = first; i < last; i++) {
+      for (const [p] of model.events[i].d || []) changes.set(p, (changes.get(p) || 0) + 1);
+    }
+    const chosen = window.gspn?.page.selection;
+    if (chosen?.kind === "place") changes.set(chosen.index, Infinity);
+    const order = changes.size ? [...changes].sort((a, b) => b[1] - a[1]).map(([p]) => p) : marking.map((_, p) => p).filter((p) => marking[p] > 0);
+    const wanted = order.slice(0, Math.max(0, count));
+    let from = first; // after the last reset: what was before it is not told
+    for (let i = first; i < last; i++) if (model.events[i].k === "mark") from = i;
+    const counts = new Map(wanted.map((p) => [p, marking[p]]));
+    for (let i = from; i < last; i++) {
+      for (const [p, change] of model.events[i].d || []) if (counts.has(p)) counts.set(p, counts.get(p) - change);
+    }
+    const points = new Map(wanted.map((p) => [p, [[from === first ? begin : model.events[from].t, counts.get(p)]]]));
+    for (let i = from; i < last; i++) {
+      const event = model.events[i];
+      for (const [p, change] of event.d || []) {
+        if (!counts.has(p)) continue;
+        counts.set(p, counts.get(p) + change);
+        points.get(p).push([event.t, counts.get(p)]);
+      }
+    }
+    return wanted.map((p) => ({ name: model.scene.places[p].name, points: points.get(p), most: Math.max(...points.get(p).map(([, tokens]) => tokens)) }))
+      .sort((a, b) => natural(a.name, b.name));
+  }
+
   /** Index of the first event at hand that is not before `t`. */
   firstAt(t, last) {
     const { events } = this.model;
@@ -90,7 +159,7 @@ export class TimeLine extends EventTarget {
     if (!model.board) return;
     const ratio = window.devicePixelRatio || 1;
     const { clientWidth: width, clientHeight: height } = canvas;
-    if (!width || !height) return;
+    if (!width || !height) { this.drawScrubber(); return; } // the lanes are folded
     if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
       canvas.width = Math.round(width * ratio);
       canvas.height = Math.round(height * ratio);
@@ -104,23 +173,29 @@ export class TimeLine extends EventTarget {
     const have = model.events.length ? end - model.events[0].t : 0;
     this.shownSpan = this.span || SPANS.find((span) => span >= Math.min(have, 60)) || 60;
     const begin = Math.max(0, end - this.shownSpan); // a short run fills the lanes from the left
-    const right = width - 14;
-    const x = (t) => LABEL + ((t - begin) / this.shownSpan) * (right - LABEL);
-    this.scale = { begin, end: begin + this.shownSpan, right };
-
+    const top = 8, axis = 20, room = height - top - axis;
     const lanes = this.segments(begin, end);
-    const names = [...lanes.keys()].sort((a, b) => a.localeCompare(b, undefined, { numeric: true }));
-    const top = 8, axis = 20, rows = names.length + 1;
-    const room = height - top - axis;
-    const step = Math.min(26, room / rows);
+    const names = [...lanes.keys()].sort(natural);
+    const places = model.mode === "SIMULATE" ? this.tokens(begin, Math.floor(room / LANE[0]) - 1) : [];
+    const rows = names.length + places.length + 1;
+    const step = Math.min(LANE[1], room / rows);
     c.font = "11px system-ui, sans-serif";
     c.textBaseline = "middle";
+    const widest = Math.max(0, ...names.concat(places.map((place) => place.name)).map((name) => c.measureText(name).width));
+    const label = Math.max(LABEL[0], Math.min(widest + 26, width * LABEL[1])), right = width - 14;
+    const fitted = (name) => {
+      let text = name;
+      for (let length = name.length; length > 1 && c.measureText(text).width > label - 24; length--) text = `${name.slice(0, length - 1)}…`;
+      return text;
+    };
+    const x = (t) => label + ((t - begin) / this.shownSpan) * (right - label);
+    this.scale = { begin, end: begin + this.shownSpan, left: label, right };
 
     // the axis
     c.strokeStyle = ink("--line-soft");
     c.fillStyle = ink("--ink-3");
     c.textAlign = "center";
-    const tick = TICKS.find((step) => (step / this.shownSpan) * (right - LABEL) >= 70) || this.shownSpan;
+    const tick = TICKS.find((step) => (step / this.shownSpan) * (right - label) >= 70) || this.shownSpan;
     for (let i = Math.ceil(begin / tick - 1e-9); i * tick <= begin + this.shownSpan + 1e-9; i++) {
       const t = i * tick;
       c.beginPath(); c.moveTo(x(t), top); c.lineTo(x(t), height - axis); c.stroke();
@@ -148,25 +223,55 @@ export class TimeLine extends EventTarget {
       const colour = colourOf(name);
       c.fillStyle = ink("--ink-2");
       c.textAlign = "left";
-      if (step >= 8) c.fillText(name.length > 12 ? `${name.slice(0, 11)}…` : name, 14, y + step / 2);
+      if (step >= 8) c.fillText(fitted(name), 14, y + step / 2);
       for (const [from, to, place, phase] of lanes.get(name).parts) {
         if (to < begin) continue;
-        const a = Math.max(LABEL, x(from)), b = x(to);
+        const a = Math.max(label, x(from)), b = x(to);
         const bar = Math.max(2, step - 5);
         const waits = phase === "done" || phase === "waiting";
         c.globalAlpha = waits ? 0.32 : phase === "inactive" ? 0.18 : 0.85;
         c.fillStyle = phase === "lost" || phase === "failed" ? ink("--bad") : colour;
         c.fillRect(a, y + 2, Math.max(1, b - a - 1), bar);
         c.globalAlpha = 1;
-        const label = phase === "lost" ? "lost" : model.scene.places[place]?.name || "";
+        const does = phase === "lost" ? "lost" : model.scene.places[place]?.name || "";
         if (b - a > 34 && step >= 14) {
           c.fillStyle = waits || phase === "inactive" ? ink("--ink") : "#fff";
           c.textAlign = "left";
           c.save();
           c.beginPath(); c.rect(a + 3, y, b - a - 7, step); c.clip();
-          c.fillText(label, a + 5, y + 2 + bar / 2);
+          c.fillText(does, a + 5, y + 2 + bar / 2);
           c.restore();
         }
+      }
+    });
+    places.forEach(({ name, points, most }, row) => {
+      const base = top + step * (row + 2) - 4, rise = (step - 7) / Math.max(1, most);
+      c.fillStyle = ink("--ink-2");
+      c.textAlign = "left";
+      c.fillText(fitted(name), 14, base - step / 2 + 4);
+      c.beginPath();
+      c.moveTo(Math.max(label, x(points[0][0])), base);
+      points.forEach(([t, count], i) => {
+        const y = base - count * rise;
+        c.lineTo(Math.max(label, x(t)), y);
+        c.lineTo(Math.max(label, x(i + 1 < points.length ? points[i + 1][0] : end)), y);
+      });
+      c.lineTo(x(end), base);
+      c.globalAlpha = 0.2;
+      c.fillStyle = timed;
+      c.fill();
+      c.globalAlpha = 1;
+      c.beginPath();
+      points.forEach(([t, count], i) => {
+        const y = base - count * rise;
+        if (i) c.lineTo(x(t), y); else c.moveTo(Math.max(label, x(t)), y);
+        c.lineTo(Math.max(label, x(i + 1 < points.length ? points[i + 1][0] : end)), y);
+      });
+      c.strokeStyle = timed;
+      c.stroke();
+      if (x(end) < right - 24) {
+        c.fillStyle = ink("--ink-2");
+        c.fillText(String(points[points.length - 1][1]), x(end) + 5, base - step / 2 + 4);
       }
     });
     this.drawScrubber();
@@ -180,19 +285,29 @@ export class TimeLine extends EventTarget {
     range.max = Math.max(model.head.n, model.oldest);
     if (document.activeElement !== range || !this.sliding) range.value = model.following ? model.head.n : model.board.n;
     range.setAttribute("aria-valuetext", `event ${model.board.n} of ${model.head.n}, ${seconds(model.board.t)}`);
+    const { canvas } = this;
+    canvas.setAttribute("aria-valuemin", model.oldest);
+    canvas.setAttribute("aria-valuemax", Math.max(model.head.n, model.oldest));
+    canvas.setAttribute("aria-valuenow", model.board.n);
+    canvas.setAttribute("aria-valuetext", this.says());
     $("position").textContent = `${seconds(model.now())}   ·   ${model.board.n} / ${model.head.n}`;
     $("back-to-live").hidden = model.following || model.mode === "REPLAY";
     $("back-to-live").textContent = model.mode === "LIVE" ? "Back to live" : "Back to now";
   }
 
+  /** In words: when it is, and what each robot does. */
+  says() {
+    const { board, scene, head } = this.model;
+    const robots = [...board.robots.values()].sort((a, b) => natural(a.name, b.name)).slice(0, 8);
+    const does = robots.map((robot) => `${robot.name} ${phaseOf(robot)[0]}${robot.place >= 0 ? ` in ${scene.places[robot.place].name}` : ""}`);
+    return [`${seconds(board.t)}, event ${board.n} of ${head.n}`, ...does].join("; ");
+  }
+
   clicked(event) {
-    const { left } = this.canvas.getBoundingClientRect();
-    const { begin, end, right } = this.scale;
-    const t = begin + ((event.clientX - left - LABEL) / (right - LABEL)) * (end - begin);
-    const { events, board } = this.model;
-    let found = null;
-    for (const e of events) { if (e.t > t || e.n > board.n) break; found = e; }
-    if (found) this.dispatchEvent(new CustomEvent("visit", { detail: found.n }));
+    const { begin, end, left, right } = this.scale;
+    const t = begin + ((event.clientX - this.canvas.getBoundingClientRect().left - left) / (right - left)) * (end - begin);
+    const found = Math.min(this.eventAt(t), this.model.board.n);
+    this.dispatchEvent(new CustomEvent("visit", { detail: found }));
   }
 
   close() {

@@ -1,0 +1,124 @@
+"""The page is of use at every width, by keyboard, and with a screen reader."""
+
+from page_reading import boxes, overlaps, settle
+
+from gspn_framework_package.formats.plan_file import read_plan
+
+FORMS = {390: 844, 800: 1000, 1280: 720, 1440: 900, 3840: 2160}
+CONTROLS = "#open-screen, #start, #theme, #help, #folds button, #tools button, .zoom button, #play, #scrubber"
+
+
+def hidden_controls(page):
+    """Controls that cannot be got at: of no size, or outside of the page when they are scrolled to."""
+    return page.evaluate(
+        """(selector) => [...document.querySelectorAll(selector)].filter((e) => {
+          e.scrollIntoView({ block: "nearest", inline: "nearest" });
+          const b = e.getBoundingClientRect();
+          return !b.width || !b.height || b.left < 0 || b.top < 0 || b.right > innerWidth + .5 || b.bottom > innerHeight + .5;
+        }).map((e) => e.id || e.outerHTML.slice(0, 60))""",
+        CONTROLS,
+    )
+
+
+def size(page, selector):
+    x0, y0, x1, y1 = boxes(page, selector)[0]
+    return x1 - x0, y1 - y0
+
+
+def off_the_page(page):
+    """The panels that reach beyond the page, and whether the page itself scrolls."""
+    return page.evaluate(
+        """() => [...document.querySelectorAll("#left, #right, #bottom, .centre, .top")].filter((e) => {
+          const b = e.getBoundingClientRect();
+          return b.width && (b.left < -.5 || b.right > innerWidth + .5 || b.bottom > innerHeight + .5); }).map((e) => e.id)
+          .concat(document.documentElement.scrollWidth > innerWidth ? ["scrolls"] : [])"""
+    )
+
+
+def test_everything_is_reached_at_every_width(serve_folder, open_page, picture):
+    address = serve_folder().address + "#file-patrol%2Fplan.json"
+    page = open_page(address)
+    for width, height in FORMS.items():
+        page.set_viewport_size({"width": width, "height": height})
+        page.wait_for_function("(width) => window.gspn.page.view.camera.now && innerWidth === width", arg=width)
+        page.wait_for_function("() => document.querySelectorAll('.label').length > 0")
+        settle(page)
+        assert not hidden_controls(page), width
+        assert not off_the_page(page), width
+        assert not overlaps(boxes(page, "header > button, .what, .state > *, header .group button, #tools"), slack=1), (
+            width
+        )
+        assert size(page, "#net")[1] >= 0.5 * height, width
+        picture(page, "width_%d" % width)
+    for width in (390, 800):  # every panel can be had there, and leaves room for the net
+        page.set_viewport_size({"width": width, "height": FORMS[width]})
+        for panel in ("left", "right", "bottom"):
+            if page.get_attribute("#fold-" + panel, "aria-expanded") == "false":
+                page.click("#fold-" + panel)
+            page.wait_for_selector("#fold-%s[aria-expanded='true']" % panel)
+            assert min(size(page, "#" + panel)) >= 110, (width, panel)
+            assert min(size(page, "#net")) >= 200, (width, panel)
+            assert not off_the_page(page), (width, panel)
+            page.click("#fold-" + panel)
+            page.wait_for_selector("#fold-%s[aria-expanded='false']" % panel)
+
+
+def test_panels_are_folded_and_resized_and_stay_so(show_net, open_page):
+    page = open_page(show_net(read_plan("plans/patrol").net).address)
+
+    def now(separator):
+        return int(page.get_attribute(separator, "aria-valuenow"))
+
+    for separator, panel, side, grow, shrink in (
+        ("#split-left", "#left", 0, "ArrowRight", "ArrowLeft"),
+        ("#split-right", "#right", 0, "ArrowLeft", "ArrowRight"),
+        ("#split-bottom", "#bottom", 1, "ArrowUp", "ArrowDown"),
+        ("#split-log", "#firings", 0, "ArrowLeft", "ArrowRight"),
+    ):
+        assert page.get_attribute(separator, "role") == "separator"
+        before = now(separator)
+        assert abs(size(page, panel)[side] - before) <= 1
+        page.focus(separator)
+        page.keyboard.press(grow)
+        assert now(separator) > before
+        assert abs(size(page, panel)[side] - now(separator)) <= 1
+        page.keyboard.press(shrink)
+        assert now(separator) == before
+        x0, y0, x1, y1 = boxes(page, separator)[0]
+        page.mouse.move((x0 + x1) / 2, (y0 + y1) / 2)
+        page.mouse.down()
+        dx, dy = (-40 if separator != "#split-left" else 40, 0) if side == 0 else (0, -40)
+        page.mouse.move((x0 + x1) / 2 + dx, (y0 + y1) / 2 + dy, steps=3)
+        page.mouse.up()
+        assert now(separator) == before + 40
+        for key, bound in (("End", "aria-valuemax"), ("Home", "aria-valuemin")):
+            page.keyboard.press(key)
+            assert now(separator) == int(page.get_attribute(separator, bound))
+            assert not off_the_page(page)
+            assert size(page, "#net")[0] >= 270 and size(page, "#net")[1] >= 200
+    page.focus("#split-left")
+    page.keyboard.press("Enter")
+    assert page.is_hidden("#left")
+    page.focus("#split-right")
+    for _ in range(4):
+        page.keyboard.press("ArrowLeft")
+    wide = now("#split-right")
+    page.reload()
+    page.wait_for_selector("body[data-ready]")
+    assert page.is_hidden("#left")
+    assert now("#split-right") == wide
+    page.keyboard.press("/")  # unfolds what is searched
+    assert page.evaluate("() => document.activeElement.id") == "list-search"
+    page.focus("#tab-analysis")
+    page.keyboard.press("w")
+    assert size(page, "#right")[0] >= 700
+    page.set_viewport_size({"width": 1010, "height": 500})
+    page.wait_for_function("() => document.body.dataset.form === 'wide' && innerWidth === 1010")
+    assert not off_the_page(page)
+    page.evaluate(
+        '() => localStorage.setItem(\'gspn-panels\', \'{"wide": {"open": [7, "left", "right"], "sizes": {"left": "x", "right": 1e9}}}\')'
+    )
+    page.reload()
+    page.wait_for_selector("body[data-ready]")
+    assert not off_the_page(page)
+    assert size(page, "#net")[0] >= 270
