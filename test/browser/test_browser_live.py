@@ -24,6 +24,11 @@ def start(page, path=PATROL):
     page.wait_for_selector("body[data-mode='LIVE']")
 
 
+def stop(page):
+    page.click("#stop")
+    page.click("dialog button.primary")
+
+
 def test_a_plan_is_executed_recorded_and_replayed(serve_folder, open_page, picture, tmp_path):
     site = serve_folder()
     page = open_page(site.address, ready=False)
@@ -44,7 +49,7 @@ def test_a_plan_is_executed_recorded_and_replayed(serve_folder, open_page, pictu
     late = open_page(site.address + "#file-patrol%2Fplan.json")
     late.wait_for_function("() => window.gspn.model.board.n > 30")
     assert sum(marking(late)) == 4
-    late.click("#stop")
+    stop(late)
     page.wait_for_selector(".alarm:has-text('stopped on the page')")
     for viewer in (page, late):
         settle(viewer, site.session("file-" + PATROL).hub.board().n)
@@ -86,7 +91,7 @@ def test_robots_are_drawn_with_colour_and_id(serve_folder, open_page):
     for name, short, _ in seen:
         assert name == "robot_" + short
     assert len({colour for _, _, colour in seen}) == len(seen)
-    page.click("#stop")
+    stop(page)
     page.wait_for_selector("#stop", state="hidden")
 
 
@@ -103,7 +108,7 @@ def test_pausing_the_view_never_pauses_the_robots(serve_folder, open_page):
     assert page.is_visible("#back-to-live")
     page.click("#back-to-live")
     page.wait_for_function("() => window.gspn.model.following && window.gspn.model.board.n === window.gspn.model.head.n")
-    page.click("#stop")
+    stop(page)
     page.wait_for_selector("#stop", state="hidden")
     settle(page, site.session("file-" + PATROL).hub.board().n)
     assert marking(page) == site.session("file-" + PATROL).hub.board().marking

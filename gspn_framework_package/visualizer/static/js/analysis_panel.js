@@ -8,9 +8,11 @@ const POLL = 250;
 
 /** Fires "choose" (detail {kind, index, fly}). */
 export class AnalysisPanel extends EventTarget {
-  constructor(model, view) {
+  /** `refusal`: why no analysis can be asked for; "" where one can. */
+  constructor(model, view, refusal = "") {
     super();
     this.model = model;
+    this.refusal = refusal;
     this.panel = $("analysis");
     this.job = null;
     this.result = {};
@@ -45,6 +47,7 @@ export class AnalysisPanel extends EventTarget {
     this.status = h("div", { class: "answer", role: "status" });
     this.answers = h("div", { id: "answers" });
     this.panel.replaceChildren(
+      this.refusal ? h("p", { class: "muted", text: `No analysis can be asked for: ${this.refusal}.` }) : "",
       h("div", { class: "buttons" },
         h("button", { class: "primary", id: "an-all", text: "Analyse", onclick: () => this.ask({ structure: true, timing: true }) }),
         ask("Structure", () => ({ structure: true })), ask("State space", () => ({})), ask("Steady state", () => ({ timing: true }))),
@@ -102,6 +105,7 @@ export class AnalysisPanel extends EventTarget {
   }
 
   async ask(request) {
+    if (this.refusal) { toast(`no analysis: ${this.refusal}`); return; }
     if (this.job) { toast("an analysis is running: wait, or cancel it", true); return; }
     const { limit, seconds: most, from, policy } = this.settings;
     const body = { ...request, limit: Math.round(Number(limit.value)), seconds: Number(most.value), from: from.value, policy: policy.checked && Boolean(this.model.scene.plan) && from.value === "initial" };

@@ -59,15 +59,20 @@ export async function attempt(action) {
 export function ask(title, content, buttons) {
   const dialog = $("dialog");
   return new Promise((resolve) => {
-    const done = (value) => { dialog.onclose = null; dialog.close(); resolve(value); };
+    dialog.returnValue = "";
     dialog.replaceChildren(
       h("h2", { text: title, id: "dialog-title" }),
       h("div", { class: "content" }, content),
       h("div", { class: "actions" }, buttons.map(([label, value, kind]) =>
-        h("button", { class: kind || "", text: label, onclick: () => done(value), autofocus: kind === "primary" })))
+        h("button", { class: kind || "", text: label, onclick: () => dialog.close(value), autofocus: /\bprimary\b/.test(kind || "") })))
     );
+    dialog.onkeydown = (event) => {
+      if (event.key !== "Enter" || !event.target.matches("input")) return;
+      event.preventDefault();
+      dialog.querySelector(".actions .primary")?.click();
+    };
     dialog.setAttribute("aria-labelledby", "dialog-title");
-    dialog.onclose = () => resolve("");
+    dialog.onclose = () => resolve(dialog.returnValue);
     dialog.showModal();
   });
 }

@@ -5,12 +5,13 @@ import { h, $, seconds, plural, number } from "./dom.js";
 import { get } from "./api.js";
 import { robotCard } from "./robots_panel.js";
 
-/** Fires "fire" (detail index), "choose" (detail {kind, index, fly}), "probability" (detail {index, value}),
- * "environment" (detail index). */
+/** Fires "fire" (detail index), "choose" (detail {kind, index, fly}), "probability" (detail {index, value}).
+ * `orders`: what an operator may order of a running team. */
 export class Inspector extends EventTarget {
-  constructor(model) {
+  constructor(model, orders) {
     super();
     this.model = model;
+    this.orders = orders;
     this.panel = $("inspector");
     this.selection = null;
     this.why = null; // the server's last answer for the transition that is selected
@@ -127,7 +128,9 @@ export class Inspector extends EventTarget {
     const enabled = board.enabled.has(index);
     const choice = (latest.choices || []).find(([t]) => t === index);
     const servers = transition.servers === null ? ", infinitely many servers" : transition.servers > 1 ? `, ${transition.servers} servers` : "";
-    const environment = mode === "LIVE" && transition.environment;
+    const order = transition.environment && this.orders.button("Fire as the environment", "fire",
+      () => this.orders.give("fire", { transition: transition.name }, `Fire ${transition.name}`), { title: "In the name of the environment: no robot takes part" });
+    if (order && !enabled) order.disabled = true;
     const mine = info.probabilities?.[String(index)];
     const arcs = (forth) => scene.arcs.filter(([, t, direction]) => t === index && direction === forth);
     return [
@@ -149,7 +152,7 @@ export class Inspector extends EventTarget {
             title: "Relative to the others that are enabled; empty: by rate or weight",
             onchange: (event) => this.dispatchEvent(new CustomEvent("probability", { detail: { index, value: event.target.value } })) })),
       ],
-      environment && h("div", { class: "buttons" }, h("button", { text: "Fire as the environment", disabled: !enabled, "data-focus": "environment", onclick: () => this.dispatchEvent(new CustomEvent("environment", { detail: index })) })),
+      order && h("div", { class: "buttons" }, order),
       arcs(1).length > 0 && [h("h3", { text: "Takes from" }), arcs(1).map(([p, , , weight, inhibitor]) => h("p", {}, this.link("place", p), inhibitor ? ` (inhibits from ${weight} on)` : weight > 1 ? ` × ${weight}` : ""))],
       arcs(0).length > 0 && [h("h3", { text: "Gives to" }), arcs(0).map(([p, , , weight]) => h("p", {}, this.link("place", p), weight > 1 ? ` × ${weight}` : ""))],
     ];

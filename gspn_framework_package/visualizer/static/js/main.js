@@ -17,6 +17,7 @@ import { Panels } from "./panels.js";
 import { openingScreen, hideOpening } from "./opening.js";
 import { forgetRobots } from "./colours.js";
 import { notice, closeNotice } from "./notice.js";
+import { Orders, ONLY_LOOK } from "./orders.js";
 
 const MODE_SAYS = {
   LIVE: "what is shown happens now",
@@ -118,9 +119,10 @@ class Page {
     this.view = new NetView($("net"), model);
     this.view.setShowEnabled(this.showEnabled);
     this.list = new NodeList(model);
-    this.inspector = new Inspector(model);
-    this.robots = new RobotsPanel(model);
-    this.analysis = new AnalysisPanel(model, this.view);
+    this.orders = new Orders(this);
+    this.inspector = new Inspector(model, this.orders);
+    this.robots = new RobotsPanel(model, this.orders);
+    this.analysis = new AnalysisPanel(model, this.view, this.mayAct ? "" : ONLY_LOOK);
     this.log = new FiringLog(model);
     this.line = new TimeLine(model);
     this.room = new Room(model);
@@ -191,6 +193,7 @@ class Page {
     this.selection = null;
     this.paused = false;
     delete document.body.dataset.stale;
+    delete document.body.dataset.fault;
     this.ranBefore = null;
     closeNotice();
     $("alarms").replaceChildren();
@@ -229,7 +232,7 @@ class Page {
       if (detail.keys.includes("feedback")) { this.robots.later(); this.inspector.later(); }
       if (detail.keys.includes("room") || detail.keys.includes("world")) { if (this.room.news()) this.tools?.build(); }
     });
-    model.addEventListener("view", () => { this.tools?.refresh(); this.line.later(); this.showConnection(); });
+    model.addEventListener("view", () => { this.tools?.refresh(); this.line.later(); this.showRun(); this.showConnection(); });
     this.view.addEventListener("select", ({ detail }) => {
       this.choose(detail);
       if (detail && this.panels.form !== "wide") this.panels.open("right");
@@ -245,8 +248,6 @@ class Page {
     this.list.addEventListener("fire", fire);
     this.inspector.addEventListener("fire", fire);
     this.inspector.addEventListener("probability", ({ detail }) => this.tools.setProbability(detail.index, detail.value));
-    this.inspector.addEventListener("environment", ({ detail }) => attempt(() => this.tools.do("fire", { transition: model.scene.transitions[detail].name })));
-    this.robots.addEventListener("operate", ({ detail }) => attempt(() => this.tools.do(detail.command, { robot: detail.robot })));
     for (const part of [this.log, this.line]) part.addEventListener("visit", ({ detail }) => attempt(() => model.show(detail)));
   }
 
@@ -269,6 +270,9 @@ class Page {
     this.view?.setShowEnabled(on);
     this.tools?.refresh();
   }
+
+  /** Whether this viewer may act, or only look. */
+  get mayAct() { return this.hello?.role !== "viewer"; }
 
   togglePause() {
     const { model } = this;
@@ -313,16 +317,12 @@ class Page {
     if (!model.board) return;
     const { status } = model.mode === "REPLAY" ? model.board : model.head;
     document.body.toggleAttribute("data-stale", model.stale);
+    document.body.toggleAttribute("data-fault", Boolean(model.mode === "LIVE" && status.fault));
     let says = model.info.says || MODE_SAYS[model.mode] || "";
-    if (model.mode === "LIVE" && status.ended) says = `over: ${status.ended}`;
+    if (model.mode === "LIVE" && status.ended) says = `${status.fault ? "broke off" : "over"}: ${status.ended}`;
     if (model.stale) says = `as it was at ${clock(this.lostSince)}; nothing has been heard since`;
     $("frame-name").replaceChildren(h("b", { text: model.mode }), says ? ` — ${says}` : "");
-    const { session, mode } = model;
-    $("execution").hidden = !(session.executable || (mode === "LIVE" && model.info.commands?.includes("stop")));
-    $("start").hidden = !session.executable || Boolean(status.running);
-    $("start").textContent = mode === "LIVE" ? "Start again" : "Start execution";
-    $("stop").hidden = !status.running || !(model.info.commands || []).includes("stop");
-    $("to-simulate").hidden = mode !== "LIVE" || Boolean(status.running) || !session.simulable;
+    this.showOrders(status);
     const alarms = [];
     const robots = [...model.board.robots.values()];
     const named = (phase) => robots.filter((robot) => robot.phase === phase).map((robot) => robot.name);
@@ -331,12 +331,32 @@ class Page {
     if (named("failed").length) alarm(`Failed: ${named("failed").join(", ")}`);
     if (status.stalled) alarm(`Stalled: ${status.stalled}`);
     if (status.paused) alarm("The team is paused", "warning");
-    if (status.ended) alarm(`${status.finished ? "Finished" : "Ended"}: ${status.ended}`, status.finished ? "warning" : "");
+    if (status.ended) alarm(`${status.fault ? "Broke off" : status.finished ? "Finished" : "Ended"}: ${status.ended}`, status.fault ? "" : "warning");
     const shown = alarms.map((element) => element.textContent).join("\n");
     if (shown !== this.alarmsShown) {
       this.alarmsShown = shown;
       $("alarms").replaceChildren(...alarms);
     }
+  }
+
+  /** What can be started, stopped and ordered now; where it cannot, why. */
+  showOrders(status) {
+    const { model, orders } = this;
+    const { session, mode } = model;
+    const running = Boolean(status.running);
+    $("execution").hidden = !(session.executable || orders.offers("stop"));
+    $("start").hidden = !session.executable || running;
+    $("start").textContent = mode === "LIVE" ? "Start again" : "Start execution";
+    $("to-simulate").hidden = mode !== "LIVE" || running || !session.simulable;
+    $("stop").hidden = !running || !orders.offers("stop");
+    $("pause-team").hidden = !running || !orders.offers("pause");
+    $("pause-team").textContent = status.paused ? "Resume the team" : "Pause the team";
+    for (const id of ["start", "to-simulate", "stop", "pause-team", "relayout"]) {
+      $(id).disabled = Boolean(orders.refusal);
+      $(id).title = orders.refusal || { stop: `Stop the run “${orders.runName}”`, relayout: "Lay out again" }[id] || "";
+    }
+    this.robots.later();
+    this.inspector.later();
   }
 
   showConnection() {
@@ -400,7 +420,11 @@ class Page {
       };
     }
     $("start").onclick = () => this.start();
-    $("stop").onclick = () => attempt(() => this.tools.do("stop"));
+    $("stop").onclick = () => this.orders.stop();
+    $("pause-team").onclick = () => {
+      const { paused } = this.model.head.status;
+      this.orders.give(paused ? "resume" : "pause", {}, paused ? "Resume the team" : "Pause the team");
+    };
     $("to-simulate").onclick = () => attempt(() => this.tools.do("simulate"));
   }
 

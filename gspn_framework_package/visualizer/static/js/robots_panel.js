@@ -1,45 +1,60 @@
-// The robots as persons see them: colour and id, what each does and since when, why it waits.
+// The robots as persons see them: colour and id, what each does and since when, why it waits, what can be ordered of it.
 
 import { h, $, seconds } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
 
-const PHASES = {
-  doing: ["acts", "good"], done: ["waits", "warn"], waiting: ["waits", "warn"], failed: ["failed", "bad"], lost: ["lost", "bad"],
-  left: ["has left", ""], inactive: ["has finished", ""],
-};
+const PHASES = new Map([
+  ["doing", ["acts", "good"]], ["done", ["waits", "warn"]], ["waiting", ["waits", "warn"]], ["failed", ["failed", "bad"]], ["lost", ["lost", "bad"]],
+  ["left", ["has left", ""]], ["inactive", ["has finished", ""]],
+]);
+const AT_WORK = ["doing", "done", "waiting"];
 
-/** What a robot is up to, in one word, and the kind of badge. */
-export function phaseOf(robot) {
+/** What a robot is up to, in one word, and the kind of badge. After the end of a run nobody acts or waits. */
+export function phaseOf(robot, ended = false) {
+  if (ended && AT_WORK.includes(robot.phase)) return ["stopped", ""];
   if (robot.paused) return ["paused", "warn"];
-  return PHASES[robot.phase] || ["", ""];
+  return PHASES.get(robot.phase) || ["", ""];
+}
+
+const gone = (robot) => robot.phase === "lost" || robot.phase === "left";
+
+/** How long a robot has been at what it does. */
+function since(model, robot) {
+  if (gone(robot) || robot.since === undefined || robot.since === null) return "";
+  return seconds(Math.max(0, model.now() - robot.since));
 }
 
 export function robotCard(model, robot, buttons = []) {
   const place = robot.place >= 0 ? model.scene.places[robot.place] : null;
-  const [word, kind] = phaseOf(robot);
-  const gone = robot.phase === "lost" || robot.phase === "left";
+  const ended = Boolean(model.board.status.ended);
+  const [word, kind] = phaseOf(robot, ended);
   const disc = h("span", { class: "disc", text: shortName(robot.name), "aria-hidden": "true" });
   disc.style.background = colourOf(robot.name);
-  const feedback = model.following && !gone ? new Map(Object.entries(model.latest.feedback || {})).get(robot.name) : null;
-  const since = robot.since !== undefined && robot.since !== null ? Math.max(0, model.now() - robot.since) : null;
+  const feedback = model.following && !ended && !gone(robot) ? feedbackOf(model, robot) : null;
   const attempt = robot.attempt > 1 ? `, attempt ${robot.attempt}` : "";
   return h("div", { class: `robot-card ${robot.phase || ""}`, "data-robot": robot.name }, disc,
     h("div", {},
       h("div", { class: "line" }, h("strong", { text: robot.name }), h("span", { class: `badge ${kind}`, text: word })),
-      h("div", { class: "line muted" }, h("span", { text: place ? `${gone ? "was in " : ""}${place.name}${attempt}` : "" }), since !== null && !gone ? h("span", { class: "since", text: seconds(since) }) : null)),
-    robot.why ? h("div", { class: "why", text: robot.why }) : null,
+      h("div", { class: "line muted" }, h("span", { text: place ? `${gone(robot) || ended ? "was in " : ""}${place.name}${attempt}` : "" }), h("span", { class: "since", text: ended ? "" : since(model, robot) }))),
+    robot.why && !ended ? h("div", { class: "why", text: robot.why }) : null,
     feedback ? h("div", { class: "feedback", text: feedback }) : null,
     buttons.length > 0 && h("div", { class: "buttons" }, buttons));
 }
 
-/** Fires "operate" (detail {command, robot}). */
-export class RobotsPanel extends EventTarget {
-  constructor(model) {
-    super();
+function feedbackOf(model, robot) {
+  return new Map(Object.entries(model.latest.feedback || {})).get(robot.name);
+}
+
+export class RobotsPanel {
+  /** `orders`: what an operator may order. */
+  constructor(model, orders) {
     this.model = model;
+    this.orders = orders;
     this.panel = $("robots");
+    this.cards = new Map(); // name -> {element, looks}: drawn anew only where another card is due, so that a button stays
     this.update();
-    this.clock = setInterval(() => { if (!this.panel.hidden && model.mode === "LIVE") this.update(); }, 1000);
+    this.clock = setInterval(() => { if (!this.panel.hidden && model.mode === "LIVE" && model.lostAt === null) this.update(); }, 1000);
+    orders.addEventListener("given", () => this.later());
   }
 
   later() {
@@ -47,21 +62,48 @@ export class RobotsPanel extends EventTarget {
   }
 
   update() {
-    if (this.panel.hidden || !this.model.board || this.panel.contains(document.activeElement) && document.activeElement.tagName === "BUTTON") return;
-    const robots = [...this.model.board.robots.values()].sort((a, b) => a.name.localeCompare(b.name, undefined, { numeric: true }));
-    if (!robots.length) {
-      this.panel.replaceChildren(h("p", { class: "muted", text: this.model.mode === "SIMULATE"
+    const { model, orders, panel } = this;
+    if (panel.hidden || !model.board) return;
+    const focused = panel.contains(document.activeElement) ? document.activeElement.dataset.focus : null;
+    const robots = [...model.board.robots.values()].sort((a, b) => a.name.localeCompare(b.name, undefined, { numeric: true }));
+    const cards = robots.map((robot) => this.card(robot));
+    for (const name of [...this.cards.keys()]) if (!model.board.robots.has(name)) this.cards.delete(name);
+    if (!cards.length) {
+      cards.push(h("p", { class: "muted", text: model.mode === "SIMULATE"
         ? "A simulation moves tokens that have no name. Robots are seen in a live run or in a replay."
         : "No robot has been heard of yet." }));
-      return;
     }
-    const able = this.model.info.commands || [];
-    this.panel.replaceChildren(...robots.map((robot) => robotCard(this.model, robot, this.model.mode === "LIVE" && this.model.following
-      ? [robot.phase === "failed" && able.includes("retry") && this.button("Try again", "retry", robot)].filter(Boolean) : [])));
+    const content = [this.look(), ...cards, orders.list()].filter(Boolean);
+    const same = content.length === panel.children.length && content.every((element, i) => element === panel.children[i]);
+    if (!same) panel.replaceChildren(...content);
+    if (focused && !panel.contains(document.activeElement)) {
+      const again = [...panel.querySelectorAll("[data-focus]")].find((element) => element.dataset.focus === focused && !element.disabled);
+      (again || panel).focus();
+    }
   }
 
-  button(label, command, robot) {
-    return h("button", { text: label, onclick: () => this.dispatchEvent(new CustomEvent("operate", { detail: { command, robot: robot.name } })) });
+  /** For one who may only look: why there is nothing to press. */
+  look() {
+    if (this.model.mode !== "LIVE" || !this.orders.refusal || this.model.head.status.ended) return null;
+    const text = `No orders: ${this.orders.refusal}.`;
+    if (this.looking?.textContent !== text) this.looking = h("p", { class: "muted", text });
+    return this.looking;
+  }
+
+  card(robot) {
+    const { model, orders } = this;
+    const buttons = model.mode === "LIVE" ? orders.ofRobot(robot) : [];
+    const looks = JSON.stringify([robot.place, robot.phase, robot.paused, robot.attempt, robot.why, model.board.status.ended, model.following, buttons.map((b) => [b.textContent, b.disabled])]);
+    const known = this.cards.get(robot.name);
+    const feedback = model.following && !model.board.status.ended ? feedbackOf(model, robot) : null;
+    if (known && known.looks === looks && Boolean(feedback) === known.fed) {
+      if (!model.board.status.ended) known.element.querySelector(".since").textContent = since(model, robot);
+      if (feedback) known.element.querySelector(".feedback").textContent = feedback;
+      return known.element;
+    }
+    const element = robotCard(model, robot, buttons);
+    this.cards.set(robot.name, { element, looks, fed: Boolean(element.querySelector(".feedback")) });
+    return element;
   }
 
   close() {

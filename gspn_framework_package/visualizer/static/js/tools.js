@@ -2,6 +2,7 @@
 
 import { h, $, ask, attempt, announce, toast, plural, number } from "./dom.js";
 import { post } from "./api.js";
+import { ONLY_LOOK } from "./orders.js";
 
 export class Tools {
   constructor(page) {
@@ -13,6 +14,7 @@ export class Tools {
   get model() { return this.page.model; }
 
   do(command, fields = {}) {
+    if (!this.page.mayAct) throw new Error(ONLY_LOOK);
     return post("do", { command, ...fields }, { id: this.model.session.id });
   }
 
@@ -118,22 +120,23 @@ export class Tools {
     const { mode } = this.model;
     this.speed = this.speed || 4;
     const button = (id, label, action, title) => h("button", { id, text: label, title, onclick: action });
+    const act = (id, label, action, title) => h("button", { id, text: label, title: page.mayAct ? title : ONLY_LOOK, disabled: !page.mayAct, onclick: action });
     const rule = () => h("span", { class: "rule" });
     let tools = [];
     if (mode === "SIMULATE") {
       tools = [
-        button("back", "◂ Back", () => this.back(), "Take a step back (←)"),
-        button("step", "Step ▸", () => this.step(1), "Simulate 1 step (→)"),
-        button("steps", "n steps ▸▸", () => this.step(this.steps), "Simulate n steps (Shift+→)"),
+        act("back", "◂ Back", () => this.back(), "Take a step back (←)"),
+        act("step", "Step ▸", () => this.step(1), "Simulate 1 step (→)"),
+        act("steps", "n steps ▸▸", () => this.step(this.steps), "Simulate n steps (Shift+→)"),
         h("label", {}, h("input", { id: "n-steps", type: "number", min: 1, max: 10000, value: this.steps, "aria-label": "Number of steps", onchange: (event) => { this.steps = Math.max(1, Math.min(10000, Math.round(Number(event.target.value)) || 1)); event.target.value = this.steps; } })),
-        button("run", "▶ Run", () => this.toggleRunning(), "Step after step, until stopped (Space)"),
+        act("run", "▶ Run", () => this.toggleRunning(), "Step after step, until stopped (Space)"),
         h("label", {}, h("select", { id: "speed", "aria-label": "Steps a second", onchange: (event) => { this.speed = Number(event.target.value); } }, [1, 2, 4, 10, 30].map((v) => h("option", { value: v, selected: v === this.speed, text: `${v} /s` })))),
         rule(),
-        button("fire-chosen", "Fire chosen", () => this.fireChosen(), "Fire the transition that is selected (X)"),
-        button("probabilities", "Probabilities …", () => this.probabilities(), "Set firing probabilities"),
+        act("fire-chosen", "Fire chosen", () => this.fireChosen(), "Fire the transition that is selected (X)"),
+        act("probabilities", "Probabilities …", () => this.probabilities(), "Set firing probabilities"),
         rule(),
-        button("reset", "Reset", () => this.reset(), "Back to the initial marking (R)"),
-        button("clear", "Clear", () => this.clear(), "Take every token out of the net"),
+        act("reset", "Reset", () => this.reset(), "Back to the initial marking (R)"),
+        act("clear", "Clear", () => this.clear(), "Take every token out of the net"),
       ];
     } else {
       tools = [
