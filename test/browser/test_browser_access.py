@@ -1,11 +1,96 @@
 """The page is of use at every width, by keyboard, and with a screen reader."""
 
+import json
+from pathlib import Path
+
+import pytest
 from page_reading import boxes, overlaps, settle
 
 from gspn_framework_package.formats.plan_file import read_plan
 
 FORMS = {390: 844, 800: 1000, 1280: 720, 1440: 900, 3840: 2160}
 CONTROLS = "#open-screen, #start, #theme, #help, #folds button, #tools button, .zoom button, #play, #scrubber"
+
+LOOKS = [  # width and height, theme, and what is looked for: no width changes a colour
+    ((1280, 720), "light", {"label-content-name-mismatch": {"enabled": True}}),
+    ((1280, 720), "dark", ["color-contrast"]),
+    ((390, 844), "dark", {"label-content-name-mismatch": {"enabled": True}}),
+]
+AXE = """async (rules) => {
+  const options = { preload: false, resultTypes: ["violations"], ...(Array.isArray(rules) ? { runOnly: rules } : { rules }) };
+  const { violations } = await axe.run(document, options);
+  const where = (nodes) => nodes.slice(0, 3).map((n) => `${n.failureSummary} ${n.html.slice(0, 160)}`);
+  return violations.map((v) => ({ rule: v.id, help: v.help, where: where(v.nodes) }));
+}"""
+
+
+@pytest.fixture(scope="session", name="axe")
+def _axe():
+    """Looks for violations with axe-core, in both themes, at 1280 and 390 pixels."""
+    package = pytest.importorskip("axe_playwright_python")
+    source = (Path(package.__file__).parent / "axe.min.js").read_text()
+
+    def check(page, state, panel=None):
+        for (width, height), theme, rules in LOOKS:
+            page.set_viewport_size({"width": width, "height": height})
+            page.wait_for_function("(width) => innerWidth === width", arg=width)
+            page.evaluate("(theme) => { document.documentElement.dataset.theme = theme; }", theme)
+            if panel is not None and page.get_attribute("#fold-" + panel, "aria-expanded") == "false":
+                page.click("#fold-" + panel)
+            if not page.evaluate("() => Boolean(window.axe)"):
+                page.evaluate(source)
+            found = page.evaluate(AXE, rules)
+            assert not found, "%s, %d px, %s: %s" % (state, width, theme, json.dumps(found, indent=1))
+
+    return check
+
+
+def test_axe_finds_nothing_in_any_mode(serve_folder, open_page, axe, tmp_path):
+    site = serve_folder()
+    page = open_page(site.address, ready=False, reduced_motion="reduce")
+    page.wait_for_selector("#opening button")
+    axe(page, "the opening page")
+    page.click("#opening button:has-text('patrol/plan.json')")
+    page.wait_for_selector("body[data-mode='SIMULATE'][data-ready]")
+    page.click("#steps")
+    settle(page, 10)
+    axe(page, "SIMULATE, the time line", "bottom")
+    axe(page, "SIMULATE, the list", "left")
+    page.set_viewport_size({"width": 1280, "height": 720})
+    page.click("#list li[data-key='t0']")
+    page.wait_for_selector("#inspector h2:has-text('t1')")
+    axe(page, "SIMULATE, the inspector", "right")
+    for key in ("#help", "#start", "#probabilities"):
+        page.set_viewport_size({"width": 1280, "height": 720})
+        page.click(key)
+        page.wait_for_selector("dialog[open]")
+        axe(page, "the dialog of " + key)
+        page.keyboard.press("Escape")
+        page.wait_for_selector("dialog:not([open])", state="attached")
+    page.keyboard.press("3")
+    page.click("#an-all")
+    page.wait_for_selector("[data-state='done']", timeout=60_000)
+    page.evaluate("() => document.querySelectorAll('#analysis details').forEach((d) => { d.open = true; })")
+    axe(page, "SIMULATE, the analysis", "right")
+
+    page.set_viewport_size({"width": 1280, "height": 720})
+    page.click("#start")
+    page.click("dialog button.primary")
+    page.wait_for_selector("body[data-mode='LIVE'] #robots .robot-card >> nth=3")
+    page.wait_for_function("() => window.gspn.model.board.n > 10")
+    axe(page, "LIVE, the robots", "right")
+    axe(page, "LIVE, the log", "bottom")
+    page.set_viewport_size({"width": 1280, "height": 720})
+    page.click("#stop")
+    page.wait_for_selector(".alarm:has-text('stopped on the page')")
+    axe(page, "LIVE, at the end", "left")
+
+    log = next((tmp_path / "runs").iterdir())
+    replay = open_page(serve_folder(tmp_path / "runs").address + "#file-" + log.name, reduced_motion="reduce")
+    replay.wait_for_function("() => window.gspn.model.info.loading === false")
+    replay.keyboard.press("End")
+    replay.wait_for_selector("body[data-mode='REPLAY']")
+    axe(replay, "REPLAY", "bottom")
 
 
 def hidden_controls(page):
@@ -122,3 +207,46 @@ def test_panels_are_folded_and_resized_and_stay_so(show_net, open_page):
     page.wait_for_selector("body[data-ready]")
     assert not off_the_page(page)
     assert size(page, "#net")[0] >= 270
+
+
+def test_the_log_and_the_time_line_are_used_by_keyboard(show_net, open_page):
+    page = open_page(show_net(read_plan("plans/patrol").net).address)
+    page.click("#steps")
+    settle(page, 10)
+    page.wait_for_selector("#log-10")
+
+    def reach(element):
+        for _ in range(60):
+            if page.evaluate("() => document.activeElement.id") == element:
+                return
+            page.keyboard.press("Tab")
+        raise AssertionError("#%s is not reached by Tab" % element)
+
+    def at(n):
+        page.wait_for_function("(n) => window.gspn.model.board.n === n && !window.gspn.model.following", arg=n)
+        settle(page)
+
+    reach("log")
+    page.keyboard.press("ArrowDown")
+    assert page.get_attribute("#log", "aria-activedescendant") == "log-10"
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("ArrowDown")
+    assert page.get_attribute("#log-8", "aria-selected") == "true"
+    page.keyboard.press("Enter")
+    at(8)
+    assert page.evaluate("() => document.activeElement.id") == "log"
+    page.keyboard.press("l")
+    page.wait_for_function("() => window.gspn.model.following && window.gspn.model.board.n === 10")
+    page.keyboard.press("1")
+    page.focus("#open-screen")
+    reach("lanes")
+    for key, n in (("ArrowLeft", 9), ("ArrowLeft", 8), ("ArrowRight", 9), ("Home", 0), ("End", 10), ("PageDown", None)):
+        page.keyboard.press(key)
+        if n is not None:
+            at(n)
+            page.wait_for_selector("#lanes[aria-valuenow='%d'][aria-valuetext*='event %d of 10']" % (n, n))
+    page.wait_for_function("() => window.gspn.model.board.n < 10")
+    page.keyboard.press("+")
+    chosen = page.input_value("#span")
+    page.keyboard.press("-")
+    assert page.input_value("#span") != chosen

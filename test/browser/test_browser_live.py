@@ -222,9 +222,11 @@ def test_a_server_that_is_killed_and_started_again_is_followed_with_no_gap(open_
         server.kill()
         server.wait()
         page.wait_for_selector("#connection[data-state='lost']")
+        page.wait_for_selector("#announce-now[aria-live='assertive']:has-text('connection lost')", state="attached")
         server = feed(port)
         page.wait_for_function("(epoch) => window.gspn.model.epoch !== epoch && window.gspn.model.board.n > 100", arg=first)
         page.wait_for_selector("#connection[data-state='open']")
+        page.wait_for_selector("#announce-now:has-text('connected')", state="attached")
         assert page.evaluate("() => window.gaps") == 0
         shown = page.evaluate(
             """async () => { const { model } = window.gspn; const n = model.board.n, marking = model.board.marking.slice();

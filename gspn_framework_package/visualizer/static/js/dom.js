@@ -62,7 +62,7 @@ export function ask(title, content, buttons) {
     dialog.returnValue = "";
     dialog.replaceChildren(
       h("h2", { text: title, id: "dialog-title" }),
-      h("div", { class: "content" }, content),
+      h("div", { class: "content", tabindex: "0" }, content), // with the focus it is scrolled by keys
       h("div", { class: "actions" }, buttons.map(([label, value, kind]) =>
         h("button", { class: kind || "", text: label, onclick: () => dialog.close(value), autofocus: /\bprimary\b/.test(kind || "") })))
     );

@@ -77,10 +77,11 @@ export class NodeList extends EventTarget {
 
   row(item, enabled) {
     const tokens = item.kind === "place" ? this.model.board.marking[item.index] : 0;
-    const says = item.kind === "place" ? `place, ${tokens} tokens` : `${item.sign} transition${enabled ? ", enabled" : ""}`;
-    return h("li", { role: "option", id: `list-${item.key}`, "data-key": item.key, class: enabled ? "enabled" : "", "aria-label": `${item.name}, ${says}`, title: item.name },
-      h("span", { class: `sign ${item.sign}` }), h("span", { class: "name", text: item.name }),
-      tokens > 0 && h("span", { class: "tokens", text: String(tokens) }));
+    const kind = item.kind === "place" ? `, ${item.sign === "resource" ? "resource place" : "place"}` : `, ${item.sign} transition${enabled ? ", enabled" : ""}`;
+    const unseen = (text) => h("span", { class: "unseen", text });
+    return h("li", { role: "option", id: `list-${item.key}`, "data-key": item.key, class: enabled ? "enabled" : "", title: item.name },
+      h("span", { class: `sign ${item.sign}`, "aria-hidden": "true" }), h("span", { class: "name", text: item.name }), unseen(kind),
+      tokens > 0 && h("span", { class: "tokens" }, unseen(", "), String(tokens), unseen(tokens === 1 ? " token" : " tokens")));
   }
 
   /** The board changed: drawn anew a few times a second at most, and for a small part of the time. */
