@@ -11,6 +11,8 @@ An *event* is a JSON object that a source hands to the hub; ``k`` is its kind:
     as ``fire``, for a firing that was taken back.
 ``mark``
     the whole ``marking`` and ``enabled`` replaced (reset, clear, resynchronised), ``why`` says why.
+    With ``restart`` the time and the counts of firings begin anew; with ``back`` a reset or a clear was
+    taken back, and ``counts`` are those before the reset.
 ``robots``
     ``r`` robots that changed (objects with ``name``), ``gone`` names of those that are no more.
 ``note``
@@ -121,6 +123,8 @@ class Board:
             self.enabled = set(event["enabled"])
             if event.get("restart"):
                 self.counts = [0] * len(self.counts)
+            if "counts" in event:
+                self.counts = list(event["counts"])
         elif kind == "robots":
             for robot in event["r"]:
                 known = self.robots.setdefault(robot["name"], {})

@@ -27,11 +27,13 @@ STEPS_BACK = 20_000
 
 
 class _Past(NamedTuple):
-    """``marking`` and ``time`` before ``transition`` fired; -1 for a reset or a clear."""
+    """``marking`` and ``time`` before ``transition`` fired; -1 for a reset or a clear. ``counts``: how
+    often those transitions that had fired had done so, before a reset."""
 
     transition: int
     marking: Marking
     time: float
+    counts: Optional[Dict[int, int]] = None
 
 
 class Simulation(Activity):
@@ -116,7 +118,10 @@ class Simulation(Activity):
             self._simulator.move_to(past.marking)
             self._time = past.time
             if past.transition < 0:
-                events.append(self._whole("step back"))
+                event = {**self._whole("step back"), "back": True}
+                if past.counts is not None:
+                    event["counts"] = [past.counts.get(t, 0) for t in range(len(self.net.transitions))]
+                events.append(event)
                 continue
             undone = fire_event(self.net, past.transition, self._simulator.change, back=True)
             events.append(self._now(undone))
@@ -126,7 +131,8 @@ class Simulation(Activity):
         return {"back": len(events)}
 
     def _reset(self, fields: Fields) -> Dict[str, Any]:
-        self._past.clear()
+        counts = {t: count for t, count in enumerate(self._hub.board().counts) if count}
+        self._past.append(_Past(-1, self._simulator.marking, self._time, counts))
         self._time = 0.0
         self._simulator.move_to(self.net.initial_marking)
         self._publish({**self._whole("reset"), "restart": True})

@@ -3,12 +3,15 @@
 import shutil
 import subprocess
 import sys
+import time
 
 from page_reading import dots, marking, settle
 
 from gspn_framework_package.benchmark.ports import free_port
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Arc
+from gspn_framework_package.visualizer.activity import Activity
+from gspn_framework_package.visualizer.board import Board
 
 BUILT_IN = ["constructor", "__proto__", "hasOwnProperty", "toString"]
 """Names that every object of JavaScript has already."""
@@ -88,3 +91,83 @@ def test_when_the_server_dies_in_mid_run_the_page_says_so_and_offers_the_log(ope
     finally:
         server.kill()
         server.wait()
+
+
+COURSE = "async () => { const { courseOf } = await import('/static/js/course.js'); return courseOf(window.gspn.model).map((e) => [e.k, e.t]); }"
+
+
+def test_after_a_reset_the_time_line_begins_anew_and_the_reset_is_taken_back(show_net, open_page):
+    net = NetBuilder("one").place("p", 1).exponential("t", 1.0, inputs="p", outputs="p")
+    site = show_net(net.build())
+    page = open_page(site.address)
+    page.fill("#n-steps", "7")
+    page.click("#steps")
+    settle(page, 7)
+    page.keyboard.press("r")
+    settle(page, 8)
+    page.click("#step")
+    settle(page, 9)
+    course = page.evaluate(COURSE)
+    assert [k for k, _ in course] == ["mark", "fire"] and [t for _, t in course] == sorted(t for _, t in course)
+    page.wait_for_function("() => document.querySelectorAll('#log li.past').length === 7")
+    page.keyboard.press("ArrowLeft")
+    settle(page, 10)
+    page.keyboard.press("ArrowLeft")
+    settle(page, 11)
+    assert site.board().counts == [7] == page.evaluate("() => window.gspn.model.board.counts")
+    assert [k for k, _ in page.evaluate(COURSE)] == ["fire"] * 7
+    page.wait_for_function("() => document.querySelectorAll('#log li.fire:not(.past)').length === 7")
+
+
+class Dense(Activity):
+    """A recorded run with an event every 2 ms for 40 s: robot_1 goes to and fro, robot_2 waits from 0.5 s on."""
+
+    mode = "REPLAY"
+    STEP = 0.002
+    EVENTS = 20_000
+
+    def begin(self, hub):
+        board = Board(2, [2, 0])
+        for name in ("robot_1", "robot_2"):
+            board.robots[name] = {"name": name, "place": 0, "phase": "doing", "since": 0.0}
+        hub.restart(self.mode, board, ring=100_000)
+        hub.publish(*[self._event(i) for i in range(self.EVENTS)])
+
+    def _event(self, i):
+        t = round(self.STEP * (i + 1), 4)
+        if i == 249:
+            return {"k": "robots", "r": [{"name": "robot_2", "phase": "done"}], "gone": [], "t": t}
+        there = i % 2 if i < 249 else (i + 1) % 2
+        move = {"d": [[there, -1], [1 - there, 1]], "m": [["robot_1", there, 1 - there]]}
+        return {"k": "fire", "tr": there, "who": "robot_1", **move, "en": [], "dis": [], "t": t}
+
+
+def test_the_clock_of_a_dense_recording_is_that_of_the_board_and_no_lane_is_invented(show_net, open_page):
+    net = NetBuilder("there and back").place("here", 2).place("there")
+    net = net.immediate("go", inputs="here", outputs="there").immediate("return", inputs="there", outputs="here").build()
+    page = open_page(show_net(net, activity=Dense()).address)
+    page.wait_for_function("(n) => window.gspn.model.head.n === n", arg=Dense.EVENTS)
+
+    def late(route):  # a network that takes its time
+        time.sleep(0.2)
+        route.continue_()
+
+    page.route("**/api/events*", late)
+    page.select_option("#view-speed", "20")
+    page.evaluate(
+        """(step) => { window.ahead = []; const watch = () => { const { model } = window.gspn;
+        if (model.playing && model.now() >= (model.board.n + 1) * step) window.ahead.push([model.now(), model.board.t]);
+        requestAnimationFrame(watch); }; watch(); }""",
+        Dense.STEP,
+    )
+    page.keyboard.press(" ")
+    page.wait_for_function("(n) => window.gspn.model.board.n === n", arg=Dense.EVENTS)
+    assert page.evaluate("() => window.ahead") == []
+    assert page.evaluate("() => window.gspn.model.now()") == 40.0
+    page.evaluate("() => window.gspn.model.show(15000)")
+    page.wait_for_function("() => window.gspn.model.board.n === 15000 && window.gspn.model.base?.n < 15000 && !window.gspn.model.fetching")
+    lanes = page.evaluate("() => Object.fromEntries(window.gspn.page.line.segments(20, 30))")
+    assert lanes["robot_2"]["parts"] == [[20, 30, 0, "done"]]
+    known = page.evaluate("() => window.gspn.model.base.t")
+    first = lanes["robot_1"]["parts"][0]
+    assert first[0] >= known - Dense.STEP and first[1] - first[0] <= 2 * Dense.STEP

@@ -71,6 +71,20 @@ def test_reset_and_clear(client):
     client.do("reset")
     board = client.board()
     assert board["marking"] == [1, 0] and board["counts"] == [0, 0] and board["t"] == 0
+
+
+def test_a_reset_is_taken_back(client):
+    client.do("step", steps=3)
+    before = client.board()
+    client.do("reset")
+    client.do("step", steps=2)
+    client.do("back", steps=3)
+    now = client.board()
+    assert [now[k] for k in ("marking", "enabled", "counts", "t")] == [
+        before[k] for k in ("marking", "enabled", "counts", "t")
+    ]
+    client.do("back", steps=3)
+    assert client.board()["counts"] == [0, 0] and client.board()["marking"] == [1, 0]
     assert client.do("back").status_code == 409
 
 

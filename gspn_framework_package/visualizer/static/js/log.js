@@ -2,6 +2,7 @@
 // Enter shows the net as it was after the one that is chosen.
 
 import { h, $, seconds } from "./dom.js";
+import { courseOf } from "./course.js";
 
 const ROWS = 120;
 
@@ -69,7 +70,7 @@ export class FiringLog extends EventTarget {
       });
       return `${scene.transitions[event.tr].name}${moves.length ? `   ${moves.join(", ")}` : ""}`;
     }
-    if (event.k === "mark") return `— ${event.why} —`;
+    if (event.k === "mark") return `— ${event.why}${event.restart ? ": the time begins anew" : ""} —`;
     if (event.k === "note") return `${event.robot ? `${event.robot}: ` : ""}${event.text}`;
     if (event.k === "status" && event.status.ended) return `— ended: ${event.status.ended} —`;
     if (event.k === "status" && event.status.paused !== undefined) return event.status.paused ? "— the team is paused —" : "— the team goes on —";
@@ -83,13 +84,14 @@ export class FiringLog extends EventTarget {
     if (!model.board) return;
     const begun = performance.now();
     const wanted = this.filter.value.trim().toLowerCase();
+    const course = model.mode === "SIMULATE" ? new Set(courseOf(model).map((event) => event.n)) : null;
     const rows = [];
     for (let i = model.indexAfter(model.board.n) - 1; i >= 0 && rows.length < ROWS; i--) {
       const event = model.events[i];
       const text = this.say(event);
       if (text === null || (wanted && !text.toLowerCase().includes(wanted))) continue;
       const kind = event.k === "note" ? (event.level === "fault" ? "fault" : "note") : event.k;
-      rows.push(h("li", { role: "option", id: `log-${event.n}`, class: kind, "data-n": event.n, title: text }, h("time", { text: seconds(event.t) }), h("span", { class: "what-happened", text })));
+      rows.push(h("li", { role: "option", id: `log-${event.n}`, class: `${kind}${course && !course.has(event.n) ? " past" : ""}`, "data-n": event.n, title: text }, h("time", { text: seconds(event.t) }), h("span", { class: "what-happened", text })));
     }
     if (!rows.length) rows.push(h("li", { role: "option", class: "nothing", "aria-disabled": "true" }, h("time"), h("span", { class: "what-happened muted", text: wanted ? "nothing like that" : "nothing has fired yet" })));
     this.list.replaceChildren(...rows);

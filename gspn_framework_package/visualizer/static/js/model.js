@@ -4,6 +4,9 @@
 import { get } from "./api.js";
 
 const KEPT = 20000; // events kept for the log and the time line
+const AHEAD = 5000; // events that are asked for at once while a recorded run is played
+const PREPARED = 3; // s of playing for which events are to be at hand
+const STALL = 250; // ms that the playback goes on at most between two frames: a page that was hidden does not leap
 
 export function applyEvent(board, event) {
   board.n = event.n;
@@ -21,6 +24,7 @@ export function applyEvent(board, event) {
     board.marking = event.marking.slice();
     board.enabled = new Set(event.enabled);
     if (event.restart) board.counts = board.counts.map(() => 0);
+    if (event.counts) board.counts = event.counts.slice();
   } else if (event.k === "robots") {
     for (const robot of event.r) {
       const known = { ...(board.robots.get(robot.name) || {}), ...robot };
@@ -35,6 +39,8 @@ export function applyEvent(board, event) {
     board.status = { ...board.status, ...event.status };
   }
 }
+
+const copyOf = (board) => ({ ...board, marking: board.marking.slice(), counts: board.counts.slice(), enabled: new Set(board.enabled), robots: new Map(board.robots), notes: board.notes.slice() });
 
 export function boardOf(data) {
   return { ...data, enabled: new Set(data.enabled), robots: new Map(data.robots.map((robot) => [robot.name, robot])) };
@@ -53,7 +59,8 @@ export class Model extends EventTarget {
     this.board = null;
     this.head = { n: 0, t: 0, status: {} };
     this.oldest = 0;
-    this.events = [];
+    this.events = []; // some that follow one another
+    this.base = null; // the board before them; null while it is not known
     this.latest = {};
     this.following = true;
     this.lastEvent = null; // performance.now() of the last event, for its age
@@ -91,6 +98,7 @@ export class Model extends EventTarget {
     this.clockBase = performance.now() - (snapshot.clock || 0) * 1000;
     if (!another && !this.following) { this.tell("head"); return; }
     this.events = [];
+    this.base = copyOf(board);
     this.following = this.mode !== "REPLAY";
     this.playing = false;
     this.board = board;
@@ -108,7 +116,7 @@ export class Model extends EventTarget {
     const tail = this.events.length ? this.events[this.events.length - 1].n : this.board.n;
     if (events[0].n === tail + 1) {
       this.events = this.events.concat(events);
-      if (this.events.length > KEPT * 1.1) this.events = this.events.slice(-KEPT);
+      this.trim();
     }
     if (!this.following) { this.tell("head"); return; }
     for (const event of events) applyEvent(this.board, event);
@@ -135,13 +143,33 @@ export class Model extends EventTarget {
 
   /** The events just before the board, for the log and the time line. */
   async fetchPast() {
-    const epoch = this.epoch, before = this.board.n;
+    const before = this.board.n;
     if (!before || (this.events.length && this.events[0].n <= before - 500)) return;
-    const data = await get("events", { id: this.session.id, after: Math.max(0, before - 3000), to: before }).catch(() => null);
-    if (!data || data.epoch !== epoch || this.epoch !== epoch || !data.events.length) return;
-    const last = data.events[data.events.length - 1].n;
-    this.events = data.events.concat(this.events.filter((event) => event.n > last));
+    const found = await this.fetchEvents(Math.max(0, before - 3000), before).catch(() => null);
+    if (!found) return;
+    const last = found.events[found.events.length - 1].n;
+    this.events = found.events.concat(this.events.filter((event) => event.n > last));
+    this.base = found.base;
     this.tell("past");
+  }
+
+  /** Events of this epoch, and the board before the first of them; null where there are none. */
+  async fetchEvents(after, to) {
+    const { epoch } = this;
+    const data = await get("events", { id: this.session.id, after, to });
+    if (data.epoch !== epoch || this.epoch !== epoch || !data.events.length) return null;
+    const before = data.events[0].n - 1;
+    const state = await get("state", { id: this.session.id, at: before });
+    if (state.epoch !== epoch || this.epoch !== epoch) return null;
+    return { events: data.events, base: state.board.n === before ? boardOf(state.board) : null };
+  }
+
+  /** Let go of the oldest events, where there are many. */
+  trim() {
+    const surplus = this.events.length - KEPT;
+    if (surplus < KEPT / 10) return;
+    if (this.base) for (const event of this.events.slice(0, surplus)) applyEvent(this.base, event);
+    this.events = this.events.slice(surplus);
   }
 
   // -- looking back --------------------------------------------------------------------------------
@@ -181,10 +209,22 @@ export class Model extends EventTarget {
     const last = this.events.length ? this.events[this.events.length - 1].n : -1;
     const to = Math.min(this.head.n, n + 2000);
     if (first <= Math.max(this.oldest + 1, n - 500) && last >= Math.min(this.head.n, n + 500)) return;
-    const data = await get("events", { id: this.session.id, after: Math.max(0, n - 2000), to });
-    if (data.epoch !== this.epoch) return;
-    this.events = data.events;
+    const found = await this.fetchEvents(Math.max(0, n - 2000), to);
+    if (!found) return;
+    Object.assign(this, found);
     this.tell("past");
+  }
+
+  /** Have more of the events that follow those at hand. */
+  async fetchAhead() {
+    const { epoch } = this;
+    const tail = this.events.length ? this.events[this.events.length - 1].n : -1;
+    if (tail < this.board.n) return this.fetchAround();
+    const data = await get("events", { id: this.session.id, after: tail, to: tail + AHEAD });
+    if (data.epoch !== epoch || this.epoch !== epoch || this.events[this.events.length - 1]?.n !== tail || data.events[0]?.n !== tail + 1) return undefined;
+    this.events = this.events.concat(data.events);
+    if (this.board.n - this.events[0].n > KEPT / 2) this.trim();
+    return undefined;
   }
 
   /** Go on by events that are at hand, up to event `n` or time `t`. */
@@ -228,23 +268,27 @@ export class Model extends EventTarget {
   play() {
     if (this.board.n >= this.head.n) return;
     this.playing = true;
-    this.playFrom = performance.now();
-    this.playTime = this.board.t;
     this.playClock = this.board.t;
     this.tell("view");
+    let before = performance.now();
     const tick = () => {
       if (!this.playing || this.following) return;
-      this.playClock = this.playTime + ((performance.now() - this.playFrom) / 1000) * this.speed;
+      const now = performance.now();
+      const clock = this.playClock + (Math.min(now - before, STALL) / 1000) * this.speed;
+      before = now;
+      // never ahead of the events at hand: what comes next is not known yet
+      const tail = this.events[this.events.length - 1];
+      const known = this.events[this.indexAfter(this.board.n)]?.n === this.board.n + 1 ? tail : null;
+      this.playClock = Math.max(this.playClock, known?.n >= this.head.n ? clock : Math.min(clock, known ? known.t : this.board.t));
       this.forward(Infinity, this.playClock);
-      if (this.board.n >= this.head.n) {
+      if (this.board.n >= this.head.n && !this.info.loading) {
         this.playing = false;
         this.tell("view");
         return;
       }
-      const last = this.events.length ? this.events[this.events.length - 1].n : 0;
-      if (last < this.head.n && last - this.board.n < 500 && !this.loading) {
+      if (!this.loading && this.board.n < this.head.n && (!known || (known.n < this.head.n && known.t - this.playClock < PREPARED * this.speed))) {
         this.loading = true;
-        this.fetchAround().catch(() => {}).finally(() => { this.loading = false; });
+        this.fetchAhead().catch(() => {}).finally(() => { this.loading = false; });
       }
       requestAnimationFrame(tick);
     };
@@ -252,8 +296,6 @@ export class Model extends EventTarget {
   }
 
   setSpeed(speed) {
-    this.playTime = this.playClock || this.board.t;
-    this.playFrom = performance.now();
     this.speed = speed;
   }
 

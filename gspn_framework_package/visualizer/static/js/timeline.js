@@ -3,6 +3,7 @@
 
 import { $, h, natural, seconds } from "./dom.js";
 import { colourOf } from "./colours.js";
+import { courseOf, lanesOf } from "./course.js";
 import { phaseOf } from "./robots_panel.js";
 
 const SPANS = [1, 2, 5, 10, 30, 60, 300, 1200, 7200, 86400];
@@ -12,6 +13,16 @@ const LANE = [20, 26]; // px, least and largest height of a lane
 
 const spanText = (t) => (t < 60 ? `${t} s` : t < 3600 ? `${t / 60} min` : `${t / 3600} h`);
 const axisTime = (t) => (t < 60 ? `${Number(t.toFixed(1))} s` : seconds(t));
+
+/** Index of the first event that is not before `t`; `events` in the order of their times. */
+function firstAt(events, t) {
+  let low = 0, high = events.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (events[middle].t < t) low = middle + 1; else high = middle;
+  }
+  return low;
+}
 
 /** Fires "visit" (detail n). */
 export class TimeLine extends EventTarget {
@@ -59,54 +70,18 @@ export class TimeLine extends EventTarget {
 
   /** Number of the last event at hand that is not after `t`. */
   eventAt(t) {
-    const { events, oldest } = this.model;
-    const index = this.firstAt(t + 1e-9, events.length);
-    return index > 0 ? events[index - 1].n : oldest;
+    const { events, mode, oldest } = this.model;
+    const told = mode === "SIMULATE" ? courseOf(this.model) : events;
+    const index = firstAt(told, t + 1e-9);
+    return index > 0 ? told[index - 1].n : oldest;
   }
 
   later() {
     if (!this.timer) this.timer = setTimeout(() => { this.timer = 0; requestAnimationFrame(() => this.update()); }, Math.max(90, 25 * (this.cost || 0)));
   }
 
-  /** What each robot did in the events at hand: name -> [[from, to, place, phase], ...]. */
   segments(begin, end) {
-    const { model } = this;
-    const lanes = new Map();
-    const lane = (name) => {
-      if (!lanes.has(name)) lanes.set(name, { at: begin, place: undefined, phase: "doing", parts: [] });
-      return lanes.get(name);
-    };
-    const cut = (l, t, place, phase) => {
-      if (l.place !== undefined && l.place !== null && t > l.at) l.parts.push([l.at, t, l.place, l.phase]);
-      l.at = Math.max(begin, t);
-      l.place = place;
-      l.phase = phase;
-    };
-    const last = model.indexAfter(model.board.n);
-    for (let i = this.firstAt(begin, last); i < last; i++) {
-      const event = model.events[i];
-      if (event.k === "fire") {
-        for (const [name, from, to] of event.m) {
-          const l = lane(name);
-          if (l.place === undefined) l.place = from;
-          cut(l, event.t, to, "doing");
-        }
-      } else if (event.k === "robots") {
-        for (const robot of event.r) {
-          const l = lane(robot.name);
-          const place = robot.place === undefined ? l.place : robot.place;
-          if (l.place === undefined) l.place = place;
-          const phase = robot.phase === undefined ? l.phase : robot.phase;
-          if (place !== l.place || phase !== l.phase) cut(l, event.t, place, phase);
-        }
-      }
-    }
-    for (const robot of model.board.robots.values()) {
-      const l = lane(robot.name);
-      if (l.place === undefined) { l.place = robot.place; l.phase = robot.phase || "doing"; l.at = Math.max(begin, robot.since ?? begin); }
-    }
-    for (const l of lanes.values()) cut(l, end, null, "");
-    return lanes;
+    return lanesOf(this.model, begin, end);
   }
 
   /** How the tokens of places changed since `begin`: of the place that is selected, and of those that changed most
@@ -114,24 +89,25 @@ export class TimeLine extends EventTarget {
   tokens(begin, count) {
     const { model } = this;
     const { marking } = model.board;
-    const last = model.indexAfter(model.board.n), first = this.firstAt(begin, last);
+    const course = courseOf(model);
+    const last = course.length, first = firstAt(course, begin);
     const changes = new Map(); // place -> how often
     for (let i = first; i < last; i++) {
-      for (const [p] of model.events[i].d || []) changes.set(p, (changes.get(p) || 0) + 1);
+      for (const [p] of course[i].d || []) changes.set(p, (changes.get(p) || 0) + 1);
     }
     const chosen = window.gspn?.page.selection;
     if (chosen?.kind === "place") changes.set(chosen.index, Infinity);
     const order = changes.size ? [...changes].sort((a, b) => b[1] - a[1]).map(([p]) => p) : marking.map((_, p) => p).filter((p) => marking[p] > 0);
     const wanted = order.slice(0, Math.max(0, count));
     let from = first; // after the last reset: what was before it is not told
-    for (let i = first; i < last; i++) if (model.events[i].k === "mark") from = i;
+    for (let i = first; i < last; i++) if (course[i].k === "mark") from = i;
     const counts = new Map(wanted.map((p) => [p, marking[p]]));
     for (let i = from; i < last; i++) {
-      for (const [p, change] of model.events[i].d || []) if (counts.has(p)) counts.set(p, counts.get(p) - change);
+      for (const [p, change] of course[i].d || []) if (counts.has(p)) counts.set(p, counts.get(p) - change);
     }
-    const points = new Map(wanted.map((p) => [p, [[from === first ? begin : model.events[from].t, counts.get(p)]]]));
+    const points = new Map(wanted.map((p) => [p, [[from === first ? begin : course[from].t, counts.get(p)]]]));
     for (let i = from; i < last; i++) {
-      const event = model.events[i];
+      const event = course[i];
       for (const [p, change] of event.d || []) {
         if (!counts.has(p)) continue;
         counts.set(p, counts.get(p) + change);
@@ -140,17 +116,6 @@ export class TimeLine extends EventTarget {
     }
     return wanted.map((p) => ({ name: model.scene.places[p].name, points: points.get(p), most: Math.max(...points.get(p).map(([, tokens]) => tokens)) }))
       .sort((a, b) => natural(a.name, b.name));
-  }
-
-  /** Index of the first event at hand that is not before `t`. */
-  firstAt(t, last) {
-    const { events } = this.model;
-    let low = 0, high = last;
-    while (low < high) {
-      const middle = (low + high) >> 1;
-      if (events[middle].t < t) low = middle + 1; else high = middle;
-    }
-    return low;
   }
 
   update() {
@@ -170,7 +135,8 @@ export class TimeLine extends EventTarget {
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     c.clearRect(0, 0, width, height);
     const end = model.now();
-    const have = model.events.length ? end - model.events[0].t : 0;
+    const course = courseOf(model);
+    const have = course.length ? end - course[0].t : 0;
     this.shownSpan = this.span || SPANS.find((span) => span >= Math.min(have, 60)) || 60;
     const begin = Math.max(0, end - this.shownSpan); // a short run fills the lanes from the left
     const top = 8, axis = 20, room = height - top - axis;
@@ -209,8 +175,8 @@ export class TimeLine extends EventTarget {
     c.textAlign = "left";
     c.fillStyle = ink("--ink-2");
     if (step >= 8) c.fillText("firings", 14, y0);
-    for (let i = model.indexAfter(model.board.n) - 1; i >= 0; i--) {
-      const event = model.events[i];
+    for (let i = course.length - 1; i >= 0; i--) {
+      const event = course[i];
       if (event.t < begin) break;
       if (event.k !== "fire") continue;
       c.fillStyle = model.scene.transitions[event.tr].timed ? timed : immediate;

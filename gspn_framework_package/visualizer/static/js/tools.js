@@ -44,7 +44,7 @@ export class Tools {
 
   back() { return this.simulate("back", { steps: 1 }); }
 
-  reset() { this.stopRunning(); return this.simulate("reset").then((done) => done && announce("reset")); }
+  reset() { this.stopRunning(); return this.simulate("reset").then((done) => done && toast("Reset, for all viewers. Back (←) takes it back.", true)); }
 
   clear() { this.stopRunning(); return this.simulate("clear").then((done) => done && announce("cleared")); }
 
