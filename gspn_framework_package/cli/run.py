@@ -18,7 +18,7 @@ from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.model.errors import RefusedError, UsageError
+from gspn_framework_package.model.errors import ExecutionError, RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan
 
 NAME = "run"
@@ -58,13 +58,19 @@ def run(args: argparse.Namespace) -> int:
     executor.start()
     try:
         limited = printer.enough.wait(_left(deadline))
-        if executor.result is None:
+        if not executor.over:
             executor.stop("the limit of %s" % ("firings" if limited else "seconds"))
+        ended = executor.wait()
     except KeyboardInterrupt:
         executor.stop("interrupted")
         executor.wait(5.0)
         raise
-    ended = executor.wait()
+    except ExecutionError as error:
+        printer.tell_end(error.message, executor.status()["marking"], time.monotonic() - started, broken=True)
+        raise
+    finally:
+        if event_log is not None and executor.over:
+            event_log.close()
     assert ended is not None
     printer.tell_end(ended.reason, executor.status()["marking"], time.monotonic() - started)
     by_limit = ended.reason.startswith("the limit of ")
@@ -142,13 +148,17 @@ class _Printer(Listener):
     def on_end(self, reason: str, finished: bool) -> None:
         self.enough.set()
 
-    def tell_end(self, reason: str, marking: Dict[str, int], seconds: float) -> None:
-        """Print how the run ended."""
+    def on_broken(self, reason: str) -> None:
+        self.enough.set()  # the caller prints it, in a thread that can tell where it cannot be printed
+
+    def tell_end(self, reason: str, marking: Dict[str, int], seconds: float, broken: bool = False) -> None:
+        """Print how the run ended; ``broken``: by a failure of the executor itself, which is an error beside."""
         if self._json:
             self._print(
                 {
                     "event": "end",
                     "reason": reason,
+                    "fault": broken,
                     "firings": self._count,
                     "seconds": round(seconds, 3),
                     "marking": marking,

@@ -38,8 +38,8 @@ def add_address_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--host",
         default="127.0.0.1",
-        help="address to listen on; beyond this machine (%s) viewers need a token, which is "
-        "printed" % ", ".join(sorted(LOOPBACK_NAMES)),
+        help="address to listen on; beyond this machine (%s) everybody needs a token; both tokens "
+        "are printed" % ", ".join(sorted(LOOPBACK_NAMES)),
     )
     parser.add_argument(
         "--allow-name",
@@ -48,7 +48,21 @@ def add_address_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="a further name that browsers may call this machine by",
     )
-    parser.add_argument("--token", help="the token viewers need (default: made up, and printed)")
+    parser.add_argument(
+        "--token",
+        help="the operator's token, of 16 characters or more (default: made up and printed, beyond this machine)",
+    )
+    parser.add_argument(
+        "--viewer-token",
+        metavar="TOKEN",
+        help="the token of those who may only look (default: made up and printed, beyond this machine)",
+    )
+    parser.add_argument(
+        "--token-file",
+        metavar="FILE",
+        help="a file with the operator's token in its first line and the viewers' in its second: other users of this "
+        "machine see the options of a program",
+    )
     parser.add_argument(
         "--viewers", type=int, default=24, help="live streams served at once (default: 24)"
     )
@@ -74,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     if first is not None and not folder.kind(first):
         raise InputError("neither a net, a plan nor a recorded run", file=args.path)
     runs = args.record or os.path.join(folder.root, RUNS)
-    project = Project(folder, lambda document: StandaloneRun(document, runs), first)
+    project = Project(folder, lambda document: StandaloneRun(document, runs), first, runs)
     if first is not None:
         project.open(first)  # what is wrong with it is told here, not in the browser
     return serve(project, args)
@@ -82,6 +96,7 @@ def run(args: argparse.Namespace) -> int:
 
 def serve(project: object, args: argparse.Namespace) -> int:
     """Serve ``project`` at the address of ``args`` until interrupted."""
+    from gspn_framework_package.visualizer.guard import OPERATOR, VIEWER, read_tokens
     from gspn_framework_package.visualizer.project import Project
     from gspn_framework_package.visualizer.serving import WebServer
 
@@ -90,13 +105,21 @@ def serve(project: object, args: argparse.Namespace) -> int:
         raise UsageError("%d is not a port" % args.port)
     if not 1 <= args.viewers <= 200:
         raise UsageError("%d viewers: from 1 to 200 can be served" % args.viewers)
-    server = WebServer(project, args.host, args.port, args.allow_name, args.token, args.viewers)
-    print("The page is at %s  (Ctrl-C ends it)" % server.address)
+    token, viewer_token = args.token, args.viewer_token
+    if args.token_file is not None:
+        if token is not None or viewer_token is not None:
+            raise UsageError("--token-file goes without --token and --viewer-token")
+        token, viewer_token = read_tokens(args.token_file)
+    server = WebServer(project, args.host, args.port, args.allow_name, token, args.viewers, viewer_token)
+    invitations = server.invitations
+    print("The page is at %s  (Ctrl-C ends it)" % invitations[OPERATOR])
+    if VIEWER in invitations:
+        print("For those who may only look: %s" % invitations[VIEWER])
     sys.stdout.flush()
     if args.open:
         import webbrowser
 
-        webbrowser.open(server.address)
+        webbrowser.open(invitations[OPERATOR])
     try:
         server.run()
     except KeyboardInterrupt:

@@ -122,7 +122,11 @@ class EventLogWriter:
         except OSError as error:
             raise LogError("cannot be written (%s)" % error.strerror, file=path) from None
         if known is None:
-            self.append({**first, "host": first.get("host") or _host()})
+            try:
+                self.append({**first, "host": first.get("host") or _host()})
+            except LogError:
+                self._file.close()
+                raise
 
     def append(self, *records: Record) -> None:
         """Write the records, each with the time of now."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import random
-from typing import List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution.enabled_set import Change, EnabledSet
 from gspn_framework_package.model.errors import NetError
@@ -122,7 +122,11 @@ class Simulator:
     def _weighted(self) -> Tuple[List[Tuple[int, float]], float]:
         enabled = sorted(self.enabled.now)
         weighted = [(t, self._weight(t)) for t in enabled]
-        total = math.fsum(weight for _, weight in weighted)
+        total = _sum(weight for _, weight in weighted)
+        if math.isinf(total):  # only their relation matters
+            top = max(weight for _, weight in weighted)
+            weighted = [(t, weight / top if math.isfinite(top) else float(weight == top)) for t, weight in weighted]
+            total = _sum(weight for _, weight in weighted)
         if total <= 0 and not any(t in self.probabilities for t in enabled):
             # only choices that a policy would make (weight 0): each is as good as the other
             weighted = [(t, 1.0) for t in enabled]
@@ -139,5 +143,13 @@ class Simulator:
         """Seconds until the race ends that ``t`` is in; 0 for an immediate transition."""
         if not self.net.transitions[t].timed:
             return 0.0
-        total = math.fsum(self.net.effective_rate(self.marking, u) for u in self.enabled.now)
+        total = _sum(self.net.effective_rate(self.marking, u) for u in self.enabled.now)
         return self.random.expovariate(total)
+
+
+def _sum(values: Iterable[float]) -> float:
+    """Their sum, infinite where it is beyond what a float holds."""
+    try:
+        return math.fsum(values)
+    except OverflowError:
+        return math.inf

@@ -8,6 +8,7 @@ listens; what the log says is all there is.
 
 from __future__ import annotations
 
+import contextlib
 import enum
 import heapq
 import itertools
@@ -35,10 +36,10 @@ from gspn_framework_package.execution.firing import (
     StartAction,
 )
 from gspn_framework_package.execution.ledger import Ledger
-from gspn_framework_package.execution.team_state import Phase, TeamState
+from gspn_framework_package.execution.team_state import GONE, Phase, TeamState
 from gspn_framework_package.execution.token_game import Step, TokenGame
 from gspn_framework_package.execution.worker_pool import WorkerPool
-from gspn_framework_package.model.errors import ExecutionError, PlanError, UsageError
+from gspn_framework_package.model.errors import ExecutionError, GspnError, PlanError, UsageError
 from gspn_framework_package.model.plan import Plan, ServerAction
 
 
@@ -56,7 +57,7 @@ class AgentState(enum.Enum):
     INACTIVE = "Inactive"
     """It has finished in a place without output arcs."""
     VOID = "Void"
-    """It was destroyed: a transition consumed more agents than it produced."""
+    """It was destroyed: a transition consumed more agents than it produced, or the operator took it out."""
 
 
 class Listener:
@@ -79,6 +80,11 @@ class Listener:
 
     def on_end(self, reason: str, finished: bool) -> None:
         """The run is over: it came to its own end (``finished``), or was stopped."""
+
+    def on_broken(self, reason: str) -> None:
+        """The run is over because the executor itself, its log or a listener failed."""
+        self.on_fault("", reason)
+        self.on_end(reason, False)
 
 
 class _Attempt(NamedTuple):
@@ -134,6 +140,7 @@ class StandaloneExecutor:
         self._states: Dict[str, Tuple[AgentState, float]] = {}
         self._thread = threading.Thread(target=self._run, name="executor", daemon=True)
         self._crash: Optional[BaseException] = None
+        self._over = threading.Event()
 
     # -- for other threads -------------------------------------------------------------------------
 
@@ -143,23 +150,32 @@ class StandaloneExecutor:
             raise UsageError("this run was started before", hint="make a new executor")
         self._thread.start()
 
+    def record_to(self, event_log: EventLogWriter) -> None:
+        """Record the run there. To be called before :meth:`start`."""
+        self._event_log = event_log
+
     def stop(self, reason: str = "stopped by the operator") -> None:
         """End the run; actions under way are asked to cancel."""
         self.order(log.Stop(reason))
 
     def order(self, entry: log.Entry) -> None:
-        """An order of the operator: Pause, Resume, Retry, SetPlace, Fire, Stop."""
+        """An order of the operator: Pause, Resume, Retry, SetPlace, Fire, Leave, Stop."""
         self._queue.put(lambda: [entry])
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing will happen any more: the run ended or broke off."""
+        return self._over.is_set()
 
     def wait(self, timeout: Optional[float] = None) -> Optional[Ended]:
         """Wait for the end, at most ``timeout`` seconds; how it ended, None if it did not.
 
-        :raises ExecutionError: the executor itself failed, or a listener did.
+        :raises ExecutionError: the executor itself failed, or its log or a listener did.
         """
         if self._thread.ident is not None:
             self._thread.join(timeout)
         if self._crash is not None:
-            raise ExecutionError("the run broke off: %r" % self._crash) from self._crash
+            raise ExecutionError(_broke_off(self._crash)) from self._crash
         return self.result
 
     def agent_states(self) -> Dict[str, AgentState]:
@@ -199,11 +215,15 @@ class StandaloneExecutor:
             self._reduce([self.game.start_entry()])
             while self.result is None:
                 self._reduce(self._next_entries())
-        except BaseException as error:  # told by wait(); a thread has nobody else to tell
+        except BaseException as error:  # told by wait() and to the listener: a thread has nobody else to tell
             self._crash = error
         finally:
+            self._over.set()
             for attempt in self._running.values():
                 attempt.cancellation.cancel()
+            if self._crash is not None:
+                with contextlib.suppress(Exception):  # it may be the listener that broke
+                    self._listener.on_broken(_broke_off(self._crash))
 
     def _next_entries(self) -> List[log.Entry]:
         """Wait for the next message, timer, or transition of the environment."""
@@ -261,6 +281,8 @@ class StandaloneExecutor:
                 self._set_agent(robot.name, AgentState.INACTIVE)
             elif robot.phase is Phase.FAILED:
                 self._set_agent(robot.name, AgentState.WAITING)
+            elif robot.phase in GONE:
+                self._set_agent(robot.name, AgentState.VOID)
 
     def _set_agent(self, name: str, state: AgentState) -> None:
         known = self._states.get(name)
@@ -287,6 +309,7 @@ class StandaloneExecutor:
         elif isinstance(command, Ended):
             self.result = command
             self._record({"kind": "ended", "reason": command.reason, "finished": command.finished})
+            self._over.set()
             self._listener.on_end(command.reason, command.finished)
 
     def _at(self, when: float, message: _Message) -> None:
@@ -304,7 +327,11 @@ class StandaloneExecutor:
         if timeout is not None:
             self._at(self._clock() + timeout, lambda: self._timed_out(command, timeout))
         self._set_agent(command.robot, AgentState.OCCUPIED)
-        self._pool.submit(lambda: self._execute(command, attempt))
+        try:
+            self._pool.submit(lambda: self._execute(command, attempt))
+        except RuntimeError as error:  # the system gives no more threads
+            entry = self._failed(command, "aborted", "the action cannot be started: %s" % error)
+            self._queue.put(lambda: self._finished(command, attempt, entry))
         return []
 
     def _execute(self, command: StartAction, attempt: _Attempt) -> None:
@@ -327,9 +354,9 @@ class StandaloneExecutor:
             result = action[command.place](context)
             entry = log.Done(command.robot, command.incarnation, command.visit, result)
         except ActionFailed as error:
-            entry = self._failed(command, "aborted", str(error))
+            entry = self._failed(command, "aborted", _told(error))
         except BaseException as error:  # whatever a user's function raises, SystemExit too
-            entry = self._failed(command, "aborted", "%s: %s" % (type(error).__name__, error))
+            entry = self._failed(command, "aborted", "%s: %s" % (type(error).__name__, _told(error)))
         self._queue.put(lambda: self._finished(command, attempt, entry))
 
     def _finished(
@@ -357,6 +384,19 @@ class StandaloneExecutor:
             reason,
             detail[:500],
         )
+
+
+def _told(error: BaseException) -> str:
+    """What a user's exception says, which may raise itself."""
+    try:
+        return str(error)
+    except Exception as another:
+        return "(its text cannot be told: %s)" % type(another).__name__
+
+
+def _broke_off(error: BaseException) -> str:
+    what = str(error) if isinstance(error, GspnError) else "%s: %s" % (type(error).__name__, _told(error))
+    return "the run broke off: %s" % what
 
 
 def _load_functions(plan: Plan) -> Dict[str, Dict[str, Callable[[ActionContext], str]]]:

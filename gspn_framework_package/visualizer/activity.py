@@ -26,6 +26,11 @@ class Activity:
     def __init__(self) -> None:
         self.commands: Dict[str, Handler] = {}
 
+    @property
+    def running(self) -> Optional[bool]:
+        """Whether a plan is being executed; None: as the status of the board says."""
+        return None
+
     def begin(self, hub: Hub) -> None:
         """Take over ``hub``, which starts a new epoch."""
         raise NotImplementedError

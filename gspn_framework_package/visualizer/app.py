@@ -7,6 +7,7 @@ a fitting status.
 from __future__ import annotations
 
 import json
+import re
 import secrets
 import threading
 import time
@@ -19,7 +20,7 @@ from gspn_framework_package import __version__
 from gspn_framework_package.model.errors import GspnError, InputError, UsageError
 from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
 from gspn_framework_package.visualizer.documents import Document, read_upload
-from gspn_framework_package.visualizer.guard import COOKIE, SECURITY_HEADERS, Guard
+from gspn_framework_package.visualizer.guard import SECURITY_HEADERS, Guard, LoginError, is_loopback
 from gspn_framework_package.visualizer.hub import Cursor, Hub
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.reasons import reasons_in
@@ -29,6 +30,9 @@ UPLOAD_BYTES = 12_000_000
 """Largest request; an upload is base64, so files of 8 MB fit."""
 
 COMMAND_BYTES = 2_000_000
+
+LOGIN_BYTES = 4_000
+"""Largest request of who has not given a token yet."""
 
 PING = 3.0
 """Seconds after which a silent stream says that it is alive."""
@@ -54,9 +58,10 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.before_request
     def check() -> Optional[Answer]:
-        refusal = guard.check(request.method, request.path, request.headers, request.cookies)
-        if refusal is not None:
-            return {"error": refusal.reason}, refusal.status
+        verdict = guard.check(request.method, request.path, request.headers, request.cookies, _peer())
+        if verdict.refusal is not None:
+            return {"error": verdict.refusal.reason}, verdict.refusal.status
+        flask.g.role = verdict.role
         return None
 
     @app.after_request
@@ -69,11 +74,20 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.errorhandler(GspnError)
     def explain(error: GspnError) -> Answer:
-        return {"error": str(error)}, 400 if isinstance(error, InputError) else 409
+        return {"error": project.told(str(error))}, 400 if isinstance(error, InputError) else 409
 
     @app.errorhandler(413)
     def too_large(error: Exception) -> Answer:
-        return {"error": "that is too large (up to %d MB)" % (UPLOAD_BYTES // 1_500_000)}, 413
+        return {"error": too_large_text(request.path)}, 413
+
+    @app.errorhandler(UnicodeError)
+    def no_text(error: UnicodeError) -> Answer:
+        return {"error": "the request holds what stands for no character"}, 400
+
+    @app.errorhandler(OSError)
+    def no_means(error: OSError) -> Answer:
+        app.logger.warning("a request failed: %s", error)
+        return {"error": "the server's computer cannot do that now: %s" % (error.strerror or "an error")}, 503
 
     @app.errorhandler(404)
     @app.errorhandler(405)
@@ -97,36 +111,38 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.route("/api/login", methods=["POST"])
     def login() -> Any:
-        if not guard.knows(str(_body(COMMAND_BYTES).get("token", ""))):
-            return {"error": "that is not the token"}, 401
+        try:
+            cookie = guard.login(str(_body().get("token", "")), _peer())
+        except LoginError as error:
+            return {"error": error.reason}, error.status
         response = flask.jsonify({})
-        if guard.token is not None:
-            response.set_cookie(COOKIE, guard.token, httponly=True, samesite="Strict")
+        if cookie:
+            response.set_cookie(guard.cookie, cookie, httponly=True, samesite="Strict")
         return response
 
     @app.route("/api/hello")
     def hello() -> Dict[str, Any]:
-        return {"version": __version__, **project.to_json()}
+        return {"version": __version__, "role": flask.g.role, **project.to_json()}
 
     # -- opening -----------------------------------------------------------------------------------
 
     @app.route("/api/open", methods=["POST"])
     def open_file() -> Dict[str, Any]:
-        path = _body(COMMAND_BYTES).get("path")
+        path = _body().get("path")
         if not isinstance(path, str):
             raise UsageError("'path' is missing")
         return {"id": project.open(path).key}
 
     @app.route("/api/upload", methods=["POST"])
     def upload() -> Dict[str, Any]:
-        document: Document = read_upload(_body(UPLOAD_BYTES).get("files"))
+        document: Document = read_upload(_body().get("files"))
         key = "upload-" + secrets.token_hex(6)
         return {"id": project.sessions.get_or_open(key, lambda: Session(key, document)).key}
 
     # -- one open net ------------------------------------------------------------------------------
 
     def session() -> Session:
-        return project.session(request.args.get("id", ""))
+        return project.session(request.args.get("id", ""), room=request.method == "POST")
 
     @app.route("/api/session")
     def describe() -> Dict[str, Any]:
@@ -134,7 +150,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.route("/api/do", methods=["POST"])
     def command() -> Dict[str, Any]:
-        fields = _body(COMMAND_BYTES)
+        fields = _body()
         name = fields.pop("command", None)
         if not isinstance(name, str):
             raise UsageError("'command' is missing")
@@ -167,10 +183,10 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     @app.route("/api/stream")
     def stream() -> Any:
         hub = session().hub
-        if not streams.take():
-            return {"error": "%d viewers are served already; this one polls" % viewers}, 503
+        if not streams.take(_peer()):
+            return {"error": "enough viewers are served already; this one polls"}, 503
         cursor = Cursor.parse(request.headers.get("Last-Event-ID") or request.args.get("since"))
-        response = Response(_Stream(hub, cursor, streams), mimetype="text/event-stream")
+        response = Response(_Stream(hub, cursor, streams, _peer()), mimetype="text/event-stream")
         response.headers["X-Accel-Buffering"] = "no"
         return response
 
@@ -179,7 +195,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     @app.route("/api/analysis", methods=["POST"])
     def analyse() -> Dict[str, Any]:
         opened = session()
-        return {"job": jobs.start(opened.document, opened.hub.board().marking, _body(COMMAND_BYTES))}
+        return {"job": jobs.start(opened.document, opened.hub.board().marking, _body())}
 
     @app.route("/api/analysis/<job>")
     def progress(job: str) -> Dict[str, Any]:
@@ -187,16 +203,34 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.route("/api/analysis/<job>/cancel", methods=["POST"])
     def cancel(job: str) -> Dict[str, Any]:
-        _body(COMMAND_BYTES)
+        _body()
         jobs.cancel(job)
         return {}
 
     return app
 
 
-def _body(limit: int) -> Dict[str, Any]:
-    """The JSON object of a request, of up to ``limit`` bytes. :raises UsageError: it is none."""
-    if (request.content_length or 0) > limit:
+def body_limit(path: str) -> int:
+    """Bytes that the body of a POST to ``path`` may have."""
+    return {"/api/upload": UPLOAD_BYTES, "/api/login": LOGIN_BYTES}.get(path, COMMAND_BYTES)
+
+
+def too_large_text(path: str) -> str:
+    """What to tell whoever posts more to ``path``."""
+    if path == "/api/upload":
+        return "that is too large: files of up to %d MB in all can be uploaded" % (UPLOAD_BYTES * 2 // 3_000_000)
+    if path == "/api/login":
+        return "that is too large for a token"
+    return "that is too large: a command has up to %d MB" % (COMMAND_BYTES // 1_000_000)
+
+
+def _peer() -> str:
+    return request.remote_addr or ""
+
+
+def _body() -> Dict[str, Any]:
+    """The JSON object of a request. :raises UsageError: it is none."""
+    if (request.content_length or 0) > body_limit(request.path):
         flask.abort(413)
     if request.mimetype != "application/json":
         raise UsageError("a request is JSON (Content-Type: application/json)")
@@ -213,31 +247,38 @@ def _number(key: str, default: int = 0) -> int:
     text = request.args.get(key, "")
     if not text:
         return default
-    if not text.isdigit() or len(text) > 15:
+    if not re.fullmatch("[0-9]{1,15}", text):
         raise UsageError("'%s' is a whole number" % key)
     return int(text)
 
 
 class Streams:
-    """The streams that are under way, at most ``limit``."""
+    """The streams that are under way, at most ``limit``, and of them at most half for one peer elsewhere."""
 
     def __init__(self, limit: int) -> None:
         self._condition = threading.Condition()
         self._limit, self._taken = limit, 0
+        self._by_peer: Dict[str, int] = {}
         self.closing = False
 
-    def take(self) -> bool:
-        """Begin one; False where as many as may be are under way."""
+    def take(self, peer: str = "") -> bool:
+        """Begin one of a peer; False where as many as may be are under way."""
         with self._condition:
-            if self.closing or self._taken >= self._limit:
+            own = self._by_peer.get(peer, 0)
+            share = self._limit if not peer or is_loopback(peer) else max(2, self._limit // 2)
+            if self.closing or self._taken >= self._limit or own >= share:
                 return False
             self._taken += 1
+            self._by_peer[peer] = own + 1
             return True
 
-    def give_back(self) -> None:
+    def give_back(self, peer: str = "") -> None:
         """One has ended."""
         with self._condition:
             self._taken -= 1
+            self._by_peer[peer] -= 1
+            if not self._by_peer[peer]:
+                del self._by_peer[peer]
             self._condition.notify_all()
 
     def close(self) -> None:
@@ -259,8 +300,10 @@ class _Stream:
         hub: Hub,
         cursor: Optional[Cursor],
         streams: Streams,
+        peer: str,
     ) -> None:
-        self._hub, self._cursor, self._streams = hub, cursor, streams
+        self._hub, self._cursor, self._streams, self._peer = hub, cursor, streams, peer
+        hub.came()
         self._messages = self._run()
         self._open = True
 
@@ -270,6 +313,9 @@ class _Stream:
             if not self._hub.wait(self._cursor, PING):
                 yield b"event: ping\ndata: {}\n\n"
                 continue
+            if self._hub.closed is not None:
+                yield b"event: closed\ndata: %s\n\n" % json.dumps({"reason": self._hub.closed}).encode()
+                return
             news = self._hub.news(self._cursor)
             self._cursor = news.cursor
             yield b"id: %s\ndata: %s\n\n" % (str(news.cursor).encode(), news.text.encode())
@@ -282,4 +328,5 @@ class _Stream:
         """Called by the web server when the viewer has gone."""
         if self._open:
             self._open = False
-            self._streams.give_back()
+            self._hub.came(-1)
+            self._streams.give_back(self._peer)

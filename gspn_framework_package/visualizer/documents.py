@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import contextlib
 import json
 import os
 import re
@@ -70,11 +71,12 @@ class Folder:
             )
             for name in sorted(names):
                 whole = os.path.join(path, name)
-                kind = self._kind(whole)
-                if kind and self._inside(whole):
-                    found.append(
-                        FileEntry(os.path.relpath(whole, self.root), kind, os.path.getsize(whole))
-                    )
+                with contextlib.suppress(OSError):  # it went away in the meantime
+                    kind = self._kind(whole)
+                    if kind and self._inside(whole):
+                        found.append(
+                            FileEntry(os.path.relpath(whole, self.root), kind, os.path.getsize(whole))
+                        )
             if len(found) >= FILES_LISTED:
                 break
         return found[:FILES_LISTED]
@@ -86,12 +88,30 @@ class Folder:
         """
         if "\0" in path or os.path.isabs(path):
             raise RefusedError("only files of the served folder are opened")
+        _check_text(path)
         whole = os.path.realpath(os.path.join(self.root, path))
         if not self._inside(whole):
             raise RefusedError("only files of the served folder are opened")
         if not os.path.exists(whole):
             raise InputError("there is no such file", file=path)
+        if not os.path.isdir(whole) and not os.path.isfile(whole):
+            raise InputError("neither a file nor a folder", file=path)
         return whole
+
+    def name(self, path: str) -> str:
+        """The one name that the file at ``path`` goes by, however that is written: from the folder on, without links;
+        of a plan's folder its plan file.
+
+        :raises GspnError: as :meth:`resolve`.
+        """
+        whole = self.resolve(path)
+        if os.path.isdir(whole) and os.path.isfile(os.path.join(whole, PLAN_FILE)):
+            whole = self.resolve(os.path.join(path, PLAN_FILE))
+        return os.path.relpath(whole, self.root)
+
+    def inside(self, whole: str) -> Optional[str]:
+        """A whole path as one from the folder on; None where it leads elsewhere."""
+        return os.path.relpath(os.path.realpath(whole), self.root) if self._inside(whole) else None
 
     def kind(self, path: str) -> str:
         """net, plan, log, or "" for anything else."""
@@ -100,6 +120,7 @@ class Folder:
     def open(self, path: str) -> Document:
         """The net or plan at ``path``. :raises GspnError: it cannot be read."""
         whole = self.resolve(path)
+        _check_files(whole)
         found = read_net_or_plan(whole)
         return _checked(Document(path, found.net, found.plan, found.plan is not None, found.notes))
 
@@ -112,11 +133,45 @@ class Folder:
         name = os.path.basename(whole).lower()
         if os.path.isdir(whole):
             return "plan" if os.path.isfile(os.path.join(whole, PLAN_FILE)) else ""
+        if not os.path.isfile(whole):  # a pipe or a device would be waited for
+            return ""
         if name.endswith(LOG_ENDINGS):
             return "log"
         if name.endswith(".json"):
             return "plan" if _looks_like_plan(whole) else ""
         return "net" if name.endswith(NET_ENDINGS) else ""
+
+
+def _check_text(name: str) -> None:
+    """:raises UsageError: it holds what stands for no character, and no file can be called that."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        raise UsageError("a file has no proper name") from None
+
+
+def _check_files(whole: str) -> None:
+    """See that what a plan names is no pipe or device: whoever opened it would wait for ever.
+
+    :raises InputError: it is.
+    """
+    if os.path.isdir(whole):
+        whole = os.path.join(whole, PLAN_FILE)
+    if not whole.lower().endswith(".json"):
+        return
+    try:
+        with open(whole, "rb") as file:
+            plan = json.load(file)
+    except (OSError, ValueError, RecursionError):
+        return  # the reader will say what is wrong
+    if not isinstance(plan, dict):
+        return
+    net = plan.get("net")
+    named = [net.get("file") if isinstance(net, dict) else net, plan.get("policy"), plan.get("gspn")]
+    for name in named:
+        path = os.path.join(os.path.dirname(whole), name) if isinstance(name, str) and "\0" not in name else whole
+        if isinstance(name, str) and os.path.exists(path) and not os.path.isfile(path):
+            raise InputError("it names '%s', which is no file" % name, file=whole)
 
 
 def _looks_like_plan(path: str) -> bool:
@@ -167,7 +222,8 @@ def _sent_files(files: Any) -> Dict[str, bytes]:
         name = item.get("name") if isinstance(item, dict) else None
         if not isinstance(name, str) or not re.fullmatch(r"[^/\\\0]{1,120}", name):
             raise UsageError("a file has no proper name")
-        if name.strip(". ") == "":
+        _check_text(name)
+        if name.strip(". ") == "" or len(name.encode()) > 200:
             raise UsageError("a file has no proper name")
         try:
             sent[name] = base64.b64decode(item.get("content", ""), validate=True)

@@ -1,23 +1,51 @@
 """Who may ask this server for what. A browser on a robot network visits other pages too.
 
 Every request: the Host header must be one that the server was started with (a page that rebinds its
-name to this machine has another). Every POST: from this very page, as Origin and Sec-Fetch-Site
-tell, and with a header that a form of another page cannot send. Beyond loopback: a token. Every
-answer: a content security policy that allows nothing from elsewhere.
+name to this machine has another), and what is asked of ``/api/`` must not come from another site, as
+Sec-Fetch-Site tells. Every POST: from this very page, as Origin tells too, and with a header that a
+form of another page cannot send. Beyond loopback: a token. There are two: the operator's, and the
+viewer's, which may only look. Every answer: a content security policy that allows nothing from
+elsewhere.
 """
 
 from __future__ import annotations
 
+import hashlib
 import hmac
 import ipaddress
+import os
 import secrets
 import socket
-from typing import FrozenSet, Iterable, Mapping, NamedTuple, Optional
+import stat
+import threading
+import time
+from collections import OrderedDict, deque
+from typing import Callable, Deque, FrozenSet, Iterable, Mapping, NamedTuple, Optional, Tuple
+
+from gspn_framework_package.model.errors import InputError, UsageError
 
 HEADER = "X-Gspn-Page"
 """A header that every POST of the page carries."""
 
-COOKIE = "gspn_token"
+TOKEN_HEADER = "X-Gspn-Token"
+"""Where a program that keeps no cookies gives its token."""
+
+OPERATOR, VIEWER = "operator", "viewer"
+
+SHORTEST_TOKEN = 16
+"""Characters."""
+
+GUESSES = 10
+"""Wrong tokens that a peer may give within :data:`GUESS_TIME`; what it gives beyond is not looked at."""
+
+GUESS_TIME = 60.0
+"""Seconds."""
+
+PEERS = 1000
+"""How many peers' wrong guesses are remembered; of more, those that guessed last."""
+
+LOGINS = 1000
+"""How many cookies that were right are remembered: they are not taken for guesses."""
 
 SECURITY_HEADERS = {
     "Content-Security-Policy": (
@@ -51,20 +79,50 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+class Verdict(NamedTuple):
+    """What a request may do: it is refused, or it has a ``role``."""
+
+    role: str
+    refusal: Optional[Refusal] = None
+
+
 class Guard:
     """The rules of one server.
 
     :param host: the address it listens on.
     :param port: the port.
     :param names: further names that browsers may call it by.
-    :param token: what viewers must know; made up where one is needed and none is given.
+    :param token: what the operator must know; made up where one is needed and none is given.
+    :param viewer_token: what those must know who may only look; made up beyond loopback.
+    :param time_source: monotonic seconds.
+    :raises UsageError: a token is too short, or both are the same.
     """
 
     def __init__(
-        self, host: str, port: int, names: Iterable[str] = (), token: Optional[str] = None
+        self,
+        host: str,
+        port: int,
+        names: Iterable[str] = (),
+        token: Optional[str] = None,
+        viewer_token: Optional[str] = None,
+        time_source: Callable[[], float] = time.monotonic,
     ) -> None:
         local = is_loopback(host)
-        self.token = token or (None if local else secrets.token_urlsafe(18))
+        for given in (token, viewer_token):
+            if given is not None and (len(given) < SHORTEST_TOKEN or not given.isascii() or not given.isprintable()):
+                raise UsageError(
+                    "a token has at least %d characters, all of them ASCII" % SHORTEST_TOKEN,
+                    hint="leave it out: one is made up",
+                )
+        if token is not None and token == viewer_token:
+            raise UsageError("the operator's token and the viewer's are the same")
+        needed = not local or viewer_token is not None
+        self.token = token or (secrets.token_urlsafe(18) if needed else None)
+        self.viewer_token = viewer_token or (None if local else secrets.token_urlsafe(18))
+        self.cookie = "gspn_token_%d" % port  # cookies do not keep ports apart, and two servers may run on one machine
+        self._guesses, self._cookie_guesses = _Guesses(time_source), _Guesses(time_source)
+        self._logins: OrderedDict[str, str] = OrderedDict()
+        self._lock = threading.Lock()
         known = set(LOOPBACK_NAMES) | {_bracketed(n) for n in names}
         if not local:
             known |= _own_names() if host in ("0.0.0.0", "::") else {_bracketed(host)}
@@ -79,34 +137,172 @@ class Guard:
         path: str,
         headers: Mapping[str, str],
         cookies: Mapping[str, str],
-    ) -> Optional[Refusal]:
-        """Why a request is refused; None when it is not."""
+        peer: str = "",
+    ) -> Verdict:
+        """What a request may do.
+
+        :param peer: the address that it comes from.
+        """
         host = headers.get("Host", "").lower()
         if host not in self._hosts:
-            return Refusal(421, "this server does not go by the name '%s'" % host[:80])
+            return _refused(421, "this server does not go by the name '%s'" % host[:80])
+        if path.startswith("/api/") and headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none"):
+            return _refused(403, "a page of another site may not do that")
         if method not in ("GET", "HEAD"):
             refusal = self._check_origin(host, headers)
             if refusal is not None:
-                return refusal
-        if self.token is not None and path.startswith("/api/") and path != "/api/login":
-            given = cookies.get(COOKIE) or headers.get("X-Gspn-Token") or ""
-            if not self.knows(given):
-                return Refusal(401, "this server asks for its token")
+                return Verdict("", refusal)
+        if self.token is None:
+            return Verdict(OPERATOR)
+        if not path.startswith("/api/") or path == "/api/login":
+            return Verdict("")
+        role = self._role_of_cookie(cookies.get(self.cookie, ""), peer) or ""
+        given = headers.get(TOKEN_HEADER, "")
+        if not role and given:
+            if self._guesses.too_many(peer):
+                return _refused(429, TOO_MANY)
+            role = self.role_of(given, peer) or ""
+        if not role:
+            return _refused(401, "this server asks for its token")
+        if role == VIEWER and method not in ("GET", "HEAD"):
+            return _refused(403, "the viewer's token may only look")
+        return Verdict(role)
+
+    def login(self, given: str, peer: str = "") -> str:
+        """A cookie for whoever gives a right token.
+
+        :returns: the cookie's value, "" where no token is needed.
+        :raises LoginError: it is not right, or the peer has guessed too often.
+        """
+        if self.token is None:
+            return ""
+        if self._guesses.too_many(peer):
+            raise LoginError(429, TOO_MANY)
+        role = self.role_of(given, peer)
+        if role is None:
+            raise LoginError(401, "that is not the token")
+        nonce = secrets.token_hex(12)
+        cookie = nonce + self._seal(nonce, role)
+        self._remember(cookie, role)
+        return cookie
+
+    def role_of(self, given: str, peer: str = "") -> Optional[str]:
+        """The role of a token; None, and counted as a guess of ``peer``, where it is no one's."""
+        encoded = given.encode("utf-8", "surrogatepass")
+        found = None
+        for role, token in ((OPERATOR, self.token), (VIEWER, self.viewer_token)):
+            if token is not None and hmac.compare_digest(encoded, token.encode()):
+                found = role
+        if found is None:
+            self._guesses.wrong(peer)
+        return found
+
+    def _role_of_cookie(self, cookie: str, peer: str) -> Optional[str]:
+        """A cookie is a number used once and a seal that only who knows the token can make. It outlives a server that
+        is started again with the same token. One that was right is known again, however much its peer guesses. Wrong
+        ones are counted by themselves: a page that still has the cookie of another start keeps nobody from a login."""
+        with self._lock:
+            if not cookie or cookie in self._logins:
+                return self._logins.get(cookie)
+        if len(cookie) != 24 + 64 or not cookie.isascii() or self._cookie_guesses.too_many(peer):
+            return None
+        nonce, seal = cookie[:24], cookie[24:]
+        for role in (OPERATOR, VIEWER):
+            if hmac.compare_digest(seal, self._seal(nonce, role)):
+                self._remember(cookie, role)
+                return role
+        self._cookie_guesses.wrong(peer)
         return None
+
+    def _remember(self, cookie: str, role: str) -> None:
+        with self._lock:
+            self._logins[cookie] = role
+            while len(self._logins) > LOGINS:
+                self._logins.popitem(last=False)
+
+    def _seal(self, nonce: str, role: str) -> str:
+        token = self.token if role == OPERATOR else self.viewer_token
+        key = (token or secrets.token_hex(16)).encode()
+        return hmac.new(key, ("gspn page %s %s" % (nonce, role)).encode(), hashlib.sha256).hexdigest()
 
     def _check_origin(self, host: str, headers: Mapping[str, str]) -> Optional[Refusal]:
         origin = headers.get("Origin")
         if origin is not None and origin.lower() != "http://" + host:
             return Refusal(403, "a page of another origin may not do that")
-        if headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none"):
-            return Refusal(403, "a page of another site may not do that")
         if headers.get(HEADER) != "1":
             return Refusal(403, "the header %s is missing" % HEADER)
         return None
 
-    def knows(self, given: str) -> bool:
-        """Whether ``given`` is the token (or none is needed)."""
-        return self.token is None or hmac.compare_digest(given.encode(), self.token.encode())
+
+TOO_MANY = "too many wrong tokens came from there; wait a minute"
+
+
+class LoginError(Exception):
+    """No cookie: an HTTP ``status`` and what to tell."""
+
+    def __init__(self, status: int, reason: str) -> None:
+        super().__init__(reason)
+        self.status, self.reason = status, reason
+
+
+class _Guesses:
+    """The wrong tokens of late, by peer."""
+
+    def __init__(self, time_source: Callable[[], float]) -> None:
+        self._clock = time_source
+        self._lock = threading.Lock()
+        self._wrong: OrderedDict[str, Deque[float]] = OrderedDict()
+
+    def wrong(self, peer: str) -> None:
+        """A peer gave a wrong one."""
+        with self._lock:
+            times = self._wrong.setdefault(_network(peer), deque(maxlen=GUESSES))
+            times.append(self._clock())
+            self._wrong.move_to_end(_network(peer))
+            while len(self._wrong) > PEERS:
+                self._wrong.popitem(last=False)
+
+    def too_many(self, peer: str) -> bool:
+        """Whether its next one is not to be looked at."""
+        with self._lock:
+            times = self._wrong.get(_network(peer))
+            return times is not None and len(times) >= GUESSES and times[0] > self._clock() - GUESS_TIME
+
+
+def _network(peer: str) -> str:
+    """Whom an address belongs to: of IPv6 a whole network is given out."""
+    try:
+        address = ipaddress.ip_address(peer.split("%")[0])
+    except ValueError:
+        return peer
+    if isinstance(address, ipaddress.IPv6Address) and address.ipv4_mapped is None:
+        return str(ipaddress.ip_network((int(address), 64), strict=False))
+    return str(address)
+
+
+def read_tokens(path: str) -> Tuple[Optional[str], Optional[str]]:
+    """The operator's token and the viewers', from the first two lines of a file; None for a line that is not there.
+
+    :raises InputError: it cannot be read, holds no token, or others may read it too.
+    """
+    try:
+        with open(path, encoding="utf-8") as file:
+            mode = os.fstat(file.fileno()).st_mode
+            lines = [line.strip() for line in file.read(10_000).splitlines()[:2]]
+    except OSError as error:
+        raise InputError("cannot be read (%s)" % error.strerror, file=path) from None
+    except UnicodeDecodeError:
+        raise InputError("holds no token", file=path) from None
+    if mode & (stat.S_IRWXG | stat.S_IRWXO) and stat.S_ISREG(mode):
+        raise InputError("others may read it, and it holds tokens", file=path, hint="chmod 600")
+    token, viewer_token = [line or None for line in (lines + ["", ""])[:2]]
+    if token is None:
+        raise InputError("holds no token", file=path, hint="its first line is the operator's token")
+    return token, viewer_token
+
+
+def _refused(status: int, reason: str) -> Verdict:
+    return Verdict("", Refusal(status, reason))
 
 
 def _bracketed(name: str) -> str:

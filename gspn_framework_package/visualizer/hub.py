@@ -9,6 +9,7 @@ nothing, and none sees a gap without being told.
 from __future__ import annotations
 
 import json
+import re
 import secrets
 import threading
 import time
@@ -40,7 +41,7 @@ class Cursor(NamedTuple):
     def parse(cls, text: Optional[str]) -> Optional[Cursor]:
         """The cursor written as ``epoch:n`` or ``epoch:n:latest``; None for anything else."""
         parts = (text or "").split(":")
-        if len(parts) in (2, 3) and all(p.isdigit() and len(p) < 18 for p in parts[1:]):
+        if len(parts) in (2, 3) and all(re.fullmatch("[0-9]{1,17}", p) for p in parts[1:]):
             return cls(parts[0], int(parts[1]), int(parts[2]) if len(parts) == 3 else 0)
         return None
 
@@ -66,7 +67,10 @@ class Hub:
     def __init__(self, mode: str, board: Board, ring: int = RING) -> None:
         self._condition = threading.Condition()
         self._ring_size = ring
-        self._closed = False
+        self.closed: Optional[str] = None
+        """Why nothing will come any more; None while something may."""
+        self.viewers = 0
+        """How many streams follow it."""
         self.restart(mode, board)
 
     def restart(
@@ -136,18 +140,23 @@ class Hub:
             self.info.update(info)
             self.set_latest("info", self.info)
 
+    def came(self, change: int = 1) -> None:
+        """A stream begins to follow, or (-1) has ended."""
+        with self._condition:
+            self.viewers += change
+
     # -- the viewers' side -------------------------------------------------------------------------
 
     def wait(self, cursor: Optional[Cursor], timeout: float) -> bool:
         """Wait until there is something that ``cursor`` lacks; False when there is not, after
         ``timeout`` seconds."""
         with self._condition:
-            return self._condition.wait_for(lambda: self._closed or self._has_news(cursor), timeout)
+            return self._condition.wait_for(lambda: self.closed is not None or self._has_news(cursor), timeout)
 
-    def close(self) -> None:
+    def close(self, why: str = "it was closed") -> None:
         """Nothing will come any more: wake all that wait."""
         with self._condition:
-            self._closed = True
+            self.closed = self.closed or why
             self._condition.notify_all()
 
     def _has_news(self, cursor: Optional[Cursor]) -> bool:
@@ -200,6 +209,11 @@ class Hub:
         """A copy of the present board."""
         with self._condition:
             return self._board.copy()
+
+    def status(self) -> Dict[str, Any]:
+        """The status of the present board."""
+        with self._condition:
+            return dict(self._board.status)
 
     def board_at(self, n: int) -> Board:
         """The board after event ``n``; the nearest there is, where ``n`` has left the ring or has

@@ -3,12 +3,16 @@ for."""
 
 from __future__ import annotations
 
-from typing import Any, Dict, Optional
+import os
+import secrets
+from typing import Any, Callable, Dict, Optional
 
 from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.visualizer.activity import Activity
 from gspn_framework_package.visualizer.bag_replay import BagReplay, plans_of
 from gspn_framework_package.visualizer.documents import Document, Folder
 from gspn_framework_package.visualizer.replay import Replay
+from gspn_framework_package.visualizer.run_marks import CutRun, cut_runs
 from gspn_framework_package.visualizer.session import ActivityMaker, Session, Sessions
 
 FILE_KEY = "file-"
@@ -20,6 +24,7 @@ class Project:
     :param folder: the served folder, None for a server that only shows ``session``.
     :param start_execution: how an executable plan is executed.
     :param first: path (in the folder) of what the page opens with.
+    :param runs: the folder that runs are recorded in, where runs that were cut off are looked for.
     """
 
     def __init__(
@@ -27,52 +32,90 @@ class Project:
         folder: Optional[Folder] = None,
         start_execution: Optional[ActivityMaker] = None,
         first: Optional[str] = None,
+        runs: Optional[str] = None,
     ) -> None:
         self.sessions = Sessions()
         self._folder = folder
         self._start_execution = start_execution
-        self._first = FILE_KEY + first if first is not None else None
+        self._first = FILE_KEY + folder.name(first) if first is not None and folder is not None else None
+        self._server = secrets.token_hex(8)
+        self._runs = runs
+        self._cut = cut_runs(runs) if runs is not None else []
 
     def show(self, session: Session) -> None:
         """Open with this session."""
         self._first = self.sessions.get_or_open(session.key, lambda: session).key
 
     def to_json(self) -> Dict[str, Any]:
-        """What the opening screen shows."""
+        """What the opening screen shows; ``server`` tells one start of a server from another, ``cut`` the runs that
+        were cut off when an earlier one died."""
         entries = self._folder.entries() if self._folder is not None else []
         return {
+            "server": self._server,
             "first": self._first,
             "can_open": self._folder is not None,
             "files": [entry._asdict() for entry in entries],
+            "cut": [{"path": r.path, "log": self._log_name(r.log), "events": r.events} for r in self._cut],
         }
 
-    def open(self, path: str) -> Session:
-        """The session of a file of the folder. :raises GspnError: it cannot be opened."""
+    def _log_name(self, log: str) -> Optional[str]:
+        """A log as a path in the folder; None where it lies elsewhere."""
+        return self._folder.inside(log) if self._folder is not None else None
+
+    def open(self, path: str, room: bool = True) -> Session:
+        """The session of a file of the folder, one for each file however its path is written.
+
+        :param room: see :meth:`~gspn_framework_package.visualizer.session.Sessions.get_or_open`.
+        :raises GspnError: it cannot be opened.
+        """
         if self._folder is None:
             raise InputError("no folder is served here")
-        folder = self._folder
-        return self.sessions.get_or_open(FILE_KEY + path, lambda: self._make(folder, path))
+        folder, name = self._folder, self._folder.name(path)
+        session = self.sessions.get_or_open(FILE_KEY + name, lambda: self._make(folder, name), room)
+        self._take_note(lambda run: self._log_name(run.log) == name)
+        return session
 
-    def session(self, key: str) -> Session:
+    def session(self, key: str, room: bool = False) -> Session:
         """The session of a key; a file's is opened again where it is not open any more (the server
         was restarted)."""
         if key.startswith(FILE_KEY) and self._folder is not None:
-            return self.open(key[len(FILE_KEY) :])
+            known = self.sessions.known(key)
+            return known or self.open(key[len(FILE_KEY) :], room)
         return self.sessions.get(key)
+
+    def told(self, text: str) -> str:
+        """A message without the folders of this machine, which are no viewer's business."""
+        for folder in (self._folder.root if self._folder is not None else None, self._runs):
+            if folder is not None and len(folder) > 1:
+                text = text.replace(folder.rstrip(os.sep) + os.sep, "").replace(folder, "the folder")
+        return text
 
     def _make(self, folder: Folder, path: str) -> Session:
         if folder.kind(path) == "log":
             return self._recorded(folder, path)
         document: Document = folder.open(path)
-        return Session(FILE_KEY + path, document, start_execution=self._start_execution)
+        start = self._execute if self._start_execution is not None else None
+        return Session(FILE_KEY + path, document, start_execution=start, reopens=True)
+
+    def _execute(self, document: Document) -> Activity:
+        assert self._start_execution is not None
+        execution = self._start_execution(document)
+        self._take_note(lambda run: run.path == document.title)
+        return execution
+
+    def _take_note(self, which: Callable[[CutRun], bool]) -> None:
+        """Somebody looks at a run that was cut off, or starts its plan again."""
+        for run in [run for run in self._cut if which(run)]:
+            run.forget()
+            self._cut = [r for r in self._cut if r is not run]
 
     @staticmethod
     def _recorded(folder: Folder, path: str) -> Session:
         if path.endswith(".bag"):
             bag = BagReplay(folder.resolve(path), plans_of(folder))
-            return Session(FILE_KEY + path, bag.document(path), bag)
+            return Session(FILE_KEY + path, bag.document(path), bag, reopens=True)
         replay = Replay.of_file(folder.resolve(path))
-        return Session(FILE_KEY + path, replay.document(path), replay)
+        return Session(FILE_KEY + path, replay.document(path), replay, reopens=True)
 
     def close(self) -> None:
         """End everything."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import logging
 import socket
 import threading
-from typing import Any, Callable, Optional, Sequence
+from typing import Any, Callable, Dict, Optional, Sequence
 
 import waitress
 
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.visualizer.app import UPLOAD_BYTES, create_app
-from gspn_framework_package.visualizer.guard import Guard, is_loopback
+from gspn_framework_package.visualizer.guard import OPERATOR, VIEWER, Guard, is_loopback
 from gspn_framework_package.visualizer.project import Project
 
 DEFAULT_PORT = 8090
@@ -32,8 +32,9 @@ class WebServer:
     :param port: 0 for any free one.
     :param names: further names that browsers may call this machine by.
     :param token: see :class:`~gspn_framework_package.visualizer.guard.Guard`.
+    :param viewer_token: the token of those who may only look.
     :param viewers: how many streams are served at once.
-    :raises InputError: the address cannot be listened on.
+    :raises InputError: the address cannot be listened on, or a token is too short.
     """
 
     def __init__(
@@ -44,6 +45,7 @@ class WebServer:
         names: Sequence[str] = (),
         token: Optional[str] = None,
         viewers: int = 24,
+        viewer_token: Optional[str] = None,
     ) -> None:
         logging.getLogger("waitress.queue").setLevel(logging.ERROR)
         self.project = project
@@ -69,7 +71,7 @@ class WebServer:
             ) from None
         self.host = host
         self.port = int(self._server.effective_port)
-        self.guard = Guard(host, self.port, names, token)
+        self.guard = Guard(host, self.port, names, token, viewer_token)
         self._app = create_app(project, self.guard, viewers)
         self._thread: Optional[threading.Thread] = None
 
@@ -78,13 +80,21 @@ class WebServer:
 
     @property
     def address(self) -> str:
-        """Where the page is, with the token it asks for."""
+        """Where the page is."""
         if is_loopback(self.host):
             name = "[%s]" % self.host if ":" in self.host else self.host
         else:
             name = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host
-        token = "#token=%s" % self.guard.token if self.guard.token else ""
-        return "http://%s:%d/%s" % (name, self.port, token)
+        return "http://%s:%d/" % (name, self.port)
+
+    @property
+    def invitations(self) -> Dict[str, str]:
+        """The address for each role, with the token it asks for: for the terminal of who started the server, and for
+        nothing that others read."""
+        tokens = {OPERATOR: self.guard.token, VIEWER: self.guard.viewer_token}
+        if self.guard.token is None:
+            return {OPERATOR: self.address}
+        return {role: "%s#token=%s" % (self.address, token) for role, token in tokens.items() if token is not None}
 
     def run(self) -> None:
         """Serve until interrupted."""

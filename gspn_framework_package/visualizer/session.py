@@ -16,8 +16,7 @@ from gspn_framework_package.visualizer.scene import layout_to_json, scene_to_jso
 from gspn_framework_package.visualizer.simulation import Simulation
 
 SESSIONS = 24
-"""How many nets are open at once; the one that was used least recently, and runs nothing, is
-closed."""
+"""How many nets are open at once; for another one, that is closed which is missed least."""
 
 ActivityMaker = Callable[[Document], Activity]
 
@@ -30,6 +29,7 @@ class Session:
     :param activity: what goes on at first; the simulation by default.
     :param start_execution: makes the execution of an executable plan; None where plans cannot be
         executed (a page that watches a ROS team).
+    :param reopens: it comes from a file, and can be opened again.
     """
 
     def __init__(
@@ -38,12 +38,18 @@ class Session:
         document: Document,
         activity: Optional[Activity] = None,
         start_execution: Optional[ActivityMaker] = None,
+        reopens: bool = False,
     ) -> None:
         self.key = key
         self.document = document
         self.scene = scene_to_json(document.net, document.plan)
         self.hub = Hub("", Board(len(document.net.transitions), document.net.initial_marking))
+        self.reopens = reopens
+        self.touched = False
+        """Whether anybody gave it a command."""
         self._lock = threading.RLock()
+        self._layout = threading.Lock()
+        self._starting = False
         self._start_execution = start_execution
         self._home = activity
         self.activity: Activity = activity or Simulation(document.net)
@@ -69,18 +75,20 @@ class Session:
         """Do what the page asks: start and stop of an execution, and what the activity offers.
 
         An order for a run names it in the field ``run``: one that another run has taken the place of gets no orders.
+        What takes long (a layout, the check before a start) holds nobody else's commands.
 
         :raises GspnError: it cannot be done, and why.
         """
         meant = text_field(fields, "run", "")
+        if name == "layout":
+            return self._lay_out()
+        self.touched = True
+        if name == "start":
+            return self._start(fields)
+        if name == "simulate":
+            return self._simulate()
         with self._lock:
-            if name == "start":
-                return self._start(fields)
-            if name == "simulate":
-                return self._simulate()
-            if name == "layout":
-                return layout_to_json(self.document.net, lay_out(self.document.net, anew=True))
-            shown = str(self.hub.board().status.get("run") or "")
+            shown = str(self.hub.status().get("run") or "")
             if meant not in ("", shown):
                 raise RefusedError(
                     "the order is for run '%s'; %s: nothing was done"
@@ -88,6 +96,14 @@ class Session:
                 )
             activity = self.activity
         return activity.command(name, fields)
+
+    def _lay_out(self) -> Dict[str, Any]:
+        if not self._layout.acquire(blocking=False):
+            raise RefusedError("it is being laid out already", hint="wait for that")
+        try:
+            return layout_to_json(self.document.net, lay_out(self.document.net, anew=True))
+        finally:
+            self._layout.release()
 
     def _start(self, fields: Fields) -> Dict[str, Any]:
         if not self.document.executable:
@@ -99,21 +115,31 @@ class Session:
             raise RefusedError("plans are not executed from here")
         if fields.get("confirmed") is not True:
             raise UsageError("starting an execution asks for a confirmation")
-        if self._is_running():
-            raise RefusedError("it is running already")
-        self._switch(self._start_execution(self.document))
+        with self._lock:
+            if self._starting or self._is_running():
+                raise RefusedError("it is running already")
+            self._starting = True
+        try:
+            execution = self._start_execution(self.document)
+            with self._lock:
+                self._switch(execution)
+        finally:
+            self._starting = False
         return {}
 
     def _simulate(self) -> Dict[str, Any]:
         if self._home is not None:
             raise RefusedError("there is nothing to simulate here")
-        if self._is_running():
-            raise RefusedError("it is being executed", hint="stop the execution first")
-        self._switch(Simulation(self.document.net))
+        simulation = Simulation(self.document.net)
+        with self._lock:
+            if self._starting or self._is_running():
+                raise RefusedError("it is being executed", hint="stop the execution first")
+            self._switch(simulation)
         return {}
 
     def _is_running(self) -> bool:
-        return bool(self.hub.board().status.get("running"))
+        running = self.activity.running
+        return bool(self.hub.status().get("running")) if running is None else running
 
     def _switch(self, activity: Activity) -> None:
         old, self.activity = self.activity, activity
@@ -121,15 +147,20 @@ class Session:
         activity.begin(self.hub)
 
     @property
-    def idle(self) -> bool:
-        """Whether it may be closed without anybody losing more than a simulation."""
-        return not self._is_running()
+    def loss(self) -> Optional[int]:
+        """How much is lost if it is closed, from 0 (nothing: it is a file, and as it was opened) to 3 (somebody
+        looks at it); None where it must not be closed, since it runs."""
+        with self._lock:
+            if self._starting or self._is_running():
+                return None
+        worked_on = self.touched or not self.reopens
+        return 2 * int(self.hub.viewers > 0) + int(worked_on)
 
-    def close(self) -> None:
-        """End whatever goes on."""
+    def close(self, why: str = "the server ends") -> None:
+        """End whatever goes on, and tell those that look on."""
         with self._lock:
             self.activity.end()
-        self.hub.close()
+        self.hub.close(why)
 
 
 class Sessions:
@@ -148,27 +179,56 @@ class Sessions:
             self._sessions.move_to_end(key)
             return self._sessions[key]
 
-    def get_or_open(self, key: str, make: Callable[[], Session]) -> Session:
-        """The session of that key, made if there is none."""
+    def known(self, key: str) -> Optional[Session]:
+        """The session of that key, None where there is none."""
+        with self._lock:
+            if key in self._sessions:
+                self._sessions.move_to_end(key)
+            return self._sessions.get(key)
+
+    def get_or_open(self, key: str, make: Callable[[], Session], room: bool = True) -> Session:
+        """The session of that key, made if there is none.
+
+        :param room: where too many are open, close the one that is missed least; otherwise it is refused.
+        :raises RefusedError: there is no room for it.
+        """
         with self._lock:
             if key in self._sessions:
                 self._sessions.move_to_end(key)
                 return self._sessions[key]
+            self._check_room(room)
         session = make()
-        with self._lock:
-            known = self._sessions.setdefault(key, session)
-            closed = self._surplus()
+        closed: List[Session] = []
+        try:
+            with self._lock:
+                if key not in self._sessions:
+                    self._check_room(room)
+                    self._sessions[key] = session
+                    closed = self._surplus(key)
+                known = self._sessions[key]
+        except RefusedError:
+            session.close()
+            raise
         for old in closed + ([session] if known is not session else []):
-            old.close()
+            old.close("it was closed on the server, to make room for another net")
         return known
 
-    def _surplus(self) -> List[Session]:
-        closed = []
-        for key in list(self._sessions)[:-1]:
-            if len(self._sessions) <= self._limit:
+    def _check_room(self, room: bool) -> None:
+        full = len(self._sessions) >= self._limit
+        if full and not room:
+            raise RefusedError("%d nets are open already" % self._limit, hint="open it from the list of files")
+        if full and all(session.loss is None for session in self._sessions.values()):
+            raise RefusedError("%d plans are being executed already" % self._limit, hint="stop one of them")
+
+    def _surplus(self, new: str) -> List[Session]:
+        """Those to be closed for a new one: where least is lost, and of these the one used least recently."""
+        closed: List[Session] = []
+        while len(self._sessions) > self._limit:
+            known = [(s.loss, key) for key, s in self._sessions.items() if key != new]
+            losses = [(loss, key) for loss, key in known if loss is not None]
+            if not losses:
                 break
-            if self._sessions[key].idle:
-                closed.append(self._sessions.pop(key))
+            closed.append(self._sessions.pop(min(losses, key=lambda item: item[0])[1]))
         return closed
 
     def close(self) -> None:

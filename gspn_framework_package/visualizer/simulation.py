@@ -153,7 +153,10 @@ class Simulation(Activity):
         for name, value in given.items():
             if isinstance(value, bool) or not isinstance(value, (int, float)):
                 raise UsageError("the firing probability of '%s' is not a number" % name[:80])
-            probabilities[self.net.transition_number(name)] = float(value)
+            try:
+                probabilities[self.net.transition_number(name)] = float(value)
+            except OverflowError:
+                raise UsageError("the firing probability of '%s' is too large" % name[:80]) from None
         self._simulator.set_probabilities(probabilities)
         self._hub.change_info(
             probabilities={str(t): p for t, p in probabilities.items()}

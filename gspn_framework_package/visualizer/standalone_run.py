@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+import threading
 import time
 import uuid
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
-from gspn_framework_package.execution.team_state import TeamState
-from gspn_framework_package.model.errors import RefusedError
+from gspn_framework_package.execution.team_state import GONE, Phase, RobotState, TeamState
+from gspn_framework_package.model.errors import ExecutionError, LogError, RefusedError
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.visualizer.activity import Activity, Fields, text_field
+from gspn_framework_package.visualizer.activity import Activity, Fields, Handler, text_field
 from gspn_framework_package.visualizer.board import Event
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.feedback import Feedback
 from gspn_framework_package.visualizer.hub import Hub
+from gspn_framework_package.visualizer.run_marks import RunMark
 from gspn_framework_package.visualizer.team_events import TeamEvents
 
 RUNS = "runs"
 """The folder, in the served one, that recorded runs are kept in."""
+
+STOP_SECONDS = 5.0
+"""Seconds that a run may take to react to an order to stop; it is given up then."""
+
+LAST_SECONDS = 2.0
+"""The same, when the page's server ends."""
 
 
 class StandaloneRun(Activity, Listener):
@@ -44,22 +53,51 @@ class StandaloneRun(Activity, Listener):
         report = check(plan, standalone=True)
         if report.refused:
             raise RefusedError("the check refuses this plan: %s" % " ".join(str(report).split()))
-        self.path = _log_path(runs, plan) if runs is not None else None
-        writer = None
-        if self.path is not None:
-            run = os.path.basename(self.path)[: -len(".jsonl")]
-            writer = EventLogWriter(self.path, header(plan, run, "", uuid.uuid4().hex, agents=True))
         self._plan = plan
-        self._executor = StandaloneExecutor(plan, self, writer)
+        self._executor = StandaloneExecutor(plan, self)
+        self.run = _run_name(plan)
+        self.path: Optional[str] = None
+        self._log: Optional[EventLogWriter] = None
+        self._mark: Optional[RunMark] = None
+        self._title = document.title
+        if runs is not None:
+            self._record(runs)
         self._events = TeamEvents(self._executor.game)
-        self._visits: Dict[str, int] = {}
+        self._over = threading.Lock()
+        self._told_end = False
         self.commands = {
-            "stop": self._order(lambda fields: log.Stop("stopped on the page")),
-            "pause": self._order(lambda fields: log.Pause("")),
-            "resume": self._order(lambda fields: log.Resume("")),
-            "retry": self._order(lambda fields: log.Retry(text_field(fields, "robot"))),
-            "fire": self._order(lambda fields: log.Fire(self._transition(fields))),
+            "stop": self._stop,
+            "pause": self._order("{whom} is paused", lambda f: log.Pause(self._whom(f))),
+            "resume": self._order("{whom} goes on", lambda f: log.Resume(self._whom(f))),
+            "retry": self._order("{whom} tries again", lambda f: log.Retry(self._failed(f))),
+            "leave": self._order("{whom} leaves", lambda f: log.Leave(self._agent(f))),
+            "set_place": self._order(
+                "{whom} is put into {place}", lambda f: log.SetPlace(self._agent(f), self._place(f))
+            ),
+            "fire": self._order("{transition} is fired", lambda f: log.Fire(self._transition(f))),
         }
+
+    def _record(self, runs: str) -> None:
+        """Begin an event log: a new file, named after the run."""
+        self.run, self.path = _new_file(runs, self.run)
+        first = header(self._plan, self.run, "", uuid.uuid4().hex, agents=True)
+        try:
+            self._log = EventLogWriter(self.path, first, fsync=self._plan.fsync)
+            self._mark = RunMark(self.path, self._title)
+        except LogError as error:
+            self._close_log()
+            with contextlib.suppress(OSError):
+                os.remove(self.path)
+            raise ExecutionError(
+                "the run cannot be recorded: %s" % error.message,
+                hint="make room, or record somewhere else ('gspn serve --record FOLDER')",
+            ) from None
+        self._executor.record_to(self._log)
+
+    @property
+    def running(self) -> bool:
+        """Whether the plan is being executed."""
+        return not self._told_end
 
     def begin(self, hub: Hub) -> None:
         """Start the run."""
@@ -70,23 +108,73 @@ class StandaloneRun(Activity, Listener):
             "says": "%s runs on this server" % self._plan.name,
         }
         if self.path is not None:
-            info["log"] = self.path
-        hub.restart(self.mode, self._events.board(running=True), info)
+            whole = os.path.abspath(self.path).split(os.sep)
+            info["log"] = os.path.join(*whole[-2:])  # a viewer need not know this machine's folders
+        hub.restart(self.mode, self._events.board(running=True, run=self.run), info)
         self._executor.start()
 
     def end(self) -> None:
         """Stop the run, and wait a moment for its end."""
-        self._executor.stop("the page was closed")
-        self._executor.wait(2.0)
+        self._stop_it("the page was closed", LAST_SECONDS)
 
-    def _order(self, entry: Any) -> Any:
+    def _stop(self, fields: Fields) -> Dict[str, Any]:
+        """End the run; it is over when this returns."""
+        if self._told_end:
+            raise RefusedError("the run is over")
+        reason = str(fields.get("reason") or "").strip()[:200] or "stopped on the page"
+        self._stop_it(reason, STOP_SECONDS)
+        return {"message": "the run is over"}
+
+    def _stop_it(self, reason: str, seconds: float) -> None:
+        self._executor.stop(reason)
+        with contextlib.suppress(ExecutionError):  # the page was told
+            self._executor.wait(seconds)
+        if not self._executor.over:
+            self._ended(
+                "it did not react to the order to stop (%s) within %g s, and was given up" % (reason, seconds),
+                fault=True,
+            )
+
+    def _order(self, message: str, entry: Callable[[Fields], log.Entry]) -> Handler:
+        """The handler of a command that becomes an entry of the log; ``message`` says what was done, with the fields
+        of the entry."""
+
         def run(fields: Fields) -> Dict[str, Any]:
-            if self._executor.result is not None:
+            if self._told_end:
                 raise RefusedError("the run is over")
-            self._executor.order(entry(fields))
-            return {}
+            made = entry(fields)
+            self._executor.order(made)
+            named = {**made._asdict(), "whom": getattr(made, "robot", "") or "the team"}
+            return {"message": message.format(**named)}
 
         return run
+
+    def _agent(self, fields: Fields) -> str:
+        return self._robot(fields).name
+
+    def _robot(self, fields: Fields) -> RobotState:
+        name = text_field(fields, "robot")
+        robot = self._executor.state.robots.get(name)
+        if robot is None or robot.phase in GONE:
+            raise RefusedError("there is no agent '%s' in the run" % name[:80])
+        return robot
+
+    def _whom(self, fields: Fields) -> str:
+        """The agent that is meant, "" for all."""
+        return self._agent(fields) if fields.get("robot") else ""
+
+    def _failed(self, fields: Fields) -> str:
+        robot = self._robot(fields)
+        if robot.phase is not Phase.FAILED:
+            raise RefusedError("the action of %s has not failed" % robot.name)
+        return robot.name
+
+    def _place(self, fields: Fields) -> str:
+        name = text_field(fields, "place")
+        self._plan.net.place_number(name)
+        if name in self._plan.resource_places:
+            raise RefusedError("'%s' is a resource place: no agent can be in it" % name)
+        return name
 
     def _transition(self, fields: Fields) -> str:
         name = text_field(fields, "transition")
@@ -103,6 +191,8 @@ class StandaloneRun(Activity, Listener):
         state: TeamState,
     ) -> None:
         """On the executor's thread: events for the hub."""
+        if self._told_end:
+            return  # it was given up; the hub is no longer its own
         self._hub.publish(*self._events.step(entries, firings, state))
         for entry in entries:
             if isinstance(entry, (log.Done, log.Failed)):
@@ -110,27 +200,55 @@ class StandaloneRun(Activity, Listener):
 
     def on_feedback(self, agent: str, visit: int, progress: Tuple[Any, ...]) -> None:
         """On the action's thread."""
-        self._feedback.tell(agent, "feedback: %s" % ", ".join(str(p) for p in progress))
+        if not self._told_end:
+            self._feedback.tell(agent, "feedback: %s" % ", ".join(str(p) for p in progress))
 
     def on_fault(self, agent: str, message: str) -> None:
         """On the executor's thread."""
-        self._hub.publish({"k": "note", "level": "fault", "robot": agent, "text": message})
+        if not self._told_end:
+            self._hub.publish({"k": "note", "level": "fault", "robot": agent, "text": message})
 
     def on_end(self, reason: str, finished: bool) -> None:
         """On the executor's thread."""
+        self._ended(reason, finished)
+        self._close_log()
+
+    def on_broken(self, reason: str) -> None:
+        """On the executor's thread."""
+        if self.path is not None:
+            reason = reason.replace(self.path, os.path.basename(self.path))
+        self._ended(reason, fault=True)
+        self._close_log()
+
+    def _ended(self, reason: str, finished: bool = False, fault: bool = False) -> None:
+        """Tell the end, once."""
+        with self._over:
+            if self._told_end:
+                return
+            self._told_end = True
         events: List[Event] = self._events.status(
-            running=False, ended=reason, finished=finished, stalled=""
+            running=False, ended=reason, finished=finished, stalled="", fault=fault
         )
+        if fault:
+            events.append({"k": "note", "level": "fault", "robot": "", "text": reason})
         self._hub.publish(*events)
 
+    def _close_log(self) -> None:
+        if self._log is not None:
+            self._log.close()
+        if self._mark is not None:
+            self._mark.remove()
 
-def _log_path(runs: str, plan: Plan) -> str:
-    """A new file, named after the plan and the time."""
+
+def _run_name(plan: Plan) -> str:
+    """After the plan and the time."""
     name = re.sub(r"[^A-Za-z0-9_-]+", "_", plan.name).strip("_") or "plan"
-    stem = "%s-%s" % (name, time.strftime("%Y%m%d-%H%M%S"))
-    path = os.path.join(runs, stem + ".jsonl")
-    number = 2
-    while os.path.exists(path):
-        path = os.path.join(runs, "%s-%d.jsonl" % (stem, number))
-        number += 1
-    return path
+    return "%s-%s" % (name, time.strftime("%Y%m%d-%H%M%S"))
+
+
+def _new_file(runs: str, stem: str) -> Tuple[str, str]:
+    """A name like ``stem`` that no log in ``runs`` has yet, and the path of its log."""
+    run, number = stem, 2
+    while os.path.exists(os.path.join(runs, run + ".jsonl")):
+        run, number = "%s-%d" % (stem, number), number + 1
+    return run, os.path.join(runs, run + ".jsonl")

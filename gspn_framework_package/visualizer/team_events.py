@@ -29,13 +29,15 @@ class TeamEvents:
         self._robots: Dict[str, Dict[str, Any]] = {}
         self._status: Dict[str, Any] = {}
 
-    def board(self, running: bool) -> Board:
-        """The board before the run begins."""
+    def board(self, running: bool, run: str = "") -> Board:
+        """The board before the run of that name begins."""
         self._status = {
+            "run": run,
             "running": running,
             "paused": False,
             "ended": None,
             "finished": False,
+            "fault": False,
             "stalled": "",
         }
         return Board(

@@ -42,7 +42,7 @@ class Site:
 
     @property
     def address(self):
-        return self.server.address
+        return self.server.invitations["operator"]
 
     def session(self, key="net"):
         return self.project.sessions.get(key)
@@ -81,7 +81,7 @@ def _serve_folder(site, tmp_path):
     def make(folder=None, **options):
         folder = folder or ROOT / "plans"
         runs = str(tmp_path / "runs")
-        return site(Project(Folder(str(folder)), lambda document: StandaloneRun(document, runs)), **options)
+        return site(Project(Folder(str(folder)), lambda document: StandaloneRun(document, runs), runs=runs), **options)
 
     return make
 

@@ -9,6 +9,7 @@ import pytest
 from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 
+sys.path.append(str(Path(__file__).parent))
 sys.path.append(str(Path(__file__).parents[1] / "rostest" / "support"))  # "waiting", which needs no ROS
 
 

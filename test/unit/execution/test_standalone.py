@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any, Dict, List, Tuple
 
 import pytest
+from full_disk import fill_the_disk
 from waiting import wait_for
 
 from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.standalone import AgentState, Listener, StandaloneExecutor
 from gspn_framework_package.execution.token_game import TokenGame
@@ -246,12 +248,71 @@ def test_a_listener_that_breaks_does_not_break_silently(tmp_path: Path) -> None:
         def on_step(self, *args: Any) -> None:
             raise ValueError("full disk")
 
+        def on_broken(self, reason: str) -> None:
+            told.append(reason)
+
+    told: List[str] = []
     executor = StandaloneExecutor(
         write_plan(tmp_path, "def go(): pass\n", net=LINE, tokens={"P1": 1}), Broken()
     )
     executor.start()
     with pytest.raises(ExecutionError, match="full disk"):
         executor.wait(DEADLINE)
+    assert executor.over and told == ["the run broke off: ValueError: full disk"]
+
+
+RING = {"T1": (True, ["P1"], ["P2"]), "T2": (True, ["P2"], ["P1"])}
+
+
+def test_a_full_log_ends_the_run_and_is_told_as_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ends: List[Tuple[str, bool]] = []
+
+    class Told(Recorder):
+        def on_end(self, reason: str, finished: bool) -> None:
+            ends.append((reason, finished))
+
+    plan = write_plan(tmp_path, "def go(): pass\n", net=RING, tokens={"P1": 1})
+    fill_the_disk(monkeypatch, after=20_000)
+    recorder = Told()
+    executor = StandaloneExecutor(plan, recorder, EventLogWriter(str(tmp_path / "log"), header(plan, "r", "", "x")))
+    executor.start()
+    with pytest.raises(ExecutionError, match="No space left"):
+        executor.wait(DEADLINE)
+    assert executor.over and len(ends) == 1 and not ends[0][1] and "No space left" in ends[0][0]
+    assert recorder.faults == [ends[0][0]]
+    assert len(list(replay(read_log(str(tmp_path / "log"))))) > 5  # what had room can be read
+
+
+def test_an_end_that_cannot_be_recorded_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ends: List[str] = []
+
+    class Told(Recorder):
+        def on_end(self, reason: str, finished: bool) -> None:
+            ends.append(reason)
+
+    plan = write_plan(tmp_path, "def go(is_cancelled): is_cancelled.wait(60)\n", net=RING, tokens={"P1": 1})
+    recorder = Told()
+    writer = EventLogWriter(str(tmp_path / "log"), header(plan, "r", "", "x"))
+    executor = StandaloneExecutor(plan, recorder, writer)
+    executor.start()
+    recorder.until(lambda: recorder.entries)
+    writer.close()  # whatever is written from now on fails, the line about the end too
+    executor.stop()
+    with pytest.raises(ExecutionError, match="closed file"):
+        executor.wait(DEADLINE)
+    assert executor.over and len(ends) == 1
+
+
+def test_an_exception_that_cannot_be_told_fails_its_action_like_any_other(tmp_path: Path) -> None:
+    code = (
+        "class Mute(Exception):\n    def __str__(self): raise RuntimeError('mute')\n"
+        "def go(): raise Mute()\n"
+    )
+    executor, recorder = run(write_plan(tmp_path, code, net=LINE, tokens={"P1": 1}))
+    recorder.until(lambda: recorder.faults)
+    assert "Mute" in recorder.faults[0]
+    executor.stop()
+    assert executor.wait(DEADLINE) is not None
 
 
 def test_a_place_bound_to_a_server_cannot_run_without_ros(tmp_path: Path) -> None:

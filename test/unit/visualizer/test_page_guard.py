@@ -3,7 +3,8 @@
 import pytest
 from page_client import HOST, PageClient
 
-from gspn_framework_package.visualizer.guard import COOKIE, Guard
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.visualizer.guard import GUESSES, Guard
 
 
 @pytest.fixture(name="client")
@@ -86,27 +87,112 @@ def test_every_answer_carries_the_security_headers(client):
         assert answer.headers["Referrer-Policy"] == "no-referrer"
 
 
+BEYOND = {"Host": "10.0.0.5:8090", "Origin": "http://10.0.0.5:8090"}
+
+
+def log_in(client, token):
+    answer = client.post("/api/login", {"token": token}, **BEYOND)
+    for cookie in answer.headers.getlist("Set-Cookie"):
+        name, value = cookie.split(";")[0].split("=")
+        client.client.set_cookie("10.0.0.5", name, value)
+    return answer
+
+
 def test_beyond_this_machine_a_token_is_needed():
     guard = Guard("10.0.0.5", 8090)
     assert guard.token and len(guard.token) > 20
     client = PageClient(guard=guard)
-    host = {"Host": "10.0.0.5:8090"}
-    assert client.get("/api/hello", **host).status_code == 401
-    assert client.get("/api/poll?id=small", **host).status_code == 401
-    wrong = client.post("/api/login", {"token": "guess"}, Origin="http://10.0.0.5:8090", **host)
-    assert wrong.status_code == 401
-    right = client.post("/api/login", {"token": guard.token}, Origin="http://10.0.0.5:8090", **host)
+    assert client.get("/api/hello", **BEYOND).status_code == 401
+    assert client.get("/api/poll?id=small", **BEYOND).status_code == 401
+    assert client.post("/api/do?id=small", {"command": "step"}, **BEYOND).status_code == 401
+    assert log_in(client, "guess").status_code == 401
+    right = log_in(client, guard.token)
     assert right.status_code == 200
     cookie = right.headers["Set-Cookie"]
-    assert COOKIE in cookie and "HttpOnly" in cookie and "SameSite=Strict" in cookie
-    client.client.set_cookie("10.0.0.5", COOKIE, guard.token)
-    assert client.get("/api/hello", **host).status_code == 200
+    assert "HttpOnly" in cookie and "SameSite=Strict" in cookie and guard.token not in cookie
+    assert client.get("/api/hello", **BEYOND).get_json()["role"] == "operator"
+    assert client.post("/api/do?id=small", {"command": "step"}, **BEYOND).status_code == 200
 
 
-def test_on_loopback_no_token_is_needed():
-    assert Guard("127.0.0.1", 1).token is None
-    assert Guard("::1", 1).token is None
-    assert Guard("0.0.0.0", 1).token is not None
+def test_the_viewers_token_may_look_and_do_nothing():
+    guard = Guard("10.0.0.5", 8090)
+    client = PageClient(guard=guard)
+    assert log_in(client, guard.viewer_token).status_code == 200
+    assert client.get("/api/hello", **BEYOND).get_json()["role"] == "viewer"
+    assert client.get("/api/session?id=small", **BEYOND).status_code == 200
+    posts = [rule.rule for rule in client.app.url_map.iter_rules() if "POST" in rule.methods]
+    for rule in posts:
+        if rule != "/api/login":
+            refused = client.post(rule.replace("<job>", "x") + "?id=small", {"command": "step"}, **BEYOND)
+            assert refused.status_code == 403 and "may only look" in refused.get_json()["error"], rule
+    assert client.get("/api/poll?id=small", **BEYOND).get_json()["snapshot"]["board"]["n"] == 0
+    assert log_in(client, guard.token).status_code == 200  # who knows the other one may go on with that
+    assert client.post("/api/do?id=small", {"command": "step"}, **BEYOND).status_code == 200
+
+
+def test_on_loopback_no_token_is_needed_and_everybody_is_an_operator():
+    for host in ("127.0.0.1", "::1"):
+        assert Guard(host, 1).token is None and Guard(host, 1).viewer_token is None
+    both = Guard("0.0.0.0", 1)
+    assert both.token and both.viewer_token and both.token != both.viewer_token
+    assert PageClient().get("/api/hello").get_json()["role"] == "operator"
+    assert Guard("127.0.0.1", 1, viewer_token="v" * 16).token  # a role that may do less asks for one that may do more
+
+
+@pytest.mark.parametrize("token", ["a", "x" * 15, "", "\u00e9" * 20, "a\nb" * 10])
+def test_a_token_that_is_short_or_no_plain_text_is_refused(token):
+    for field in ("token", "viewer_token"):
+        with pytest.raises(UsageError, match="at least 16 characters"):
+            Guard("127.0.0.1", 1, **{field: token})
+    with pytest.raises(UsageError, match="the same"):
+        Guard("127.0.0.1", 1, token="x" * 16, viewer_token="x" * 16)
+
+
+def test_guessing_is_limited_and_keeps_nobody_out_who_has_a_cookie():
+    now = [1000.0]
+    guard = Guard("10.0.0.5", 8090, time_source=lambda: now[0])
+    known, guesser = PageClient(guard=guard), PageClient(guard=guard)
+    log_in(known, guard.token)
+    for i in range(GUESSES):
+        assert log_in(guesser, "guess %d" % i).status_code == 401
+    assert log_in(guesser, guard.token).status_code == 429  # it is not even looked at
+    assert guesser.get("/api/hello", X_Gspn_Token=guard.token, **BEYOND).status_code == 429
+    assert known.get("/api/hello", **BEYOND).status_code == 200
+    now[0] += 61
+    assert log_in(guesser, guard.token).status_code == 200
+
+
+def test_cookies_cannot_be_guessed_faster_and_old_ones_keep_nobody_from_a_login():
+    guard = Guard("10.0.0.5", 8090)
+    client = PageClient(guard=guard)
+    looked_at = []
+    seal = guard._seal
+    guard._seal = lambda nonce, role: looked_at.append(nonce) or seal(nonce, role)
+    for i in range(3 * GUESSES):  # a page that was open when the server was started again
+        client.client.set_cookie("10.0.0.5", guard.cookie, "%088x" % i)
+        assert client.get("/api/hello", **BEYOND).status_code == 401
+    assert len(set(looked_at)) <= GUESSES
+    log_in(client, guard.token)
+    assert client.get("/api/hello", **BEYOND).status_code == 200
+
+
+def test_a_cookie_outlives_a_server_with_the_same_token_and_no_other():
+    first = PageClient(guard=Guard("10.0.0.5", 8090, token="s" * 20))
+    cookie = log_in(first, "s" * 20).headers["Set-Cookie"].split(";")[0].split("=")
+    for token, status in (("s" * 20, 200), ("t" * 20, 401)):
+        again = PageClient(guard=Guard("10.0.0.5", 8090, token=token))
+        again.client.set_cookie("10.0.0.5", *cookie)
+        assert again.get("/api/hello", **BEYOND).status_code == status
+
+
+def test_two_servers_on_one_machine_keep_their_cookies_apart():
+    assert Guard("10.0.0.5", 8090).cookie != Guard("10.0.0.5", 8091).cookie
+
+
+@pytest.mark.parametrize("path", ["/api/hello", "/api/session?id=small", "/api/poll?id=small", "/api/stream?id=small"])
+def test_a_get_for_another_site_is_refused(client, path):
+    assert client.get(path, Sec_Fetch_Site="cross-site").status_code == 403
+    assert client.get("/", Sec_Fetch_Site="cross-site").status_code == 200  # a link to the page
 
 
 def test_debug_is_off(client):
@@ -130,9 +216,9 @@ def test_the_number_of_steps_is_limited(client, steps):
 
 def test_a_request_that_is_too_large_is_refused(client):
     answer = client.post("/api/upload", data=b"x" * 12_000_001)
-    assert answer.status_code == 413
+    assert answer.status_code == 413 and "up to 8 MB" in answer.get_json()["error"]
     answer = client.post("/api/do?id=small", {"command": "step", "padding": "x" * 2_000_001})
-    assert answer.status_code == 413
+    assert answer.status_code == 413 and "up to 2 MB" in answer.get_json()["error"]
     assert client.board()["n"] == 0
 
 

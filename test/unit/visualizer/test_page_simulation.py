@@ -98,7 +98,20 @@ def test_firing_probabilities_of_the_user():
     assert latest["choices"] == [[1, 1.0]]
 
 
-@pytest.mark.parametrize("given", [None, [], {"a": -1}, {"a": "x"}, {"nonsense": 1}, {"t": True}])
+def test_huge_probabilities_are_shares_like_others():
+    net = NetBuilder().place("p", 1)
+    for name in ("a", "b", "c"):
+        net = net.exponential(name, 1e308, inputs="p", outputs="p")
+    client = open_net(net.build())
+    assert client.do("probabilities", probabilities={"a": 1e308, "b": 1e308, "c": 0}).status_code == 200
+    assert client.get("/api/poll?id=small").get_json()["latest"]["choices"] == [[0, 0.5], [1, 0.5]]
+    assert client.do("step", steps=100).get_json()["fired"] == 100
+    assert client.board()["counts"][2] == 0
+    assert client.do("probabilities", probabilities={}).status_code == 200
+    assert client.do("step", steps=100).get_json()["fired"] == 100
+
+
+@pytest.mark.parametrize("given", [None, [], {"t": 10**400}, {"a": -1}, {"a": "x"}, {"nonsense": 1}, {"t": True}])
 def test_probabilities_that_make_no_sense_are_refused(client, given):
     assert client.do("probabilities", probabilities=given).status_code == 400
 
