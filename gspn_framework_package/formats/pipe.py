@@ -22,9 +22,12 @@ from typing import Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 from lxml import etree
 
+from gspn_framework_package.formats import vocabulary
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions
+from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
     all_of,
+    arc_kind,
     child,
     choose_net,
     label,
@@ -43,7 +46,27 @@ from gspn_framework_package.model.net import Net, Position
 
 NET_TYPE = "P/T net"
 _DEFAULT_CLASS = "Default"
-_ARC_KINDS = {"regular": "normal", "inhibition": "inhibitor"}  # how other tools spell them
+_VALUE = known("", {"value": known(text=True)}, free="graphics toolspecific")
+_PLACE = known("id", {"initialMarking": _VALUE, "capacity": _VALUE}, free="name graphics toolspecific")
+_TRANSITION = known(
+    "id",
+    {"rate": _VALUE, "timed": _VALUE, "infiniteServer": _VALUE, "priority": _VALUE},
+    free="name graphics toolspecific orientation",
+)
+_ARC_TYPE = known("value", {"value": known(text=True), "text": known(text=True)}, free="graphics toolspecific")
+_ARC = known(
+    "id source target type",
+    {"inscription": _VALUE, "type": _ARC_TYPE},
+    free="name graphics toolspecific arcpath tagged",
+)
+_DEFINITION = known("id name expression defType type x y", free="graphics name toolspecific")
+_NET = known(
+    "id type name",
+    {"place": _PLACE, "transition": _TRANSITION, "arc": _ARC, "definition": _DEFINITION},
+    free="name graphics toolspecific labels stateGroup stategroup token tokenclass",
+    repeated="place transition arc definition",
+)
+_ROOT = known("version", free="net name toolspecific")
 
 
 def from_xml(
@@ -56,6 +79,9 @@ def from_xml(
         )
     nets = [root] if tag(root) == "net" else all_of(root, "net")
     element = choose_net(nets, options.net, file)
+    if tag(root) == "pnml":
+        vocabulary.check(root, _ROOT, "the document", NetDraft(file).fail)
+    vocabulary.check_attributes(element, _NET, name_of(element, "net"), NetDraft(file).fail)
     reader = _Reader(element, file, options)
     reader.read()
     return reader.draft.net(_net_name(element)), reader.draft.notes
@@ -80,19 +106,21 @@ class _Reader:
 
     def read(self) -> None:
         readers = {"place": self._place, "transition": self._transition, "arc": self._arc}
-        silent = {"token", "definition", "name", "labels", "graphics", "toolspecific", "stateGroup"}
         for element in self.net:
             kind = tag(element)
-            if kind in readers:
-                readers[kind](element)
-            elif kind == "page":
+            if kind == "page":
                 self.draft.fail(
                     "a page in a PIPE net",
                     line=line_of(element),
                     hint="pages belong to ISO PNML; read it as format pnml",
                 )
-            elif kind not in silent:
-                self.draft.note("<%s> elements are ignored" % kind)
+            if kind not in _NET.children:
+                vocabulary.refuse_element(element, _NET, name_of(self.net, "net"), self.draft.fail)
+            inside = _NET.children[kind]
+            if inside is not vocabulary.FREE:
+                vocabulary.check(element, inside, name_of(element, kind), self.draft.fail)
+            if kind in readers:
+                readers[kind](element)
         if len(self.classes) > 1:
             names = sorted(self.classes)
             self.draft.fail(
@@ -149,9 +177,8 @@ class _Reader:
 
     def _rate(self, element: etree._Element, what: str, name: str) -> Optional[float]:
         text = label(element, "rate", "value")
-        specific = child(element, "toolspecific")
-        if specific is not None and specific.get("rateDefinition"):
-            text = specific.get("rateDefinition")
+        for specific in all_of(element, "toolspecific"):
+            text = specific.get("rateDefinition") or text
         if not text:
             return None
         text = text.replace("@", ",")
@@ -176,13 +203,7 @@ class _Reader:
 
     def _arc(self, element: etree._Element) -> None:
         what, line = name_of(element, "arc"), line_of(element)
-        kinds = child(element, "type")
-        kind = (
-            (kinds.get("value") or label(element, "type", "value") or "normal").lower()
-            if kinds is not None
-            else "normal"
-        )
-        kind = _ARC_KINDS.get(kind, kind)
+        kind = arc_kind(element)
         if kind not in ("normal", "inhibitor"):
             self.draft.fail(
                 "arcs of type '%s' are not known" % shorten(kind),

@@ -17,9 +17,12 @@ from typing import Dict, List, NamedTuple, Optional, Tuple
 
 from lxml import etree
 
+from gspn_framework_package.formats import vocabulary
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions
+from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
     all_of,
+    arc_kind,
     child,
     choose_net,
     label,
@@ -40,9 +43,26 @@ STOCHASTIC = "StochasticPetriNet"
 OWN = "gspn_framework_package"
 
 _COLOURED = ("symmetric", "highlevel", "hlpn", "colored", "coloured")
-_KNOWN_TYPES = ("ptnet", "pnmlcoremodel", "epnml", "p/t")
+_TINA = "laas.fr/tina"
+_KNOWN_TYPES = ("ptnet", "pnmlcoremodel", "epnml", "p/t", _TINA)
 _COLOURED_LABELS = ("hlinitialMarking", "hlinscription", "declaration", "structure")
-_SILENT = ("name", "graphics", "toolspecific", "text")
+
+_TEXT = known(text=True)
+_LABEL = known("", {"text": _TEXT}, free="graphics toolspecific")
+_DELAY = known("", {"interval": known("closure", {"cn": _TEXT, "ci": _TEXT}, repeated="cn ci")}, free="graphics")
+_PLACE = known("id", {"initialMarking": _LABEL}, free="name graphics toolspecific label")
+_TRANSITION = known("id", {"delay": _DELAY}, free="name graphics toolspecific label")
+_REFERENCE = known("id ref", free="name graphics toolspecific")
+_ARC_TYPE = known("value", {"text": _TEXT, "value": _TEXT}, free="graphics toolspecific")
+_ARC = known(
+    "id source target type",
+    {"inscription": _LABEL, "type": _ARC_TYPE, "arctype": _LABEL},
+    free="name graphics toolspecific",
+)
+_PAGE = known("id", free="name graphics toolspecific text finalmarkings")
+_NET = known("id type name", free="name graphics toolspecific text finalmarkings")
+_ROOT = known("version", free="net name toolspecific")
+_OWN_KEYS = ("capacity", "servers", "parameter")
 
 
 class _Reference(NamedTuple):
@@ -59,6 +79,7 @@ def from_xml(
     """
     element = choose_net(all_of(root, "net"), options.net, file)
     reader = _Reader(element, file, options)
+    vocabulary.check(root, _ROOT, "the document", reader.draft.fail)
     reader.read()
     name = label(element, "name", "text") or (element.get("id") or "").strip()
     return reader.draft.net(name), reader.draft.notes
@@ -76,6 +97,7 @@ class _Reader:
         self.untimed = 0
         self.parameters = 0
         self.means = any(_properties(net, STOCHASTIC))
+        self.tina = _TINA in (net.get("type") or "").lower()
 
     def read(self) -> None:
         """Fill the draft."""
@@ -92,7 +114,8 @@ class _Reader:
                 line=line_of(self.net),
                 hint="place/transition nets are: %s" % NET_TYPE,
             )
-        self._page(self.net)
+        vocabulary.check_attributes(self.net, _NET, name_of(self.net, "net"), self.draft.fail)
+        self._nodes(self.net, _NET)
         for arc in self.arcs:
             self._arc(arc)
         if self.untimed:
@@ -105,6 +128,10 @@ class _Reader:
             self.draft.note("parameters of exponential distributions are read as %s" % meaning)
 
     def _page(self, page: etree._Element) -> None:
+        vocabulary.check_attributes(page, _PAGE, name_of(page, "page"), self.draft.fail)
+        self._nodes(page, _PAGE)
+
+    def _nodes(self, page: etree._Element, free: vocabulary.Element) -> None:
         readers = {
             "page": self._page,
             "place": self._place,
@@ -119,8 +146,16 @@ class _Reader:
                 readers[kind](element)
             elif kind in _COLOURED_LABELS:
                 self._refuse_colour(element, "net")
-            elif kind not in _SILENT:
-                self.draft.note("<%s> elements are ignored" % kind)
+            elif kind == "net":
+                self.draft.fail(
+                    "a net inside a page, as subprocesses of WoPeD have it, is not read",
+                    name_of(page, "page"),
+                    line_of(element),
+                    "put the nodes of the subprocess in the place of its transition",
+                )
+            elif kind not in free.children:
+                everything = free._replace(children={**free.children, **dict.fromkeys(readers)})
+                vocabulary.refuse_element(element, everything, name_of(page, tag(page)), self.draft.fail)
 
     def _refuse_colour(self, element: etree._Element, what: str) -> None:
         self.draft.fail(
@@ -130,18 +165,31 @@ class _Reader:
             "only place/transition nets are read; unfold it first",
         )
 
-    def _check_labels(self, element: etree._Element, what: str) -> None:
+    def _check(self, element: etree._Element, known_of_it: vocabulary.Element, what: str) -> None:
         for node in element:
             if tag(node) in _COLOURED_LABELS:
                 self._refuse_colour(node, what)
+        vocabulary.check(element, known_of_it, what, self.draft.fail)
+
+    def _own(self, element: etree._Element, what: str) -> Dict[str, str]:
+        """What this package wrote there, which a newer version may know more of."""
+        own = dict(_properties(element, OWN))
+        for key in own:
+            if key not in _OWN_KEYS:
+                self.draft.fail(
+                    "its property '%s' is not known" % shorten(key),
+                    what,
+                    line_of(element),
+                    "was the file written by a newer version of this package?",
+                )
+        return own
 
     def _place(self, element: etree._Element) -> None:
         what, line = name_of(element, "place"), line_of(element)
-        self._check_labels(element, what)
+        self._check(element, _PLACE, what)
         text = label(element, "initialMarking", "text")
         tokens = self.draft.count(text, "initial marking", what, line) if text else 0
-        own = dict(_properties(element, OWN))
-        text = own.get("capacity")
+        text = self._own(element, what).get("capacity")
         capacity = self.draft.count(text, "capacity", what, line) if text else None
         self.draft.add_place(
             element.get("id"),
@@ -154,11 +202,13 @@ class _Reader:
 
     def _transition(self, element: etree._Element) -> None:
         what, line = name_of(element, "transition"), line_of(element)
-        self._check_labels(element, what)
+        self._check(element, _TRANSITION, what)
         identifier, name = element.get("id"), label(element, "name", "text")
-        data, own = dict(_properties(element, STOCHASTIC)), dict(_properties(element, OWN))
+        data, own = dict(_properties(element, STOCHASTIC)), self._own(element, what)
         kind = data.get("distributionType", "").upper()
         if not kind and ("weight" in data or "priority" in data):
+            kind = "IMMEDIATE"
+        if not kind and self._is_immediate_by_delay(element, what):
             kind = "IMMEDIATE"
         if kind == "IMMEDIATE":
             text = data.get("weight")
@@ -193,6 +243,25 @@ class _Reader:
             line,
         )
 
+    def _is_immediate_by_delay(self, element: etree._Element, what: str) -> bool:
+        """Whether TINA's time interval says "at once"; one that says "any time" is like none."""
+        delay = child(element, "delay")
+        interval = child(delay, "interval") if delay is not None else None
+        if delay is None or interval is None:
+            return False
+        ends = [(node.text or "").strip() for node in interval]
+        around = {"closed": "[%s]", "closed-open": "[%s[", "open-closed": "]%s]", "open": "]%s["}
+        bounds = ",".join("w" if word == "infty" else word for word in ends)
+        text = around.get(interval.get("closure", ""), "%s") % bounds
+        if text not in ("[0,w[", "[0,0]"):
+            self.draft.fail(
+                "it has the time interval %s" % shorten(text),
+                what,
+                line_of(interval),
+                "[0,w[ (any time) and [0,0] (immediate) are read",
+            )
+        return text == "[0,0]"
+
     def _rate(
         self, kind: str, data: Dict[str, str], own: Dict[str, str], what: str, line: int
     ) -> float:
@@ -214,6 +283,7 @@ class _Reader:
     def _reference(self, element: etree._Element) -> None:
         identifier, target = element.get("id"), element.get("ref")
         what = name_of(element, "reference")
+        self._check(element, _REFERENCE, what)
         if not identifier or not target:
             self.draft.fail("it needs an id and a ref", what, line_of(element))
         self.references[identifier] = _Reference(target, line_of(element))
@@ -235,9 +305,9 @@ class _Reader:
 
     def _arc(self, element: etree._Element) -> None:
         what, line = name_of(element, "arc"), line_of(element)
-        self._check_labels(element, what)
-        kind = _arc_kind(element)
-        if kind not in ("normal", "inhibitor"):
+        self._check(element, _ARC, what)
+        kind = arc_kind(element)
+        if kind not in ("normal", "inhibitor") and not (kind == "test" and self.tina):
             self.draft.fail(
                 "arcs of type '%s' are not known" % shorten(kind),
                 what,
@@ -246,23 +316,11 @@ class _Reader:
             )
         text = label(element, "inscription", "text")
         weight = self.draft.count(text, "weight", what, line) if text else 1
-        self.draft.add_arc(
-            element.get("id"),
-            self._resolve(element.get("source")),
-            self._resolve(element.get("target")),
-            weight,
-            kind == "inhibitor",
-            line,
-        )
-
-
-def _arc_kind(element: etree._Element) -> str:
-    """``<type value="inhibitor"/>``, or ``<arctype><text>inhibitor</text></arctype>`` of pm4py."""
-    text = label(element, "arctype", "text") or label(element, "type", "text")
-    node = child(element, "type")
-    if node is not None and node.get("value"):
-        text = node.get("value")
-    return (text or "normal").strip().lower()
+        identifier = element.get("id")
+        source, target = self._resolve(element.get("source")), self._resolve(element.get("target"))
+        self.draft.add_arc(identifier, source, target, weight, kind == "inhibitor", line)
+        if kind == "test":  # an arc in both directions enables the same
+            self.draft.add_arc(identifier, target, source, weight, False, line)
 
 
 def _properties(element: etree._Element, tool: str) -> List[Tuple[str, str]]:

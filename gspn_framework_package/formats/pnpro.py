@@ -17,7 +17,9 @@ from typing import Dict, List, Mapping, Optional, Tuple
 
 from lxml import etree
 
+from gspn_framework_package.formats import vocabulary
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions, capacity_losses
+from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
     all_of,
     child,
@@ -42,6 +44,25 @@ UNIT = 16.0
 _CORNER = {"place": 0.0, "EXP": 0.55, "IMM": 0.85}
 _COMPOSITIONS = ("unfolding", "multinet", "composition", "algebra", "dta")
 _COLOURED = ("color-class", "color-var")
+_NODE = "name x y shown-as magnets rotation superpos-tags"
+_CONSTANT = known("name x y consttype type value domain shown-as last-binding", positions=True)
+_NODES = known(
+    "",
+    {
+        "place": known(_NODE + " marking domain type partition", positions=True),
+        "transition": known(_NODE + " type delay weight priority nservers guard", positions=True),
+        "constant": _CONSTANT,
+        "template": _CONSTANT,
+    },
+    free="text-box label",
+    repeated="place transition constant template",
+)
+_EDGES = known(
+    "",
+    {"arc": known("head tail kind type mult multiplicity", free="point", positions=True)},
+    repeated="arc",
+)
+_NET = known("name zoom version", {"nodes": _NODES, "edges": _EDGES}, positions=True)
 
 
 def from_xml(
@@ -95,18 +116,31 @@ class _Reader:
     def read(self) -> None:
         """Fill the draft."""
         self._refuse_colours()
+        vocabulary.check_attributes(self.net, _NET, name_of(self.net, "net"), self.draft.fail)
+        for element in self.net:
+            if tag(element) not in _NET.children:
+                vocabulary.refuse_element(element, _NET, name_of(self.net, "net"), self.draft.fail)
+        if len(all_of(self.net, "nodes")) > 1 or len(all_of(self.net, "edges")) > 1:
+            self.draft.fail("it has <nodes> or <edges> twice", name_of(self.net, "net"), line_of(self.net))
+        self._check(self.nodes, _NODES)
+        self._check(self.edges, _EDGES)
         self.draft.constants = self._constants()
         readers = {"place": self._place, "transition": self._transition}
-        silent = {"constant", "template", "text-box", "label", ""}
         for element in self.nodes:
             kind = tag(element)
             if kind in readers:
                 readers[kind](element)
-            elif kind not in silent:
-                self.draft.note("<%s> elements are ignored" % kind)
         for element in self.edges:
-            if tag(element) == "arc":
-                self._arc(element)
+            self._arc(element)
+
+    def _check(self, elements: List[etree._Element], group: vocabulary.Element) -> None:
+        for element in elements:
+            kind = tag(element)
+            if kind not in group.children:
+                vocabulary.refuse_element(element, group, name_of(self.net, "net"), self.draft.fail)
+            inside = group.children[kind]
+            if inside is not vocabulary.FREE:
+                vocabulary.check(element, inside, _what(element), self.draft.fail)
 
     def _refuse_colours(self) -> None:
         for element in self.nodes:
@@ -144,8 +178,10 @@ class _Reader:
 
     def _place(self, element: etree._Element) -> None:
         what, line = name_of(element, "place"), line_of(element)
-        if (element.get("type") or "").upper() == "CONTINUOUS":
-            self.draft.fail("a fluid place", what, line, "only discrete places are read")
+        kind = (element.get("type") or "DISCRETE").upper()
+        if kind != "DISCRETE":
+            text = "a fluid place" if kind == "CONTINUOUS" else "a place of the unknown type '%s'" % shorten(kind)
+            self.draft.fail(text, what, line, "only discrete places are read")
         text = (element.get("marking") or "").strip()
         tokens = self.draft.count(text, "initial marking", what, line) if text else 0
         self.draft.add_place(
@@ -208,7 +244,7 @@ class _Reader:
 
     def _arc(self, element: etree._Element) -> None:
         tail, head = element.get("tail"), element.get("head")
-        what, line = "arc from '%s' to '%s'" % (tail, head), line_of(element)
+        what, line = _what(element), line_of(element)
         kind = (element.get("kind") or element.get("type") or "").strip().upper()
         if kind not in ("INPUT", "OUTPUT", "INHIBITOR"):
             self.draft.fail(
@@ -222,6 +258,13 @@ class _Reader:
             self.draft.fail("a coloured net: its weight is '%s'" % shorten(text), what, line)
         weight = self.draft.count(text, "weight", what, line) if text else 1
         self.draft.add_arc(None, tail, head, weight, kind == "INHIBITOR", line)
+
+
+def _what(element: etree._Element) -> str:
+    """What to call the element in a message."""
+    if tag(element) == "arc":
+        return "arc from '%s' to '%s'" % (element.get("tail"), element.get("head"))
+    return name_of(element, tag(element))
 
 
 def _name(element: etree._Element) -> str:

@@ -275,6 +275,11 @@ def _format_of_xml(root: etree._Element, file: str) -> Format:
             return FORMATS["pipe" if kind == "value" else "pnml"]
         if kind == "page":
             return FORMATS["pnml"]
-        if kind == "net" and "P/T" in (element.get("type") or ""):
-            return FORMATS["pipe"]
+        if kind == "place" and element.get("initialMarking") is not None:
+            raise InputError(
+                "a net in TAPAAL's own form (.tapn), which is not read",
+                file=file,
+                line=line_of(element),
+                hint="save it from TAPAAL as PNML, which leaves its times out",
+            )
     return FORMATS["pnml" if (root.nsmap.get(None) or "").startswith("http://www.pnml.org") else "pipe"]

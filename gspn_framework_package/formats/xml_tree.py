@@ -88,6 +88,25 @@ def label(element: etree._Element, name: str, part: str) -> Optional[str]:
     return (text or "").strip() or None
 
 
+_ARC_KINDS = {"regular": "normal", "inhibition": "inhibitor"}
+"""Words of some tools for the two kinds of arc."""
+
+
+def arc_kind(element: etree._Element) -> str:
+    """The kind of an arc: ``normal``, ``inhibitor``, or a word that its reader does not know.
+
+    Tools write it in four ways: an attribute ``type`` of the arc (TAPAAL), ``<type value="..."/>``
+    (PIPE, TINA), ``<type><text>`` or ``<type><value>``, and ``<arctype><text>`` (ProM, pm4py). Where
+    two of them disagree, the answer holds both words.
+    """
+    found = {element.get("type"), label(element, "arctype", "text")}
+    for node in all_of(element, "type"):
+        found |= {node.get("value"), label(element, "type", "text"), label(element, "type", "value")}
+    words = {word.strip().lower() for word in found if word and word.strip()}
+    words = {_ARC_KINDS.get(word, word) for word in words}
+    return " and ".join(sorted(words)) or "normal"
+
+
 def line_of(element: etree._Element) -> int:
     """The line that the element begins in."""
     return cast(int, element.sourceline or 0)

@@ -1,0 +1,128 @@
+"""The elements and attributes that a reader of an XML format knows; anything else is refused.
+
+What a reader overlooks could be what makes the net another one: an arc of a kind that it does not
+know, a guard, a time. So each reader lists what it knows, and :func:`check` refuses the rest. Only
+the parts of a format that mean nothing for the net (graphics, names, data of one tool) are free.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, FrozenSet, Iterable, Mapping, NamedTuple, Optional, Protocol, Set
+
+from lxml import etree
+
+from gspn_framework_package.formats.xml_tree import line_of, tag
+from gspn_framework_package.model.expression import shorten
+
+FREE = None
+"""In place of an :class:`Element`: whatever stands there means nothing for the net."""
+
+_EVERYWHERE = ("{http://www.w3.org/XML/1998/namespace}", "{http://www.w3.org/2001/XMLSchema-instance}")
+"""Attributes of these namespaces (``xml:space``, ``xsi:schemaLocation``) mean nothing for the net."""
+
+
+class Element(NamedTuple):
+    """What is known of an element.
+
+    :ivar attributes: names of its attributes.
+    :ivar children: tag -> what is known of it; :data:`FREE`: anything may be inside.
+    :ivar repeated: children that may stand there several times; of the others a second one would
+        be overlooked.
+    :ivar text: whether it holds text itself.
+    :ivar positions: whether attributes that end in ``-x``, ``-y``, ``-k`` or ``-magnet`` are places
+        of labels in the drawing.
+    """
+
+    attributes: FrozenSet[str]
+    children: Mapping[str, Optional[Element]] = {}
+    repeated: FrozenSet[str] = frozenset()
+    text: bool = False
+    positions: bool = False
+
+
+class _Fail(Protocol):
+    def __call__(self, message: str, element: Optional[str], line: Optional[int], hint: Optional[str]) -> None: ...
+
+
+def known(
+    attributes: str = "",
+    children: Mapping[str, Optional[Element]] = {},
+    *,
+    free: str = "",
+    repeated: str = "",
+    text: bool = False,
+    positions: bool = False,
+) -> Element:
+    """An :class:`Element`, its names given as words: ``known("id", free="name graphics")``."""
+    inside: Dict[str, Optional[Element]] = dict.fromkeys(free.split(), FREE)
+    inside.update(children)
+    return Element(
+        frozenset(attributes.split()), inside, frozenset((repeated + " " + free).split()), text, positions
+    )
+
+
+def check(element: etree._Element, vocabulary: Element, what: str, fail: _Fail) -> None:
+    """Refuse what the vocabulary of ``element`` does not have, down to the last descendant.
+
+    :param what: what to call the element in a message.
+    :param fail: raises the error: (message, element, line, hint).
+    """
+    check_attributes(element, vocabulary, what, fail)
+    if not vocabulary.text and (element.text or "").strip():
+        fail(
+            "the text '%s' stands in <%s> itself" % (shorten(element.text or ""), tag(element)),
+            what,
+            line_of(element),
+            _words("there should be", vocabulary.children),
+        )
+    seen: Set[str] = set()
+    for node in element:
+        name = tag(node)
+        if (node.tail or "").strip():
+            fail(
+                "the text '%s' stands in <%s> itself" % (shorten(node.tail or ""), tag(element)),
+                what,
+                line_of(node),
+                "text belongs into an element of its own",
+            )
+        if name not in vocabulary.children:
+            refuse_element(node, vocabulary, what, fail)
+        if name in seen and name not in vocabulary.repeated:
+            fail(
+                "it has a second <%s>" % name, what, line_of(node), "which of the two counts? keep one of them"
+            )
+        seen.add(name)
+        inside = vocabulary.children[name]
+        if inside is not FREE:
+            check(node, inside, what, fail)
+
+
+def check_attributes(element: etree._Element, vocabulary: Element, what: str, fail: _Fail) -> None:
+    """Refuse attributes of ``element`` that its vocabulary does not have."""
+    for key, value in element.items():
+        name = str(key)
+        if name in vocabulary.attributes or name.startswith(_EVERYWHERE):
+            continue
+        if vocabulary.positions and name.endswith(("-x", "-y", "-k", "-magnet")):
+            continue
+        fail(
+            "the attribute %s=\"%s\" of <%s> is not known; it could change what the net means"
+            % (shorten(name.rpartition("}")[2], 30), shorten(str(value), 30), tag(element)),
+            what,
+            line_of(element),
+            _words("known here:", vocabulary.attributes),
+        )
+
+
+def refuse_element(element: etree._Element, vocabulary: Element, what: str, fail: _Fail) -> None:
+    """Refuse an element that the vocabulary of its parent does not have."""
+    fail(
+        "a <%s> in it is not known; it could change what the net means" % shorten(tag(element), 40),
+        what,
+        line_of(element),
+        _words("known here:", vocabulary.children),
+    )
+
+
+def _words(begin: str, names: Iterable[str]) -> str:
+    return "%s %s" % (begin, ", ".join(sorted(names)) or "nothing")
