@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Dict, Optional
 
+from gspn_framework_package.model.errors import NetError
 from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
 
 
@@ -18,7 +19,12 @@ def net_to_json(net: Net) -> Dict[str, Any]:
 
 
 def net_from_json(data: Dict[str, Any]) -> Net:
-    """The net of a JSON object that fits the schema. :raises NetError: see Net."""
+    """The net of a JSON object that fits the schema.
+
+    :raises NetError: see Net; or a transition has a key that means nothing for its kind.
+    """
+    for transition in data["transitions"]:
+        _check_kind(transition)
     places = [
         Place(p["name"], p.get("tokens", 0), p.get("capacity"), _position(p))
         for p in data["places"]
@@ -39,6 +45,18 @@ def net_from_json(data: Dict[str, Any]) -> Net:
         Arc(a["from"], a["to"], a.get("weight", 1), a.get("inhibitor", False)) for a in data["arcs"]
     ]
     return Net(places, transitions, arcs, data.get("name", ""))
+
+
+def _check_kind(transition: Dict[str, Any]) -> None:
+    """An immediate transition with a rate is most likely an exponential one without ``timed``."""
+    timed = transition.get("timed", False)
+    for key in ("weight", "priority") if timed else ("rate", "servers"):
+        if key in transition:
+            raise NetError(
+                "it has a %s, which %s transitions do not have" % (key, "timed" if timed else "immediate"),
+                element="transition '%s'" % transition["name"],
+                hint='leave it out, or leave "timed" out' if timed else 'is "timed": true missing?',
+            )
 
 
 def _position(node: Dict[str, Any]) -> Optional[Position]:

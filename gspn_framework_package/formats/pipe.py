@@ -235,6 +235,14 @@ class _Reader:
         pairs = _classes(text)
         if pairs is None:
             self._constant_only(text, what, name, line)
+            if any(c in text for c in ",@;:") and "(" not in text:
+                self.draft.fail(
+                    "its %s '%s' is neither a number nor pairs of a class of tokens and a number"
+                    % (what, shorten(text)),
+                    name,
+                    line,
+                    "'Default,2' is such a pair; of coloured nets, those with one class in use are read",
+                )
             pairs = [(_DEFAULT_CLASS, text)]
         total = 0
         for token_class, number in pairs:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.formats import thesis_input
 from gspn_framework_package.formats.draft import NO_CONSTANTS
-from gspn_framework_package.formats.json_file import read_json
+from gspn_framework_package.formats.json_file import JsonDocument, read_document
 from gspn_framework_package.formats.plan_json import check_schema, plan_from_json, policy_from_json
 from gspn_framework_package.formats.registry import read_net_with_notes
 from gspn_framework_package.model.errors import GspnError, PlanError, UsageError
@@ -34,12 +35,13 @@ def read_plan(path: str) -> Plan:
         if not os.path.isfile(path):
             raise PlanError("there is no %s in that folder" % PLAN_FILE, file=folder)
     try:
-        data = read_json(path)
+        document = read_document(path)
+        data = document.data
         if not isinstance(data, dict):
             raise PlanError("a plan is a JSON object, not a %s" % type(data).__name__, file=path)
         if thesis_input.is_thesis_input(data):
             return thesis_input.plan_from_thesis(data, path)
-        return _own_form(data, path)
+        return _own_form(document, path)
     except GspnError as error:
         error.located(file=path)
         raise
@@ -93,15 +95,34 @@ def is_plan(path: str) -> bool:
     return os.path.isdir(path) or os.fspath(path).lower().endswith(".json")
 
 
-def _own_form(data: Dict[str, Any], path: str) -> Plan:
-    check_schema(data, file=path)
+def _own_form(document: JsonDocument, path: str) -> Plan:
+    data: Dict[str, Any] = document.data
+    check_schema(data, file=path, document=document)
     folder = os.path.dirname(os.path.abspath(path))
     net, notes = _net(data["net"], folder)
     policy: Optional[Policy] = None
     if isinstance(data.get("policy"), str):
         policy = read_policy(os.path.join(folder, data["policy"]))
-    plan = plan_from_json(data, net, policy, file=path, folder=folder)
+    try:
+        plan = plan_from_json(data, net, policy, file=path, folder=folder)
+    except GspnError as error:
+        if error.file in (None, path):
+            error.located(file=path, line=_line(document, error.element or ""))
+        raise
     return plan.with_notes(notes)
+
+
+def _line(document: JsonDocument, element: str) -> Optional[int]:
+    """The line of an element of a plan, as errors call it: ``transition 't'``, ``until``."""
+    found = re.match(r"(place|transition) '(.*)'$", element)
+    net = document.data["net"]
+    if found is None:
+        return document.line(element.split(".")) if element else None
+    if isinstance(net, dict):
+        for number, node in enumerate(net.get(found.group(1) + "s", ())):
+            if node["name"] == found.group(2):
+                return document.line(["net", found.group(1) + "s", number])
+    return None
 
 
 def _net(data: Any, folder: str) -> Tuple[Optional[Net], List[str]]:
@@ -120,9 +141,9 @@ def _net(data: Any, folder: str) -> Tuple[Optional[Net], List[str]]:
 def read_policy(path: str) -> Policy:
     """Read a policy file. :raises GspnError: not one."""
     try:
-        data = read_json(path)
-        check_schema(data, "policy", file=path)
-        return policy_from_json(data)
+        document = read_document(path)
+        check_schema(document.data, "policy", file=path, document=document)
+        return policy_from_json(document.data)
     except GspnError as error:
         error.located(file=path)
         raise

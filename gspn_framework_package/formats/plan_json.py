@@ -9,6 +9,7 @@ from typing import Any, Dict, List, Mapping, Optional
 
 import jsonschema
 
+from gspn_framework_package.formats.json_file import JsonDocument
 from gspn_framework_package.formats.net_json import net_from_json, net_to_json
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import ExpressionError, PlanError
@@ -41,9 +42,15 @@ def schema() -> Dict[str, Any]:
     return loaded
 
 
-def check_schema(data: Any, definition: Optional[str] = None, file: Optional[str] = None) -> None:
+def check_schema(
+    data: Any,
+    definition: Optional[str] = None,
+    file: Optional[str] = None,
+    document: Optional[JsonDocument] = None,
+) -> None:
     """Check ``data`` against the schema of plans, or against one of its definitions.
 
+    :param document: where it was read from, for the line of what does not fit.
     :raises PlanError: with the path of the element that does not fit.
     """
     whole = schema()
@@ -53,8 +60,17 @@ def check_schema(data: Any, definition: Optional[str] = None, file: Optional[str
     errors = jsonschema.Draft7Validator(part).iter_errors(data)
     error = jsonschema.exceptions.best_match(errors)
     if error is not None:
-        path = ".".join(str(p) for p in error.absolute_path)
-        raise PlanError(_shorten(error.message), file=file, element=path or None, hint=_hint(error))
+        path = list(error.absolute_path)
+        line = document.line(path + _unknown_key(error)) if document is not None else None
+        element = ".".join(str(step) for step in path)
+        raise PlanError(_shorten(error.message), file=file, line=line, element=element or None, hint=_hint(error))
+
+
+def _unknown_key(error: Any) -> List[str]:
+    """The first key that should not be there, where that is the fault."""
+    if error.validator != "additionalProperties" or not isinstance(error.instance, Mapping):
+        return []
+    return [key for key in error.instance if key not in error.schema.get("properties", {})][:1]
 
 
 def _shorten(text: str) -> str:

@@ -6,7 +6,10 @@ EXPONENTIAL, with ``weight`` and ``priority``, or with the parameter of the dist
 write that parameter with two meanings: pm4py writes the rate, ProM the mean. A file whose net
 carries ProM's own properties (time unit or execution policy) is read as ProM's, any other as
 pm4py's, with a note. A transition without such data is exponential with rate 1, with a note: the
-standard itself knows no time.
+standard itself knows no time. TINA writes intervals into ``delay``: ``[0,w[`` is like none, ``[0,0]``
+is immediate, others are refused; its test arcs become arcs in both directions.
+
+Elements and attributes that are not listed here are refused: see :mod:`.vocabulary`.
 
 What the standard and those tools have no word for (capacities, numbers of servers, that a parameter
 is a rate) is in ``toolspecific tool="gspn_framework_package"``, which other tools ignore."""

@@ -35,7 +35,7 @@ from gspn_framework_package.formats.xml_tree import (
 from gspn_framework_package.model.capacity import capacities_as_inhibitors
 from gspn_framework_package.model.constants import resolve_constants
 from gspn_framework_package.model.errors import ExpressionError, NetError
-from gspn_framework_package.model.expression import shorten
+from gspn_framework_package.model.expression import shorten, tokenize
 from gspn_framework_package.model.net import Net, Position
 
 UNIT = 16.0
@@ -44,6 +44,12 @@ UNIT = 16.0
 _CORNER = {"place": 0.0, "EXP": 0.55, "IMM": 0.85}
 _COMPOSITIONS = ("unfolding", "multinet", "composition", "algebra", "dta")
 _COLOURED = ("color-class", "color-var")
+_FUNCTIONS = {
+    "Min": "min", "Max": "max", "Mod": "mod", "Pow": "pow", "Fract": "", "Abs": "abs", "Ceil": "ceil",
+    "Floor": "floor", "Round": "round", "Exp": "exp", "Sqrt": "sqrt",
+}  # fmt: skip
+"""The functions of the editor that are read, and what they are called here."""
+
 _NODE = "name x y shown-as magnets rotation superpos-tags"
 _CONSTANT = known("name x y consttype type value domain shown-as last-binding", positions=True)
 _NODES = known(
@@ -120,6 +126,8 @@ class _Reader:
         for element in self.net:
             if tag(element) not in _NET.children:
                 vocabulary.refuse_element(element, _NET, name_of(self.net, "net"), self.draft.fail)
+            group = _NODES if tag(element) == "nodes" else _EDGES
+            vocabulary.check_attributes(element, group, name_of(self.net, "net"), self.draft.fail)
         if len(all_of(self.net, "nodes")) > 1 or len(all_of(self.net, "edges")) > 1:
             self.draft.fail("it has <nodes> or <edges> twice", name_of(self.net, "net"), line_of(self.net))
         self._check(self.nodes, _NODES)
@@ -165,7 +173,7 @@ class _Reader:
             text = (element.get(attribute) or "").strip()
             if not text:
                 continue  # an error only where it is used
-            definitions[name] = text
+            definitions[name] = self._expression(text, "value", name_of(element, kind), line_of(element))
             if kind == "template" and name not in self.options.constants:
                 self.draft.note(
                     "%s = %s: the value that the template was last used with"
@@ -183,7 +191,7 @@ class _Reader:
             text = "a fluid place" if kind == "CONTINUOUS" else "a place of the unknown type '%s'" % shorten(kind)
             self.draft.fail(text, what, line, "only discrete places are read")
         text = (element.get("marking") or "").strip()
-        tokens = self.draft.count(text, "initial marking", what, line) if text else 0
+        tokens = self._count(text, "initial marking", what, line) if text else 0
         self.draft.add_place(
             None, _name(element), tokens, None, _from_editor(coordinates(element), "place"), line
         )
@@ -215,7 +223,7 @@ class _Reader:
             )
             return
         text = (element.get("priority") or "").strip()
-        priority = self.draft.count(text, "priority", what, line) if text else 1
+        priority = self._count(text, "priority", what, line) if text else 1
         weight = self._value(element, "weight", "weight", what, self.options.missing_weight)
         self.draft.add_immediate(None, _name(element), weight, priority, where, line)
 
@@ -232,7 +240,46 @@ class _Reader:
                 line_of(element),
                 "only constant rates and weights are read",
             )
-        return self.draft.number(text, meaning, what, line_of(element))
+        line = line_of(element)
+        return self.draft.number(self._expression(text, meaning, what, line), meaning, what, line)
+
+    def _count(self, text: str, meaning: str, what: str, line: int) -> int:
+        return self.draft.count(self._expression(text, meaning, what, line), meaning, what, line)
+
+    def _expression(self, text: str, meaning: str, what: str, line: int) -> str:
+        """An expression in our words: the editor writes ``Max[a, b]``, and ``Fract[a, b]`` for a / b."""
+        if "[" not in text:
+            return text
+        try:
+            tokens = tokenize(text)
+        except ExpressionError as error:
+            self.draft.fail("its %s cannot be computed: %s" % (meaning, error.message), what, line)
+        words: List[str] = []
+        fractions: List[Optional[int]] = []  # of each open bracket: commas seen, where it is a fraction
+        for token, following in zip(tokens, tokens[1:]):
+            if following.text == "[" and token.kind == "name":
+                if token.text not in _FUNCTIONS:
+                    self.draft.fail(
+                        "its %s uses %s[...], which is not read" % (meaning, shorten(token.text)),
+                        what,
+                        line,
+                        "%s are" % ", ".join(_FUNCTIONS),
+                    )
+                words.append(_FUNCTIONS[token.text])
+                fractions.append(0 if token.text == "Fract" else None)
+            elif token.text == "[":
+                words.append("((" if fractions and fractions[-1] is not None else "(")
+            elif token.text == "]" and fractions:
+                commas = fractions.pop()
+                if commas not in (None, 1):
+                    self.draft.fail("its %s has a Fract[...] without two numbers" % meaning, what, line)
+                words.append(")" if commas is None else "))")
+            elif token.text == "," and fractions and fractions[-1] is not None:
+                fractions[-1] += 1
+                words.append(")/(")
+            else:
+                words.append(token.text)
+        return " ".join(words)
 
     def _servers(self, element: etree._Element, what: str) -> Optional[int]:
         text = (element.get("nservers") or "").strip()
@@ -240,7 +287,7 @@ class _Reader:
             return self.options.servers(None)
         if text.lower() in ("infinite", "single"):
             return None if text.lower() == "infinite" else 1
-        return self.draft.count(text, "number of servers", what, line_of(element))
+        return self._count(text, "number of servers", what, line_of(element))
 
     def _arc(self, element: etree._Element) -> None:
         tail, head = element.get("tail"), element.get("head")
@@ -256,7 +303,7 @@ class _Reader:
         text = (element.get("mult") or element.get("multiplicity") or "").strip()
         if text.startswith("<"):
             self.draft.fail("a coloured net: its weight is '%s'" % shorten(text), what, line)
-        weight = self.draft.count(text, "weight", what, line) if text else 1
+        weight = self._count(text, "weight", what, line) if text else 1
         self.draft.add_arc(None, tail, head, weight, kind == "INHIBITOR", line)
 
 

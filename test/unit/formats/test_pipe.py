@@ -245,3 +245,11 @@ def test_a_long_chain_of_names_that_are_ids_of_others():
     start = time.monotonic()
     assert draft.net("n").places[49_999].name == "i49999"
     assert time.monotonic() - start < 20
+
+
+@pytest.mark.parametrize("text", ["Red,1,Default", "Default,1,Red,1,", "Red-1,2,Default,1", "1,2", "Default:1,Red:1"])
+def test_a_marking_of_classes_that_cannot_be_read_says_what_a_pair_is(tmp_path, text):
+    with pytest.raises(InputError) as caught:
+        read_text(tmp_path, document(place("P", "<initialMarking><value>%s</value></initialMarking>" % text)))
+    assert "neither a number nor pairs of a class of tokens and a number" in str(caught.value)
+    assert caught.value.line == 3

@@ -177,3 +177,61 @@ def test_the_schema_describes_itself() -> None:
     import jsonschema
 
     jsonschema.Draft7Validator.check_schema(schema())
+
+
+FIXED = [
+    [], ["net"], ["net", "places", 0], ["net", "transitions", 1], ["net", "arcs", 3], ["policy"],
+    ["policy", "rows", 0], ["actions", "Q"], ["robots", 1], ["on_failure", "P"], ["agreement"],
+]  # fmt: skip
+"""The objects of FULL whose keys are not names that a user chose."""
+
+
+@pytest.mark.parametrize("path", FIXED, ids=str)
+def test_an_unknown_key_is_refused_with_its_line(tmp_path, path):
+    data = json.loads(json.dumps(FULL))
+    element = data
+    for step in path:
+        element = element[step]
+    element["leaks"] = 1
+    file = tmp_path / "plan.json"
+    file.write_text(json.dumps(data, indent=1))
+    with pytest.raises(GspnError) as caught:
+        read_plan(str(file))
+    lines = file.read_text().splitlines()
+    assert caught.value.file == str(file)
+    assert caught.value.line is not None
+    if caught.value.line != next(number for number, line in enumerate(lines, 1) if '"leaks"' in line):
+        assert "not valid under any of the given schemas" in caught.value.message  # one of several forms
+
+
+@pytest.mark.parametrize(
+    "old, new, element, message",
+    [
+        ('"timed": true, ', "", "transition 'T'", "it has a rate, which immediate transitions do not have"),
+        ('{"name": "back", ', '{"name": "back", "timed": true, ', "transition 'back'", "which timed transitions"),
+        ('"until": "count >= 10"', '"until": "cuont >= 10"', "until", "cuont"),
+        ('"evict_after": 5', '"evict_after": NaN', None, "NaN is not a number that can be used"),
+        ('"evict_after": 5', '"evict_after": 1e999', None, "1e999 is not a number that can be used"),
+        ('"seed": 7', '"seed": -Infinity', None, "-Infinity is not a number"),
+        ('"seed": 7', '"seed": 1%s' % ("0" * 5000), None, "... is not a number that can be used"),
+        ('"everything"', '"\\ud800"', None, "a character that does not exist ('\\ud800')"),
+        ('"name": "Q"', '"name": "\\uDC00Q"', None, "a character that does not exist"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_its_line(tmp_path, old, new, element, message):
+    text = json.dumps(FULL).replace('"net":', '"net":\n').replace(old, "\n" + new)
+    assert new in text
+    file = tmp_path / "plan.json"
+    file.write_text(text)
+    with pytest.raises(GspnError) as caught:
+        read_plan(str(file))
+    assert message in str(caught.value)
+    assert caught.value.element == element
+    assert caught.value.line == text[: text.index("\n" + new) + 1].count("\n") + 1
+
+
+def test_a_whole_pair_of_surrogates_is_a_character(tmp_path):
+    file = tmp_path / "plan.json"
+    file.write_text(json.dumps(dict(FULL, plan="\U0001f600")))
+    assert "\\ud83d\\ude00" in file.read_text()
+    assert read_plan(str(file)).name == "\U0001f600"

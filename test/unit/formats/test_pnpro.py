@@ -121,3 +121,47 @@ def test_capacities_are_written_as_inhibitor_arcs(tmp_path):
     assert back.inhibitors == (((1, 2),),)
     for marking in [(2, 0), (2, 1), (2, 2), (2, 3), (0, 0)]:
         assert back.is_enabled(marking, 0) == net.is_enabled(marking, 0)
+
+
+@pytest.mark.parametrize(
+    "text, value",
+    [
+        ("Max[2, 3]", 3),
+        ("Min[N, 2*N] + Floor[2.7]", 6),
+        ("Fract[2*N, 4]", 2),
+        ("Max[Fract[9, 3], Abs[-N]]", 4),
+        ("Pow[2,Round[2.5]]", 8),
+        ("Max[(N), Fract[(8), (Mod[10, 8])]]", 4),
+    ],
+)
+def test_functions_as_the_editor_writes_them(tmp_path, text, value):
+    net = (
+        '<project><gspn name="n"><nodes><constant name="N" value="Max[4, 1]"/><place name="p" marking="%s"/>'
+        '<transition name="t" type="EXP" delay="%s"/></nodes></gspn></project>' % (text, text)
+    )
+    path = tmp_path / "net.PNPRO"
+    path.write_text(net)
+    assert read_net(path).place("p").tokens == value
+    assert read_net(path).transition("t").rate == value
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("If[N == 2, 3, 4]", r"uses If\[...\], which is not read"),
+        ('FromList["file", 2]', r"uses FromList\[...\], which is not read"),
+        ("Fract[1]", "Fract.* without two numbers"),
+        ("Fract[1, 2, 3]", "Fract.* without two numbers"),
+        ("Max[1, 2", "was expected"),
+        ("[2]", "cannot be computed"),
+        ("max(2, 3]", "cannot be computed"),
+    ],
+)
+def test_functions_that_are_not_read_are_refused(tmp_path, text, message):
+    path = tmp_path / "net.PNPRO"
+    escaped = text.replace('"', "&quot;")
+    path.write_text('<project><gspn name="n"><nodes>\n<place name="p" marking="%s"/></nodes></gspn></project>' % escaped)
+    with pytest.raises(InputError, match=message) as caught:
+        read_net(path)
+    assert caught.value.line == 2
+    assert caught.value.element == "place 'p'"
