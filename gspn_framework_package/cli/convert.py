@@ -141,7 +141,8 @@ def _write_chain(args: argparse.Namespace, kind: str) -> int:
     with ProgressLine() as progress:
         chain = explicit_chain(Analysis(subject, limit=args.limit, progress=progress), _labels(args.label))
     empty = [label for label, states in chain.labels.items() if not states]
-    notes += ["no state has the label '%s'" % label for label in empty]
+    unknown = "; the file cannot say so, and Storm will not know the label" if kind == "drn" else ""
+    notes += ["no state has the label '%s'%s" % (label, unknown) for label in empty]
     files = {"drn": drn(chain)} if kind == "drn" else prism_files(chain)
     written = [str(Path(args.output).with_suffix("." + ending)) for ending in files]
     if kind == "drn":

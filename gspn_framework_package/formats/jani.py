@@ -74,7 +74,7 @@ class _Writer:
                 "kind": "bounded",
                 "base": "int",
                 "lower-bound": 0,
-                "upper-bound": max(bound, place.tokens),
+                "upper-bound": bound,
             }
         found = {"name": self.names[p], "type": kind, "initial-value": place.tokens}
         if self.names[p] != place.name:

@@ -58,7 +58,7 @@ def prism_files(chain: ExplicitChain) -> Dict[str, bytes]:
 
 def drn(chain: ExplicitChain) -> bytes:
     """The chain as Storm's DRN file: ``storm --explicit-drn chain.drn``. States have no variables there, only labels;
-    the marking of each is a comment."""
+    the marking of each is a comment. A label that no state has can only be a comment: Storm does not know it."""
     labels = chain.all_labels()
     names = list(labels)
     of_state = _by_state(chain, list(labels.values()))
@@ -67,6 +67,7 @@ def drn(chain: ExplicitChain) -> bytes:
         moves[source].append((target, rate))
     lines = ["@type: CTMC", "@parameters", "", "@reward_models", "", "@nr_states", str(len(chain.states))]
     lines += ["@nr_choices", str(len(chain.states)), "@model"]
+    lines += ["// no state has the label %s" % name for name in names if not labels[name]]
     for number, (marking, targets) in enumerate(zip(chain.states, moves)):
         counts = ["%s=%d" % (" ".join(p.split()), n) for p, n in zip(chain.places, marking) if n]
         targets = targets or [(number, 1.0)]  # a deadlock stays where it is

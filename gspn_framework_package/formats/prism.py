@@ -35,7 +35,7 @@ def to_bytes(net: Net, bounds: Mapping[str, int] = {}) -> bytes:
     lines += ["// place %s is %s" % (" ".join(k.split()), v) for k, v in places.items() if k != v]
     lines += ["module net"]
     for place, limit in zip(net.places, upper_bounds(net, bounds)):
-        kind = "int" if limit is None else "[0..%d]" % max(limit, place.tokens)
+        kind = "int" if limit is None else "[0..%d]" % limit
         lines.append("  %s : %s init %d;" % (places[place.name], kind, place.tokens))
     for t in range(len(net.transitions)):
         guard, rate, update = _guard(net, t, names), _rate(net, t, names), _update(net, t, names)

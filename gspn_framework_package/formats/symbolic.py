@@ -64,6 +64,13 @@ def priority_levels(net: Net) -> List[List[int]]:
 
 
 def upper_bounds(net: Net, bounds: Mapping[str, int]) -> List[Optional[int]]:
-    """The most tokens each place can hold: what is given, else the capacity, else None (not
-    known)."""
-    return [bounds.get(place.name, place.capacity) for place in net.places]
+    """The upper bound of the variable of each place: what is given, else the capacity, else None
+    (not known).
+
+    It is never below 1: Storm computes wrong numbers with a variable that has one value only.
+    """
+    known = [bounds.get(place.name, place.capacity) for place in net.places]
+    return [
+        None if bound is None else max(bound, place.tokens, 1)
+        for bound, place in zip(known, net.places)
+    ]

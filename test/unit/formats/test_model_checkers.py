@@ -250,6 +250,29 @@ def test_the_bounds_that_are_known_are_said():
     ]  # fmt: skip
 
 
+def test_a_place_that_is_always_empty_has_a_variable_of_two_values(tmp_path):
+    """Storm computes wrong numbers with a variable whose only value is 0."""
+    net = (
+        NetBuilder("n").place("a", 1).place("b").place("never").place("full", 2, capacity=2)
+        .exponential("t", rate=2, inputs="a", outputs="b").exponential("u", inputs={"b": 1, "never": 1},
+                                                                     outputs={"a": 1, "never": 1})
+        .exponential("back", rate=3, inputs="b", outputs="a").build()
+    )  # fmt: skip
+    known = {"a": 1, "b": 1, "never": 0, "full": 0}
+    document = json.loads(jani.to_bytes(net, known))
+    assert [v["type"]["upper-bound"] for v in document["variables"]] == [1, 1, 1, 2]
+    text = prism.to_bytes(net, known).decode()
+    assert re.findall(r" : \[0\.\.(\d)\] init", text) == ["1", "1", "1", "2"]
+    path = tmp_path / "n.jani"
+    assert main(["convert", _written(net, tmp_path), str(path)]) == 0
+    assert [v["type"]["upper-bound"] for v in json.loads(path.read_text())["variables"]] == [1, 1, 1, 2]
+
+
+def _written(net, folder):
+    write_net(net, folder / "n.xml")
+    return str(folder / "n.xml")
+
+
 def test_the_command_finds_the_bounds_by_invariants(tmp_path):
     net = NetBuilder("n").place("a", 3).place("b").exponential("t", inputs="a", outputs="b").build()
     write_net(net, tmp_path / "n.xml")
@@ -303,13 +326,25 @@ def test_the_computed_chain_as_storm_reads_it(tmp_path, net, data):
         ["convert", str(tmp_path / "n.pnml"), str(tmp_path / "n.drn"), "--label", label]
     )
     assume(code == 0)  # 1: it starts in one of several states by chance
-    assume(" goal" in (tmp_path / "n.drn").read_text())  # Storm refuses labels of no state
+    assume(re.search("^state .* goal", (tmp_path / "n.drn").read_text(), re.MULTILINE))  # the others: below
     model = stormpy.build_model_from_drn(str(tmp_path / "n.drn"))
     assert model.nr_states <= len(slow)  # the chain has only what is reached
     found = value(model, stormpy.parse_properties('P=? [F "goal"]')[0])
     vanishing = [m for m, timed in zip(chain.markings, chain.timed) if not timed]
     expected = chain.reach(lambda marking: marking[p] >= 2 and marking not in vanishing)
     assert found == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_label_that_no_state_has_is_told(tmp_path, capsys):
+    """DRN names labels at states only, so that Storm cannot know of it."""
+    net = NetBuilder("n").place("a", 1).exponential("t", inputs="a").build()
+    write_net(net, tmp_path / "n.xml")
+    assert main(["convert", str(tmp_path / "n.xml"), str(tmp_path / "n.drn"), "--label", "goal=a >= 2"]) == 0
+    assert "no state has the label 'goal'; the file cannot say so" in capsys.readouterr().err
+    assert "// no state has the label goal\n" in (tmp_path / "n.drn").read_text()
+    assert stormpy.build_model_from_drn(str(tmp_path / "n.drn")).nr_states == 2
+    assert main(["convert", str(tmp_path / "n.xml"), str(tmp_path / "n.tra"), "--label", "goal=a >= 2"]) == 0
+    assert '"goal"' in (tmp_path / "n.lab").read_text()
 
 
 def test_a_chain_that_starts_by_chance(tmp_path, capsys):
