@@ -211,7 +211,9 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
 
 def body_limit(path: str) -> int:
-    """Bytes that the body of a POST to ``path`` may have."""
+    """Bytes that the body of a request to ``path`` may have."""
+    if not path.startswith("/api/"):
+        return 0
     return {"/api/upload": UPLOAD_BYTES, "/api/login": LOGIN_BYTES}.get(path, COMMAND_BYTES)
 
 

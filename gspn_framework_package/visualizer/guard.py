@@ -79,6 +79,18 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+def check_tokens(token: Optional[str], viewer_token: Optional[str]) -> None:
+    """See that the tokens that were given will do. :raises UsageError: they will not."""
+    for given in (token, viewer_token):
+        if given is not None and (len(given) < SHORTEST_TOKEN or not given.isascii() or not given.isprintable()):
+            raise UsageError(
+                "a token has at least %d characters, all of them ASCII" % SHORTEST_TOKEN,
+                hint="leave it out: one is made up",
+            )
+    if token is not None and token == viewer_token:
+        raise UsageError("the operator's token and the viewer's are the same")
+
+
 class Verdict(NamedTuple):
     """What a request may do: it is refused, or it has a ``role``."""
 
@@ -107,15 +119,8 @@ class Guard:
         viewer_token: Optional[str] = None,
         time_source: Callable[[], float] = time.monotonic,
     ) -> None:
+        check_tokens(token, viewer_token)
         local = is_loopback(host)
-        for given in (token, viewer_token):
-            if given is not None and (len(given) < SHORTEST_TOKEN or not given.isascii() or not given.isprintable()):
-                raise UsageError(
-                    "a token has at least %d characters, all of them ASCII" % SHORTEST_TOKEN,
-                    hint="leave it out: one is made up",
-                )
-        if token is not None and token == viewer_token:
-            raise UsageError("the operator's token and the viewer's are the same")
         needed = not local or viewer_token is not None
         self.token = token or (secrets.token_urlsafe(18) if needed else None)
         self.viewer_token = viewer_token or (None if local else secrets.token_urlsafe(18))

@@ -7,11 +7,10 @@ import socket
 import threading
 from typing import Any, Callable, Dict, Optional, Sequence
 
-import waitress
-
 from gspn_framework_package.model.errors import InputError
-from gspn_framework_package.visualizer.app import UPLOAD_BYTES, create_app
-from gspn_framework_package.visualizer.guard import OPERATOR, VIEWER, Guard, is_loopback
+from gspn_framework_package.visualizer.app import body_limit, create_app, too_large_text
+from gspn_framework_package.visualizer.connections import WAITING, Rules, Server
+from gspn_framework_package.visualizer.guard import OPERATOR, VIEWER, Guard, check_tokens, is_loopback
 from gspn_framework_package.visualizer.project import Project
 
 DEFAULT_PORT = 8090
@@ -47,20 +46,19 @@ class WebServer:
         viewers: int = 24,
         viewer_token: Optional[str] = None,
     ) -> None:
+        check_tokens(token, viewer_token)
         logging.getLogger("waitress.queue").setLevel(logging.ERROR)
         self.project = project
         self._app: Any = None
         self._stopped = False
         try:
-            self._server = waitress.create_server(
+            self._server = Server(
                 self._call,
+                viewers + WAITING,
                 host=_one_address(host),
                 port=port,
                 threads=viewers + THREADS_BESIDE_VIEWERS,
                 outbuf_high_watermark=OUTPUT_BYTES,
-                max_request_body_size=UPLOAD_BYTES + 1,  # before it is kept on the disk
-                connection_limit=200,
-                channel_timeout=60,
                 ident="gspn",
                 clear_untrusted_proxy_headers=True,
             )
@@ -72,6 +70,7 @@ class WebServer:
         self.host = host
         self.port = int(self._server.effective_port)
         self.guard = Guard(host, self.port, names, token, viewer_token)
+        self._server.rules = Rules(self.guard, body_limit, too_large_text)
         self._app = create_app(project, self.guard, viewers)
         self._thread: Optional[threading.Thread] = None
 
