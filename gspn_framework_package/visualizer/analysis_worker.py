@@ -12,6 +12,7 @@ import math
 import os
 import resource
 import sys
+from dataclasses import replace
 from typing import Any, Dict, List, Optional, Union
 
 import numpy as np
@@ -126,8 +127,13 @@ def _likely_states(analysis: Analysis) -> List[Dict[str, Any]]:
 
 def _subject(request: Dict[str, Any]) -> Union[Net, Plan]:
     if request.get("policy") and "plan" in request:
-        return plan_from_json(request["plan"])
-    net = net_from_json(request["net"])
+        plan = plan_from_json(request["plan"])
+        return replace(plan, net=_at(request, plan.net))
+    return _at(request, net_from_json(request["net"]))
+
+
+def _at(request: Dict[str, Any], net: Net) -> Net:
+    """The net, from the marking that was asked for on."""
     return net.with_marking(tuple(request["marking"])) if "marking" in request else net
 
 

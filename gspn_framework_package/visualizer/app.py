@@ -18,6 +18,7 @@ from flask import Response, request
 
 from gspn_framework_package import __version__
 from gspn_framework_package.model.errors import GspnError, InputError, UsageError
+from gspn_framework_package.visualizer.activity import whole_number
 from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
 from gspn_framework_package.visualizer.documents import Document, read_upload
 from gspn_framework_package.visualizer.guard import SECURITY_HEADERS, Guard, LoginError, is_loopback
@@ -194,8 +195,10 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.route("/api/analysis", methods=["POST"])
     def analyse() -> Dict[str, Any]:
-        opened = session()
-        return {"job": jobs.start(opened.document, opened.hub.board().marking, _body())}
+        opened, fields = session(), _body()
+        hub = opened.hub
+        board = hub.board_at(whole_number(fields, "event", 0, 0, 10**15)) if "event" in fields else hub.board()
+        return {"job": jobs.start(opened.document, board.marking, fields), "event": board.n}
 
     @app.route("/api/analysis/<job>")
     def progress(job: str) -> Dict[str, Any]:

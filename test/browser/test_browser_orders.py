@@ -96,7 +96,7 @@ def test_every_order_names_its_run_and_its_answer_is_shown(team, open_page, pict
     page.wait_for_selector("#robots .orders li.refused:has-text('robot_2 does not listen')")
     picture(page, "orders")
 
-    page.click("#list li[aria-label^='rain']")
+    page.click("#list li[data-key='t1']")
     page.click("#inspector button:has-text('Fire')")
     page.wait_for_selector("#toast:has-text('Fire rain')")
     page.click("#stop")

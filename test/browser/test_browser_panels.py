@@ -71,6 +71,18 @@ def test_questions_are_answered(show_net, open_page):
     page.fill("#an-reach", "nonsense == 2")
     page.click("button:has-text('Reachable?')")
     page.wait_for_selector("[data-state='failed']:has-text(\"no place 'nonsense'\")")
+    # what was answered before is gone: an answer stands below its own question
+    assert "nonsense == 2" in page.inner_text("#answers .asked")
+    assert page.locator("#answers .badge:has-text('yes'), #answers svg").count() == 0
+    assert page.inner_text("#answers .badge") == "no answer"
+    page.click("summary:has-text('What is it worth?')")
+    page.fill("#an-rewards", "a = 1e-3, b = 2.5E2x")
+    page.click("button:has-text('Reward per second')")
+    page.wait_for_selector("#answers:has-text(\"'b = 2.5E2x' is not of the form\")")
+    page.fill("#an-rewards", "a = 1e-3, b = 2.5E2")
+    page.click("button:has-text('Reward per second')")
+    page.wait_for_selector("#answers .asked:has-text('a = 0.001, b = 250 · from the initial marking')")
+    page.wait_for_selector("#answers dt:has-text('Reward')")
 
 
 def test_runs_are_simulated_with_confidence_intervals(show_net, open_page):
@@ -187,12 +199,24 @@ def test_a_net_is_uploaded_simulated_and_never_executed(serve_folder, open_page,
     settle(page, 1)
 
 
-def test_a_broken_upload_says_what_is_wrong(serve_folder, open_page, tmp_path):
-    (tmp_path / "broken.xml").write_text("<pnml><net>")
+def test_a_broken_upload_says_what_is_wrong_and_is_chosen_again_when_mended(serve_folder, open_page, tmp_path):
+    file = tmp_path / "mine.xml"
+    file.write_text("<pnml><net>")
     page = open_page(serve_folder().address, ready=False, expect_errors=True)
     page.wait_for_selector("#chooser", state="attached")
-    page.set_input_files("#chooser", str(tmp_path / "broken.xml"))
-    page.wait_for_selector("#toast:has-text('broken.xml')")
+    page.set_input_files("#chooser", str(file))
+    page.wait_for_selector("#toast:has-text('mine.xml')")
+    page.wait_for_function("() => document.querySelector('#chooser').value === ''")  # or the browser would tell of no change
+    write_net(flawed(), file)
+    page.set_input_files("#chooser", str(file))
+    page.wait_for_selector("body[data-ready]")
+    # another one is looked for, and back is the way back
+    key = page.evaluate("() => location.hash")
+    page.keyboard.press("o")
+    page.wait_for_selector("#opening button")
+    page.go_back()
+    page.wait_for_selector("body[data-ready]")
+    assert page.evaluate("() => location.hash") == key
 
 
 def test_by_keyboard_alone(serve_folder, open_page):

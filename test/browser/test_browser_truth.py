@@ -23,16 +23,21 @@ def test_names_of_the_language_are_names_and_reasons_are_those_of_the_rules(show
         net.place(name, 1)
     net.exponential("valueOf", 2.0, inputs=BUILT_IN, outputs=BUILT_IN)
     net.exponential("two", inputs="one", outputs="one").exponential("loop", inputs={"full": 1, "one": 2}, outputs="full")
-    page = open_page(show_net(net.build().with_arc(Arc("one", "two", 1))).address)
+    page = open_page(show_net(net.build().with_arc(Arc("one", "two", 1))).address, expect_errors=True)
     assert dots(page) == [1] * 6
-    page.click("#list li[aria-label^='two']")
+    page.click("#list li[data-key='t1']")
     page.wait_for_function("() => document.querySelector('#inspector .reasons')?.textContent === 'one has 1 of 2 tokens'")
-    page.click("#list li[aria-label^='loop']")
+    page.click("#list li[data-key='t2']")
     page.wait_for_function("() => document.querySelector('#inspector .reasons')?.textContent === 'one has 1 of 2 tokens'")
-    page.click("#list li[aria-label^='__proto__']")
+    page.click("#list li[data-key='p3']")
     page.wait_for_selector("#inspector h2:has-text('__proto__')")
     page.click("#probabilities")
     page.fill("dialog input[aria-label='Firing probability of valueOf']", "0.5")
+    page.fill("dialog input[aria-label='Firing probability of two']", "-1")
+    page.click("dialog button.primary")
+    page.wait_for_selector("dialog .wrong:has-text('two')")  # and what was typed stays
+    assert page.input_value("dialog input[aria-label='Firing probability of valueOf']") == "0.5"
+    page.fill("dialog input[aria-label='Firing probability of two']", "")
     page.click("dialog button.primary")
     page.wait_for_function("() => window.gspn.model.info.probabilities['0'] === 0.5")
     page.click("#step")
@@ -103,7 +108,7 @@ def test_after_a_reset_the_time_line_begins_anew_and_the_reset_is_taken_back(sho
     page.fill("#n-steps", "7")
     page.click("#steps")
     settle(page, 7)
-    page.keyboard.press("r")
+    page.click("#reset")
     settle(page, 8)
     page.click("#step")
     settle(page, 9)
@@ -116,7 +121,13 @@ def test_after_a_reset_the_time_line_begins_anew_and_the_reset_is_taken_back(sho
     settle(page, 11)
     assert site.board().counts == [7] == page.evaluate("() => window.gspn.model.board.counts")
     assert [k for k, _ in page.evaluate(COURSE)] == ["fire"] * 7
-    page.wait_for_function("() => document.querySelectorAll('#log li.fire:not(.past)').length === 7")
+    page.wait_for_function("() => document.querySelectorAll('#log li').length === 7")
+    page.click("#reset")  # a button that was clicked does not keep the keys
+    page.keyboard.press(" ")
+    page.wait_for_function("() => window.gspn.page.tools.running")
+    page.keyboard.press(" ")
+    page.wait_for_function("() => !window.gspn.page.tools.running")
+    assert page.locator("#log li.fire:not(.past)").count() == 7
 
 
 class Dense(Activity):

@@ -10,6 +10,7 @@ from page_client import PageClient, small_net
 from waiting import wait_for
 
 from gspn_framework_package.benchmark.nets import kanban
+from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.visualizer import analysis_jobs
 from gspn_framework_package.visualizer.analysis_jobs import JOBS_AT_ONCE
 from gspn_framework_package.visualizer.analysis_worker import MEMORY_BYTES
@@ -25,9 +26,9 @@ LONG = {"limit": 10**9, "seconds": 100}
 def _ask():
     clients = []
 
-    def make(net):
+    def make(net, plan=None):
         project = Project()
-        project.show(Session("net", Document("net", net)))
+        project.show(Session("net", Document("net", net, plan)))
         clients.append(PageClient(project))
         return clients[-1]
 
@@ -120,3 +121,21 @@ print(json.dumps([resource.getrlimit(resource.RLIMIT_AS), resource.getrlimit(res
     found = json.loads(subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, check=True).stdout)
     assert found[0] == [MEMORY_BYTES, MEMORY_BYTES]
     assert found[1][0] != resource.RLIM_INFINITY and found[1][0] <= 60
+
+
+def test_the_present_marking_is_that_which_is_shown_and_keeps_the_policy(ask):
+    plan = read_plan("plans/patrol")
+    client = ask(plan.net, plan)
+    client.do("step", session="net", steps=5)
+
+    def states(**fields):
+        answer = start(client, policy=True, **fields)
+        report = ended(client, answer)
+        assert report["state"] == "done", report["error"]
+        return answer.get_json()["event"], report["result"]["states"]["total"]
+
+    _, begun = states()
+    client.do("clear", session="net")
+    assert states(**{"from": "marking", "event": 0}) == (0, begun)
+    assert states(**{"from": "marking"}) == (6, 1)
+    assert start(client, **{"from": "marking", "event": "x"}).status_code == 400

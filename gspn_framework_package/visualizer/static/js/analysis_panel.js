@@ -1,10 +1,24 @@
 // The analysis panel: asks the server, shows how far it is, and paints what it found on the net.
 
-import { $, h, attempt, seconds, toast } from "./dom.js";
+import { $, h, attempt, number, plural, seconds, toast } from "./dom.js";
 import { get, post } from "./api.js";
 import { AnswerViews } from "./analysis_views.js";
 
 const POLL = 250;
+
+/** What a request asks, as a person would write it. */
+function questionText(request) {
+  const { reach, cover, mean_time_to: condition, at, settling, rewards, simulate } = request;
+  const numbers = (named) => Object.entries(named).map(([name, value]) => `${name} = ${value}`).join(", ");
+  if (reach) return reach.join(", ");
+  if (cover) return cover.map(numbers).join("; ");
+  if (condition) return condition.join(", ");
+  if (at) return `until ${number(at[at.length - 1])} s`;
+  if (settling !== undefined) return `within ${number(settling)}`;
+  if (rewards) return numbers(rewards);
+  if (simulate) return `${plural(simulate.replications, "run")}${simulate.time ? ` of ${number(simulate.time)} s` : ""}${simulate.until ? `, until ${simulate.until}` : ""}`;
+  return "";
+}
 
 /** Fires "choose" (detail {kind, index, fly}). */
 export class AnalysisPanel extends EventTarget {
@@ -24,7 +38,7 @@ export class AnalysisPanel extends EventTarget {
     const plan = this.model.scene.plan;
     const field = (id, label, input) => [h("label", { for: id, text: label }), input];
     const text = (id, placeholder) => h("input", { id, type: "text", placeholder, spellcheck: "false", autocomplete: "off" });
-    const ask = (label, request) => h("button", { text: label, onclick: () => attempt(() => this.ask(request())) });
+    const ask = (label, request) => h("button", { text: label, onclick: () => this.ask(request, label) });
     this.settings = {
       limit: h("input", { id: "an-limit", type: "number", min: 1, max: 2000000, value: 100000 }),
       seconds: h("input", { id: "an-seconds", type: "number", min: 1, max: 120, value: 60 }),
@@ -49,7 +63,7 @@ export class AnalysisPanel extends EventTarget {
     this.panel.replaceChildren(
       this.refusal ? h("p", { class: "muted", text: `No analysis can be asked for: ${this.refusal}.` }) : "",
       h("div", { class: "buttons" },
-        h("button", { class: "primary", id: "an-all", text: "Analyse", onclick: () => this.ask({ structure: true, timing: true }) }),
+        h("button", { class: "primary", id: "an-all", text: "Analyse", onclick: () => this.ask(() => ({ structure: true, timing: true }), "Analyse") }),
         ask("Structure", () => ({ structure: true })), ask("State space", () => ({})), ask("Steady state", () => ({ timing: true }))),
       this.status,
       question("Settings", false, h("div", { class: "form" },
@@ -97,28 +111,46 @@ export class AnalysisPanel extends EventTarget {
   namedNumbers(text, whole) {
     const numbers = new Map();
     for (const part of text.split(/[,;]/).filter((p) => p.trim())) {
-      const found = /^\s*(.*?)\s*(?:=|>=)\s*(-?\d*\.?\d+)\s*$/.exec(part);
+      const found = /^\s*(.*?)\s*(?:=|>=)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*$/i.exec(part);
       if (!found || (whole && !/^\d+$/.test(found[2]))) throw new Error(`'${part.trim()}' is not of the form name = number`);
       numbers.set(found[1].replace(/^['"]|['"]$/g, ""), Number(found[2]));
     }
     return Object.fromEntries(numbers);
   }
 
-  async ask(request) {
+  /** Ask what `question()` gives; `label`: what was pressed. What was answered before goes. */
+  async ask(question, label) {
     if (this.refusal) { toast(`no analysis: ${this.refusal}`); return; }
     if (this.job) { toast("an analysis is running: wait, or cancel it", true); return; }
-    const { limit, seconds: most, from, policy } = this.settings;
-    const body = { ...request, limit: Math.round(Number(limit.value)), seconds: Number(most.value), from: from.value, policy: policy.checked && Boolean(this.model.scene.plan) && from.value === "initial" };
-    const job = this.job = { key: null, unwanted: false };
     this.views.unpaint();
+    this.shownText = "";
+    this.asked = h("p", { class: "asked" }, h("strong", { text: label }));
+    this.answers.replaceChildren(this.asked);
+    let request;
+    try {
+      request = question();
+    } catch (error) {
+      this.tellNoAnswer(error.message);
+      this.status.replaceChildren();
+      return;
+    }
+    const { limit, seconds: most, from, policy } = this.settings;
+    const plan = Boolean(this.model.scene.plan);
+    const body = { ...request, limit: Math.round(Number(limit.value)), seconds: Number(most.value), from: from.value, policy: policy.checked && plan, event: this.model.board.n };
+    const about = h("span", { class: "muted" });
+    const tell = (start) => { about.textContent = [questionText(request), start, plan && (body.policy ? "under the policy" : "without the policy")].filter(Boolean).map((part) => ` · ${part}`).join(""); };
+    tell(from.value === "initial" ? "from the initial marking" : "from the present marking");
+    this.asked.append(about);
+    const job = this.job = { key: null, unwanted: false };
     this.showProgress({ seconds: 0, progress: {} });
     const started = await attempt(() => post("analysis", body, { id: this.model.session.id }));
     if (started) {
       job.key = started.job;
+      if (body.from === "marking") tell(`from the marking after event ${started.event}`);
       if (job.unwanted) attempt(() => this.cancel(job));
     }
     if (this.job !== job) return;
-    if (!started) { this.job = null; this.status.replaceChildren(); return; }
+    if (!started) { this.job = null; this.status.replaceChildren(); this.tellNoAnswer("it was not begun"); return; }
     this.follow(job, request, body);
   }
 
@@ -138,9 +170,15 @@ export class AnalysisPanel extends EventTarget {
       this.job = null;
       if (report.state === "done" && !request.structure) this.answers.scrollIntoView({ block: "nearest" });
       const words = { done: `Done in ${seconds(report.seconds)}.`, cancelled: `Cancelled after ${seconds(report.seconds)}.`, failed: report.error };
+      if (report.state === "failed") this.tellNoAnswer(report.result ? "not to all of it" : "");
       this.status.replaceChildren(h("p", { class: report.state === "done" ? "muted" : "", "data-state": report.state },
         report.state === "failed" && h("span", { class: "badge bad", text: "no answer" }), ` ${words[report.state]}`));
     }
+  }
+
+  /** Below the question: that there is no answer. */
+  tellNoAnswer(why) {
+    this.answers.append(h("p", {}, h("span", { class: "badge bad", text: "no answer" }), why ? ` ${why}` : ""));
   }
 
   showProgress(report) {
@@ -162,7 +200,7 @@ export class AnalysisPanel extends EventTarget {
     const text = JSON.stringify(result);
     if (text === this.shownText) return;
     this.shownText = text;
-    this.answers.replaceChildren(...this.views.all(result, request, body));
+    this.answers.replaceChildren(this.asked, ...this.views.all(result, request, body));
   }
 
   close() {

@@ -53,8 +53,8 @@ const SILENCE = 8000; // ms without even a ping: the stream is taken for dead
 const POLL = 500; // ms between polls
 const RETRY = 1000; // ms before another attempt
 
-/** Follows one open net. `onNews(news)` gets what the server's hub says, `onState(state, heard)` one of
- * waiting, open, polling, lost, gone, locked; `heard`: performance.now() when the server was heard last. */
+/** Follows one open net. `onNews(news)` gets what the server's hub says, `onState(state, heard, why)` one of
+ * waiting, open, polling, lost, gone (why), locked; `heard`: performance.now() when the server was heard last. */
 export class NewsStream {
   constructor(id, onNews, onState) {
     this.id = id;
@@ -82,6 +82,11 @@ export class NewsStream {
       this.hear();
       this.take(JSON.parse(message.data));
     };
+    source.addEventListener("closed", (message) => {
+      source.close();
+      this.closed = true;
+      this.say("gone", JSON.parse(message.data).reason);
+    });
     source.onerror = () => {
       // A stream that was refused (too many viewers) or broke: ask once by polling, which also tells why.
       source.close();
@@ -94,7 +99,7 @@ export class NewsStream {
 
   hear() { this.heard = this.begun = performance.now(); }
 
-  say(state) { this.onState(state, this.heard); }
+  say(state, why = "") { this.onState(state, this.heard, why); }
 
   take(news) {
     this.cursor = news.cursor;
@@ -121,7 +126,7 @@ export class NewsStream {
       if (this.closed) return;
       this.polls = false;
       if (error.status === 400 || error.status === 401) {
-        this.say(error.status === 401 ? "locked" : "gone");
+        this.say(error.status === 401 ? "locked" : "gone", error.message);
         if (error.status === 400) return;
       } else {
         this.say("lost");

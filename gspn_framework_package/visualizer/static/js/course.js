@@ -1,8 +1,9 @@
 // The course of a run up to the board that is shown: what the time line draws. It is read from the events at hand; what
 // they do not tell is left out.
 
-/** The events since the last reset, without those that were taken back: their times only grow. */
-export function courseOf(model) {
+/** The events since the last reset, without those that were taken back: their times only grow. With `whole`, also those
+ * before that reset and earlier ones. */
+export function courseOf(model, whole = false) {
   const last = model.indexAfter(model.board.n);
   if (model.mode !== "SIMULATE") return model.events.slice(0, last);
   const course = [];
@@ -15,7 +16,7 @@ export function courseOf(model) {
     else if (event.k === "mark" && marks) marks -= 1;
     else {
       course.push(event);
-      if (event.restart) break;
+      if (event.restart && !whole) break;
     }
   }
   return course.reverse();

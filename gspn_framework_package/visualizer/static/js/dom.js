@@ -55,16 +55,28 @@ export async function attempt(action) {
   }
 }
 
-/** Asks in a dialog; resolves to the value of the button pressed, "" when it is closed. */
-export function ask(title, content, buttons) {
+/** Asks in a dialog; resolves to the value of the button pressed, "" when it is closed. What goes wrong in `act(value)`
+ * is shown in the dialog, which stays open with what was typed. */
+export function ask(title, content, buttons, act = null) {
   const dialog = $("dialog");
+  const wrong = h("p", { class: "wrong", role: "alert", hidden: true });
+  const press = async (value) => {
+    try {
+      if (value && act) await act(value);
+      dialog.close(value);
+    } catch (error) {
+      wrong.textContent = error.message;
+      wrong.hidden = false;
+    }
+  };
   return new Promise((resolve) => {
     dialog.returnValue = "";
     dialog.replaceChildren(
       h("h2", { text: title, id: "dialog-title" }),
       h("div", { class: "content", tabindex: "0" }, content), // with the focus it is scrolled by keys
+      wrong,
       h("div", { class: "actions" }, buttons.map(([label, value, kind]) =>
-        h("button", { class: kind || "", text: label, onclick: () => dialog.close(value), autofocus: /\bprimary\b/.test(kind || "") })))
+        h("button", { class: kind || "", text: label, onclick: () => press(value), autofocus: /\bprimary\b/.test(kind || "") })))
     );
     dialog.onkeydown = (event) => {
       if (event.key !== "Enter" || !event.target.matches("input")) return;

@@ -1,9 +1,15 @@
 // The inspector: what is selected, in words. A place: tokens, which robots, since when, what they do.
 // A transition: kind, rate or weight, how often it fired, why it is not enabled.
 
-import { h, $, seconds, plural, number } from "./dom.js";
+import { h, $, toast, seconds, plural, number } from "./dom.js";
 import { get } from "./api.js";
 import { robotCard } from "./robots_panel.js";
+
+/** Whether a field holds something that is no number; then it says so. */
+function badNumber(field) {
+  if (field.validity.badInput) toast("that is not a number: nothing was changed");
+  return field.validity.badInput;
+}
 
 /** Fires "fire" (detail index), "choose" (detail {kind, index, fly}), "probability" (detail {index, value}).
  * `orders`: what an operator may order of a running team. */
@@ -150,7 +156,7 @@ export class Inspector extends EventTarget {
         h("div", { class: "form" }, h("label", { for: "probability", text: "Firing probability" }),
           h("input", { id: "probability", type: "number", min: "0", step: "any", value: mine ?? "", placeholder: transition.timed ? "by its rate" : "by its weight", "data-focus": "probability",
             title: "Relative to the others that are enabled; empty: by rate or weight",
-            onchange: (event) => this.dispatchEvent(new CustomEvent("probability", { detail: { index, value: event.target.value } })) })),
+            onchange: (event) => !badNumber(event.target) && this.dispatchEvent(new CustomEvent("probability", { detail: { index, value: event.target.value } })) })),
       ],
       order && h("div", { class: "buttons" }, order),
       arcs(1).length > 0 && [h("h3", { text: "Takes from" }), arcs(1).map(([p, , , weight, inhibitor]) => h("p", {}, this.link("place", p), inhibitor ? ` (inhibits from ${weight} on)` : weight > 1 ? ` × ${weight}` : ""))],

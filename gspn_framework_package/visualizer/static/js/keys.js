@@ -79,7 +79,7 @@ function actionOf(event, page) {
     case "w": case "W": return () => { page.panels.open("right"); page.panels.widen(); };
     case "/": return () => { page.panels.open("left"); $("list-search").focus(); $("list-search").select(); };
     case "1": case "2": case "3": return () => page.showTab(["inspector", "robots", "analysis"][Number(event.key) - 1]);
-    case "o": case "O": return () => page.openScreen();
+    case "o": case "O": return () => page.openScreen(true);
     case "Escape": return () => page.choose(null);
     default: return null;
   }

@@ -63,7 +63,7 @@ export class FiringLog extends EventTarget {
 
   say(event) {
     const { scene } = this.model;
-    if (event.k === "fire" || event.k === "undo") {
+    if (event.k === "fire") {
       const moves = event.m.map(([robot, from, to]) => {
         const ends = [from === null ? "appears" : "", to === null ? "→ ends" : `→ ${scene.places[to].name}`].filter(Boolean).join(" ");
         return `${robot} ${ends}`;
@@ -84,14 +84,17 @@ export class FiringLog extends EventTarget {
     if (!model.board) return;
     const begun = performance.now();
     const wanted = this.filter.value.trim().toLowerCase();
-    const course = model.mode === "SIMULATE" ? new Set(courseOf(model).map((event) => event.n)) : null;
+    const course = courseOf(model, true);
     const rows = [];
-    for (let i = model.indexAfter(model.board.n) - 1; i >= 0 && rows.length < ROWS; i--) {
-      const event = model.events[i];
+    let past = false; // before the last reset
+    for (let i = course.length - 1; i >= 0 && rows.length < ROWS; i--) {
+      const event = course[i];
+      const earlier = past;
+      past = past || Boolean(event.restart);
       const text = this.say(event);
       if (text === null || (wanted && !text.toLowerCase().includes(wanted))) continue;
       const kind = event.k === "note" ? (event.level === "fault" ? "fault" : "note") : event.k;
-      rows.push(h("li", { role: "option", id: `log-${event.n}`, class: `${kind}${course && !course.has(event.n) ? " past" : ""}`, "data-n": event.n, title: text }, h("time", { text: seconds(event.t) }), h("span", { class: "what-happened", text })));
+      rows.push(h("li", { role: "option", id: `log-${event.n}`, class: `${kind}${earlier ? " past" : ""}`, "data-n": event.n, title: text }, h("time", { text: seconds(event.t) }), h("span", { class: "what-happened", text })));
     }
     if (!rows.length) rows.push(h("li", { role: "option", class: "nothing", "aria-disabled": "true" }, h("time"), h("span", { class: "what-happened muted", text: wanted ? "nothing like that" : "nothing has fired yet" })));
     this.list.replaceChildren(...rows);

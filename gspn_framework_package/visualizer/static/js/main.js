@@ -79,8 +79,11 @@ class Page {
     const key = decodeURIComponent(location.hash.slice(1));
     if (key && this.model?.session.id === key) return;
     if (key) await this.open(key);
-    else if (this.hello.first && !this.model) this.go(this.hello.first);
-    else await this.openScreen();
+    else if (this.hello.first && !this.begun) {
+      history.replaceState(null, "", `#${encodeURIComponent(this.hello.first)}`);
+      await this.open(this.hello.first);
+    } else await this.openScreen();
+    this.begun = true;
   }
 
   go(key) {
@@ -89,14 +92,15 @@ class Page {
     else location.hash = hash;
   }
 
-  async openScreen() {
+  /** The screen to open a net from. `another`: by a person's wish, who can go back from it. */
+  async openScreen(another = false) {
     this.closeNet();
     document.body.dataset.mode = "";
     $("mode").textContent = "";
     $("title").textContent = "No net is open";
     $("subtitle").textContent = "";
     document.title = "GSPN";
-    history.replaceState(null, "", location.pathname);
+    history[another && location.hash ? "pushState" : "replaceState"](null, "", location.pathname);
     const key = await openingScreen(this.hello);
     hideOpening();
     this.go(key);
@@ -133,14 +137,14 @@ class Page {
       this.readyAt = performance.now();
       document.body.dataset.ready = (this.readyAt - begun).toFixed(1);
     });
-    this.stream = new NewsStream(key, (news) => this.takeNews(news), (state, heard) => this.setConnection(state, heard));
+    this.stream = new NewsStream(key, (news) => this.takeNews(news), (state, heard, why) => this.setConnection(state, heard, why));
     const cut = this.cutOff(this.hello, key);
     if (cut) this.tellCut("The last run of this plan was cut off.", cut);
   }
 
   // -- losing the server, and finding it again -------------------------------------------------------
 
-  setConnection(state, heard) {
+  setConnection(state, heard, why) {
     const lost = NOT_HEARD.includes(state);
     const back = !lost && this.model.lostAt !== null;
     this.connection = state;
@@ -149,6 +153,13 @@ class Page {
     this.showRun();
     this.showConnection();
     if (back) this.askWhoIsThere();
+    if (state === "gone") notice(`This net is no longer open on the server: ${why}.`, [["Open it again", () => this.openAgain()]]);
+  }
+
+  async openAgain() {
+    const { id } = this.model.session;
+    if (id.startsWith("file-")) await attempt(() => post("open", { path: id.slice("file-".length) }));
+    await this.open(id);
   }
 
   takeNews(news) {
@@ -385,7 +396,9 @@ class Page {
   }
 
   bind() {
-    $("open-screen").onclick = () => this.openScreen();
+    $("open-screen").onclick = () => this.openScreen(true);
+    // a button of a tool that was clicked lets go of the focus, so that Space is the key of the page again
+    document.addEventListener("click", (event) => { if (event.detail) event.target.closest("#tools button, .zoom button, .scrub button")?.blur(); });
     $("skip").onclick = (event) => {
       event.preventDefault();
       if (!this.model) { document.querySelector("#opening button")?.focus(); return; }

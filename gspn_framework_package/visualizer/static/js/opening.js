@@ -22,7 +22,10 @@ export async function openingScreen(hello) {
       if (!files.length) return;
       resolve((await post("upload", { files: await Promise.all([...files].map(encoded)) })).id);
     });
-    const chooser = h("input", { type: "file", multiple: true, class: "unseen", tabindex: "-1", id: "chooser", "aria-label": "Files of your own", onchange: (event) => upload(event.target.files) });
+    const chooser = h("input", { type: "file", multiple: true, class: "unseen", tabindex: "-1", id: "chooser", "aria-label": "Files of your own", onchange: async (event) => {
+      await upload(event.target.files);
+      event.target.value = ""; // so that the same file can be chosen again
+    } });
     const drop = h("div", { class: "drop" },
       h("p", {}, "Drop a net here, or an input file together with its net."),
       h("button", { text: "Choose files …", onclick: () => chooser.click() }), chooser,

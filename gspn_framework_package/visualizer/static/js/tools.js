@@ -101,16 +101,19 @@ export class Tools {
       return h("tr", {}, h("td", { text: transition.name }), h("td", { text: transition.timed ? `rate ${number(transition.rate)}` : `weight ${number(transition.weight)}` }),
         h("td", { class: "number", text: choices.has(index) ? `${(choices.get(index) * 100).toFixed(1)} %` : "–" }), h("td", {}, input));
     });
-    const answer = await ask("Firing probabilities", [
+    await ask("Firing probabilities", [
       h("p", { class: "muted", text: "Relative to the other transitions that are enabled at the same time. Left empty: by rate or weight. They change which transition fires, not how long it takes." }),
       h("table", {}, h("thead", {}, h("tr", {}, h("th", { text: "Transition" }), h("th", { text: "In the net" }), h("th", { class: "number", text: "Now" }), h("th", { text: "Probability" }))), h("tbody", {}, rows)),
-    ], [["Cancel", ""], ["All by rate and weight", "none"], ["Set", "set", "primary"]]);
-    if (!answer) return;
-    const probabilities = new Map();
-    if (answer === "set") {
-      for (const [index, input] of inputs) if (input.value.trim() !== "") probabilities.set(scene.transitions[index].name, Number(input.value));
-    }
-    await this.simulate("probabilities", { probabilities: Object.fromEntries(probabilities) });
+    ], [["Cancel", ""], ["All by rate and weight", "none"], ["Set", "set", "primary"]], async (answer) => {
+      const probabilities = new Map();
+      for (const [index, input] of answer === "set" ? inputs : []) {
+        const { name } = scene.transitions[index];
+        if (input.validity.badInput) throw new Error(`the firing probability of '${name}' is not a number`);
+        if (input.value.trim() !== "") probabilities.set(name, Number(input.value));
+      }
+      await this.toNow();
+      await this.do("probabilities", { probabilities: Object.fromEntries(probabilities) });
+    });
   }
 
   // -- the bar -------------------------------------------------------------------------------------
