@@ -96,7 +96,6 @@ class _Demo:
         self._run = "demo_" + uuid.uuid4().hex[:8]
         self._ending = threading.Event()
         self._died: List[str] = []
-        self._over: List[str] = []
         self._launch: Any = None
         self._monitor: Any = None
         self._began = time.monotonic()
@@ -164,10 +163,11 @@ class _Demo:
         if self._ending.is_set():
             return
         name = name.rsplit("-", 1)[0]
-        is_robot = name not in ("world", "visualizer")
-        (self._over if is_robot and not code else self._died).append(name)
-        if self._died or len(self._over) >= len(self._plan.robots):
-            self._ending.set()
+        # all robots are one process for roslaunch, which ends when their run is over; nothing else ends by itself
+        over = name.startswith("gspn_team") and (not code or self._monitor.ended and not self._monitor.fault)
+        if not over:
+            self._died.append(name)
+        self._ending.set()
 
     def show(self) -> None:
         """Show what happens until the time is up, a signal comes, or the run is over."""
@@ -205,6 +205,8 @@ class _Demo:
     def summary(self) -> int:
         """Print what happened; the exit code."""
         monitor = self._monitor
+        if monitor.ended:
+            print("\nthe run is over: %s" % monitor.ended, end="")
         seconds = self._ended - (self._first or self._ended)
         print("\n%d firings in %.1f s" % (monitor.firings, seconds), end="")
         print(", %.1f a second" % (monitor.firings / seconds) if seconds > 0 else "")

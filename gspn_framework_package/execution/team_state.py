@@ -91,6 +91,11 @@ class TeamState:
     created: int = 0
     paused: bool = False
     ended: Optional[str] = None
+    """Why the run is over; None while it goes on."""
+    finished: bool = False
+    """Whether it came to its own end; false where it was stopped, or something broke."""
+    fault: bool = False
+    """Whether it ended because something broke."""
     waiting: Dict[str, None] = field(default_factory=dict)
     done_in: Dict[int, Dict[str, None]] = field(default_factory=dict)
 
@@ -137,6 +142,7 @@ class TeamState:
             "robots": [_robot_to_json(r, net) for r in self.robots.values()],
             "witnesses": list(self.witnesses),
             **{key: getattr(self, key) for key in _PLAIN},
+            **{key: True for key in ("finished", "fault") if getattr(self, key)},
         }
 
     @classmethod
@@ -146,6 +152,8 @@ class TeamState:
             state = cls(
                 net.marking(data["marking"]),
                 witnesses=tuple(data["witnesses"]),
+                finished=bool(data.get("finished", False)),
+                fault=bool(data.get("fault", False)),
                 **{key: data[key] for key in _PLAIN},
             )
             for item in data["robots"]:

@@ -80,7 +80,7 @@ class _Reducer(Turn):
         elif isinstance(entry, (log.Pause, log.Resume)):
             self._pause(entry.robot, isinstance(entry, log.Pause))
         elif isinstance(entry, log.Stop):
-            self._end(entry.reason, finished=False)
+            self._end(entry.reason, finished=False, stopped=True)
 
     def _start(self, entry: log.Start) -> None:
         if self.state.robots:

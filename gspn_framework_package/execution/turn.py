@@ -363,9 +363,10 @@ class Turn:
     def _fault(self, robot: Optional[RobotState], message: str) -> None:
         self.commands.append(Fault(robot.name if robot else "", message))
 
-    def _end(self, reason: str, finished: bool) -> None:
+    def _end(self, reason: str, finished: bool, stopped: bool = False) -> None:
         if self.state.ended is None:
-            self.state.ended = reason
+            self.state.ended, self.state.finished = reason, finished
+            self.state.fault = not (finished or stopped)
             for robot in self.state.active():
                 self._cancel(robot)
             self.commands.append(Ended(reason, finished))

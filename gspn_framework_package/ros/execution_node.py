@@ -19,7 +19,7 @@ from gspn_framework_package.execution.agreement import interface as agreement
 from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.event_log import EventLogWriter, Record, header, read_log
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
-from gspn_framework_package.execution.team_state import GONE
+from gspn_framework_package.execution.team_state import GONE, Phase
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.msg import FiredTransition
@@ -74,8 +74,10 @@ class ExecutionNode(Worker):
         self._progress: List[int] = []
         self._attempt = 0
         self._told_visit = 0
+        self._gone: Dict[str, Phase] = {}
+        self._told_length = -1
         self._plan_hash = plan.hash()
-        self._narrator = Narrator(robot, namespace)
+        self._narrator = Narrator(robot, namespace, options.run)
         self._fired = eager_publisher(FIRED_TOPIC, FiredTransition)
         self._open_log()
         witness = robot in plan.witness  # votes, and has no token that could do anything
@@ -161,6 +163,9 @@ class ExecutionNode(Worker):
     def _work(self) -> None:
         try:
             self._carry_out(self._replica.start(time.monotonic()))
+            self._note_team()
+            if self._replica.ledger.state.ended is not None:
+                self._is_over("was over before this node started")
             while self._running:
                 self._turn()
         except Exception as error:
@@ -210,6 +215,32 @@ class ExecutionNode(Worker):
 
     def _step(self, given: agreement.Input) -> None:
         self._carry_out(self._replica.step(given, time.monotonic()))
+        self._note_team()
+
+    def _note_team(self) -> None:
+        """Tell people who was lost or has left, and notice the end of the run where it came with a snapshot."""
+        ledger = self._replica.ledger
+        if ledger.length == self._told_length:
+            return
+        first, self._told_length = self._told_length < 0, ledger.length
+        gone = {robot.name: robot.phase for robot in ledger.state.robots.values() if robot.phase in GONE}
+        if gone != self._gone:
+            for name in sorted(set(gone) | set(self._gone)):
+                if name != self.robot and gone.get(name) != self._gone.get(name):
+                    self._tell_gone(name, gone.get(name), first)
+            self._gone = gone
+        if ledger.state.ended is not None and not first:
+            self._is_over("is over")
+
+    def _tell_gone(self, name: str, phase: Optional[Phase], long_ago: bool) -> None:
+        if phase is None:
+            self._narrator.tell("%s is in the team again" % name)
+        elif phase is Phase.LEFT:
+            self._narrator.tell("%s has left the team" % name)
+        else:
+            place = self.plan.net.places[self._replica.ledger.state.robots[name].place].name
+            text = "%s is lost: the team goes on without it; its token was in %s" % (name, place)
+            (self._narrator.tell if long_ago else self._narrator.warn)(text)
 
     # -- what the replica wants --------------------------------------------------------------------
 
@@ -272,9 +303,19 @@ class ExecutionNode(Worker):
         """Nothing: the narrator tells what is waited for once it lasts."""
 
     def _ended(self, effect: Ended) -> None:
-        self.exit_code, self.reason = (0 if effect.finished else 1), effect.reason
+        self._end_with("the run is over: %s" % effect.reason, effect.reason, effect.finished)
+
+    def _is_over(self, how: str) -> None:
+        """The log says that the run is over, which no effect has told: this node started late, or was behind."""
+        state = self._replica.ledger.state
+        if self.exit_code is None and state.ended is not None:
+            text = "the run '%s' %s: %s" % (self.run, how, state.ended)
+            self._end_with(text, state.ended, state.finished)
+
+    def _end_with(self, text: str, reason: str, finished: bool) -> None:
+        self.exit_code, self.reason = (0 if finished else 1), reason
         self._caller.cancel()
-        self._narrator.warn("the run is over: %s" % effect.reason)
+        (self._narrator.tell if finished else self._narrator.warn)(text)
         if not self.options.stay:
             self._leave_at = time.monotonic() + FAREWELL
 
@@ -321,7 +362,7 @@ class ExecutionNode(Worker):
         place, visit, state = "", 0, state_name(ledger.state, robot)
         if robot is not None and own.position is not None:
             place, visit = self.plan.net.places[own.position.place].name, own.position.visit
-            if visit != robot.visit:  # private moves, of which the log does not know yet
+            if visit != robot.visit and ledger.state.ended is None:  # private moves, which the log does not know yet
                 state = "Doing"
             if state == "Doing" and own.reported == own.position.goal:
                 state = "Done"  # but that is not in the log yet
@@ -342,7 +383,14 @@ class ExecutionNode(Worker):
         """See :class:`Worker`."""
         status = dict(self._replica.status(), log_file=self._log.path, messages_sent=self._link.sent)
         status["plan"] = self._plan_hash
+        state = self._replica.ledger.state
+        status.update(finished=state.finished, fault=state.fault or self._replica.halted is not None)
         status["waits_for"] = self._waits_for()
+        status["needs_operator"] = self._needs_operator()
+        if status["ended"] is not None:
+            for robot in status["robots"]:
+                if robot["state"] in ("Doing", "Waiting", "Paused"):
+                    robot.update(state="Inactive", waits_for="")
         return status
 
     def request(self, message: agreement.Message, answer: Callable[[agreement.Message], None]) -> None:
@@ -363,14 +411,24 @@ class ExecutionNode(Worker):
     def _waits_for(self) -> str:
         """What this robot waits for, whether the action, the team or its transition is it."""
         replica = self._replica
+        if replica.ledger.state.ended is not None:
+            return ""
         robot = replica.ledger.state.robots.get(self.robot)
         reasons = [self._caller.doing(), replica.waits_for()]
         if robot is not None:
             reasons.append(replica.ledger.game.why_waiting(replica.ledger.state, robot))
         return "; ".join(filter(None, reasons))
 
+    def _needs_operator(self) -> bool:
+        """Whether this robot does not go on by itself: it was evicted, has halted, or its action failed."""
+        state = self._replica.ledger.state
+        robot = state.robots.get(self.robot)
+        if self._replica.halted is not None:
+            return True
+        return robot is not None and state.ended is None and robot.phase in (Phase.LOST, Phase.FAILED)
+
     def _activity(self) -> Dict[str, Any]:
-        view = self.view()
+        view, state = self.view(), self._replica.ledger.state
         return {
             "robot": self.robot,
             "run": self.run,
@@ -380,7 +438,11 @@ class ExecutionNode(Worker):
             "visit": view.visit,
             "attempt": self._attempt,
             "waits_for": self._waits_for(),
+            "needs_operator": self._needs_operator(),
             "feedback": self._progress,
+            "ended": state.ended,
+            "finished": state.finished,
+            "fault": state.fault or self._replica.halted is not None,
         }
 
     def _diagnosis(self) -> Any:
@@ -389,15 +451,23 @@ class ExecutionNode(Worker):
         if waits_for:
             message += ", " + waits_for
         status = self._replica.status()
+        if status["ended"] is not None:
+            message += ", the run is over: " + status["ended"]
+        lost = sorted(name for name, phase in self._gone.items() if phase is Phase.LOST and name != self.robot)
+        if lost:
+            message += "; lost: " + ", ".join(lost)
         values = {
+            "robot": self.robot,
+            "run": self.run,
             "place": view.place,
             "state": view.robot_state,
             "visit": view.visit,
             "log length": view.slot,
             "waits for": waits_for,
             "quorum": status["quorum"],
+            "lost robots": ", ".join(lost),
         }
         for robot in status["robots"]:
             if robot["robot"] != self.robot:
                 values["last contact with " + robot["robot"]] = robot["last_contact"]
-        return level_of(view.robot_state, waits_for), message, values
+        return level_of(self._needs_operator(), bool(waits_for or lost)), message, values

@@ -46,6 +46,8 @@ def state_name(state: TeamState, robot: Optional[RobotState]) -> str:
     """The state of a robot as ``GetState`` tells it (thesis 4.3.3 and ``docs/semantics.md``)."""
     if robot is None or robot.phase in GONE:
         return "Lost"
+    if state.ended is not None:
+        return "Inactive"
     if state.paused or robot.paused:
         return "Paused"
     return _STATES[robot.phase]

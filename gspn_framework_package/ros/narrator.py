@@ -29,12 +29,12 @@ class Narrator:
     """All methods belong to the node's worker thread.
 
     Publishes ``NAMESPACE/activity`` (std_msgs/String, JSON: robot, run, plan (its hash), place,
-    state, visit, attempt, waits_for, feedback; at most ten a second, the last one latched) and ``/diagnostics``
-    (diagnostic_msgs/DiagnosticArray, once a second).
+    state, visit, attempt, waits_for, needs_operator, feedback, ended, finished, fault; at most ten a second,
+    the last one latched) and ``/diagnostics`` (diagnostic_msgs/DiagnosticArray, once a second).
     """
 
-    def __init__(self, robot: str, namespace: str) -> None:
-        self._robot = robot
+    def __init__(self, robot: str, namespace: str, run: str) -> None:
+        self._robot, self._namespace, self._run = robot, namespace, run
         self._activity = rospy.Publisher(rospy.names.ns_join(namespace, "activity"), String, latch=True, queue_size=10)
         self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
         self._told: Dict[str, Any] = {}
@@ -60,6 +60,10 @@ class Narrator:
 
     def _log(self, text: str) -> None:
         rospy.loginfo("%s: %s", self._robot, text)
+
+    def tell(self, text: str) -> None:
+        """A line that is always shown, however many there are."""
+        self._log(text)
 
     def warn(self, text: str) -> None:
         """A line about something that a person should know."""
@@ -109,7 +113,7 @@ class Narrator:
         array.status = [
             DiagnosticStatus(
                 level=bytes([level]) if isinstance(DiagnosticStatus.OK, bytes) else level,
-                name="gspn: " + self._robot,
+                name="%s: gspn %s, run %s" % (self._namespace, self._robot, self._run),
                 message=message,
                 hardware_id=self._robot,
                 values=[
@@ -121,8 +125,6 @@ class Narrator:
         self._diagnostics.publish(array)
 
 
-def level_of(state: str, waits_for: str) -> int:
-    """The level of ``/diagnostics``: 0 fine, 1 waits for somebody, 2 needs the operator."""
-    if state == "Lost" or "operator" in waits_for:
-        return 2
-    return 1 if waits_for else 0
+def level_of(needs_operator: bool, waits: bool) -> int:
+    """The level of ``/diagnostics``: 0 fine, 1 waits for somebody or misses one, 2 needs the operator."""
+    return 2 if needs_operator else 1 if waits else 0

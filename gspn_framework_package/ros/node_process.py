@@ -27,6 +27,9 @@ from gspn_framework_package.ros.registration import MASTER_ERRORS, master_proxy
 ERRORS = (GspnError, rospy.ROSException, *MASTER_ERRORS)
 """What a node may end with, told in one line."""
 
+SHUTDOWN_TIME = 5.0
+"""Seconds that the node has to unregister at its end; a master that does not answer is not waited for any longer."""
+
 
 def run_node(name: str, body: Callable[[Ending], int]) -> int:
     """Start a ROS node, and end it in order on SIGINT, SIGTERM and ``rosnode kill``.
@@ -58,7 +61,15 @@ def run_node(name: str, body: Callable[[Ending], int]) -> int:
         code = tell_error(name, error)
     ended.set()
     rospy.signal_shutdown("the end")
+    _await_shutdown()
     return code if not ending.signals or code else 128 + ending.signals[0]
+
+
+def _await_shutdown() -> None:
+    """Wait until another thread has shut the node down, if one does: after ``rosnode kill``, rospy unregisters the
+    node on a thread that dies with the process, and the master would know the node for ever."""
+    if rospy.core._shutdown_lock.acquire(timeout=SHUTDOWN_TIME):
+        rospy.core._shutdown_lock.release()
 
 
 def tell_error(name: str, error: BaseException) -> int:

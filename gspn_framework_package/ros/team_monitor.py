@@ -31,7 +31,10 @@ class TeamMonitor:
     robot, ``NAMESPACE/activity`` (std_msgs/String). Not a robot: nobody waits for it.
 
     :param robots: (name, namespace, initial place) of each robot.
-    :param run: name of the run; firings of others are ignored.
+    :param run: name of the run; others are ignored.
+
+    :ivar ended: why the run is over, as its robots say; "" before.
+    :ivar fault: whether it ended because something broke.
     """
 
     def __init__(self, robots: Sequence[Tuple[str, str, str]], run: str) -> None:
@@ -42,6 +45,8 @@ class TeamMonitor:
         self.moves: Counter[str] = Counter()
         self.marking: Dict[str, int] = {}
         self.firings = 0
+        self.ended = ""
+        self.fault = False
         self._recent: Deque[Tuple[float, str]] = deque(maxlen=1000)
         self._times: Deque[float] = deque()
         rospy.Subscriber(FIRED_TOPIC, FiredTransition, self._on_fired, tcp_nodelay=True)
@@ -69,7 +74,11 @@ class TeamMonitor:
     def _on_activity(self, message: Any, name: str) -> None:
         told = json.loads(message.data)
         with self._lock:
+            if told["run"] != self._run:
+                return
             self.doing[name] = Doing(told["place"], told["state"], told["visit"], told["waits_for"])
+            self.ended = told["ended"] or self.ended
+            self.fault = self.fault or bool(told["fault"])
 
     def rate(self, seconds: float = 5.0) -> float:
         """Firings per second over the last ``seconds``."""

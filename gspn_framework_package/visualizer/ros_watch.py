@@ -223,6 +223,8 @@ class RosWatch(Activity):
             self._strangers |= {namespace}
             return
         self._is_ours(namespace, name)
+        if activity["ended"]:  # the robots soon leave: nobody may be there to be asked
+            self._show_end(activity)
         state = str(activity.get("state", ""))
         waits = str(activity.get("waits_for", ""))
         self._show_robot(
@@ -238,6 +240,11 @@ class RosWatch(Activity):
             self._feedback.tell(name, "feedback: %s" % ", ".join(str(f) for f in feedback))
         else:
             self._feedback.forget(name)
+
+    def _show_end(self, told: Dict[str, Any]) -> None:
+        self._set_status(
+            running=False, ended=told["ended"], finished=told["finished"], fault=told["fault"], stalled=""
+        )
 
     def _is_ours(self, namespace: str, name: str) -> None:
         if self._names.get(namespace) != name:
@@ -403,13 +410,15 @@ class RosWatch(Activity):
         acting = [p for p in phases if p not in ("lost", "left", "inactive")]
         waits = [r for r in status["robots"] if r["waits_for"]]
         stalled = acting and all(p in ("done", "failed") for p in acting)
-        ended = status.get("ended")
+        if status["ended"]:
+            self._show_end(status)
+            return
         self._set_status(
-            running=not ended,
-            paused=bool(status.get("paused")),
-            ended=ended,
+            running=True,
+            paused=bool(status["paused"]),
+            ended=None,
             stalled=""
-            if not stalled or ended
+            if not stalled
             else ", ".join("%s %s" % (r["robot"], r["waits_for"]) for r in waits[:3]),
         )
 

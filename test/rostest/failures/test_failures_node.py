@@ -95,9 +95,9 @@ class FailuresTest(RobotTestCase):
         self.assertIn("operator", waits_for)
         wait_for(
             lambda: any(
-                status.name == "gspn: robot_1" and ord(bytes(status.level) or b"\0") == 2
+                "gspn robot_1" in status.name and ord(bytes(status.level) or b"\0") == 2
                 if isinstance(status.level, bytes)
-                else status.name == "gspn: robot_1" and status.level == 2
+                else "gspn robot_1" in status.name and status.level == 2
                 for message in diagnostics
                 for status in message.status
             ),

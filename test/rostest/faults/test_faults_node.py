@@ -16,6 +16,7 @@ os.environ["ROS_MASTER_URI"] = "http://localhost:%d" % PORT
 
 import rosgraph  # noqa: E402
 import rospy  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from robots import Robot, RobotTestCase, copy_plan  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
@@ -108,13 +109,23 @@ class Faults:
             robots = team["robot_1"].status()["robots"]
             return next(r["state"] for r in robots if r["robot"] == "robot_2")
 
+        diagnostics = []
+        listener = rospy.Subscriber("/diagnostics", DiagnosticArray, lambda array: diagnostics.extend(array.status))
+        self.addCleanup(listener.unregister)
         wait_for(lambda: state_of_victim() == "Lost", 30, "the eviction")
+        for name in ("robot_1", "robot_3"):
+            wait_for(lambda: "%s: robot_2 is lost: the team goes on" % name in team[name].said(),  # noqa: B023
+                     what="the loss on the screen of " + name)  # fmt: skip
+        title = "%s: gspn robot_1, run %s" % (team["robot_1"].namespace, team.run)
+        wait_for(lambda: any(s.name == title and "lost: robot_2" in s.message for s in list(diagnostics)),
+                 what="the loss on /diagnostics")  # fmt: skip
         self.wait_for_moves(team, "robot_1", 10)
         self.wait_for_moves(team, "robot_3", 10)
         victim.signal(signal.SIGCONT)
         self.wait_for_moves(team, "robot_2", 10)
         self.assertGreater(victim.state().incarnation, 0)
         self.assertNotEqual(state_of_victim(), "Lost")
+        wait_for(lambda: "robot_1: robot_2 is in the team again" in team["robot_1"].said(), what="the return on the screen")
         self.end_and_verify(team)
 
     def test_the_team_survives_its_master_and_late_joiners_find_it(self):

@@ -1,11 +1,14 @@
 #!/usr/bin/env python3
 """The teams that launch files start do what the files promise."""
 
+import json
 import os
 import shutil
 import signal
+import subprocess
 import sys
 import unittest
+import urllib.request
 import xmlrpc.client
 from collections import Counter
 
@@ -15,10 +18,13 @@ import rospy
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 
+from robots import chain, write_plan  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
+from gspn_framework_package.benchmark.ports import free_port  # noqa: E402
+from gspn_framework_package.cli.main import main  # noqa: E402
 from gspn_framework_package.msg import FiredTransition  # noqa: E402
-from gspn_framework_package.srv import GetState  # noqa: E402
+from gspn_framework_package.srv import Command, GetState  # noqa: E402
 
 
 class LaunchFilesTest(unittest.TestCase):
@@ -85,6 +91,71 @@ class LaunchFilesTest(unittest.TestCase):
             self.assertEqual(self.state("/nodes/" + robot).robot, robot)
         parameters = rospy.get_param("/nodes/robot_2/executor")
         self.assertEqual((parameters["number"], parameters["run"]), (2, "nodes_two"))
+
+    def test_two_teams_that_are_launched_at_once_do_not_touch_each_other(self):
+        """Each with its page. One is stopped; the other then comes to its own end."""
+        folder = rospy.get_param("/log_dir")
+        os.makedirs(folder, exist_ok=True)
+        gate = os.path.join(folder, "gate")
+        plan = {
+            "net": chain(["P1", "P2", "P3"]),
+            "actions": {"P1": None, "P2": "actions.wait", "P3": None},
+            "robots": {"robot_1": "P1", "robot_2": "P1"},
+        }
+        ends = write_plan(plan, GATED % gate)
+        self.addCleanup(shutil.rmtree, ends)
+        runs = {"stops": os.path.join(HERE, "plan"), "ends": ends}
+        ports = {run: free_port() for run in runs}
+        launches = {
+            run: subprocess.Popen(
+                ["roslaunch", os.path.join(HERE, "team_and_page.launch"), "plan:=" + runs[run], "run:=" + run,
+                 "port:=%d" % ports[run], "log_dir:=" + folder],
+                stdout=subprocess.DEVNULL,
+            )
+            for run in runs
+        }  # fmt: skip
+        for launch in launches.values():
+            self.addCleanup(self.end, launch)
+        for run in runs:
+            for number in (1, 2):
+                wait_for(lambda: self.state("/%s/robot_%d" % (run, number)).visit > 1, 40,  # noqa: B023
+                         "a move of robot %d of %s" % (number, run))  # fmt: skip
+                self.assertEqual(self.status(run, number)["run"], run)
+            wait_for(lambda: self.board(ports[run])["status"]["running"], 40, "the page of " + run)  # noqa: B023
+            self.assertEqual(self.board(ports[run])["status"]["run"], run)
+
+        self.assertEqual(main(["stop", "--run", "stops"]), 0)
+        wait_for(lambda: self.board(ports["stops"])["status"]["ended"], 30, "the end on its page")
+        self.assertTrue(self.board(ports["ends"])["status"]["running"])
+        self.assertEqual(self.status("ends", 2)["ended"], None)
+        with open(gate, "w"):
+            pass
+        wait_for(lambda: self.board(ports["ends"])["status"]["ended"], 40, "the other's own end on its page")
+        board = self.board(ports["ends"])
+        self.assertEqual((board["status"]["finished"], board["status"]["fault"]), (True, False))
+        self.assertFalse(self.board(ports["stops"])["status"]["finished"])
+
+    @staticmethod
+    def end(launch):
+        launch.send_signal(signal.SIGINT)
+        launch.wait(40)
+
+    def status(self, run, number):
+        name = "/%s/robot_%d/command" % (run, number)
+        return json.loads(rospy.ServiceProxy(name, Command)("status", "", "", run).message)
+
+    def board(self, port):
+        with urllib.request.urlopen("http://127.0.0.1:%d/api/poll?id=live" % port, timeout=20) as answer:
+            return json.load(answer)["snapshot"]["board"]
+
+
+GATED = """
+import os
+
+def wait(is_cancelled):
+    while not os.path.exists(%r) and not is_cancelled.wait(0.05):
+        pass
+"""
 
 
 if __name__ == "__main__":

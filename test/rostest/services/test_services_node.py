@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 
+import rosgraph
 import rospy
 
 HERE = os.path.dirname(os.path.abspath(__file__))
@@ -83,7 +84,12 @@ class ServicesTest(RobotTestCase):
             self.assertTrue(moved.success, moved.message)
             wait_for(lambda: team["robot_2"].state().place == "C", what="the move")  # noqa: B023
             self.assertEqual(team["robot_1"].state().place, "A")
-            team.close()
+            nodes = ["/robot_1/executor", "/robot_2/executor"]
+            subprocess.check_call(["rosnode", "kill", *nodes], stdout=subprocess.DEVNULL, timeout=60)
+            self.assertEqual([robot.exit_code() for robot in team], [0, 0])
+            for node in nodes:  # nothing is left for 'rosnode cleanup'
+                with self.assertRaises(rosgraph.MasterException):
+                    rosgraph.Master("/test").lookupNode(node)
 
     def test_the_operators_verbs(self):
         team = self.start()
@@ -129,6 +135,18 @@ class ServicesTest(RobotTestCase):
         code, output = gspn("status")
         self.assertEqual(code, 1)
         self.assertIn("no execution node", output)
+
+        over = "the run '%s' was over before this node started: stopped by the operator" % team.run
+        robot_1.start()
+        self.assertEqual(robot_1.exit_code(), 1)
+        self.assertIn(over, robot_1.said())
+        robot_2.parameters["stay"] = True
+        robot_2.start()
+        state = robot_2.state()
+        self.assertEqual((state.state, state.place), ("Inactive", "C"))
+        self.assertIn(over, robot_2.said())
+        status = robot_2.status()
+        self.assertEqual((status["ended"], status["waits_for"]), ("stopped by the operator", ""))
 
     def test_join_leave_and_both_kinds_of_eviction(self):
         team = self.start()
