@@ -8,6 +8,7 @@ import secrets
 from typing import Any, Callable, Dict, Optional
 
 from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.model.robot_colours import PALETTE
 from gspn_framework_package.visualizer.activity import Activity
 from gspn_framework_package.visualizer.bag_replay import BagReplay, plans_of
 from gspn_framework_package.visualizer.documents import Document, Folder
@@ -52,6 +53,7 @@ class Project:
         entries = self._folder.entries() if self._folder is not None else []
         return {
             "server": self._server,
+            "robot_colours": list(PALETTE),
             "first": self._first,
             "can_open": self._folder is not None,
             "files": [entry._asdict() for entry in entries],

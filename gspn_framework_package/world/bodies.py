@@ -51,18 +51,6 @@ def connect(gui: bool) -> BulletClient:
         return BulletClient(connection_mode=pybullet.GUI if gui else pybullet.DIRECT)
 
 
-PALETTE = (
-    "#e63946",
-    "#1d78d6",
-    "#2a9d4e",
-    "#f4a100",
-    "#8e44ad",
-    "#00a6a6",
-    "#d6508f",
-    "#7a5c3e",
-)
-"""Colours of the robots, in the order of the team."""
-
 BODY_BOTTOM = 0.012
 """Metres from the floor to a robot's body."""
 

@@ -10,7 +10,8 @@ from typing import Any, Deque, Dict, Optional, Tuple
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from gspn_framework_package.world.bodies import PALETTE, rgba
+from gspn_framework_package.model.robot_colours import colour_of
+from gspn_framework_package.world.bodies import rgba
 from gspn_framework_package.world.physics import Physics
 from gspn_framework_package.world.room import Point
 
@@ -135,11 +136,11 @@ class Camera:
             low, high = place.area.low, place.area.high
             x, y = self.pixel((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
             self._text(draw, (x, y), name, (70, 95, 130, 190))
-        for index, name in enumerate(self._physics.robots):
+        for name in self._physics.robots:
             pose = self._physics.pose(name)
             trail = self._trails[name]
             trail.append((pose.x, pose.y))
-            color = tuple(int(255 * part) for part in rgba(PALETTE[index % len(PALETTE)])[:3])
+            color = tuple(int(255 * part) for part in rgba(colour_of(name))[:3])
             points = [self.pixel(*point, 0.003) for point in trail]
             for age, (start, end) in enumerate(zip(points, points[1:])):
                 draw.line([start, end], fill=(*color, 40 + 150 * age // TRAIL), width=3)

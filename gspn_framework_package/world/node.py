@@ -37,7 +37,6 @@ from tf2_msgs.msg import TFMessage
 
 from gspn_framework_package.model.errors import GspnError, InputError
 from gspn_framework_package.world import messages
-from gspn_framework_package.world.bodies import PALETTE
 from gspn_framework_package.world.move_base import MAP_FRAME, MoveBase
 from gspn_framework_package.world.recording import Recorder
 from gspn_framework_package.world.referee import Referee
@@ -132,11 +131,7 @@ class WorldNode:
         self._report = rospy.Publisher("/world/referee", String, queue_size=1, latch=True)
         self._robots = [_Robot(name, self.team, self._inbox.put) for name in robots]
         self._map.publish(messages.map_message(self.team.grid, MAP_FRAME))
-        description = room.as_json()
-        description["colors"] = {
-            name: PALETTE[index % len(PALETTE)] for index, name in enumerate(robots)
-        }
-        self._room.publish(json.dumps(description))
+        self._room.publish(json.dumps(room.as_json()))
         self.recorder: Optional[Recorder] = None
         self._steps = 0
         self._reported = 0.0

@@ -10,10 +10,10 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Dict, List, Optional, Sequence, Set, Tuple
 
+from gspn_framework_package.model.robot_colours import colour_of
 from gspn_framework_package.world.bodies import (
     BODY_BOTTOM,
     BODY_HEIGHT,
-    PALETTE,
     connect,
     make_floor,
     make_robot,
@@ -88,9 +88,8 @@ class Physics:
         for solid in room.solids():
             make_solid(self._client, solid)
         self._bodies: Dict[str, _Body] = {}
-        for index, (name, pose) in enumerate(zip(robots, starts)):
-            color = PALETTE[index % len(PALETTE)]
-            unique_id = make_robot(self._client, room.robot, pose, color)
+        for name, pose in zip(robots, starts):
+            unique_id = make_robot(self._client, room.robot, pose, colour_of(name))
             self._bodies[name] = _Body(unique_id, odometry=pose)
         self._names = {body.unique_id: name for name, body in self._bodies.items()}
         if gui:

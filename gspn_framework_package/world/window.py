@@ -6,7 +6,8 @@ from typing import Any, Mapping
 
 import pybullet
 
-from gspn_framework_package.world.bodies import PALETTE, rgba
+from gspn_framework_package.model.robot_colours import colour_of
+from gspn_framework_package.world.bodies import rgba
 from gspn_framework_package.world.room import Room
 
 YAW, PITCH = 28.0, -50.0
@@ -34,7 +35,7 @@ def set_up_window(client: Any, room: Room, robots: Mapping[str, int]) -> None:
         for start, end in zip(corners, corners[1:] + corners[:1]):
             client.addUserDebugLine(start, end, _LINE, lineWidth=2)
         client.addUserDebugText(name, [(west + east) / 2, (south + north) / 2, 0.02], _LINE, textSize=1.5)
-    for index, (name, body) in enumerate(robots.items()):
+    for name, body in robots.items():
         # a window shows all parts of a body in one colour, that of the first
-        client.changeVisualShape(body, -1, rgbaColor=rgba(PALETTE[index % len(PALETTE)]))
+        client.changeVisualShape(body, -1, rgbaColor=rgba(colour_of(name)))
         client.addUserDebugText(name, [0.0, 0.0, 0.25], _TEXT, textSize=1.2, parentObjectUniqueId=body)

@@ -10,6 +10,7 @@ from page_reading import dots, marking, settle
 
 from gspn_framework_package.benchmark.ports import free_port
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.robot_colours import colour_of
 from gspn_framework_package.visualizer.activity import Activity
 from gspn_framework_package.visualizer.board import Board
 
@@ -91,6 +92,12 @@ def test_robots_are_drawn_with_colour_and_id(serve_folder, open_page):
     for name, short, _ in seen:
         assert name == "robot_" + short
     assert len({colour for _, _, colour in seen}) == len(seen)
+    # in films and in the window of the world they have the same ones
+    names = ["robot_1", "robot_12", "robot_13", "r0", "scout", "\u00e9claireur \U0001f916", "99999999", "", "constructor"]
+    shown = page.evaluate(
+        "async (names) => { const { colourOf } = await import('/static/js/colours.js'); return names.map(colourOf); }", names
+    )
+    assert shown == [colour_of(name) for name in names]
     stop(page)
     page.wait_for_selector("#stop", state="hidden")
 

@@ -124,11 +124,9 @@ def test_every_order_names_its_run_and_its_answer_is_shown(team, open_page, pict
     assert page.is_hidden("#stop") and page.is_hidden("#pause-team") and page.locator(".robot-card button").count() == 0
 
 
-def test_who_may_only_look_is_told_why_nothing_can_be_pressed(team, open_page):
-    page = open_page(team.site.address, ready=False)
-    page.route("**/api/hello", lambda route: route.fulfill(json={**route.fetch().json(), "role": "viewer"}))
-    page.reload()
-    page.wait_for_selector("body[data-ready]")
+def test_who_may_only_look_is_told_why_nothing_can_be_pressed(team, show_net, open_page):
+    site = show_net(team.plan.net, team.plan, Team(team.plan), viewer_token="only-for-looking-at-it")
+    page = open_page(site.server.invitations["viewer"])
     page.wait_for_selector("#robots:has-text('may only look')")
     for button in ("#stop", "#pause-team", ".robot-card[data-robot='robot_1'] button >> nth=0"):
         assert page.is_disabled(button) and "may only look" in page.get_attribute(button, "title")

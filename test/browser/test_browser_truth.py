@@ -93,6 +93,9 @@ def test_when_the_server_dies_in_mid_run_the_page_says_so_and_offers_the_log(ope
         page.wait_for_selector("body[data-mode='SIMULATE']:not([data-stale])")
         page.wait_for_selector("#notice:has-text('The server was started again'):has-text('was cut off')")
         picture(page, "cut_off")
+        page.click("#notice button:has-text('Replay its log')")
+        page.wait_for_selector("body[data-mode='REPLAY'][data-ready]")
+        page.wait_for_function("() => window.gspn.model.head.n > 12")
     finally:
         server.kill()
         server.wait()

@@ -11,7 +11,8 @@ from PIL import Image
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.model.errors import InputError
-from gspn_framework_package.world.bodies import PALETTE, rgba
+from gspn_framework_package.model.robot_colours import colour_of
+from gspn_framework_package.world.bodies import rgba
 from gspn_framework_package.world.camera import Camera
 from gspn_framework_package.world.film import Film, find_ffmpeg
 from gspn_framework_package.world.recording import Recorder, read_recording
@@ -61,10 +62,10 @@ def test_a_picture_shows_each_robot_in_its_colour_where_it_is(team, view):
     camera = Camera(team.physics, 400, 300, view)
     image = camera.picture(0.0)
     assert image.size == (400, 300)
-    for index, name in enumerate(team.robots):
+    for name in team.robots:
         pose = team.physics.pose(name)
         pixels = colors_near(image, *camera.pixel(pose.x, pose.y, 0.1))
-        hue = np.array(rgba(PALETTE[index])[:3])
+        hue = np.array(rgba(colour_of(name))[:3])
         # of the same hue, whatever the light makes of it
         shades = pixels @ hue / (np.linalg.norm(pixels, axis=1) * np.linalg.norm(hue) + 1e-9)
         assert (shades > 0.98).mean() > 0.1, name

@@ -6,7 +6,8 @@ import sys
 import pytest
 
 from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.world.bodies import PALETTE, rgba
+from gspn_framework_package.model.robot_colours import colour_of
+from gspn_framework_package.world.bodies import rgba
 from gspn_framework_package.world.physics import TIME_STEP, Physics
 from gspn_framework_package.world.room import Pose
 from gspn_framework_package.world.room_file import parse_room
@@ -147,8 +148,8 @@ def test_the_window_shows_each_robot_in_its_colour(hall):
     shown = [physics.client.getBodyUniqueId(i) for i in range(physics.client.getNumBodies())][-2:]
     # without a window its commands do nothing, but for the colours of the bodies
     set_up_window(physics.client, ROOM, dict(zip(("r0", "r1"), shown)))
-    for body, color in zip(shown, PALETTE):
-        assert physics.client.getVisualShapeData(body)[0][7] == pytest.approx(rgba(color), abs=0.01)
+    for body, name in zip(shown, ("r0", "r1")):
+        assert physics.client.getVisualShapeData(body)[0][7] == pytest.approx(rgba(colour_of(name)), abs=0.01)
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays are X servers on Linux")

@@ -1,14 +1,10 @@
-// A colour and a short id for each robot, the same everywhere on the page and for every viewer.
+// A colour and a short id for each robot, the same everywhere on the page, for every viewer, and in films of the world:
+// the server tells the palette, and model/robot_colours.py has the same rule.
 
-const PALETTE = [
-  "#2563b8", "#c2410c", "#15803d", "#9333ab", "#b91c4b", "#0e7490", "#8a6100", "#4f46c4",
-  "#5b7a1f", "#a8327d", "#3f6475", "#8c4a2f",
-];
+let palette = ["#3f6475"];
 
-const assigned = new Map();
-
-export function forgetRobots() {
-  assigned.clear();
+export function setPalette(colours) {
+  if (colours?.length) palette = colours;
 }
 
 function hash(text) {
@@ -17,15 +13,10 @@ function hash(text) {
   return value;
 }
 
-/** Colour by the number in the name (robot_1, robot_2 ...: neighbours differ), by hash otherwise. */
+/** Colour by the number at the end of the name (robot_1, robot_2 ...: neighbours differ), by all of it where there is none. */
 export function colourOf(name) {
-  let colour = assigned.get(name);
-  if (!colour) {
-    const digits = /(\d+)$/.exec(name);
-    colour = PALETTE[(digits ? Number(digits[1]) - 1 + PALETTE.length : hash(name)) % PALETTE.length];
-    assigned.set(name, colour);
-  }
-  return colour;
+  const digits = /([0-9]{1,6})$/.exec(name);
+  return palette[(digits ? Number(digits[1]) - 1 + palette.length : hash(name)) % palette.length];
 }
 
 /** At most three characters: the number at the end of the name, or its first letters. */

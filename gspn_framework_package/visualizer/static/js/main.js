@@ -15,7 +15,7 @@ import { Room } from "./room.js";
 import { bindKeys, showHelp } from "./keys.js";
 import { Panels } from "./panels.js";
 import { openingScreen, hideOpening } from "./opening.js";
-import { forgetRobots } from "./colours.js";
+import { setPalette } from "./colours.js";
 import { notice, closeNotice } from "./notice.js";
 import { Orders, ONLY_LOOK } from "./orders.js";
 
@@ -52,6 +52,7 @@ class Page {
       setTimeout(() => this.boot(), 2000);
       return;
     }
+    setPalette(this.hello.robot_colours);
     addEventListener("hashchange", () => this.route());
     await this.route();
   }
@@ -111,7 +112,6 @@ class Page {
     const session = await attempt(() => get("session", { id: key }));
     if (!session) { await this.openScreen(); return; }
     this.closeNet();
-    forgetRobots();
     $("page").hidden = $("folds").hidden = false;
     const model = (this.model = new Model(session));
     window.gspn = { page: this, model };

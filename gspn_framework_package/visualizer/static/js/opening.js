@@ -14,10 +14,11 @@ async function encoded(file) {
 
 /** Shows the screen; resolves to the key of the session that was opened. */
 export async function openingScreen(hello) {
+  const mayAct = hello.role !== "viewer";
   const fresh = (await attempt(() => get("hello"))) || hello;
   const screen = $("opening");
   return new Promise((resolve) => {
-    const open = (path) => attempt(async () => resolve((await post("open", { path })).id));
+    const open = (path) => attempt(async () => resolve(mayAct ? (await post("open", { path })).id : `file-${path}`));
     const upload = (files) => attempt(async () => {
       if (!files.length) return;
       resolve((await post("upload", { files: await Promise.all([...files].map(encoded)) })).id);
@@ -34,8 +35,9 @@ export async function openingScreen(hello) {
     drop.ondragover = (event) => { event.preventDefault(); drop.classList.add("over"); };
     drop.ondragleave = () => drop.classList.remove("over");
     drop.ondrop = (event) => { event.preventDefault(); drop.classList.remove("over"); upload(event.dataTransfer.files); };
+    const isCut = (file) => (fresh.cut || []).some(({ log }) => log === file.path);
     const rows = (kind) => fresh.files.filter((file) => file.kind === kind).map((file) =>
-      h("li", {}, h("button", { onclick: () => open(file.path) }, h("span", { class: "path", text: file.path }), h("span", { class: "badge", text: KINDS[kind] }))));
+      h("li", {}, h("button", { onclick: () => open(file.path) }, h("span", { class: "path", text: file.path }), h("span", { class: "badge", text: isCut(file) ? "cut off" : KINDS[kind] }))));
     const all = [...rows("plan"), ...rows("net"), ...rows("log")];
     screen.replaceChildren(h("div", {},
       h("h2", { text: "Open a net or a plan" }),
@@ -43,7 +45,7 @@ export async function openingScreen(hello) {
       h("div", { class: "columns" },
         h("div", { class: "card" }, h("h3", { text: "In this folder" }),
           fresh.can_open ? (all.length ? h("ul", { class: "files" }, all) : h("p", { class: "muted", text: "There is no net, plan or recorded run in this folder." })) : h("p", { class: "muted", text: "No folder is served here." })),
-        h("div", { class: "card" }, h("h3", { text: "Of your own" }), drop))));
+        mayAct && h("div", { class: "card" }, h("h3", { text: "Of your own" }), drop))));
     screen.hidden = false;
     screen.querySelector("button")?.focus();
   });
