@@ -34,6 +34,8 @@ def _axe():
         for (width, height), theme, rules in LOOKS:
             page.set_viewport_size({"width": width, "height": height})
             page.wait_for_function("(width) => innerWidth === width", arg=width)
+            if panel is not None:
+                page.wait_for_selector("body[data-form='%s']" % ("narrow" if width < 640 else "wide"))
             page.evaluate("(theme) => { document.documentElement.dataset.theme = theme; }", theme)
             if panel is not None and page.get_attribute("#fold-" + panel, "aria-expanded") == "false":
                 page.click("#fold-" + panel)
@@ -82,6 +84,8 @@ def test_axe_finds_nothing_in_any_mode(serve_folder, open_page, axe, tmp_path):
     axe(page, "LIVE, the log", "bottom")
     page.set_viewport_size({"width": 1280, "height": 720})
     page.click("#stop")
+    axe(page, "the dialog of #stop")
+    page.click("dialog button.danger")
     page.wait_for_selector(".alarm:has-text('stopped on the page')")
     axe(page, "LIVE, at the end", "left")
 
@@ -135,8 +139,9 @@ def test_everything_is_reached_at_every_width(serve_folder, open_page, picture):
         )
         assert size(page, "#net")[1] >= 0.5 * height, width
         picture(page, "width_%d" % width)
-    for width in (390, 800):  # every panel can be had there, and leaves room for the net
+    for width, form in ((390, "narrow"), (800, "medium")):  # every panel can be had there, and leaves room for the net
         page.set_viewport_size({"width": width, "height": FORMS[width]})
+        page.wait_for_selector("body[data-form='%s']" % form)
         for panel in ("left", "right", "bottom"):
             if page.get_attribute("#fold-" + panel, "aria-expanded") == "false":
                 page.click("#fold-" + panel)

@@ -87,7 +87,7 @@ def test_robots_are_drawn_with_colour_and_id(serve_folder, open_page):
     page.wait_for_function("() => document.querySelectorAll('.robot').length >= 3")
     seen = page.evaluate(
         """() => [...document.querySelectorAll('.robot')].map((g) =>
-        [g.dataset.robot, g.querySelector('text').textContent, getComputedStyle(g.querySelector('circle')).fill])"""
+        [g.dataset.robot, g.querySelector('text').textContent, getComputedStyle(g.querySelector('.disc')).fill])"""
     )
     for name, short, _ in seen:
         assert name == "robot_" + short

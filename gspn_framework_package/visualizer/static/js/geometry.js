@@ -116,17 +116,24 @@ function routed(from, to, route) {
 
 const HEAD = 7.5;
 
-/** SVG path text of line and head of an arc. */
-export function arcPaths(shape, inhibitor) {
+/** SVG path text of the line of an arc. */
+export function arcLine(shape, inhibitor) {
   const [x, y] = shape.tip, [ux, uy] = shape.direction;
   const gap = inhibitor ? 7 : HEAD - 1;
-  const line = `M${shape.start[0]} ${shape.start[1]}${shape.body(x - ux * gap, y - uy * gap)}`;
+  return `M${shape.start[0]} ${shape.start[1]}${shape.body(x - ux * gap, y - uy * gap)}`;
+}
+
+/** SVG path text of what an arc ends in, an arrowhead or a small circle, `size` times as large as usual. */
+export function arcEnd({ tip: [x, y], direction: [ux, uy], points }, inhibitor, size = 1) {
+  const [fx, fy] = points[0];
+  const scale = Math.min(size, Math.max(1, (Math.hypot(x - fx, y - fy) * 0.5) / HEAD)); // no more than half of a short arc
   if (inhibitor) {
-    const cx = r(x - ux * 4), cy = r(y - uy * 4);
-    return { line, circle: `M${cx - 3.5} ${cy}a3.5 3.5 0 1 0 7 0a3.5 3.5 0 1 0 -7 0` };
+    const radius = 3.5 * scale, cx = r(x - ux * (radius + 0.5)), cy = r(y - uy * (radius + 0.5));
+    return `M${r(cx - radius)} ${cy}a${r(radius)} ${r(radius)} 0 1 0 ${r(2 * radius)} 0a${r(radius)} ${r(radius)} 0 1 0 ${r(-2 * radius)} 0`;
   }
-  const bx = x - ux * HEAD, by = y - uy * HEAD, w = 3.3;
-  return { line, head: `M${r(x)} ${r(y)}L${r(bx - uy * w)} ${r(by + ux * w)}L${r(bx + uy * w)} ${r(by - ux * w)}Z` };
+  const length = HEAD * scale, w = 3.3 * scale;
+  const bx = x - ux * length, by = y - uy * length;
+  return `M${r(x)} ${r(y)}L${r(bx - uy * w)} ${r(by + ux * w)}L${r(bx + uy * w)} ${r(by - ux * w)}Z`;
 }
 
 /** Centres of `count` (1 to 9) tokens in a place, as on dice. */
@@ -140,19 +147,15 @@ export function dots(count) {
   return patterns[count];
 }
 
-/** Centres and radius of `count` (1 to 9) robots in a place. */
+/** Centres and radius of `count` (1 to 9) robots in a place; `square`: they stand in rows, as rounded squares, which
+ * leaves each as much room as there is for its number. */
 export function discs(count) {
   if (count === 1) return { radius: 12.5, centres: [[0, 0]] };
   if (count === 2) return { radius: 8.6, centres: [[-9, 0], [9, 0]] };
   if (count === 3) return { radius: 7.8, centres: [[0, -9.2], [-8.3, 5.4], [8.3, 5.4]] };
-  if (count === 4) return { radius: 7, centres: [[-7.6, -7.6], [7.6, -7.6], [-7.6, 7.6], [7.6, 7.6]] };
-  const ring = count > 6 ? count - 1 : count;
-  const radius = count <= 6 ? 5.7 : count === 7 ? 5.7 : 5;
-  const far = 18.4 - radius;
-  const centres = count > 6 ? [[0, 0]] : [];
-  for (let i = 0; i < ring; i++) {
-    const angle = (2 * Math.PI * i) / ring - Math.PI / 2;
-    centres.push([far * Math.cos(angle), far * Math.sin(angle)]);
-  }
-  return { radius, centres };
+  if (count === 4) return { radius: 7.4, centres: [[-7.8, -7.8], [7.8, -7.8], [-7.8, 7.8], [7.8, 7.8]] };
+  const radius = 6.6, step = 2 * radius + 0.8;
+  const rows = count === 5 ? [2, 3] : count === 6 ? [3, 3] : count === 7 ? [2, 3, 2] : count === 8 ? [3, 2, 3] : [3, 3, 3];
+  const centres = rows.flatMap((across, row) => Array.from({ length: across }, (_, i) => [(i - (across - 1) / 2) * step, (row - (rows.length - 1) / 2) * step]));
+  return { radius, centres, square: true };
 }

@@ -1,25 +1,80 @@
-// Names beside the nodes: of readable size at every zoom, and only those that overlap nothing.
+// Names beside the nodes: of readable size at every zoom, and only those that cover nothing. What is selected always
+// has its name; where there is no room for all, what holds tokens or is enabled comes first.
 
 import { s } from "./dom.js";
 import { RADIUS, BAR } from "./geometry.js";
 
 const CHARACTERS = 24;
 const FONT = 11;
-const WIDTH = 6.3; // mean width of a character at that size
-const SMALLEST = 0.28; // below this zoom no names
+const FAMILY = 'system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
+const BOLD = 1.12; // how much wider the name of the selected node is
+const SMALLEST = 9.5; // px
+const CROWDED = 0.28; // below this zoom only a few names, of what matters most
+const FEW = 120;
 const DRAWN = 700; // at most
 const CELL = 64;
 const ARCS = 1500; // names keep clear of arcs in nets with up to this many
+const THOROUGH = 400; // nodes in the view up to which every spot is tried, and names make room for others
+const PUZZLED = 120; // nodes in the view up to which names move for names that move for others
+const SLIDES = [0, -0.33, 0.33, -0.66, 0.66, -1, 1]; // how far a name is moved along its symbol, from its middle
+const GAP = 3; // px between a symbol and its name
+const FLAG = 11; // height of the triangle above a transition that is enabled, in units of the net
 
 const shorten = (name) => {
   const characters = [...name];
   return characters.length > CHARACTERS ? `${characters.slice(0, CHARACTERS - 1).join("")}…` : name;
 };
 
+const apart = (a, b) => a[0] >= b[2] || a[2] <= b[0] || a[1] >= b[3] || a[3] <= b[1];
+
+/** Boxes [x0, y0, x1, y1] in pixels; a coarse grid tells which are near. */
+class Boxes {
+  constructor() {
+    this.cells = new Map();
+  }
+
+  keys([x0, y0, x1, y1]) {
+    const keys = [];
+    for (let i = Math.floor(x0 / CELL); i <= Math.floor(x1 / CELL); i++) {
+      for (let j = Math.floor(y0 / CELL); j <= Math.floor(y1 / CELL); j++) keys.push(i * 100003 + j);
+    }
+    return keys;
+  }
+
+  add(box) {
+    for (const key of this.keys(box)) {
+      if (!this.cells.has(key)) this.cells.set(key, new Set());
+      this.cells.get(key).add(box);
+    }
+  }
+
+  remove(box) {
+    for (const key of this.keys(box)) this.cells.get(key)?.delete(box);
+  }
+
+  /** Those that a box lies over. */
+  under(box) {
+    const found = new Set();
+    for (const key of this.keys(box)) {
+      for (const other of this.cells.get(key) || []) if (!apart(box, other)) found.add(other);
+    }
+    return found;
+  }
+
+  free(box) {
+    return this.keys(box).every((key) => [...(this.cells.get(key) || [])].every((other) => apart(box, other)));
+  }
+}
+
 export class Labels {
   constructor(view) {
     this.view = view;
-    for (const node of view.nodes) node.text = shorten(node.name);
+    const ruler = document.createElement("canvas").getContext("2d");
+    ruler.font = `100px ${FAMILY}`;
+    for (const node of view.nodes) {
+      node.text = shorten(node.name);
+      node.textWidth = ruler.measureText(node.text).width / 100 + 0.1; // at a font size of 1
+    }
   }
 
   later() {
@@ -27,75 +82,162 @@ export class Labels {
     this.timer = setTimeout(() => this.place(), this.drawn ? 110 : 0);
   }
 
-  /** Boxes in pixels; a coarse grid tells which are near. */
+  /** How much a name matters: 0 of what is selected, 1 beside it, 2 of what holds tokens or is enabled, 3 the rest. */
+  rank(node) {
+    if (node === this.chosen) return 0;
+    if (this.beside.has(node)) return 1;
+    return (node.kind === "place" ? node.count > 0 || node.robots : node.enabled) ? 2 : 3;
+  }
+
   place() {
+    this.timer = 0;
     const { view } = this;
     if (!view.camera.now || !view.nodes.length) return;
     const { k, x, y } = view.camera.now;
     const { left, top, width, height } = view.container.getBoundingClientRect();
     this.drawn = true;
-    const grid = new Map(), lines = new Map();
-    const cells = ([x0, y0, x1, y1]) => {
-      const keys = [];
-      for (let i = Math.floor(x0 / CELL); i <= Math.floor(x1 / CELL); i++) {
-        for (let j = Math.floor(y0 / CELL); j <= Math.floor(y1 / CELL); j++) keys.push(i * 100003 + j);
-      }
-      return keys;
-    };
-    const put = (box) => { for (const key of cells(box)) { if (!grid.has(key)) grid.set(key, []); grid.get(key).push(box); } };
-    const free = (box) => box[0] > 2 && box[1] > 2 && box[2] < width - 2 && box[3] < height - 2 && cells(box).every((key) => (grid.get(key) || []).every((b) => b[0] >= box[2] || b[2] <= box[0] || b[1] >= box[3] || b[3] <= box[1]));
-    const clear = (box) => cells(box).every((key) => (lines.get(key) || []).every(([px, py]) => px <= box[0] - 1 || px >= box[2] + 1 || py <= box[1] + 1 || py >= box[3] - 2));
     const seen = [];
     for (const node of view.nodes) {
       const [sx, sy] = [node.x * k + x, node.y * k + y];
-      const inside = sx > -60 && sy > -40 && sx < width + 60 && sy < height + 40;
-      if (inside) seen.push([node, sx, sy]);
+      if (sx > -60 && sy > -40 && sx < width + 60 && sy < height + 40) seen.push({ node, sx, sy });
       else this.take(node, null);
     }
     const size = Math.max(k, 1) * FONT * Math.min(1, 1.06 - 0.06 / Math.max(k, 0.2)); // on the screen
-    const shown = Math.max(9.5, size);
+    const shown = Math.max(SMALLEST, size);
     view.container.style.setProperty("--label", `${(shown / k).toFixed(2)}px`);
-    if (k < SMALLEST) {
-      for (const [node] of seen) this.take(node, null);
-      return;
-    }
-    for (const [node, sx, sy] of seen) {
+
+    this.chosen = view.selection && view.nodeOf(view.selection);
+    this.beside = new Set(this.chosen ? view.arcs.all.flatMap(({ from, to }) => (from === this.chosen ? [to] : to === this.chosen ? [from] : [])) : []);
+    const crowded = k < CROWDED;
+    this.k = k;
+    this.shown = shown;
+    this.line = shown * 1.25;
+    this.room = [2, 2, width - 2, height - 2];
+    this.fixed = new Boxes();
+    this.names = new Boxes();
+    this.placed = new Map(); // item -> box of its name
+    this.points = new Map();
+    for (const { node, sx, sy } of seen) {
       const [w, h] = node.kind === "place" ? [RADIUS, RADIUS] : BAR[node.kind];
-      const flag = node.kind === "place" ? 0 : 11;
-      put([sx - w * k, sy - (h + flag) * k, sx + w * k, sy + h * k]);
+      this.fixed.add([sx - w * k, sy - (h + (node.kind === "place" ? 0 : FLAG)) * k, sx + w * k, sy + h * k]);
     }
-    if (view.arcs.all.length <= ARCS) this.sampleArcs(lines, view.camera.now);
+    if (view.arcs.all.length <= ARCS) this.sampleArcs(this.points, view.camera.now);
     for (const element of view.container.parentElement.querySelectorAll(".zoom, .frame-name")) {
       const box = element.getBoundingClientRect();
-      put([box.left - left, box.top - top, box.right - left, box.bottom - top]);
+      this.fixed.add([box.left - left, box.top - top, box.right - left, box.bottom - top]);
     }
-    const line = shown * 1.25, unit = (shown / FONT) * WIDTH;
-    for (const [node, sx, sy] of seen) {
+    for (const { node, sx, sy } of seen) {
       if (!node.value) continue;
-      const [half, top] = [(node.value.textContent.length * unit) / 2, sy + Number(node.value.getAttribute("y")) * k];
-      put([sx - half, top - line * 0.85, sx + half, top + line * 0.15]);
+      const half = (node.value.textContent.length * shown * 0.6) / 2, base = sy + Number(node.value.getAttribute("y")) * k;
+      this.fixed.add([sx - half, base - this.line * 0.85, sx + half, base + this.line * 0.15]);
     }
-    const chosen = view.selection && view.nodeOf(view.selection);
-    seen.sort((a, b) => (b[0] === chosen) - (a[0] === chosen) || (a[0].kind === "place" ? 0 : 1) - (b[0].kind === "place" ? 0 : 1));
-    let drawn = 0;
-    for (const [node, sx, sy] of seen) {
-      const [w, h] = node.kind === "place" ? [RADIUS, RADIUS] : BAR[node.kind];
-      const flag = node.kind === "place" ? 0 : 11;
-      const length = [...node.text].length * unit * (node === chosen ? 1.12 : 1);
-      const gap = 3;
-      const spots = [
-        [sx - length / 2, sy + h * k + gap, "middle", 0, h + (gap + shown * 0.95) / k],
-        [sx - length / 2, sy - (h + flag) * k - gap - line, "middle", 0, -(h + flag) - (gap + shown * 0.3) / k],
-        [sx + w * k + gap + 1, sy - line / 2, "start", w + (gap + 1) / k, (shown * 0.35) / k],
-        [sx - w * k - gap - 1 - length, sy - line / 2, "end", -w - (gap + 1) / k, (shown * 0.35) / k],
-      ];
-      const open = drawn < DRAWN ? spots.filter(([bx, by]) => free([bx, by, bx + length, by + line])) : [];
-      const spot = open.find(([bx, by]) => clear([bx, by, bx + length, by + line])) || open[0];
-      if (!spot) { this.take(node, null); continue; }
-      drawn += 1;
-      put([spot[0], spot[1], spot[0] + length, spot[1] + line]);
-      this.take(node, spot);
+
+    const order = seen.map((item) => ({ ...item, rank: this.rank(item.node) }));
+    order.sort((a, b) => a.rank - b.rank || (a.node.kind === "place" ? 0 : 1) - (b.node.kind === "place" ? 0 : 1));
+    this.thorough = seen.length <= THOROUGH;
+    const leftOut = [];
+    for (const item of order) {
+      if (crowded ? item.rank === 3 || this.placed.size >= FEW : this.placed.size >= DRAWN) continue;
+      const box = this.bestFree(item) || (item.rank === 0 ? this.leastBad(item) : null);
+      if (box) this.settle(item, box); else leftOut.push(item);
     }
+    if (this.thorough) for (const item of leftOut) this.makeRoom(item, seen.length <= PUZZLED ? 3 : 1);
+    for (const item of order) {
+      const box = this.placed.get(item);
+      this.take(item.node, box ? [(box[0] - item.sx) / k, (box[1] + shown * 0.95 - item.sy) / k] : null);
+    }
+  }
+
+  /** Where the name of a node may stand: boxes, each with a `cost`. Below, above, beside, and where few nodes are in
+   * the view also moved along the symbol, and farther off. */
+  spots({ node, sx, sy }) {
+    const { k, line } = this;
+    const [halfWidth, halfHeight] = node.kind === "place" ? [RADIUS, RADIUS] : BAR[node.kind];
+    const w = halfWidth * k, h = halfHeight * k;
+    const above = h + (node.kind === "place" ? 0 : FLAG * k);
+    const length = node.textWidth * this.shown * (node === this.chosen ? BOLD : 1);
+    const found = [];
+    const spot = (x0, y0, cost) => found.push(Object.assign([x0, y0, x0 + length, y0 + line], { cost }));
+    for (const far of this.thorough ? [0, 0.6, 1.2, 1.8] : [0]) {
+      const gap = GAP + far * line;
+      for (const slide of this.thorough ? SLIDES : [0]) {
+        const cost = far * 24 + Math.abs(slide) * 6;
+        const along = sx - length / 2 + (slide * length) / 2, up = sy - line / 2 + slide * (h + line / 2);
+        spot(along, sy + h + gap, cost);
+        spot(along, sy - above - gap - line, cost + 1);
+        spot(sx + w + gap + 1, up, cost + 2);
+        spot(sx - w - gap - 1 - length, up, cost + 3);
+      }
+    }
+    return found;
+  }
+
+  inRoom(box) {
+    const [x0, y0, x1, y1] = this.room;
+    return box[0] > x0 && box[1] > y0 && box[2] < x1 && box[3] < y1;
+  }
+
+  /** The first spot that nothing is at; one that no arc crosses where there is such a one. */
+  bestFree(item) {
+    let best = null, least = Infinity;
+    for (const box of this.spots(item)) {
+      if (box.cost >= least || !this.inRoom(box) || !this.fixed.free(box) || !this.names.free(box)) continue;
+      const cost = this.crossed(box) * 2 + box.cost;
+      if (cost < least) [best, least] = [box, cost];
+    }
+    return best;
+  }
+
+  /** How many points of arcs a box lies over. */
+  crossed(box) {
+    let count = 0;
+    for (const key of this.names.keys(box)) {
+      for (const [px, py] of this.points.get(key) || []) {
+        if (px > box[0] - 1 && px < box[2] + 1 && py > box[1] + 1 && py < box[3] - 2) count += 1;
+      }
+    }
+    return count;
+  }
+
+  leastBad(item) {
+    const spots = this.spots(item);
+    const cost = (box) => this.fixed.under(box).size + (this.inRoom(box) ? 0 : 5);
+    return spots.reduce((best, box) => (cost(box) < cost(best) ? box : best), spots[0]);
+  }
+
+  /** Put a name where others stand, if those find another spot, for which still others may have to move. */
+  makeRoom(item, depth) {
+    const spots = this.spots(item).filter((box) => this.inRoom(box) && this.fixed.free(box))
+      .map((box) => [box, [...this.names.under(box)]])
+      .filter(([, others]) => others.length <= 2 && others.every((other) => other.item.rank > 0 && !other.held))
+      .sort((a, b) => a[1].length - b[1].length || a[0].cost - b[0].cost);
+    for (const [box, others] of spots) {
+      const before = new Map(this.placed);
+      for (const other of others) this.lift(other.item);
+      this.settle(item, box);
+      box.held = true;
+      const fits = others.every((other) => {
+        const spot = this.bestFree(other.item);
+        if (spot) this.settle(other.item, spot);
+        return spot || (depth > 1 && this.makeRoom(other.item, depth - 1));
+      });
+      box.held = false;
+      if (fits) return true;
+      for (const moved of [...this.placed.keys()]) if (before.get(moved) !== this.placed.get(moved)) this.lift(moved);
+      for (const [moved, spot] of before) if (!this.placed.has(moved)) this.settle(moved, spot);
+    }
+    return false;
+  }
+
+  settle(item, box) {
+    box.item = item;
+    this.names.add(box);
+    this.placed.set(item, box);
+  }
+
+  lift(item) {
+    this.names.remove(this.placed.get(item));
+    this.placed.delete(item);
   }
 
   /** Points of the arcs, in pixels, by cell. */
@@ -124,9 +266,8 @@ export class Labels {
       node.label = s("text", { class: "label", text: node.text });
       node.element.append(node.label);
     }
-    node.label.setAttribute("x", spot[3].toFixed(1));
-    node.label.setAttribute("y", spot[4].toFixed(1));
-    node.label.style.textAnchor = spot[2];
+    node.label.setAttribute("x", spot[0].toFixed(1));
+    node.label.setAttribute("y", spot[1].toFixed(1));
   }
 
   close() {

@@ -1,9 +1,10 @@
 // The arcs of the net: all of a kind are one path, so that they are drawn at once.
 
 import { s } from "./dom.js";
-import { arcShape, arcPaths } from "./geometry.js";
+import { arcShape, arcLine, arcEnd } from "./geometry.js";
 
 const KINDS = { lines: "lines", inhibitor: "lines inhibitor", near: "lines near", heads: "heads", circles: "circles" };
+const SIZES = [1, 1.5, 2, 3, 4]; // how many times its usual size an arrowhead is drawn, so that it is seen from afar
 const BEND = 16; // px by which two arcs between the same nodes part
 
 export class Arcs {
@@ -18,6 +19,7 @@ export class Arcs {
     this.weights = s("g");
     this.layer.append(this.weights);
     this.near = null;
+    this.size = 1;
     const seen = new Set(scene.arcs.map(([p, t, forth]) => `${p},${t},${forth}`));
     this.all = scene.arcs.map(([p, t, forth, weight, inhibitor], index) => ({
       index, weight, inhibitor,
@@ -32,17 +34,33 @@ export class Arcs {
     for (const arc of this.all) {
       if (only && arc.from !== only && arc.to !== only) continue;
       const home = !arc.from.moved && !arc.to.moved;
-      const shape = arcShape(arc.from, arc.to, home ? routes[arc.index] : null, arc.both ? BEND : 0);
-      Object.assign(arc, arcPaths(shape, arc.inhibitor), { middle: shape.middle, points: shape.points });
+      arc.shape = arcShape(arc.from, arc.to, home ? routes[arc.index] : null, arc.both ? BEND : 0);
+      arc.line = arcLine(arc.shape, arc.inhibitor);
+      Object.assign(arc, { middle: arc.shape.middle, points: arc.shape.points });
     }
-    const join = (pick) => this.all.map(pick).filter(Boolean).join("");
-    this.path.lines.setAttribute("d", join((a) => !a.inhibitor && a.line));
-    this.path.inhibitor.setAttribute("d", join((a) => a.inhibitor && a.line));
-    this.path.heads.setAttribute("d", join((a) => a.head));
-    this.path.circles.setAttribute("d", join((a) => a.circle));
+    this.path.lines.setAttribute("d", this.join((a) => !a.inhibitor && a.line));
+    this.path.inhibitor.setAttribute("d", this.join((a) => a.inhibitor && a.line));
+    this.drawEnds();
     this.weights.replaceChildren(...this.all.filter((a) => a.weight > 1).map((a) =>
       s("text", { x: a.middle[0], y: a.middle[1], text: String(a.weight) })));
     this.showNear(this.near);
+  }
+
+  join(pick) {
+    return this.all.map(pick).filter(Boolean).join("");
+  }
+
+  drawEnds() {
+    this.path.heads.setAttribute("d", this.join((a) => !a.inhibitor && arcEnd(a.shape, false, this.size)));
+    this.path.circles.setAttribute("d", this.join((a) => a.inhibitor && arcEnd(a.shape, true, this.size)));
+  }
+
+  /** The net is seen at zoom `k`: from afar arrowheads are drawn larger, in a few steps. */
+  zoomed(k) {
+    const size = SIZES.find((factor) => factor * k >= 0.7) || SIZES[SIZES.length - 1];
+    if (size === this.size) return;
+    this.size = size;
+    this.drawEnds();
   }
 
   /** Set off the arcs of the node that is selected; of none for null. */

@@ -5,7 +5,7 @@ const CULL = 800; // nets with more nodes draw only what is in the view
 const FAR = 0.14; // below this zoom tokens are too small to be told apart: a place with any is filled
 const SMALL = 0.35; // below this zoom a firing is a flash: what travels could hardly be seen
 const [NEAREST, FARTHEST] = [4, 0.02];
-const LARGEST_FIT = 1.6;
+const LARGEST_FIT = [1.6, 2.6]; // of a small net, on a usual and on a very large screen
 const FLIGHT = 260; // ms
 const READABLE = 0.55; // from this zoom on names can be read
 const EDGE = 60; // px from the edge within which a node is taken to be out of sight
@@ -34,7 +34,7 @@ export class Camera {
     const [x0, y0, x1, y1] = this.view.bounds();
     const [left, right, top, bottom] = MARGIN;
     const w = Math.max(50, width - left - right), h = Math.max(50, height - top - bottom);
-    const k = Math.min(w / (x1 - x0), h / (y1 - y0), LARGEST_FIT);
+    const k = Math.min(w / (x1 - x0), h / (y1 - y0), Math.min(LARGEST_FIT[1], Math.max(LARGEST_FIT[0], width / 900)));
     this.fitted = true;
     this.set(k, left + w / 2 - (k * (x0 + x1)) / 2, top + h / 2 - (k * (y0 + y1)) / 2);
   }
@@ -94,6 +94,7 @@ export class Camera {
     const transform = `translate(${x.toFixed(1)} ${y.toFixed(1)}) scale(${k.toFixed(4)})`;
     for (const layer of this.view.moving) layer.setAttribute("transform", transform);
     this.small = k < SMALL;
+    this.view.arcs.zoomed(k);
     this.view.container.classList.toggle("far", k < FAR);
     this.view.container.style.setProperty("--bold", Math.max(1, THIN / k).toFixed(1));
     this.cull();

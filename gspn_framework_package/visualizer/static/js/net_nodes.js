@@ -1,7 +1,7 @@
 // The symbols of places and transitions: how each is built, what it holds, and how a result is painted on it.
 
-import { s } from "./dom.js";
 import { RADIUS, BAR, dots, discs } from "./geometry.js";
+import { natural, s } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
 
 const MOST = 9; // tokens or robots that are drawn one by one
@@ -56,13 +56,13 @@ function drawDots(node, count, robotsHere = false) {
 function drawRobots(node, robots) {
   if (node.robots) { node.robots.remove(); node.robots = null; }
   if (!robots.length) return;
-  const { radius, centres } = discs(robots.length);
-  node.robots = s("g", {}, robots.sort((a, b) => (a.name < b.name ? -1 : 1)).map((robot, i) => {
+  const { radius, centres, square } = discs(robots.length);
+  node.robots = s("g", {}, robots.sort((a, b) => natural(a.name, b.name)).map((robot, i) => {
     const phase = robot.why && robot.phase !== "failed" ? "waiting" : robot.phase || "";
     const id = shortName(robot.name);
     const text = s("text", { text: id });
-    text.style.fontSize = `${Math.min(radius * 1.15, (radius * 2.6) / Math.max(1, id.length)).toFixed(1)}px`;
-    const disc = s("circle", { r: radius });
+    text.style.fontSize = `${Math.min(radius * (square ? 1.5 : 1.15), (radius * (square ? 3 : 2.6)) / Math.max(1, id.length)).toFixed(1)}px`;
+    const disc = square ? s("rect", { class: "disc", x: -radius, y: -radius, width: 2 * radius, height: 2 * radius, rx: 3.5 }) : s("circle", { class: "disc", r: radius });
     disc.style.fill = colourOf(robot.name);
     return s("g", { class: `robot ${phase}${robot.paused ? " paused" : ""}`, transform: at({ x: centres[i][0], y: centres[i][1] }), "data-robot": robot.name },
       s("title", { text: robot.name }), disc, text);

@@ -99,6 +99,7 @@ export class NetView extends EventTarget {
     this.pendingRobots.clear();
     for (let p = 0; p < this.places.length; p++) this.dirty.places.add(p);
     for (let t = 0; t < this.transitions.length; t++) this.dirty.transitions.add(t);
+    this.labels.later();
     this.request();
   }
 

@@ -9,7 +9,9 @@ import { phaseOf } from "./robots_panel.js";
 const SPANS = [1, 2, 5, 10, 30, 60, 300, 1200, 7200, 86400];
 const TICKS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600, 14400]; // s
 const LABEL = [92, 0.22]; // px, and share of the width, for the names of the lanes: at least, at most
-const LANE = [20, 26]; // px, least and largest height of a lane
+const LANE = [15, 26]; // px, least and largest height of a lane; where all do not fit they scroll
+const TOKENS = 20; // px, least height of a lane of tokens
+const EDGE = [26, 4]; // px above the lanes, where the axis is, and below
 
 const spanText = (t) => (t < 60 ? `${t} s` : t < 3600 ? `${t / 60} min` : `${t / 3600} h`);
 const axisTime = (t) => (t < 60 ? `${Number(t.toFixed(1))} s` : seconds(t));
@@ -33,6 +35,8 @@ export class TimeLine extends EventTarget {
     this.span = null; // seconds shown; null: chosen by how much there is
     this.canvas.onclick = (event) => this.clicked(event);
     this.canvas.onwheel = (event) => {
+      const { scrollHeight, clientHeight } = this.canvas.parentElement;
+      if (scrollHeight > clientHeight + 1 && !event.ctrlKey) return; // there are more lanes to see
       event.preventDefault();
       this.zoom(event.deltaY > 0 ? 1 : -1);
     };
@@ -41,7 +45,7 @@ export class TimeLine extends EventTarget {
     spans.replaceChildren(h("option", { value: "", text: "all" }), ...SPANS.map((span) => h("option", { value: span, text: spanText(span) })));
     spans.onchange = () => { this.span = Number(spans.value) || null; this.update(); };
     this.observer = new ResizeObserver(() => this.update());
-    this.observer.observe(this.canvas);
+    this.observer.observe(this.canvas.parentElement);
     this.clock = setInterval(() => { if (model.mode === "LIVE" && model.following && model.lostAt === null && model.board?.status.running) this.later(); }, 200);
   }
 
@@ -123,8 +127,21 @@ export class TimeLine extends EventTarget {
     const { model, canvas } = this;
     if (!model.board) return;
     const ratio = window.devicePixelRatio || 1;
-    const { clientWidth: width, clientHeight: height } = canvas;
-    if (!width || !height) { this.drawScrubber(); return; } // the lanes are folded
+    const { clientWidth: width, clientHeight: shown } = canvas.parentElement;
+    if (!width || !shown) { this.drawScrubber(); return; } // the lanes are folded
+    const end = model.now();
+    const course = courseOf(model);
+    const have = course.length ? end - course[0].t : 0;
+    this.shownSpan = this.span || SPANS.find((span) => span >= Math.min(have, 60)) || 60;
+    const begin = Math.max(0, end - this.shownSpan); // a short run fills the lanes from the left
+    const lanes = this.segments(begin, end);
+    const names = [...lanes.keys()].sort(natural);
+    const [top, bottom] = EDGE;
+    const places = model.mode === "SIMULATE" ? this.tokens(begin, Math.floor((shown - top - bottom) / TOKENS) - 1) : [];
+    const rows = names.length + places.length + 1;
+    const height = Math.max(shown, top + bottom + rows * LANE[0]);
+    const step = Math.min(LANE[1], (height - top - bottom) / rows);
+    canvas.style.height = height > shown ? `${height}px` : "100%";
     if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
       canvas.width = Math.round(width * ratio);
       canvas.height = Math.round(height * ratio);
@@ -134,17 +151,6 @@ export class TimeLine extends EventTarget {
     const c = canvas.getContext("2d");
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     c.clearRect(0, 0, width, height);
-    const end = model.now();
-    const course = courseOf(model);
-    const have = course.length ? end - course[0].t : 0;
-    this.shownSpan = this.span || SPANS.find((span) => span >= Math.min(have, 60)) || 60;
-    const begin = Math.max(0, end - this.shownSpan); // a short run fills the lanes from the left
-    const top = 8, axis = 20, room = height - top - axis;
-    const lanes = this.segments(begin, end);
-    const names = [...lanes.keys()].sort(natural);
-    const places = model.mode === "SIMULATE" ? this.tokens(begin, Math.floor(room / LANE[0]) - 1) : [];
-    const rows = names.length + places.length + 1;
-    const step = Math.min(LANE[1], room / rows);
     c.font = "11px system-ui, sans-serif";
     c.textBaseline = "middle";
     const widest = Math.max(0, ...names.concat(places.map((place) => place.name)).map((name) => c.measureText(name).width));
@@ -164,9 +170,9 @@ export class TimeLine extends EventTarget {
     const tick = TICKS.find((step) => (step / this.shownSpan) * (right - label) >= 70) || this.shownSpan;
     for (let i = Math.ceil(begin / tick - 1e-9); i * tick <= begin + this.shownSpan + 1e-9; i++) {
       const t = i * tick;
-      c.beginPath(); c.moveTo(x(t), top); c.lineTo(x(t), height - axis); c.stroke();
+      c.beginPath(); c.moveTo(x(t), top - 4); c.lineTo(x(t), height - bottom); c.stroke();
       c.textAlign = x(t) > right - 20 ? "right" : "center";
-      c.fillText(axisTime(t), Math.min(right, x(t)), height - axis / 2);
+      c.fillText(axisTime(t), Math.min(right, x(t)), top / 2);
     }
 
     // firings
