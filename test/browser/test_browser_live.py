@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from page_reading import dots, marking, settle
+from page_reading import boxes, dots, marking, overlaps, settle
 
 from gspn_framework_package.benchmark.ports import free_port
 from gspn_framework_package.formats.plan_file import read_plan
@@ -164,6 +164,25 @@ def test_a_lost_robot_and_a_stalled_plan_are_seen_at_a_glance(told, open_page, p
     page.wait_for_selector(".robot.waiting[data-robot='robot_1']")
     assert page.locator("#net .robot[data-robot='robot_2']").count() == 0
     picture(page, "lost_and_stalled")
+    # what is the matter now is told to one who looks back, too
+    page.keyboard.press(" ")
+    page.wait_for_function("() => !window.gspn.model.following")
+    told.told.hub.publish({"k": "robots", "r": [{"name": "robot_3", "phase": "lost"}], "gone": []})
+    page.wait_for_selector(".alarm:has-text('Lost: robot_2, robot_3')")
+    assert page.locator("#net .robot[data-robot='robot_3']").count() == 1
+    page.keyboard.press("l")
+    page.wait_for_selector("#net .lost-mark[data-lost='robot_3']")
+    # a long reason crowds nothing out
+    title = boxes(page, "#title")
+    told.told.hub.publish({"k": "status", "status": {"stalled": "the gripper of robot_1 says: " + "no " * 400}})
+    page.wait_for_selector(".alarm:has-text('the gripper')")
+    assert boxes(page, "#title") == title
+    assert not overlaps(boxes(page, "#title, #subtitle, #mode, #connection, #alarms, #frame"))
+    _, top, _, bottom = boxes(page, ".alarm")[-1]
+    assert bottom - top < 60
+    picture(page, "long_reason")
+    page.click(".alarm:has-text('the gripper')")
+    assert page.inner_text("dialog .whole").count("no ") > 390
 
 
 def test_feedback_and_the_room_are_shown(told, open_page, picture):

@@ -81,7 +81,7 @@ def test_every_order_names_its_run_and_its_answer_is_shown(team, open_page, pict
     order(page, "robot_1", "Try again")
     team.robot("robot_1", phase="doing", why="")
     # the button that was pressed has gone, and the panel goes on
-    page.wait_for_selector(".robot-card.doing[data-robot='robot_1'] .badge:has-text('acts')")
+    page.wait_for_selector(".robot-card.is-doing[data-robot='robot_1'] .badge:has-text('acts')")
     assert page.locator(".robot-card[data-robot='robot_1'] button:has-text('Try again')").count() == 0
 
     order(page, "robot_1", "More")

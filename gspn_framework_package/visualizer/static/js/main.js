@@ -335,9 +335,9 @@ class Page {
     $("frame-name").replaceChildren(h("b", { text: model.mode }), says ? ` — ${says}` : "");
     this.showOrders(status);
     const alarms = [];
-    const robots = [...model.board.robots.values()];
+    const robots = [...(model.mode === "REPLAY" ? model.board : model.head).robots.values()];
     const named = (phase) => robots.filter((robot) => robot.phase === phase).map((robot) => robot.name);
-    const alarm = (text, kind = "") => alarms.push(h("button", { class: `alarm ${kind}`, text, title: text, onclick: () => this.showTab("robots") }));
+    const alarm = (text, kind = "") => alarms.push(h("button", { class: `alarm ${kind}`, title: text, onclick: (event) => this.showAlarm(event.currentTarget) }, h("span", { text })));
     if (named("lost").length) alarm(`Lost: ${named("lost").join(", ")}`);
     if (named("failed").length) alarm(`Failed: ${named("failed").join(", ")}`);
     if (status.stalled) alarm(`Stalled: ${status.stalled}`);
@@ -348,6 +348,13 @@ class Page {
       this.alarmsShown = shown;
       $("alarms").replaceChildren(...alarms);
     }
+  }
+
+  /** The robots; and the whole of an alarm that had to be cut. */
+  showAlarm(element) {
+    this.showTab("robots");
+    const text = element.firstChild;
+    if (text.scrollHeight > text.clientHeight + 2) ask("What is the matter", h("p", { class: "whole", text: text.textContent }), [["Close", "", "primary"]]);
   }
 
   /** What can be started, stopped and ordered now; where it cannot, why. */

@@ -56,8 +56,8 @@ export class Model extends EventTarget {
     this.mode = "";
     this.info = {};
     this.epoch = "";
-    this.board = null;
-    this.head = { n: 0, t: 0, status: {} };
+    this.board = null; // what is shown
+    this.head = { n: 0, t: 0, status: {}, robots: new Map() }; // the latest board; the very one that is shown while following
     this.oldest = 0;
     this.events = []; // some that follow one another
     this.base = null; // the board before them; null while it is not known
@@ -93,7 +93,7 @@ export class Model extends EventTarget {
     this.oldest = snapshot.oldest;
     if (another) this.latest = {};
     const board = boardOf(snapshot.board);
-    this.head = { n: board.n, t: board.t, status: board.status };
+    this.head = board;
     this.lastEvent = snapshot.age === null ? null : performance.now() - snapshot.age * 1000;
     this.clockBase = performance.now() - (snapshot.clock || 0) * 1000;
     if (!another && !this.following) { this.tell("head"); return; }
@@ -101,26 +101,22 @@ export class Model extends EventTarget {
     this.base = copyOf(board);
     this.following = this.mode !== "REPLAY";
     this.playing = false;
-    this.board = board;
+    this.board = this.following ? board : copyOf(board);
     this.tell("reset", { another });
     if (this.mode === "REPLAY") this.show(0);
     else this.fetchPast();
   }
 
   append(events) {
-    const last = events[events.length - 1];
-    this.head.n = last.n;
-    this.head.t = last.t;
     this.lastEvent = performance.now();
-    for (const event of events) if (event.k === "status") this.head.status = { ...this.head.status, ...event.status };
     const tail = this.events.length ? this.events[this.events.length - 1].n : this.board.n;
     if (events[0].n === tail + 1) {
       this.events = this.events.concat(events);
       this.trim();
     }
-    if (!this.following) { this.tell("head"); return; }
-    for (const event of events) applyEvent(this.board, event);
-    this.tell("events", { events });
+    for (const event of events) applyEvent(this.head, event);
+    if (this.following) this.tell("events", { events });
+    else this.tell("head");
   }
 
   /** The server is heard, or (with the time at which it was heard last) is not. */
@@ -148,7 +144,9 @@ export class Model extends EventTarget {
     const found = await this.fetchEvents(Math.max(0, before - 3000), before).catch(() => null);
     if (!found) return;
     const last = found.events[found.events.length - 1].n;
-    this.events = found.events.concat(this.events.filter((event) => event.n > last));
+    const events = found.events.concat(this.events.filter((event) => event.n > last));
+    if (this.following && events[events.length - 1].n !== this.board.n) return; // another board came meanwhile
+    this.events = events;
     this.base = found.base;
     this.tell("past");
   }
@@ -176,13 +174,19 @@ export class Model extends EventTarget {
 
   pause() {
     if (!this.following) return;
-    this.following = false;
+    this.letGo();
     this.tell("view");
+  }
+
+  /** What is shown does not follow the latest board any more. */
+  letGo() {
+    if (this.following) this.board = copyOf(this.head);
+    this.following = false;
   }
 
   /** Show the board after event `n`. */
   async show(n) {
-    this.following = false;
+    this.letGo();
     this.wanted = n;
     this.tell("view");
     if (this.fetching) return;
@@ -304,29 +308,21 @@ export class Model extends EventTarget {
     this.tell("view");
   }
 
-  /** Follow again: by the events at hand if they reach, by a fresh state otherwise. */
-  async backToLive() {
+  /** Follow again: by the events at hand if they reach, at once otherwise. */
+  backToLive() {
     this.playing = false;
+    this.following = true;
     const last = this.events.length ? this.events[this.events.length - 1].n : -1;
     if (last === this.head.n && this.head.n - this.board.n < 200) {
-      this.following = true;
       this.forward(this.head.n);
-      this.tell("view");
-      return;
+    } else if (last !== this.head.n) { // they are of another time
+      this.events = [];
+      this.base = copyOf(this.head);
     }
-    const epoch = this.epoch;
-    const data = await get("state", { id: this.session.id, at: this.head.n });
-    if (data.epoch !== epoch) return;
-    const board = boardOf(data.board);
-    const at = this.indexAfter(board.n);
-    const rest = this.events.slice(at);
-    if (board.n < this.head.n && (!rest.length || rest[0].n !== board.n + 1)) return this.backToLive();
-    this.board = board;
-    for (const event of rest) applyEvent(this.board, event);
-    this.following = true;
-    this.tell("reset", { another: false });
+    const shown = this.board.n;
+    this.board = this.head;
+    if (shown !== this.head.n) this.tell("reset", { another: false });
     this.tell("view");
     this.fetchPast();
-    return undefined;
   }
 }

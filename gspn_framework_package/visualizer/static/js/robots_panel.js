@@ -32,7 +32,7 @@ export function robotCard(model, robot, buttons = []) {
   disc.style.background = colourOf(robot.name);
   const feedback = model.following && !ended && !gone(robot) ? feedbackOf(model, robot) : null;
   const attempt = robot.attempt > 1 ? `, attempt ${robot.attempt}` : "";
-  return h("div", { class: `robot-card ${robot.phase || ""}`, "data-robot": robot.name }, disc,
+  return h("div", { class: `robot-card is-${robot.phase}`, "data-robot": robot.name }, disc,
     h("div", {},
       h("div", { class: "line" }, h("strong", { text: robot.name }), h("span", { class: `badge ${kind}`, text: word })),
       h("div", { class: "line muted" }, h("span", { text: place ? `${gone(robot) || ended ? "was in " : ""}${place.name}${attempt}` : "" }), h("span", { class: "since", text: ended ? "" : since(model, robot) }))),
