@@ -17,7 +17,7 @@ import webbrowser
 from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.model.errors import ExecutionError, GspnError, UsageError
+from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.model.plan import Plan
 
 NAME = "demo"
@@ -104,15 +104,14 @@ class _Demo:
 
     def start(self) -> None:
         """Launch the team; the signals end the demo from here on."""
-        import rosgraph
         import roslaunch
         import rospkg
         import rospy
 
+        from gspn_framework_package.ros.registration import require_master
         from gspn_framework_package.ros.team_monitor import TeamMonitor
 
-        if not rosgraph.is_master_online():
-            raise ExecutionError("no ROS master answers at %s" % rosgraph.get_master_uri(), hint="start roscore")
+        require_master()
         rospy.init_node("gspn_demo", anonymous=True, disable_signals=True)
         robots = [(robot.name, "/robot_%d" % number, robot.place) for number, robot in enumerate(self._plan.robots, 1)]
         self._monitor = TeamMonitor(robots, self._run)

@@ -47,6 +47,7 @@ from types import ModuleType
 from typing import Any, Callable, Dict, FrozenSet, NamedTuple, Optional, Set, TypeVar
 
 from gspn_framework_package.model.errors import PlanError
+from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.plan import FunctionAction, Plan
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -54,6 +55,18 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 class ActionFailed(Exception):  # noqa: N818  # what it says, not a fault of the program
     """Raised by an action that did not succeed; its text is told to the operator."""
+
+
+TEXT_LIMIT = 500
+"""Characters of what an action says, of its failure or as its result, that are kept."""
+
+
+def error_text(error: BaseException) -> str:
+    """What a user's exception says (which may raise itself), on one line of at most :data:`TEXT_LIMIT` characters."""
+    try:
+        return shorten(str(error), TEXT_LIMIT)
+    except Exception as another:
+        return "(its text cannot be shown: %s)" % type(another).__name__
 
 
 class Cancellation:

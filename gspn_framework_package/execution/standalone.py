@@ -23,6 +23,7 @@ from gspn_framework_package.execution.actions import (
     ActionContext,
     ActionFailed,
     Cancellation,
+    error_text,
     load_actions,
 )
 from gspn_framework_package.execution.environment import Environment
@@ -354,9 +355,9 @@ class StandaloneExecutor:
             result = action[command.place](context)
             entry = log.Done(command.robot, command.incarnation, command.visit, result)
         except ActionFailed as error:
-            entry = self._failed(command, "aborted", _told(error))
+            entry = self._failed(command, "aborted", error_text(error))
         except BaseException as error:  # whatever a user's function raises, SystemExit too
-            entry = self._failed(command, "aborted", "%s: %s" % (type(error).__name__, _told(error)))
+            entry = self._failed(command, "aborted", "%s: %s" % (type(error).__name__, error_text(error)))
         self._queue.put(lambda: self._finished(command, attempt, entry))
 
     def _finished(
@@ -386,16 +387,8 @@ class StandaloneExecutor:
         )
 
 
-def _told(error: BaseException) -> str:
-    """What a user's exception says, which may raise itself."""
-    try:
-        return str(error)
-    except Exception as another:
-        return "(its text cannot be told: %s)" % type(another).__name__
-
-
 def _broke_off(error: BaseException) -> str:
-    what = str(error) if isinstance(error, GspnError) else "%s: %s" % (type(error).__name__, _told(error))
+    what = str(error) if isinstance(error, GspnError) else "%s: %s" % (type(error).__name__, error_text(error))
     return "the run broke off: %s" % what
 
 

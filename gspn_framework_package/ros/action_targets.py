@@ -13,6 +13,8 @@ from gspn_framework_package.formats.plan_json import EXEC_GSPN
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.plan import FunctionAction, Plan, ServerAction
 
+EXEC_GSPN_RESULT = EXEC_GSPN[: -len("Action")] + "Result"
+
 
 class ActionTarget(NamedTuple):
     """An action server, and the goal that a place sends to it."""
@@ -52,7 +54,9 @@ class ActionTarget(NamedTuple):
         :param outcome: the value of an ``Outcome``.
         :param result: the result message, if any came.
         """
-        if outcome == "succeeded" and not self.outcomes and hasattr(result, "transition"):
+        # that a result of another type has a field of this name means nothing
+        names_one = getattr(result, "_type", "") == EXEC_GSPN_RESULT
+        if outcome == "succeeded" and not self.outcomes and names_one:
             return str(result.transition)
         return self.outcomes.get(outcome, "" if outcome == "succeeded" else None)
 

@@ -15,12 +15,14 @@ from typing import Any, Callable, Dict, List, Optional
 import rospy
 
 from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.actions import TEXT_LIMIT
 from gspn_framework_package.execution.agreement import interface as agreement
 from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.event_log import EventLogWriter, Record, header, read_log
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
 from gspn_framework_package.execution.team_state import GONE, Phase
 from gspn_framework_package.model.errors import GspnError, LogError
+from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.ros.action_caller import CONNECT_POLL, ActionCaller, ActionEnded
@@ -36,7 +38,6 @@ from gspn_framework_package.ros.place_servers import PlaceServers
 
 FAREWELL = 2.0
 """Seconds for which a node goes on after the end of the run, so that the others hear of it."""
-
 
 class ExecutionNode(Worker):
     """Executes a plan for one robot, until the run is over.
@@ -344,11 +345,14 @@ class ExecutionNode(Worker):
     # -- what the action side says -----------------------------------------------------------------
 
     def _action_ended(self, ended: ActionEnded) -> None:
+        """What a server says goes into the log, to all robots and onto screens: no more than a line of it."""
         attempt = ended.identity[1:4]
         if ended.reason:
-            self._step(agreement.ActionFailed(*attempt, ended.reason, ended.detail))
-        else:
+            self._step(agreement.ActionFailed(*attempt, ended.reason, shorten(ended.detail, TEXT_LIMIT)))
+        elif not ended.result or ended.result in self.plan.net.transition_index:
             self._step(agreement.ActionDone(*attempt, ended.result))
+        else:
+            self._step(agreement.ActionDone(*attempt, shorten(ended.result, TEXT_LIMIT) or repr(ended.result[:20])))
 
     def _action_progress(self, identity: GoalIdentity, feedback: Any) -> None:
         self._progress = list(getattr(feedback, "time_passed", ()))

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import http.client
 import threading
-import xmlrpc.client
 from typing import Any, Optional
 
 import rospy
 from rospy.impl import registration
 
-from gspn_framework_package.ros.registration import Entry, master_proxy, register
+from gspn_framework_package.ros.registration import MASTER_ERRORS, Entry, master_proxy, register
 
 
 class MasterWatch:
@@ -45,7 +43,7 @@ class MasterWatch:
         """Ask the master once, and do what is needed."""
         try:
             answer: Any = master_proxy().getPid(rospy.get_name())
-        except (OSError, http.client.HTTPException, xmlrpc.client.Error):
+        except MASTER_ERRORS:
             if self.present:
                 rospy.logwarn("the ROS master does not answer; what is connected goes on")
             self.present = False
@@ -57,7 +55,7 @@ class MasterWatch:
                 register_again()
             elif not self.present:
                 rospy.loginfo("the ROS master answers again")
-        except (OSError, http.client.HTTPException, xmlrpc.client.Error) as error:
+        except MASTER_ERRORS as error:
             rospy.logwarn("registering again failed (%s); will try once more", error)
             return
         self._pid = pid

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
 import time
@@ -23,7 +24,7 @@ from gspn_framework_package.ros.node_process import (
 )
 from gspn_framework_package.ros.options import NodeOptions, read_options, read_options_of
 from gspn_framework_package.ros.process_family import Member, run_family
-from gspn_framework_package.ros.registration import registered_together
+from gspn_framework_package.ros.registration import MASTER_ERRORS, published_topics, registered_together
 
 
 def run_execution_node() -> int:
@@ -104,8 +105,9 @@ def await_servers(names: Iterable[str], seconds: float, ending: Ending) -> None:
     rospy.loginfo("waits for the action servers %s", ", ".join(sorted(missing)))
     deadline = time.monotonic() + seconds
     while not ending.is_set():
-        published = {topic for topic, _ in rospy.get_published_topics()}
-        missing = {name for name in missing if name + "/status" not in published}
+        with contextlib.suppress(*MASTER_ERRORS):  # it is asked again
+            published = {topic for topic, _ in published_topics()}
+            missing = {name for name in missing if name + "/status" not in published}
         if not missing:
             return
         if time.monotonic() > deadline:

@@ -44,10 +44,10 @@ class OperatorClient:
     """
 
     def __init__(self) -> None:
+        self.nodes = self._find()  # before rospy speaks to the master, without any limit of time
         self._calls = ServiceCalls(deadline=ORDER_TIME + PATIENCE)
         if not rospy.core.is_initialized():
             rospy.init_node("gspn_operator", anonymous=True, disable_signals=True, disable_rosout=True)
-        self.nodes = self._find()
 
     def close(self) -> None:
         """End the threads of the calls."""

@@ -16,17 +16,21 @@ from gspn_framework_package.execution.actions import (
     ActionFailed,
     Cancellation,
     PythonAction,
+    error_text,
     load_actions,
 )
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.model.plan import FunctionAction, Plan
 from gspn_framework_package.msg import ExecGSPNAction, ExecGSPNFeedback, ExecGSPNResult
 from gspn_framework_package.ros.goal_id import GoalIdentity, parse_goal_id
-from gspn_framework_package.ros.registration import registered_together
+from gspn_framework_package.ros.registration import found_parameter, registered_together
 
 KEPT_ENDED = 10
 """Goals that ended of which a server's status still tells, at most (they go after 5 s in any case).
 Without this bound a server that answers 600 goals a second would list 3,000 in every status."""
+
+TRACEBACK_LIMIT = 10_000
+"""Characters of a traceback that are shown: the text of an exception may be of any length."""
 
 
 class PlaceServers:
@@ -133,11 +137,11 @@ class PlaceServers:
         try:
             result = goal.action(context)
         except ActionFailed as error:
-            failure = str(error) or "the action failed"
+            failure = error_text(error) or "the action failed"
         except BaseException as error:  # even sys.exit() in an action ends only the action
-            failure = "%s: %s" % (type(error).__name__, error)
+            failure = "%s: %s" % (type(error).__name__, error_text(error))
             if not goal.cancellation():
-                rospy.logerr("%s in %s: %s", goal.action.name, goal.place, traceback.format_exc())
+                rospy.logerr("%s in %s: %s", goal.action.name, goal.place, traceback.format_exc()[-TRACEBACK_LIMIT:])
         finally:
             with self._lock:
                 self._running.pop(goal_id, None)
@@ -161,8 +165,7 @@ class PlaceServers:
     # -- status ------------------------------------------------------------------------------------
 
     def _tell_status(self) -> None:
-        name = rospy.search_param("actionlib_status_frequency")
-        period = 1.0 / max(float(rospy.get_param(name, 1.0)) if name else 1.0, 0.1)
+        period = 1.0 / max(float(found_parameter("actionlib_status_frequency", 1.0)), 0.1)
         while not self._stopping.wait(period) and not rospy.is_shutdown():
             for server in self.servers.values():
                 server.tell_status()

@@ -11,11 +11,13 @@ import http.client
 import logging
 import time
 import xmlrpc.client
-from typing import Any, Iterator, List, NamedTuple, Sequence
+from typing import Any, Iterator, List, NamedTuple, Sequence, Tuple
 
 import rosgraph
 import rospy
 from rospy.impl.registration import Registration, RegistrationListener, RegManager, get_registration_listeners
+
+from gspn_framework_package.model.errors import ExecutionError
 
 CALLS = 500
 """Registrations in one request to the master, so that it answers others between two of them."""
@@ -52,6 +54,40 @@ class _Transport(xmlrpc.client.Transport):
 def master_proxy(timeout: float = 2.0) -> xmlrpc.client.ServerProxy:
     """The master's interface, each call with a time limit in seconds."""
     return xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), _Transport(timeout))
+
+
+def require_master(timeout: float = 2.0) -> None:
+    """:raises ExecutionError: no ROS master answers in time."""
+    try:
+        master_proxy(timeout).getPid("/gspn")
+    except MASTER_ERRORS as error:
+        raise ExecutionError(
+            "no ROS master answers at %s (%s)" % (rosgraph.get_master_uri(), error),
+            hint="start roscore, or set ROS_MASTER_URI to where one runs",
+        ) from None
+
+
+def published_topics(timeout: float = 2.0) -> List[Tuple[str, str]]:
+    """The topics that anybody publishes, with their types; rospy's own question has no limit of time.
+
+    :raises OSError: the master does not answer; and others of :data:`MASTER_ERRORS`.
+    """
+    master: Any = master_proxy(timeout)
+    _, _, topics = master.getPublishedTopics(rospy.get_name(), "")
+    return [(topic, kind) for topic, kind in topics]
+
+
+def found_parameter(name: str, default: Any, timeout: float = 2.0) -> Any:
+    """The parameter of that name that is nearest to this node; ``default`` where there is none, or no master."""
+    try:
+        master: Any = master_proxy(timeout)
+        code, _, key = master.searchParam(rospy.get_name(), name)
+        if code != 1:
+            return default
+        code, _, value = master.getParam(rospy.get_name(), key)
+    except MASTER_ERRORS:
+        return default
+    return value if code == 1 else default
 
 
 @contextlib.contextmanager

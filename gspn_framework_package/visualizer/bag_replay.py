@@ -19,11 +19,12 @@ EVENTS = 400_000
 
 
 class BagReplay(Activity):
-    """The firings that a bag recorded. A bag holds no plan: it is found by its hash.
+    """The firings that a bag recorded, of the first run in it. A bag holds no plan: it is found by its hash.
 
     :param path: the bag.
     :param plans: plans that may be the one.
     :raises LogError: not a bag, without firings, or of none of the plans.
+    :ivar left_out: the names of other runs of the plan in the bag.
     """
 
     mode = "REPLAY"
@@ -45,7 +46,10 @@ class BagReplay(Activity):
                 hint="give the plan with --plan, or put it into the folder that is served",
             )
         self.plan = found[0]
-        self._messages = [item for item in messages if item[1].plan == wanted]
+        run = messages[0][1].run
+        of_plan = [message for _, message in messages if message.plan == wanted]
+        self.left_out = sorted({message.run for message in of_plan} - {run})
+        self._messages = [item for item in messages if (item[1].plan, item[1].run) == (wanted, run)]
         names = {name for _, message in self._messages for name in message.robots}
         if len(self.plan.robots) != len(names):
             with contextlib.suppress(GspnError):  # the marking of the first message decides then
@@ -69,12 +73,15 @@ class BagReplay(Activity):
             new = follower.take(fired_news(message, t))
             while follower.lost_track:
                 new += follower.give_up("firings are missing in the bag")
-                follower.retry(t)
+                new += follower.retry(t)
             events += [{**event, "t": t} for event in new]
         rest = follower.give_up("firings are missing in the bag")
         while rest:
             events += [{**event, "t": t} for event in rest]
             rest = follower.give_up("firings are missing in the bag")
+        if self.left_out:
+            text = "the bag holds other runs of this plan too, which are not shown: %s" % ", ".join(self.left_out)
+            events.append({"k": "note", "level": "warning", "robot": "", "text": text, "t": t})
         hub.publish(*events)
 
 

@@ -20,7 +20,7 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.ros.messages import FIRED_TOPIC
-from gspn_framework_package.ros.registration import MASTER_ERRORS, master_proxy
+from gspn_framework_package.ros.registration import MASTER_ERRORS, master_proxy, published_topics
 from gspn_framework_package.ros.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest
 from gspn_framework_package.visualizer.activity import Activity, Fields, Handler, text_field
@@ -280,16 +280,11 @@ class RosWatch(Activity):
             self._ask_now.wait(LOOK_AROUND)
 
     def _find_robots(self) -> None:
-        _, _, topics = self._master().getPublishedTopics(rospy.get_name(), "")
-        for topic, kind in topics:
+        for topic, kind in published_topics(ANSWER_TIME):
             namespace = topic[: -len(ACTIVITY)]
             if topic.endswith(ACTIVITY) and kind == String._type and namespace not in self._topics:
                 self._topics.add(namespace)
                 self._subscribe(topic, String, "activity", namespace)
-
-    @staticmethod
-    def _master() -> Any:
-        return master_proxy(ANSWER_TIME)
 
     def _on_answers(self, asked: Tuple[bool, List[Answer]]) -> None:
         lost_track, heard = asked
@@ -372,7 +367,8 @@ class RosWatch(Activity):
     ) -> bool:
         """Call a robot's ``command`` service; whether an answer may come. :raises OSError: no master answers."""
         name = rospy.names.ns_join(namespace, "command")
-        code, _, uri = self._master().lookupService(rospy.get_name(), name)
+        master: Any = master_proxy(ANSWER_TIME)
+        code, _, uri = master.lookupService(rospy.get_name(), name)
         return code == 1 and calls.call(
             namespace, uri, name, Command, request, lambda response: answers.put((namespace, response))
         )

@@ -18,6 +18,7 @@ from move_base_msgs.msg import MoveBaseAction, MoveBaseGoal
 from sensor_msgs.msg import Temperature
 
 from gspn_framework_package.execution.actions import ActionFailed
+from gspn_framework_package.ros.registration import MASTER_ERRORS, published_topics
 from gspn_framework_package.world.messages import pose_from, pose_message
 from gspn_framework_package.world.room import Pose
 
@@ -146,7 +147,11 @@ class BaseClient:
     def _discover(self) -> None:
         """Listen to the poses of robots that have appeared."""
         self._discovered = time.monotonic()
-        for topic, kind in rospy.get_published_topics():
+        try:
+            topics = published_topics()
+        except MASTER_ERRORS:  # those that are known already tell where they are all the same
+            return
+        for topic, kind in topics:
             if (
                 kind == POSE_TYPE
                 and topic.endswith("/amcl_pose")

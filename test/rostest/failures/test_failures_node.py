@@ -39,7 +39,7 @@ def slow(is_cancelled):
 
 def nonsense(place):
     calls[place] = calls.get(place, 0) + 1
-    return "T_no_such_thing" if calls[place] == 1 else ""
+    return "T_no_such_thing\\n" * 100000 if calls[place] == 1 else ""
 
 def good():
     pass
@@ -112,6 +112,9 @@ class FailuresTest(RobotTestCase):
         waits_for = self.wait_until_waiting(robot, "nonsense")
         self.assertIn("bad result", waits_for)
         self.assertIn("T_no_such_thing", waits_for)
+        self.assertLess(len(waits_for), 1000)
+        self.assertNotIn("\n", waits_for)
+        self.assertLess(os.path.getsize(robot.log_file), 100_000)
         self.assertTrue(robot.command("retry").success)
         self.assertEqual(robot.exit_code(), 0)
         self.assertEqual(robot.logged_transitions()[3:], ["T5", "T6"])

@@ -79,7 +79,7 @@ def test_what_is_no_log_is_refused(data, tmp_path):
         Project(Folder(str(tmp_path))).open("x.jsonl")
 
 
-def messages(plan, firings):
+def messages(plan, firings, run="run"):
     """The firings as messages of the type that a bag holds."""
     genpy_dynamic = pytest.importorskip("genpy.dynamic")
     pytest.importorskip("rosbag")
@@ -90,7 +90,7 @@ def messages(plan, firings):
     kind = genpy_dynamic.generate_dynamic(TYPE, full)[TYPE]
     for firing in firings:
         message = kind()
-        message.plan, message.run, message.transition = plan.hash(), "run", firing.transition
+        message.plan, message.run, message.transition = plan.hash(), run, firing.transition
         message.robot, message.visit = firing.robot, firing.visit
         message.robots = [m.robot for m in firing.moves]
         message.robot_places = [m.target for m in firing.moves]
@@ -117,6 +117,19 @@ def test_a_bag_leads_to_the_marking_of_the_run(recorded, tmp_path):
     assert tuple(hub.board().marking) == state.marking
     assert sum(hub.board().counts) == len(firings)
     assert hub.board().t == pytest.approx(0.1 * (len(firings) - 1), abs=1e-3)
+
+
+def test_of_two_runs_in_a_bag_the_first_is_shown(recorded, tmp_path):
+    """Two teams on one master: their firings are on one topic."""
+    _, firings, state = recorded
+    plan = read_plan(PLAN)
+    pairs = zip(messages(plan, firings), messages(plan, firings, "another"))
+    write_bag(tmp_path / "run.bag", (message for pair in pairs for message in pair))
+    hub = finished(BagReplay(str(tmp_path / "run.bag"), [plan]))
+    assert tuple(hub.board().marking) == state.marking
+    assert sum(hub.board().counts) == len(firings)
+    assert not [e for e in hub.events(0, 10**9) if e["k"] == "mark"]
+    assert [note["text"].endswith(": another") for note in hub.board().notes] == [True]
 
 
 def test_firings_that_a_bag_lacks_are_told(recorded, tmp_path):

@@ -1,0 +1,123 @@
+"""A master that takes connections and answers nothing, or nonsense: nobody waits for it for ever."""
+
+import json
+import socket
+import threading
+
+import pytest
+
+pytest.importorskip("rospy")
+
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.errors import ExecutionError, RefusedError
+from gspn_framework_package.ros import registration
+from gspn_framework_package.ros.operator_client import OperatorClient
+from gspn_framework_package.visualizer.hub import Hub
+from gspn_framework_package.visualizer.ros_watch import UNHEARD, RosWatch
+
+
+@pytest.fixture(params=[b"", b"nonsense\r\n\r\n", b"HTTP/1.1 200 OK\r\n\r\n<methodResponse/>"])
+def master(request, monkeypatch):
+    """ROS_MASTER_URI is a server that answers these bytes; none: it keeps quiet."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    connections = []
+
+    def serve():
+        while True:
+            try:
+                connection, _ = listener.accept()
+            except OSError:
+                return
+            connections.append(connection)
+            if request.param:
+                connection.recv(65536)
+                connection.sendall(request.param)
+                connection.close()
+
+    threading.Thread(target=serve, daemon=True).start()
+    monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:%d" % listener.getsockname()[1])
+    yield
+    listener.shutdown(socket.SHUT_RDWR)
+    listener.close()
+    for connection in connections:
+        connection.close()
+
+
+@pytest.mark.timeout(60)
+def test_an_operators_program_says_that_no_master_answers(master):
+    with pytest.raises(ExecutionError, match="no ROS master answers"):
+        OperatorClient()
+    with pytest.raises(ExecutionError, match="no ROS master answers"):
+        registration.require_master(1.0)
+    assert registration.found_parameter("actionlib_status_frequency", 7.0, 1.0) == 7.0
+    with pytest.raises(registration.MASTER_ERRORS):
+        registration.published_topics(1.0)
+
+
+@pytest.mark.timeout(60)
+def test_an_order_of_the_page_says_it_too(master):
+    watch = RosWatch(read_plan("plans/patrol"), "monday")
+    watch._names = {"/robot_1": "robot_1"}
+    with pytest.raises(RefusedError, match="the ROS master does not answer"):
+        watch.command("stop", {})
+
+
+class Watched:
+    """The page of a team whose answers the test gives."""
+
+    def __init__(self, monkeypatch, run="monday"):
+        monkeypatch.setattr(RosWatch, "_subscribe", lambda *_: None)
+        monkeypatch.setattr(threading.Thread, "start", lambda *_: None)
+        self.plan = read_plan("plans/measure")
+        self.watch = RosWatch(self.plan, run)
+        self.hub = Hub("", self.watch._follower.board({}))
+        self.watch.begin(self.hub)
+        self.length = 0
+
+    def answer(self, place, run="monday", plan=None, ended=None):
+        """One robot of the first two says where it is."""
+        self.length += 1
+        robots = [
+            {"robot": name, "place": place, "state": "Doing", "visit": self.length, "waits_for": ""}
+            for name in ("robot_1", "robot_2")
+        ]
+        status = {
+            "robot": "robot_1", "run": run, "plan": plan or self.plan.hash(), "log_length": self.length,
+            "robots": robots, "marking": {place: 2}, "paused": False, "ended": ended, "finished": False, "fault": False,
+        }  # fmt: skip
+        self.watch._on_answers((False, [("/robot_1", status)]))
+
+    def notes(self):
+        return [note["text"] for note in self.hub.board().notes]
+
+
+def test_the_page_warns_once_of_firings_that_it_does_not_hear(monkeypatch):
+    page = Watched(monkeypatch)
+    places = [place.name for place in page.plan.net.places if place.name not in page.plan.resource_places]
+    for number in range(UNHEARD):
+        page.answer(places[number % 2])
+        assert not page.notes()
+    page.answer(places[UNHEARD % 2])
+    page.answer(places[(UNHEARD + 1) % 2])
+    (note,) = page.notes()
+    assert "no firing is heard on /fired_transitions" in note
+
+
+def test_the_page_warns_of_no_silence_while_the_team_stands(monkeypatch):
+    page = Watched(monkeypatch)
+    for _ in range(3 * UNHEARD):
+        page.answer(page.plan.robots[0].place)
+    assert not page.notes()
+
+
+def test_the_page_takes_a_run_that_goes_on_before_one_that_is_over(monkeypatch):
+    """Where it was not said which is to be shown."""
+    page = Watched(monkeypatch, run="")
+    place = page.plan.robots[0].place
+    page.answer(place, run="strange", plan="of another plan")
+    assert page.hub.board().status["run"] == ""
+    said = {"robot": "robot_1", "run": "old", "plan": page.plan.hash()}
+    page.watch._on_activity(("/old", type("Message", (), {"data": json.dumps(said)})))
+    page.answer(place, run="new")
+    assert page.hub.board().status["run"] == "new"
+    assert sorted(note.split(" on ")[0] for note in page.notes()) == ["run 'old'", "run 'strange'"]
