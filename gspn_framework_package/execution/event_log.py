@@ -250,10 +250,63 @@ def read_log(path: str, size: Optional[int] = None) -> EventLog:
     return EventLog(path, head, records, cut)
 
 
+LONGEST_LINE = 64_000_000
+"""Bytes; a longer one is not taken for a record."""
+
+
+class LogFile:
+    """A log that is read line by line, when it is needed.
+
+    :param path: the file. :raises LogError: it cannot be read, or is not a log of a version that is known.
+    :ivar header: its first line. :ivar plan: the plan that it carries. :ivar begin: the byte that the records begin at.
+    :ivar size: of the file, when it was opened. :ivar cut: whether a last line that was cut has been met.
+    """
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+        self.cut = False
+        with self.open() as file:
+            first = file.readline(LONGEST_LINE)
+            self.size = os.fstat(file.fileno()).st_size
+        self.header = _header(first, path)
+        self.begin = len(first)
+        self.plan = EventLog(path, self.header, []).plan
+
+    def open(self) -> BinaryIO:
+        """The file, to be read. :raises LogError: it cannot be."""
+        try:
+            return open(self.path, "rb")
+        except OSError as error:
+            raise LogError("cannot be read (%s)" % error.strerror, file=self.path) from None
+
+    def records(self, file: BinaryIO, offset: int, number: int) -> Iterator[Tuple[Record, int]]:
+        """The records from byte ``offset`` on, which is where line ``number`` begins, and the length of each.
+
+        Of a log that is still being written those are read that were there when it was opened. A last line that was
+        cut is left out, and noted in ``cut``.
+
+        :raises LogError: a line is no record, or the file cannot be read any more.
+        """
+        try:
+            file.seek(offset)
+            while offset < self.size:
+                line = file.readline(min(LONGEST_LINE, self.size - offset))
+                offset += len(line)
+                if not line.endswith(b"\n"):
+                    if len(line) >= LONGEST_LINE:
+                        raise LogError("is too long for a record", file=self.path, line=number)
+                    self.cut = bool(line)
+                    break
+                yield _record(line, self.path, number), len(line)
+                number += 1
+        except OSError as error:
+            raise LogError("cannot be read (%s)" % error.strerror, file=self.path) from None
+
+
 def _record(line: bytes, path: str, number: int) -> Record:
     try:
         record = json.loads(line.decode())
-    except ValueError:
+    except (ValueError, RecursionError):
         raise LogError("is not JSON: %.80r" % line, file=path, line=number) from None
     if not isinstance(record, dict) or not isinstance(record.get("kind"), str):
         raise LogError("is not a record: %.80r" % line, file=path, line=number)
@@ -296,6 +349,34 @@ class Replayed(NamedTuple):
     snapshot: bool = False
 
 
+class Replayer:
+    """Reduces the slots of a log again with the token game, record by record.
+
+    :param game: the rules of the plan.
+    :param state: where to go on from; the state before the run by default.
+    """
+
+    def __init__(self, game: TokenGame, state: Optional[TeamState] = None) -> None:
+        self._game = game
+        self.state = state if state is not None else game.new_state()
+
+    def take(self, record: Record) -> Optional[Replayed]:
+        """What the next record of the log brought about; None where it changes nothing.
+
+        :raises LogError: a slot is missing, does not hold entries, or leads to other firings than those it recorded.
+        :raises KeyError: or TypeError, the record is damaged.
+        """
+        if record["kind"] == "snapshot":
+            if record["slot"] != self.state.next_slot - 1:  # one kept as a starting point is no news
+                self.state = TeamState.from_json(record["state"], self._game.net)
+                return Replayed(record["slot"], (), [], self.state, record, True)
+        elif record["kind"] == "reset":
+            self.state = self._game.new_state()
+        elif record["kind"] == "slot":
+            return _replay_slot(self._game, self.state, record)
+        return None
+
+
 def replay(event_log: EventLog) -> Iterator[Replayed]:
     """Reduce the slots of a log again, one by one, with the token game.
 
@@ -303,22 +384,16 @@ def replay(event_log: EventLog) -> Iterator[Replayed]:
         it recorded.
     """
     plan = event_log.plan
-    game = TokenGame(plan, agents=bool(event_log.header.get("agents")))
-    state = game.new_state()
+    replayer = Replayer(TokenGame(plan, agents=bool(event_log.header.get("agents"))))
     for number, record in enumerate(event_log.records, 2):
         try:
-            if record["kind"] == "snapshot":
-                if record["slot"] != state.next_slot - 1:  # one kept as a starting point is no news
-                    state = TeamState.from_json(record["state"], plan.net)
-                    yield Replayed(record["slot"], (), [], state, record, True)
-            elif record["kind"] == "reset":
-                state = game.new_state()
-            elif record["kind"] == "slot":
-                yield _replay_slot(game, state, record)
+            step = replayer.take(record)
         except (KeyError, TypeError) as error:
             raise LogError("the record is damaged (%r)" % error, file=event_log.path, line=number) from None
         except LogError as error:
             raise error.located(file=event_log.path, line=number) from None
+        if step is not None:
+            yield step
 
 
 def _replay_slot(game: TokenGame, state: TeamState, record: Record) -> Replayed:

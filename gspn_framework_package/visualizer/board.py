@@ -92,6 +92,16 @@ class Board:
         self.notes: List[Event] = []
         self.status: Dict[str, Any] = dict(status)
 
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Board:
+        """The board of a JSON object."""
+        board = cls(0, data["marking"], data["enabled"], data["status"])
+        board.n, board.t = data["n"], data["t"]
+        board.counts = list(data["counts"])
+        board.robots = {robot["name"]: dict(robot) for robot in data["robots"]}
+        board.notes = list(data["notes"])
+        return board
+
     def copy(self) -> Board:
         """A board that goes its own way."""
         board = Board(0, self.marking, self.enabled, self.status)

@@ -56,6 +56,18 @@ class News(NamedTuple):
     cursor: Cursor
 
 
+class History:
+    """Events that are kept somewhere else than in the ring, and are there whole."""
+
+    def board_at(self, n: int) -> Board:
+        """The board after event ``n``."""
+        raise NotImplementedError
+
+    def events(self, after: int, to: int) -> List[Event]:
+        """The events numbered above ``after`` and up to ``to``."""
+        raise NotImplementedError
+
+
 class Hub:
     """See the module. All methods may be called from any thread.
 
@@ -79,13 +91,17 @@ class Hub:
         board: Board,
         info: Optional[Dict[str, Any]] = None,
         ring: Optional[int] = None,
+        history: Optional[History] = None,
     ) -> None:
         """Begin a new epoch: another run, or another mode. Everybody gets a snapshot.
 
         :param info: what else the page should know of this run (its clock, its length, its name).
         :param ring: another number of events to keep.
+        :param history: where the events are looked up. Viewers are told then how far there are any, rather than
+            each event.
         """
         with self._condition:
+            self._history = history
             self._ring_size = ring or self._ring_size
             self.mode = mode
             self.info = dict(info or {})
@@ -121,6 +137,12 @@ class Hub:
             while self._keyframes and self._keyframes[0].n <= self._oldest.n:
                 self._keyframes.popleft()
             self._last_event = time.monotonic()
+            self._condition.notify_all()
+
+    def advance(self, board: Board) -> None:
+        """The history reaches as far as ``board`` now, which the hub owns from now on."""
+        with self._condition:
+            self._board = board
             self._condition.notify_all()
 
     def set_latest(self, key: str, value: Any) -> None:
@@ -175,7 +197,7 @@ class Hub:
             fresh = (
                 cursor is None
                 or cursor.epoch != self.epoch
-                or not self._oldest.n <= cursor.n <= now.n
+                or not (0 if self._history is not None else self._oldest.n) <= cursor.n <= now.n
             )
             since = 0 if fresh or cursor is None else cursor.latest
             latest = ",".join(
@@ -185,6 +207,9 @@ class Hub:
             )
             if fresh or cursor is None:
                 body = '"snapshot":%s' % json.dumps(self._snapshot(), separators=(",", ":"))
+            elif self._history is not None:
+                head = {"n": now.n, "t": self._board.t, "status": self._board.status}
+                body = '"head":%s' % json.dumps(head, separators=(",", ":"))
             else:
                 first = len(self._texts) - (now.n - cursor.n)
                 new = [self._texts[i] for i in range(first, min(first + NEWS, len(self._texts)))]
@@ -218,6 +243,9 @@ class Hub:
     def board_at(self, n: int) -> Board:
         """The board after event ``n``; the nearest there is, where ``n`` has left the ring or has
         not come yet."""
+        history = self._history
+        if history is not None:
+            return history.board_at(n)
         with self._condition:
             n = max(self._oldest.n, min(n, self._board.n))
             base = self._oldest
@@ -234,9 +262,12 @@ class Hub:
     def events(self, after: int, to: int, limit: int = 5000) -> List[Event]:
         """The events numbered above ``after`` and up to ``to``, as far as the ring has them, at
         most the last ``limit``."""
+        history = self._history
         with self._condition:
             to = min(to, self._board.n)
-            return self._slice(max(after, to - limit), to)
+            if history is None:
+                return self._slice(max(after, to - limit), to)
+        return history.events(max(after, to - limit), to)
 
     def _slice(self, after: int, to: int) -> List[Event]:
         first = max(0, after - self._oldest.n)

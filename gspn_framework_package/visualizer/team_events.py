@@ -74,6 +74,16 @@ class TeamEvents:
         self._status.update(changed)
         return [{"k": "status", "status": changed}] if changed else []
 
+    def to_json(self) -> Dict[str, Any]:
+        """What it goes on from, as a JSON object."""
+        return {"marking": list(self._enabled.marking), "robots": self._robots, "status": self._status}
+
+    def restore(self, data: Dict[str, Any]) -> None:
+        """Go on from what :meth:`to_json` gave."""
+        self._enabled.move_to(tuple(data["marking"]))
+        self._robots = {name: dict(shown) for name, shown in data["robots"].items()}
+        self._status = dict(data["status"])
+
     # -- parts -------------------------------------------------------------------------------------
 
     def _fired(self, firing: Firing, why: str) -> List[Event]:

@@ -1,26 +1,29 @@
 """The page under load.
 
-    python3 -m gspn_framework_package.benchmark.page [render] [viewers] [memory] [team] [--json]
+    python3 -m gspn_framework_package.benchmark.page [render] [viewers] [memory] [log] [team] [--json]
 
 *render*: first render, frames per second and firing to frame, in Chromium. *viewers*: many of them, without a screen.
-*memory*: of the server, with a viewer that has stalled. *team*: what the page costs five robots at full speed (needs
-ROS). Without a word, the first three.
+*memory*: of the server, with a viewer that has stalled. *log*: how a long event log opens. *team*: what the page costs
+five robots at full speed (needs ROS). Without a word, the first three.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
+import tempfile
 from typing import Any, Dict, Iterator, Tuple
 
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line
+from gspn_framework_package.benchmark.page.long_log import measure_log
 from gspn_framework_package.benchmark.page.rendering import measure_page
 from gspn_framework_package.benchmark.page.team import ARRANGEMENTS, measure_team
 from gspn_framework_package.benchmark.page.viewers import measure_memory, measure_viewers
 from gspn_framework_package.model.errors import GspnError
 
-WORDS = ("render", "viewers", "memory", "team")
+WORDS = ("render", "viewers", "memory", "log", "team")
 
 
 def main() -> int:
@@ -32,6 +35,8 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=10.0, help="length of a measurement")
     parser.add_argument("--viewers", type=int, default=20)
     parser.add_argument("--events", type=int, default=200_000, help="events over which memory is watched")
+    parser.add_argument("--entries", type=int, default=1_000_000, help="length of the log that is opened")
+    parser.add_argument("--log", metavar="FILE", help="where that log is, or is written (default: a temporary file)")
     parser.add_argument("--robots", type=int, default=5, help="size of the team")
     parser.add_argument("--rounds", type=int, default=4, help="times that the page comes and goes beside the team")
     parser.add_argument("--where", choices=ARRANGEMENTS, nargs="+", default=list(ARRANGEMENTS),
@@ -62,6 +67,9 @@ def _measurements(args: argparse.Namespace, what: list[str]) -> Iterator[Tuple[s
         yield "viewers", measure_viewers(args.viewers, args.rate, args.seconds)
     if "memory" in what:
         yield "memory", measure_memory(args.events)
+    if "log" in what:
+        with tempfile.TemporaryDirectory() as folder:
+            yield "log", measure_log(args.entries, args.log or os.path.join(folder, "long.jsonl"))
     if "team" in what:
         for where in args.where:
             yield "team", measure_team(args.robots, where, args.rounds, args.seconds)

@@ -1,9 +1,13 @@
 """Recorded runs on the page: event logs and rosbags lead to the marking that the run had."""
 
 import json
+import random
+import shutil
 
 import pytest
 
+from gspn_framework_package.execution.event_log import read_log, replay
+from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.visualizer.bag_replay import TYPE, BagReplay
@@ -12,6 +16,7 @@ from gspn_framework_package.visualizer.documents import Folder
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.replay import Replay
+from gspn_framework_package.visualizer.team_events import TeamEvents
 
 PLAN = "plans/tokens/instant.json"
 
@@ -77,6 +82,124 @@ def test_what_is_no_log_is_refused(data, tmp_path):
     (tmp_path / "x.jsonl").write_bytes(data)
     with pytest.raises(LogError):
         Project(Folder(str(tmp_path))).open("x.jsonl")
+
+
+def read_at_once(path):
+    """The events of a log, numbered, by the token game alone."""
+    log = read_log(path)
+    events = TeamEvents(TokenGame(log.plan, agents=True))
+    board = events.board(False, "run")
+    found = []
+    for step in replay(log):
+        for event in events.step(step.entries, step.firings, step.state, 0.0):
+            event["n"] = board.n + 1
+            board.apply(event)
+            found.append(event)
+    return found
+
+
+def without_time(event):
+    return {key: value for key, value in event.items() if key != "t"}
+
+
+def test_a_long_log_is_looked_up_in_its_file(recorded, monkeypatch):
+    path, _, _ = recorded
+    monkeypatch.setattr("gspn_framework_package.visualizer.recording.LINES_BETWEEN", 3)
+    monkeypatch.setattr("gspn_framework_package.visualizer.recording.MARKS", 8)
+    monkeypatch.setattr("gspn_framework_package.visualizer.recording.AT_HAND", 40)
+    hub = finished(Replay.of_file(path))
+    recording = hub._history
+    assert len(recording._marks) <= 8  # whatever the length of the log
+    expected = read_at_once(path)
+    n = hub.board().n
+    found = hub.events(0, n, limit=n)
+    assert [without_time(event) for event in found[: len(expected)]] == [without_time(event) for event in expected]
+    assert [event["n"] for event in found] == list(range(1, n + 1))
+    source, board, at = random.Random(3), recording.first_board(), {}
+    for event in [None, *found]:
+        if event is not None:
+            board.apply(event)
+        at[board.n] = board.copy()
+    for k in [0, 1, n - 1, n, n + 5, *(source.randint(0, n) for _ in range(60))]:
+        assert hub.board_at(k).to_json() == at[min(k, n)].to_json()
+        first = max(0, k - source.randint(0, 30))
+        assert [event["n"] for event in hub.events(first, k)] == list(range(first + 1, min(k, n) + 1))
+        assert recording._at_hand() <= 40 or len(recording._stretches) == 1
+
+
+def test_viewers_are_told_how_far_a_log_has_been_read_and_fetch_what_they_look_at(recorded):
+    path, _, _ = recorded
+    hub = Hub("", Board(0, []))
+    activity = Replay.of_file(path)
+    activity.begin(hub)
+    cursor, news = hub.news(None).cursor, {}
+    while hub.info["loading"]:
+        assert hub.wait(cursor, 20)
+        told = hub.news(cursor)
+        cursor, news = told.cursor, json.loads(told.text)
+        assert "events" not in news
+    assert hub.board().n == cursor.n and hub.info["progress"] == 1.0
+    assert json.loads(hub.news(cursor._replace(n=0)).text)["head"]["n"] == cursor.n
+
+
+def test_the_clock_is_that_of_the_log(recorded, tmp_path):
+    path, _, _ = recorded
+    with open(path) as file:
+        header, *lines = [json.loads(line) for line in file][:8]
+    clocks = [(100, 5.0), (100.5, 5.5), (9999, 6.0), (50, 6.5), (51, 0.1), (50.2, 0.2), (51, 1.0)]
+    expected = [0, 0.5, 1.0, 1.5, 2.5, 2.6, 3.4]  # the wall clock is set twice, and the host starts again once
+    made = tmp_path / "clock.jsonl"
+    lines = [{**line, "wall": wall, "mono": mono} for line, (wall, mono) in zip(lines, clocks)]
+    made.write_text("".join(json.dumps(line) + "\n" for line in [header, *lines]))
+    events = finished(Replay.of_file(str(made))).events(0, 1000)
+    times = {tuple(e["s"])[0]: e["t"] for e in events if e["k"] == "fire"}
+    slots = [line["slot"] for line in lines]
+    assert times == {slot: pytest.approx(t) for slot, t in zip(slots, expected) if slot in times} and len(times) > 3
+
+
+def test_a_log_that_changes_under_the_page_is_told(recorded, tmp_path, monkeypatch):
+    path, _, _ = recorded
+    monkeypatch.setattr("gspn_framework_package.visualizer.recording.LINES_BETWEEN", 20)
+    copy = tmp_path / "copy.jsonl"
+    shutil.copy(path, str(copy))
+    hub = finished(Replay.of_file(str(copy)))
+    n = hub.board().n
+    with open(str(copy), "r+b") as file:
+        file.truncate(2000)
+    with pytest.raises(LogError, match="no longer what it was"):
+        hub.board_at(n - 1)
+    copy.unlink()
+    with pytest.raises(LogError, match="cannot be read"):
+        hub.events(0, n)
+
+
+def test_whatever_breaks_in_the_reading_ends_it_and_is_told(recorded, monkeypatch):
+    path, _, _ = recorded
+    count = []
+
+    def broken(*_):
+        count.append(1)
+        if len(count) > 5:
+            raise ZeroDivisionError("a fault of this program")
+        return []
+
+    monkeypatch.setattr(TeamEvents, "step", broken)
+    hub = finished(Replay.of_file(path))
+    assert not hub.info["loading"]
+    assert any("cannot be followed further: ZeroDivisionError" in note["text"] for note in hub.board().notes)
+
+
+@pytest.mark.parametrize("line", ["[" * 100_000, "3", "{}", '{"kind": 3}', '{"kind": "slot"}', '{"kind": "slot", "slot": []}',
+                                  '{"kind": "snapshot", "slot": 1, "state": 3}'])  # fmt: skip
+def test_a_line_that_is_no_record_ends_the_reading_and_is_named(recorded, tmp_path, line):
+    path, _, _ = recorded
+    with open(path) as file:
+        lines = file.readlines()[:20]
+    bad = tmp_path / "bad.jsonl"
+    bad.write_text("".join(lines) + line + "\n")
+    hub = finished(Replay.of_file(str(bad)))
+    assert any("cannot be followed" in note["text"] and "bad.jsonl:21" in note["text"] for note in hub.board().notes)
+    assert not any(str(tmp_path) in note["text"] for note in hub.board().notes)
 
 
 def messages(plan, firings, run="run"):

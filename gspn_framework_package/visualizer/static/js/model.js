@@ -76,6 +76,7 @@ export class Model extends EventTarget {
   /** News of the server's hub. */
   take(news) {
     if (news.snapshot) this.restart(news.snapshot);
+    if (news.head) { this.head = news.head; this.tell("head"); } // of a recording: how far it has been read
     if (news.events && news.events.length) this.append(news.events);
     const keys = Object.keys(news.latest || {});
     if (keys.length) {

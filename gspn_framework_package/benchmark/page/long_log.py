@@ -1,0 +1,140 @@
+"""How a long event log opens on the page: the first picture, the reading, the memory of the server."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import random
+import re
+import subprocess
+import sys
+import time
+from typing import Any, Dict, List, Optional
+
+import psutil
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.event_log import Record, header
+from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.errors import ExecutionError
+
+PLAN = "plans/patrol"
+ENTRY_SECONDS = 0.05
+"""Time between two entries of a written log."""
+
+
+def write_log(path: str, entries: int, plan_path: str = PLAN, seed: int = 1) -> None:
+    """Write the event log of a run of so many entries, in which robots finish in a random order, and now and then an
+    action fails and is tried again."""
+    plan = read_plan(plan_path)
+    game, source = TokenGame(plan, agents=True), random.Random(seed)
+    ledger = Ledger(game)
+    doing: Dict[str, StartAction] = {}
+    with open(path, "w", encoding="utf-8") as file:
+
+        def write(number: int, record: Record) -> None:
+            clocks = {"wall": 1.7e9 + number * ENTRY_SECONDS, "mono": 1000 + number * ENTRY_SECONDS}
+            file.write(json.dumps({**record, **clocks}, separators=(",", ":")) + "\n")
+
+        write(0, header(plan, "long", "", "long", agents=True))
+        batch: List[log.Entry] = [game.start_entry()]
+        for number in range(entries):
+            slot = ledger.length
+            step = game.reduce(ledger.state, slot, batch)
+            write(number, ledger.record(slot, batch, [], step))
+            for command in step.commands:
+                if isinstance(command, StartAction):
+                    doing[command.robot] = command
+            failed = [r.name for r in ledger.state.robots.values() if r.phase.value == "failed"]
+            if not doing and not failed:
+                raise ExecutionError("the run of the log came to its end after %d entries" % number)
+            batch = [log.Retry(failed[0]) if failed else _result(game, doing.pop(source.choice(list(doing))), source)]
+
+
+def _result(game: TokenGame, action: StartAction, source: random.Random) -> log.Entry:
+    if source.random() < 0.001:
+        return log.Failed(action.robot, action.incarnation, action.visit, action.attempt, "aborted", "it slipped")
+    net = game.net
+    timed = [t for t in net.consumers[net.place_number(action.place)] if net.transitions[t].timed]
+    result = net.transitions[source.choice(timed)].name if timed else ""
+    return log.Done(action.robot, action.incarnation, action.visit, result)
+
+
+def measure_log(entries: int, path: str) -> Dict[str, Any]:
+    """Open a log of so many entries, written to ``path`` where there is none, in a server of its own.
+
+    :returns: ``first_picture`` (s, from the start of the server to the marking and the first events), ``read`` (s,
+        until all of it has been read), ``state`` (s, the slowest of some markings that were asked for while it was
+        read, ``state_after`` after that), ``server_mb`` (the most memory the server had).
+    """
+    if not os.path.exists(path):
+        write_log(path, entries)
+    command = [sys.executable, "-m", "gspn_framework_package", "replay", path, "--port", "0"]
+    begun = time.monotonic()
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        try:
+            assert server.stdout is not None
+            found = re.search(r"127\.0\.0\.1:(\d+)", server.stdout.readline())
+            if found is None:
+                raise ExecutionError("the server did not start")
+            page = _Page(int(found.group(1)))
+            up = time.monotonic() - begun
+            page.get("session?id=replay")
+            page.get("poll?id=replay")
+            page.get("state?id=replay&at=0")
+            page.get("events?id=replay&after=0&to=2000")
+            first = time.monotonic() - begun
+            process = psutil.Process(server.pid)
+            most, slowest = 0.0, 0.0
+            info: Dict[str, Any] = {"loading": True}
+            source = random.Random(1)
+            while info["loading"]:
+                news = page.get("poll?id=replay")
+                info, n = news["snapshot"]["info"], news["snapshot"]["board"]["n"]
+                slowest = max(slowest, page.timed("state?id=replay&at=%d" % source.randint(0, n)))
+                most = max(most, process.memory_info().rss / 1e6)
+                time.sleep(0.2)
+            read = time.monotonic() - begun
+            n = page.get("poll?id=replay")["snapshot"]["board"]["n"]
+            after = [page.timed("state?id=replay&at=%d" % source.randint(0, n)) for _ in range(20)]
+            page.get("events?id=replay&after=%d&to=%d" % (n // 2, n // 2 + 5000))
+            most = max(most, process.memory_info().rss / 1e6)
+        finally:
+            server.terminate()
+            server.wait(20)
+    return {
+        "entries": entries,
+        "megabytes": round(os.path.getsize(path) / 1e6, 1),
+        "events": n,
+        "server_up": round(up, 2),
+        "first_picture": round(first, 2),
+        "read": round(read, 1),
+        "state": round(slowest, 3),
+        "state_after": round(sorted(after)[len(after) // 2], 3),
+        "server_mb": round(most, 1),
+    }
+
+
+class _Page:
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._connection: Optional[http.client.HTTPConnection] = None
+
+    def get(self, path: str) -> Any:
+        if self._connection is None:
+            self._connection = http.client.HTTPConnection("127.0.0.1", self._port, timeout=120)
+        self._connection.request("GET", "/api/" + path)
+        answer = self._connection.getresponse()
+        data = json.loads(answer.read())
+        if answer.status != 200:
+            raise ExecutionError("the server answered %d: %s" % (answer.status, data.get("error")))
+        return data
+
+    def timed(self, path: str) -> float:
+        begun = time.monotonic()
+        self.get(path)
+        return time.monotonic() - begun

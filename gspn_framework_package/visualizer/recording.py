@@ -1,0 +1,283 @@
+"""An event log as a history that is looked up in the file: of a long run only an index is kept in memory.
+
+The log is read once from its beginning to its end. At every so many of its lines the state of the run is kept, a few
+kilobytes, and where in the file that was. The events between two such *marks* are made again from the file when
+somebody asks for them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+import zlib
+from bisect import bisect_right
+from collections import OrderedDict
+from typing import Any, BinaryIO, Iterator, List, NamedTuple, Optional, Tuple
+
+from gspn_framework_package.execution.event_log import LogFile, Record, Replayer
+from gspn_framework_package.execution.team_state import TeamState
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.model.errors import GspnError, LogError
+from gspn_framework_package.visualizer.board import Board, Event
+from gspn_framework_package.visualizer.hub import History
+from gspn_framework_package.visualizer.team_events import TeamEvents
+
+LINES_BETWEEN = 250
+"""Lines between two marks, at first."""
+
+MARKS = 2048
+"""Marks that are kept; in a longer log half of them go, and the others are as many lines apart again."""
+
+AT_HAND = 20_000
+"""Most events of the stretches between two marks that are kept, since they were asked for last."""
+
+
+class Mark(NamedTuple):
+    """``n`` events came before the line ``line`` of the file, which begins at byte ``offset``; ``packed`` is what
+    there was then."""
+
+    n: int
+    line: int
+    offset: int
+    packed: bytes
+
+
+class _Clock:
+    """Seconds since the run began, as its log tells: by the monotonic clock of the host, by the wall clock over a
+    restart of the host. They do not run backwards."""
+
+    def __init__(self, t: float = 0.0, mono: Optional[float] = None, wall: Optional[float] = None) -> None:
+        self.t, self.mono, self.wall = t, mono, wall
+
+    def read(self, record: Record) -> float:
+        """The time of a record."""
+        mono, wall = _number(record.get("mono")), _number(record.get("wall"))
+        gone = None
+        if mono is not None and self.mono is not None and mono >= self.mono:
+            gone = mono - self.mono
+        elif wall is not None and self.wall is not None:
+            gone = wall - self.wall
+        self.t += max(0.0, gone or 0.0)
+        self.mono = mono if mono is not None else self.mono
+        self.wall = wall if wall is not None else self.wall
+        return self.t
+
+
+def _number(value: Any) -> Optional[float]:
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
+class _Reader:
+    """Goes through the lines of a log from some mark on, and makes events of them.
+
+    :ivar board: after the events so far.
+    """
+
+    def __init__(self, file: LogFile, mark: Optional[Mark] = None) -> None:
+        self._file = file
+        self._game = TokenGame(file.plan, agents=bool(file.header.get("agents")))
+        self._events = TeamEvents(self._game)
+        self.board = self._events.board(running=False, run=str(file.header["run"]))
+        self._clock = _Clock()
+        self.line, self.offset = 2, file.begin
+        state = None
+        if mark is not None:
+            kept = json.loads(zlib.decompress(mark.packed))
+            self.line, self.offset = mark.line, mark.offset
+            self.board = Board.from_json(kept["board"])
+            self._events.restore(kept["events"])
+            self._clock = _Clock(*kept["clock"])
+            state = TeamState.from_json(kept["state"], file.plan.net)
+        self._replayer = Replayer(self._game, state)
+
+    @staticmethod
+    def board_of(mark: Mark) -> Board:
+        """The board at a mark."""
+        return Board.from_json(json.loads(zlib.decompress(mark.packed))["board"])
+
+    def mark(self) -> Mark:
+        """What it takes to go on from here."""
+        kept = {
+            "board": self.board.to_json(),
+            "events": self._events.to_json(),
+            "clock": [self._clock.t, self._clock.mono, self._clock.wall],
+            "state": self._replayer.state.to_json(self._file.plan.net),
+        }
+        packed = zlib.compress(json.dumps(kept, separators=(",", ":")).encode(), 1)
+        return Mark(self.board.n, self.line, self.offset, packed)
+
+    def lines(self, file: BinaryIO) -> Iterator[List[Event]]:
+        """The events of each further line, numbered and applied to the board.
+
+        :raises LogError: a line cannot be followed; the message says which.
+        """
+        for record, length in self._file.records(file, self.offset, self.line):
+            events = self._step(record)
+            self.line += 1
+            self.offset += length
+            for event in events:
+                event["n"] = self.board.n + 1
+                self.board.apply(event)
+            yield events
+
+    def _step(self, record: Record) -> List[Event]:
+        try:
+            step = self._replayer.take(record)
+            if step is not None:
+                return self._events.step(step.entries, step.firings, step.state, self._clock.read(record))
+            if record["kind"] == "ended":
+                t = round(self._clock.read(record), 4)
+                ended = str(record.get("reason", ""))
+                changes = self._events.status(ended=ended, finished=bool(record.get("finished")))
+                return [{**event, "t": t} for event in changes]
+            return []
+        except LogError as error:
+            raise error.located(line=self.line) from None
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            raise LogError("the record is damaged (%r)" % error, line=self.line) from None
+
+
+class Recording(History):
+    """See the module. All methods may be called from any thread; :meth:`read` from one.
+
+    :param file: the log.
+    """
+
+    def __init__(self, file: LogFile) -> None:
+        self._file = file
+        self._lock = threading.Lock()
+        self._reading = threading.Lock()
+        first = _Reader(file)
+        self._marks: List[Mark] = [first.mark()]
+        self._between = LINES_BETWEEN
+        self._known = 0
+        self._last: List[Event] = []
+        self._looking = 0
+        self._stretches: OrderedDict[int, Tuple[Board, List[Event]]] = OrderedDict()
+
+    def first_board(self) -> Board:
+        """The board before the run began."""
+        return _Reader(self._file).board
+
+    def read(self) -> Iterator[Tuple[Board, float]]:
+        """Go through the log: now and then the board as far as it has been read, and the share of the file that has.
+
+        What is wrong with the log becomes a note at its end.
+        """
+        reader = _Reader(self._file)
+        size = max(1, self._file.size)
+        try:
+            with self._file.open() as file:
+                for _ in reader.lines(file):
+                    while self._looking:
+                        time.sleep(0.005)  # whoever looks goes first
+                    if reader.line - self._marks[-1].line >= self._between:
+                        self._keep(reader.mark())
+                        yield reader.board.copy(), min(1.0, reader.offset / size)
+            if self._file.cut:
+                self._append(reader, "warning", "the last line of the log was cut off")
+        except GspnError as error:
+            where = "%s:%d: " % (os.path.basename(self._file.path), error.line or reader.line)
+            self._append(reader, "fault", "the log cannot be followed further: %s%s" % (where, error.message))
+        except Exception as error:
+            self._append(reader, "fault", "the log cannot be followed further: %s" % type(error).__name__)
+        with self._lock:
+            self._known = reader.board.n
+        yield reader.board.copy(), 1.0
+
+    def _keep(self, mark: Mark) -> None:
+        with self._lock:
+            self._known = mark.n
+            self._marks.append(mark)
+            if len(self._marks) > MARKS:
+                self._marks = self._marks[::2]
+                self._between *= 2
+                self._stretches.clear()
+
+    def _append(self, reader: _Reader, level: str, text: str) -> None:
+        """A note behind all events of the file."""
+        t = round(reader.board.t, 4)
+        event = {"k": "note", "t": t, "level": level, "robot": "", "text": text, "n": reader.board.n + 1}
+        reader.board.apply(event)
+        self._last.append(event)
+
+    # -- looking up --------------------------------------------------------------------------------
+
+    def board_at(self, n: int) -> Board:
+        """The board after event ``n``, as far as the log has been read."""
+        with self._lock:
+            n = max(0, min(n, self._known))
+            at = bisect_right([mark.n for mark in self._marks], n) - 1
+            if self._marks[at].n == n:
+                return _Reader.board_of(self._marks[at])
+        board, events = self._stretch(n)
+        board = board.copy()
+        for event in events:
+            if event["n"] > n:
+                break
+            board.apply(event)
+        return board
+
+    def events(self, after: int, to: int) -> List[Event]:
+        """The events numbered above ``after`` and up to ``to``, as far as the log has been read."""
+        with self._lock:
+            to = min(to, self._known)
+        found: List[Event] = []
+        at = max(0, after)
+        while at < to:
+            _, events = self._stretch(at + 1)
+            new = [event for event in events if at < event["n"] <= to]
+            if not new:
+                break
+            found += new
+            at = new[-1]["n"]
+        return found
+
+    def _stretch(self, n: int) -> Tuple[Board, List[Event]]:
+        """The stretch between two marks that event ``n`` is in: the board before it, and its events.
+
+        :raises LogError: the file is not what it was when it was read.
+        """
+        with self._lock:
+            # the last mark before event n: several may lie between the same two events
+            at = max(0, bisect_right([mark.n for mark in self._marks], n - 1) - 1)
+            mark = self._marks[at]
+            end = self._marks[at + 1].n if at + 1 < len(self._marks) else None
+            known = self._known
+            self._looking += 1
+        try:
+            return self._made_again(mark, end if end is not None else known)
+        finally:
+            with self._lock:
+                self._looking -= 1
+
+    def _made_again(self, mark: Mark, last: int) -> Tuple[Board, List[Event]]:
+        with self._reading:
+            kept = self._stretches.get(mark.offset)
+            if kept is not None and (kept[1][-1]["n"] if kept[1] else mark.n) >= last:
+                self._stretches.move_to_end(mark.offset)
+                return kept
+            reader = _Reader(self._file, mark)
+            before = reader.board.copy()
+            events: List[Event] = []
+            with self._file.open() as file:
+                try:
+                    for new in reader.lines(file):
+                        events += new
+                        if reader.board.n >= last:
+                            break
+                except LogError:  # of which the last event tells, where it was so when the log was read
+                    pass
+            events += [event for event in self._last if event["n"] == reader.board.n + 1]
+            if (events[-1]["n"] if events else mark.n) < last:
+                raise LogError("the log is no longer what it was when it was opened", hint="open it again")
+            self._stretches[mark.offset] = (before, events)
+            self._stretches.move_to_end(mark.offset)
+            while len(self._stretches) > 1 and self._at_hand() > AT_HAND:
+                self._stretches.popitem(last=False)
+            return before, events
+
+    def _at_hand(self) -> int:
+        return sum(len(events) for _, events in self._stretches.values())
