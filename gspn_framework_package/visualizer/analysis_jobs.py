@@ -3,11 +3,13 @@ time, states and memory."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import secrets
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections import OrderedDict
@@ -26,6 +28,7 @@ SECONDS = 120.0
 STATES = 2_000_000
 """Largest limit on states that the page may ask for."""
 
+WORKER = [sys.executable, "-m", "gspn_framework_package.visualizer.analysis_worker"]
 
 QUESTIONS = (
     "structure", "timing", "policy", "at", "reach", "cover", "mean_time_to", "settling", "rewards", "simulate",
@@ -41,50 +44,64 @@ class _Job:
         self.result: Optional[Dict[str, Any]] = None
         self.error = ""
         self.ended = 0.0
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "gspn_framework_package.visualizer.analysis_worker"],
-            env=_environment(),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-        )
+        self._complaints = tempfile.TemporaryFile()  # noqa: SIM115  # not a pipe, which would fill up and hold it
+        try:
+            self._process = subprocess.Popen(
+                WORKER,
+                env=_environment(),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._complaints,
+            )
+        except OSError:
+            self._complaints.close()
+            raise
         self._request = json.dumps(request).encode()
-        threading.Thread(target=self._follow, name="analysis", daemon=True).start()
         self._timer = threading.Timer(seconds, self._time_over)
         self._timer.daemon = True
         self._timer.start()
+        threading.Thread(target=self._follow, name="analysis", daemon=True).start()
 
     def _follow(self) -> None:
+        """On a thread: take in what the process says, until it has ended. Whatever goes wrong, the job ends with it."""
         process = self._process
-        assert process.stdin and process.stdout and process.stderr
         try:
-            process.stdin.write(self._request)
-            process.stdin.close()
-        except BrokenPipeError:
-            pass
-        tail = b""
-        for line in process.stdout:
-            try:
-                message = json.loads(line)
-            except ValueError:
-                continue
-            if "progress" in message:
-                self.progress = message["progress"]
-            elif "part" in message:
-                self.result = {**(self.result or {}), **message["part"]}
-            elif "error" in message:
-                self.error = str(message["error"])
-        tail = process.stderr.read()[-400:]
+            self._listen()
+        except Exception as error:
+            self.error = self.error or "its answer cannot be read (%s)" % type(error).__name__
+            process.kill()
         code = process.wait()
         self._timer.cancel()
         self.ended = time.monotonic()
+        with self._complaints as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - 400))
+            last = file.read().decode("utf-8", "replace").strip().splitlines()[-1:]
         if self.state == "running":
-            self.state = "failed" if self.error or code else "done"
             if code and not self.error:
-                last = tail.decode("utf-8", "replace").strip().splitlines()[-1:]
                 self.error = "the analysis broke off (%s)" % (
                     last[0] if last else "it was ended, exit %d: too little memory?" % code
                 )
+            self.state = "failed" if self.error or code else "done"
+
+    def _listen(self) -> None:
+        process = self._process
+        assert process.stdin and process.stdout
+        with contextlib.suppress(BrokenPipeError):
+            process.stdin.write(self._request)
+        with contextlib.suppress(BrokenPipeError):
+            process.stdin.close()
+        with process.stdout as answers:
+            for line in answers:
+                try:
+                    message = json.loads(line)
+                except ValueError:
+                    continue
+                if "progress" in message:
+                    self.progress = message["progress"]
+                elif "part" in message:
+                    self.result = {**(self.result or {}), **message["part"]}
+                elif "error" in message:
+                    self.error = str(message["error"])
 
     def _time_over(self) -> None:
         if self.state == "running":

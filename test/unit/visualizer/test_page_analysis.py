@@ -139,3 +139,31 @@ def test_the_present_marking_is_that_which_is_shown_and_keeps_the_policy(ask):
     assert states(**{"from": "marking", "event": 0}) == (0, begun)
     assert states(**{"from": "marking"}) == (6, 1)
     assert start(client, **{"from": "marking", "event": "x"}).status_code == 400
+
+
+@pytest.mark.parametrize(
+    ("worker", "told"),
+    [
+        ("print(3, flush=True); import time; time.sleep(60)", "cannot be read"),
+        ("print('{\"part\": 3}', flush=True)", "cannot be read"),
+        ("import sys; sys.stderr.write('x' * 1_000_000 + '\\nno more'); sys.exit(3)", "no more"),
+        ("import os; os.kill(os.getpid(), 9)", "exit -9"),
+        ("import os; os.close(0); os.close(1); os._exit(1)", "broke off"),
+    ],
+)
+def test_whatever_becomes_of_the_process_ends_the_analysis(ask, monkeypatch, worker, told):
+    monkeypatch.setattr(analysis_jobs, "WORKER", [sys.executable, "-c", worker])
+    client = ask(small_net())
+    key = start(client, structure=True, seconds=100).get_json()["job"]
+
+    def report():
+        return client.get("/api/analysis/" + key).get_json()
+
+    wait_for(lambda: report()["state"] != "running", what="the end of the analysis")
+    assert report()["state"] == "failed" and told in report()["error"]
+
+
+def test_a_process_that_cannot_be_started_is_told(ask, monkeypatch):
+    monkeypatch.setattr(analysis_jobs, "WORKER", ["/nowhere/python3"])
+    answer = start(ask(small_net()), structure=True)
+    assert answer.status_code == 503 and "cannot do that now" in answer.get_json()["error"]
