@@ -203,11 +203,15 @@ def test_feedback_and_the_room_are_shown(told, open_page, picture):
     assert page.is_hidden("#room")
 
 
-def test_the_age_of_the_last_event_is_told(told, open_page):
+def test_the_age_of_the_last_event_is_told_and_the_end_of_all_events(told, open_page):
     page = open_page(told.address)
     told.told.hub.publish({"k": "note", "level": "fault", "robot": "robot_1", "text": "its action failed"})
     page.wait_for_selector("#connection:has-text('last event')")
     page.wait_for_selector("#log li.fault:has-text('its action failed')")
+    # a net that the server has closed is shown as it was, and said to be so
+    told.session().close()
+    page.wait_for_selector("body[data-stale] #notice:has-text('no longer open on the server')")
+    page.wait_for_selector("#connection:has-text('no longer open on the server')")
 
 
 def test_more_viewers_than_streams_poll_and_agree(show_net, open_page):

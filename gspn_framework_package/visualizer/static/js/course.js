@@ -1,6 +1,8 @@
 // The course of a run up to the board that is shown: what the time line draws. It is read from the events at hand; what
 // they do not tell is left out.
 
+const NOWHERE = -1;
+
 /** The events since the last reset, without those that were taken back: their times only grow. With `whole`, also those
  * before that reset and earlier ones. */
 export function courseOf(model, whole = false) {
@@ -27,31 +29,31 @@ export function lanesOf(model, begin, end) {
   const { base, board, events } = model;
   const last = model.indexAfter(board.n);
   const lanes = new Map();
-  const enter = (robot, t) => lanes.set(robot.name, { at: t, place: robot.place, phase: robot.phase || "", parts: lanes.get(robot.name)?.parts || [] });
-  const leave = (name, t) => {
-    const lane = lanes.get(name);
-    if (lane && lane.place >= 0 && t > begin && t > lane.at) lane.parts.push([Math.max(begin, lane.at), t, lane.place, lane.phase]);
+  const leave = (lane, t) => {
+    if (lane.place >= 0 && t > begin && t > lane.at) lane.parts.push([Math.max(begin, lane.at), t, lane.place, lane.phase]);
   };
-  const change = (name, t, fields) => {
-    const lane = lanes.get(name);
-    const robot = { name, place: fields.place ?? lane?.place, phase: fields.phase ?? lane?.phase };
-    if (lane && robot.place === lane.place && robot.phase === lane.phase) return;
-    leave(name, t);
-    enter(robot, t);
+  const change = (name, t, place, phase) => {
+    let lane = lanes.get(name);
+    if (!lane) lanes.set(name, lane = { at: t, place: undefined, phase: "", parts: [] });
+    if ((place ?? lane.place) === lane.place && (phase ?? lane.phase) === lane.phase) return;
+    leave(lane, t);
+    lane.at = t;
+    lane.place = place ?? lane.place;
+    lane.phase = phase ?? lane.phase;
   };
   // the events at hand lead from a board that is known to the one that is shown; otherwise only the latter is told
   const told = base && base.n <= board.n && (last > 0 ? events[last - 1].n : base.n) === board.n;
-  for (const robot of (told ? base : board).robots.values()) enter(robot, robot.since ?? (told ? base : board).t);
+  for (const robot of (told ? base : board).robots.values()) change(robot.name, robot.since ?? (told ? base : board).t, robot.place, robot.phase);
   for (let i = 0; told && i < last; i++) {
     const event = events[i];
     if (event.n <= base.n) continue;
     if (event.k === "fire") {
-      for (const [name, , to] of event.m) change(name, event.t, to === null ? { place: -1, phase: "" } : { place: to, phase: "doing" });
+      for (const move of event.m) change(move[0], event.t, move[2] ?? NOWHERE, move[2] === null ? "" : "doing");
     } else if (event.k === "robots") {
-      for (const robot of event.r) change(robot.name, event.t, robot);
-      for (const name of event.gone || []) change(name, event.t, { place: -1, phase: "" });
+      for (const robot of event.r) change(robot.name, event.t, robot.place, robot.phase);
+      for (const name of event.gone || []) change(name, event.t, NOWHERE, "");
     }
   }
-  for (const name of lanes.keys()) leave(name, end);
+  for (const lane of lanes.values()) leave(lane, end);
   return new Map([...lanes].filter(([name, lane]) => lane.parts.length || board.robots.has(name)));
 }

@@ -181,10 +181,12 @@ export class TimeLine extends EventTarget {
     c.textAlign = "left";
     c.fillStyle = ink("--ink-2");
     if (step >= 8) c.fillText("firings", 14, y0);
+    let drawn = Infinity; // where the last was drawn: of many on one pixel, one is
     for (let i = course.length - 1; i >= 0; i--) {
       const event = course[i];
       if (event.t < begin) break;
-      if (event.k !== "fire") continue;
+      if (event.k !== "fire" || drawn - x(event.t) < 0.5) continue;
+      drawn = x(event.t);
       c.fillStyle = model.scene.transitions[event.tr].timed ? timed : immediate;
       c.fillRect(x(event.t) - 0.75, y0 - step * 0.32, 1.5, step * 0.64);
     }
@@ -196,8 +198,10 @@ export class TimeLine extends EventTarget {
       c.fillStyle = ink("--ink-2");
       c.textAlign = "left";
       if (step >= 8) c.fillText(fitted(name), 14, y + step / 2);
+      let reached = -Infinity;
       for (const [from, to, place, phase] of lanes.get(name).parts) {
-        if (to < begin) continue;
+        if (to < begin || x(to) - reached < 0.5) continue;
+        reached = x(to);
         const a = Math.max(label, x(from)), b = x(to);
         const bar = Math.max(2, step - 5);
         const waits = phase === "done" || phase === "waiting";
