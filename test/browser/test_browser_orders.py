@@ -1,6 +1,7 @@
 """What an operator orders of a running team on the page, and what a viewer may not."""
 
 import pytest
+from page_reading import boxes
 
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import RefusedError
@@ -97,7 +98,13 @@ def test_every_order_names_its_run_and_its_answer_is_shown(team, open_page, pict
     picture(page, "orders")
 
     page.click("#list li[data-key='t1']")
-    page.click("#inspector button:has-text('Fire')")
+    # news that come while the button is down take it away from nobody
+    page.wait_for_selector("#inspector button:has-text('Fire'):enabled")
+    x0, y0, x1, y1 = boxes(page, "#inspector [data-order='fire']")[0]
+    page.mouse.move((x0 + x1) / 2, (y0 + y1) / 2)
+    page.mouse.down()
+    page.evaluate("() => { for (const part of ['inspector', 'robots']) window.gspn.page[part].refresh?.(); }")
+    page.mouse.up()
     page.wait_for_selector("#toast:has-text('Fire rain')")
     page.click("#stop")
     page.fill("dialog input", "smoke")

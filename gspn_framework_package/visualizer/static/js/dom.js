@@ -41,6 +41,14 @@ export function announceNow(message) {
   $("announce-now").textContent = message;
 }
 
+let pressed = null; // what the pointer went down on
+addEventListener("pointerdown", (event) => { pressed = event.target; }, true);
+for (const end of ["pointerup", "pointercancel"]) addEventListener(end, () => setTimeout(() => { pressed = null; }), true);
+
+/** Whether the pointer is down on something in an element: what is drawn anew under it would miss the click. (On the
+ * element itself it is on its scroll bar, and not every browser tells when that is let go.) */
+export const isPressed = (element) => pressed !== null && pressed !== element && element.contains(pressed);
+
 /** Compares names as people count: p2 comes before p10. */
 const collator = new Intl.Collator("en", { numeric: true });
 export const natural = (a, b) => collator.compare(a, b);

@@ -1,7 +1,7 @@
 // The inspector: what is selected, in words. A place: tokens, which robots, since when, what they do.
 // A transition: kind, rate or weight, how often it fired, why it is not enabled.
 
-import { h, $, toast, seconds, plural, number } from "./dom.js";
+import { h, $, isPressed, toast, seconds, plural, number } from "./dom.js";
 import { get } from "./api.js";
 import { robotCard } from "./robots_panel.js";
 
@@ -56,8 +56,9 @@ export class Inspector extends EventTarget {
     if (!this.timer) this.timer = setTimeout(() => { this.timer = 0; this.refresh(); }, 200);
   }
 
-  /** Draw anew, unless a person is typing. */
+  /** Draw anew, unless a person is typing or pressing a button. */
   refresh() {
+    if (isPressed(this.panel)) { this.later(); return; }
     if (!this.panel.contains(document.activeElement) || document.activeElement.tagName !== "INPUT") this.update();
   }
 

@@ -1,6 +1,6 @@
 // The list at the left: places and transitions, the enabled first, searchable; drawn only as far as seen.
 
-import { h, $, natural } from "./dom.js";
+import { h, $, natural, isPressed } from "./dom.js";
 
 const ROW = 26; // px, as in panels.css
 const ROWS_DRAWN = 150; // more are found by searching
@@ -49,6 +49,7 @@ export class NodeList extends EventTarget {
   update() {
     clearTimeout(this.timer);
     this.timer = 0;
+    if (isPressed(this.list)) { this.later(); return; }
     const begun = performance.now();
     const { board } = this.model;
     if (!board) return;

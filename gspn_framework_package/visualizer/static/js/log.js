@@ -1,7 +1,7 @@
 // The firing log: the latest first, filtered by transition, robot or place. The arrows go through its lines,
 // Enter shows the net as it was after the one that is chosen.
 
-import { h, $, seconds } from "./dom.js";
+import { h, $, seconds, isPressed } from "./dom.js";
 import { courseOf } from "./course.js";
 
 const ROWS = 120;
@@ -80,6 +80,7 @@ export class FiringLog extends EventTarget {
   update() {
     clearTimeout(this.timer);
     this.timer = 0;
+    if (isPressed(this.list)) { this.later(); return; }
     const { model } = this;
     if (!model.board) return;
     const begun = performance.now();

@@ -1,6 +1,6 @@
 // The robots as persons see them: colour and id, what each does and since when, why it waits, what can be ordered of it.
 
-import { h, $, seconds } from "./dom.js";
+import { h, $, isPressed, seconds } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
 
 const PHASES = new Map([
@@ -64,6 +64,7 @@ export class RobotsPanel {
   update() {
     const { model, orders, panel } = this;
     if (panel.hidden || !model.board) return;
+    if (isPressed(panel)) { this.later(); return; }
     const focused = panel.contains(document.activeElement) ? document.activeElement.dataset.focus : null;
     const robots = [...model.board.robots.values()].sort((a, b) => a.name.localeCompare(b.name, undefined, { numeric: true }));
     const cards = robots.map((robot) => this.card(robot));
