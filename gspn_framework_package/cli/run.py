@@ -51,15 +51,14 @@ def run(args: argparse.Namespace) -> int:
             raise UsageError("--%s must be above 0, not %g" % (option, value))
     plan = _plan(args)
     event_log = _event_log(args.log, plan)
-    printer = _Printer(plan, args.json, args.quiet, args.firings)
-    executor = StandaloneExecutor(plan, printer, event_log)
+    printer = _Printer(plan, args.json, args.quiet)
+    executor = StandaloneExecutor(plan, printer, event_log, firing_limit=args.firings)
     started = time.monotonic()
     deadline = started + args.seconds if args.seconds is not None else None
     executor.start()
     try:
-        limited = printer.enough.wait(_left(deadline))
-        if not executor.over:
-            executor.stop("the limit of %s" % ("firings" if limited else "seconds"))
+        if not printer.over.wait(_left(deadline)) and not executor.over:
+            executor.stop("the limit of %g seconds" % args.seconds)
         ended = executor.wait()
     except KeyboardInterrupt:
         executor.stop("interrupted")
@@ -72,9 +71,9 @@ def run(args: argparse.Namespace) -> int:
         if event_log is not None and executor.over:
             event_log.close()
     assert ended is not None
-    printer.tell_end(ended.reason, executor.status()["marking"], time.monotonic() - started)
-    by_limit = ended.reason.startswith("the limit of ")
-    return 0 if ended.finished or by_limit else 1
+    fault = executor.state.fault  # neither its own end nor a limit
+    printer.tell_end(ended.reason, executor.status()["marking"], time.monotonic() - started, fault)
+    return 1 if fault else 0
 
 
 def _left(deadline: Optional[float]) -> Optional[float]:
@@ -106,14 +105,13 @@ def _event_log(path: Optional[str], plan: Plan) -> Optional[EventLogWriter]:
 
 
 class _Printer(Listener):
-    """Prints what happens; ``enough`` is set when the run is over or has fired often enough."""
+    """Prints what happens; ``over`` is set when the run is over."""
 
-    def __init__(self, plan: Plan, as_json: bool, quiet: bool, limit: Optional[int]) -> None:
-        self.enough = threading.Event()
+    def __init__(self, plan: Plan, as_json: bool, quiet: bool) -> None:
+        self.over = threading.Event()
         self._plan = plan
         self._json = as_json
         self._quiet = quiet
-        self._limit = limit
         self._count = 0
 
     def on_step(
@@ -135,8 +133,6 @@ class _Printer(Listener):
                 )
             elif not self._quiet:
                 print("%6d  %s  %s" % (self._count, firing.transition, _moves(firing)), flush=True)
-        if self._limit is not None and self._count >= self._limit:
-            self.enough.set()
 
     def on_fault(self, agent: str, message: str) -> None:
         if self._json:
@@ -146,13 +142,13 @@ class _Printer(Listener):
             print("fault: %s%s" % (who, message), file=sys.stderr, flush=True)
 
     def on_end(self, reason: str, finished: bool) -> None:
-        self.enough.set()
+        self.over.set()
 
     def on_broken(self, reason: str) -> None:
-        self.enough.set()  # the caller prints it, in a thread that can tell where it cannot be printed
+        self.over.set()  # the caller prints it, in a thread that can tell where it cannot be printed
 
     def tell_end(self, reason: str, marking: Dict[str, int], seconds: float, broken: bool = False) -> None:
-        """Print how the run ended; ``broken``: by a failure of the executor itself, which is an error beside."""
+        """Print how the run ended; ``broken``: by a failure, of an action or of the executor itself."""
         if self._json:
             self._print(
                 {

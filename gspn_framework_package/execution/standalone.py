@@ -107,6 +107,8 @@ class StandaloneExecutor:
     :param listener: told what happens.
     :param event_log: where the run is recorded (its header is written by whoever made it).
     :param time_source: monotonic seconds.
+    :param firing_limit: the run is stopped with the event that brings the firings to this number; where that event
+        sets off several, which belong together, there are more.
     :raises PlanError: a place is bound to an action server; a function is missing or broken.
 
     ``start`` returns at once; ``wait`` waits for the end; ``stop`` ends the run at any time, and
@@ -119,8 +121,11 @@ class StandaloneExecutor:
         listener: Optional[Listener] = None,
         event_log: Optional[EventLogWriter] = None,
         time_source: Callable[[], float] = time.monotonic,
+        firing_limit: Optional[int] = None,
     ) -> None:
         self.plan = plan
+        self._firing_limit = firing_limit
+        self._fired = 0
         self.game = TokenGame(plan, agents=True)
         self._ledger = Ledger(self.game)
         self.state = self._ledger.state
@@ -260,8 +265,15 @@ class StandaloneExecutor:
             self._record(self._ledger.record(slot, entries, [], step))
         self._tell_states(step)
         self._listener.on_step(slot, entries, step.firings, self.state)
+        self._fired += len(step.firings)
+        limit = self._firing_limit
+        enough = limit is not None and self._fired >= limit and self.state.ended is None
         for command in step.commands:
-            self._carry_out(command)
+            if not (enough and isinstance(command, StartAction)):
+                self._carry_out(command)
+        if enough:
+            more = "" if self._fired == limit else " (%d fired: one event sets off several)" % self._fired
+            self._reduce([log.Stop("the limit of %d firings%s" % (limit, more))])
 
     def _record(self, *records: Record) -> None:
         if self._event_log is not None:
