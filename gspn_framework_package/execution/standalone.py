@@ -273,7 +273,7 @@ class StandaloneExecutor:
                 self._carry_out(command)
         if enough:
             more = "" if self._fired == limit else " (%d fired: one event sets off several)" % self._fired
-            self._reduce([log.Stop("the limit of %d firings%s" % (limit, more))])
+            self._reduce([log.Stop("the limit of %s firings%s" % (limit, more))])
 
     def _record(self, *records: Record) -> None:
         if self._event_log is not None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Dict, List, Optional, Tuple
+import json
+from typing import Any, Dict, List, Optional, Tuple
 
 import rospy
 
@@ -35,6 +36,21 @@ def fired_message(fired: Fired, net: Net, plan_hash: str, run: str) -> FiredTran
     message.private_move = fired.private
     message.hash = fired.hash
     return message
+
+
+_STATUS_FIELDS = {
+    "robot", "run", "plan", "synchronisation", "active", "quorum", "log_length", "marking", "paused", "ended",
+    "finished", "fault", "waits_for", "robots",
+}  # fmt: skip
+
+
+def read_status(message: str) -> Optional[Dict[str, Any]]:
+    """What a node answered to the command ``status``; None where it is not such an answer."""
+    try:
+        status = json.loads(message)
+    except ValueError:
+        return None
+    return status if isinstance(status, dict) and _STATUS_FIELDS <= set(status) else None
 
 
 def marking_fields(marking: Marking, net: Net) -> Tuple[List[str], List[int]]:

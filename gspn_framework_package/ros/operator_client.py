@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import queue
 import time
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
@@ -11,6 +10,7 @@ import rosgraph
 import rospy
 
 from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.ros.messages import read_status
 from gspn_framework_package.ros.node_services import ORDER_TIME
 from gspn_framework_package.ros.registration import MASTER_ERRORS, master_proxy
 from gspn_framework_package.ros.service_calls import ServiceCalls
@@ -86,9 +86,9 @@ class OperatorClient:
         return got
 
     def statuses(self) -> Dict[NodeAddress, Optional[Dict[str, Any]]]:
-        """The status of every node, None for one that is silent."""
+        """The status of every node, None for one that is silent or says something else."""
         return {
-            node: json.loads(answer.message) if answer is not None else None
+            node: read_status(answer.message) if answer is not None else None
             for node, answer in self.ask_all("status").items()
         }
 

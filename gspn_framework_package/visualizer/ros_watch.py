@@ -19,7 +19,7 @@ from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import FiredTransition
-from gspn_framework_package.ros.messages import FIRED_TOPIC
+from gspn_framework_package.ros.messages import FIRED_TOPIC, read_status
 from gspn_framework_package.ros.registration import MASTER_ERRORS, master_proxy, published_topics
 from gspn_framework_package.ros.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest
@@ -62,7 +62,7 @@ SILENT = 3
 UNHEARD = 3
 """Answers in a row by which the team has moved without a firing that was heard, after which the page warns of it."""
 
-TOLD_BY_OTHERS = ("lost", "left", "failed")
+TOLD_BY_OTHERS = ("lost", "left")
 """Phases that a robot does not tell itself."""
 
 Order = Tuple[str, str, str]
@@ -104,6 +104,7 @@ class RosWatch(Activity):
         self._shown: Dict[str, Dict[str, Any]] = {}
         self._status: Dict[str, Any] = {}
         self._others: Set[Tuple[str, str]] = set()
+        self._unread: Set[str] = set()
         self._early: Dict[str, Any] = {}
         self._subscribers: List[Any] = []
         self._stop = threading.Event()
@@ -229,7 +230,7 @@ class RosWatch(Activity):
         waits = str(activity.get("waits_for", ""))
         self._show_robot(
             name,
-            phase=PHASES.get(state, ""),
+            phase="failed" if activity["needs_operator"] and state != "Lost" else PHASES.get(state, ""),
             paused=state == "Paused",
             visit=activity.get("visit"),
             attempt=activity.get("attempt"),
@@ -357,10 +358,20 @@ class RosWatch(Activity):
             for _ in range(sum(asked)):
                 namespace, response = answers.get(timeout=max(0.0, give_up - time.monotonic()))
                 if response.success:  # else: it is in another run
-                    found.append((namespace, json.loads(response.message)))
+                    found += self._read_answer(namespace, response.message)
         except queue.Empty:
             pass
         return found
+
+    def _read_answer(self, namespace: str, message: str) -> List[Answer]:
+        """What a robot said of the team; nothing where that cannot be read."""
+        status = read_status(message)
+        if status is not None:
+            return [(namespace, status)]
+        if namespace not in self._unread:
+            self._unread.add(namespace)
+            rospy.logwarn("the page: the answer of %s to 'status' cannot be read: %.80r" % (namespace, message))
+        return []
 
     def _call(
         self, namespace: str, request: Any, calls: ServiceCalls, answers: queue.SimpleQueue[Tuple[str, Any]]

@@ -7,9 +7,9 @@ import pytest
 pytest.importorskip("rospy")
 pytest.importorskip("gspn_framework_package.msg")
 
-from gspn_framework_package.execution.team_state import Phase, RobotState, TeamState  # noqa: E402
-from gspn_framework_package.ros.execution_node import ExecutionNode  # noqa: E402
-from gspn_framework_package.ros.narrator import level_of  # noqa: E402
+from gspn_framework_package.execution.team_state import Phase, RobotState, TeamState
+from gspn_framework_package.ros.execution_node import ExecutionNode
+from gspn_framework_package.ros.narrator import level_of
 
 
 def node(phase, halted=None, ended=None, why=""):

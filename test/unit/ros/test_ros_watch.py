@@ -84,8 +84,9 @@ class Watched:
         status = {
             "robot": "robot_1", "run": run, "plan": plan or self.plan.hash(), "log_length": self.length,
             "robots": robots, "marking": {place: 2}, "paused": False, "ended": ended, "finished": False, "fault": False,
+            "synchronisation": "full", "active": True, "quorum": True, "waits_for": "",
         }  # fmt: skip
-        self.watch._on_answers((False, [("/robot_1", status)]))
+        self.watch._on_answers((False, self.watch._read_answer("/robot_1", json.dumps(status))))
 
     def notes(self):
         return [note["text"] for note in self.hub.board().notes]
@@ -121,3 +122,28 @@ def test_the_page_takes_a_run_that_goes_on_before_one_that_is_over(monkeypatch):
     page.answer(place, run="new")
     assert page.hub.board().status["run"] == "new"
     assert sorted(note.split(" on ")[0] for note in page.notes()) == ["run 'old'", "run 'strange'"]
+
+
+@pytest.mark.parametrize("said", ["", "no JSON", "[]", "3", "null", "{}", '{"run": "monday"}'])
+def test_an_answer_that_cannot_be_read_is_passed_over(monkeypatch, said):
+    assert Watched(monkeypatch).watch._read_answer("/robot_1", said) == []
+
+
+def test_a_failed_robot_is_shown_by_what_it_tells_itself(monkeypatch):
+    """And no older answer of another takes that back or makes it up."""
+    page = Watched(monkeypatch)
+
+    def tell(state, needs_operator):
+        said = {
+            "robot": "robot_1", "run": "monday", "plan": page.plan.hash(), "state": state, "waits_for": "",
+            "needs_operator": needs_operator, "ended": None, "visit": 1, "attempt": 1,
+        }  # fmt: skip
+        page.watch._on_activity(("/robot_1", type("Message", (), {"data": json.dumps(said)})))
+        return next(robot["phase"] for robot in page.hub.board().to_json()["robots"] if robot["name"] == "robot_1")
+
+    assert tell("Waiting", True) == "failed"
+    page.answer(page.plan.robots[0].place)
+    assert tell("Waiting", True) == "failed"
+    assert tell("Doing", False) == "doing"
+    assert tell("Waiting", False) == "done"
+    assert tell("Lost", True) == "lost"
