@@ -208,6 +208,11 @@ def test_the_age_of_the_last_event_is_told_and_the_end_of_all_events(told, open_
     told.told.hub.publish({"k": "note", "level": "fault", "robot": "robot_1", "text": "its action failed"})
     page.wait_for_selector("#connection:has-text('last event')")
     page.wait_for_selector("#log li.fault:has-text('its action failed')")
+    # before a robot was heard, nothing is known
+    told.told.hub.publish({"k": "status", "status": {"running": False, "ended": None}})
+    page.wait_for_selector("body[data-stale] #frame-name:has-text('no robot of the team has been heard yet')")
+    told.told.hub.publish({"k": "status", "status": {"running": True}})
+    page.wait_for_selector("body:not([data-stale])")
     # a net that the server has closed is shown as it was, and said to be so
     told.session().close()
     page.wait_for_selector("body[data-stale] #notice:has-text('no longer open on the server')")

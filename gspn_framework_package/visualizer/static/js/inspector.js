@@ -150,10 +150,10 @@ export class Inspector extends EventTarget {
         ["Weight", transition.timed ? null : transition.weight === 0 ? "0: the policy chooses" : number(transition.weight)],
         ["Priority", transition.timed ? null : String(transition.priority)],
         ["Fired", plural(board.counts[index], "time")],
-        ["Now", mode === "SIMULATE" && choice ? `${(choice[1] * 100).toFixed(1)} % to be the next` : null],
+        ["Now", mode === "SIMULATE" && this.model.following && choice ? `${(choice[1] * 100).toFixed(1)} % to be the next` : null],
       ]),
       mode === "SIMULATE" && [
-        h("div", { class: "buttons" }, h("button", { class: "primary", text: "Fire", disabled: !enabled, "data-focus": "fire", onclick: () => this.dispatchEvent(new CustomEvent("fire", { detail: index })) })),
+        h("div", { class: "buttons" }, h("button", { class: "primary", text: "Fire", disabled: !enabled || !this.model.following, title: this.model.following ? "" : "The view is of the past: go back to now first", "data-focus": "fire", onclick: () => this.dispatchEvent(new CustomEvent("fire", { detail: index })) })),
         h("div", { class: "form" }, h("label", { for: "probability", text: "Firing probability" }),
           h("input", { id: "probability", type: "number", min: "0", step: "any", value: mine ?? "", placeholder: transition.timed ? "by its rate" : "by its weight", "data-focus": "probability",
             title: "Relative to the others that are enabled; empty: by rate or weight",

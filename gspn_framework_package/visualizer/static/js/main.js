@@ -238,7 +238,7 @@ class Page {
     model.addEventListener("head", () => { this.line.later(); this.showRun(); });
     model.addEventListener("past", () => { this.log.update(); this.line.later(); });
     model.addEventListener("latest", ({ detail }) => {
-      if (detail.keys.includes("info")) { this.tools?.refresh(); this.inspector.later(); }
+      if (detail.keys.includes("info")) { this.tools?.refresh(); this.inspector.later(); this.showRun(); }
       if (detail.keys.includes("choices")) this.inspector.later();
       if (detail.keys.includes("feedback")) { this.robots.later(); this.inspector.later(); }
       if (detail.keys.includes("room") || detail.keys.includes("world")) { if (this.room.news()) this.tools?.build(); }
@@ -327,10 +327,13 @@ class Page {
     const { model } = this;
     if (!model.board) return;
     const { status } = model.mode === "REPLAY" ? model.board : model.head;
-    document.body.toggleAttribute("data-stale", model.stale);
+    const unheard = model.mode === "LIVE" && status.running === false && status.ended === null;
+    document.body.toggleAttribute("data-stale", model.stale || unheard);
     document.body.toggleAttribute("data-fault", Boolean(model.mode === "LIVE" && status.fault));
     let says = model.info.says || MODE_SAYS[model.mode] || "";
     if (model.mode === "LIVE" && status.ended) says = `${status.fault ? "broke off" : "over"}: ${status.ended}`;
+    if (unheard) says = "no robot of the team has been heard yet; this is the beginning of the plan";
+    if (model.info.loading) says += ", still being read";
     if (model.stale) says = `as it was at ${clock(this.lostSince)}; nothing has been heard since`;
     $("frame-name").replaceChildren(h("b", { text: model.mode }), says ? ` — ${says}` : "");
     this.showOrders(status);
