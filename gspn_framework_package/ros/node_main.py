@@ -22,7 +22,7 @@ from gspn_framework_package.ros.node_process import (
     share_log_configuration,
     tell_error,
 )
-from gspn_framework_package.ros.options import NodeOptions, read_options, read_options_of
+from gspn_framework_package.ros.options import NodeOptions, launched_file, read_options, read_options_of
 from gspn_framework_package.ros.process_family import Member, run_family
 from gspn_framework_package.ros.registration import MASTER_ERRORS, published_topics, registered_together
 
@@ -119,7 +119,7 @@ def await_servers(names: Iterable[str], seconds: float, ending: Ending) -> None:
 
 
 def _execute(options: NodeOptions, ending: Ending) -> int:
-    plan, robot = robot_of(read_plan(options.plan), options)
+    plan, robot = robot_of(read_plan(launched_file(options.plan, "~plan")), options)
     return _run_robots(plan, {robot: _own_namespace()}, options, ending)
 
 
@@ -130,7 +130,7 @@ def _host(options: NodeOptions, ending: Ending) -> int:
 
 def _team(options: NodeOptions) -> Tuple[Plan, Dict[str, str]]:
     """The plan with the team that begins, and the namespaces of its robots."""
-    plan = read_plan(options.plan)
+    plan = read_plan(launched_file(options.plan, "~plan"))
     if options.robots:
         plan = plan.for_robots(options.robots)
     return plan, {
@@ -246,7 +246,7 @@ def _run_robots(
 
 
 def _serve(options: NodeOptions, ending: Ending) -> int:
-    plan, robot = robot_of(read_plan(options.plan), options)
+    plan, robot = robot_of(read_plan(launched_file(options.plan, "~plan")), options)
     return _serve_places(plan, robot, _own_namespace(), ending)
 
 

@@ -101,6 +101,25 @@ def read_options_of(node: str) -> NodeOptions:
     return options_from(given)
 
 
+def launched_file(given: str, parameter: str) -> str:
+    """The file or folder that a parameter names: ``~`` is the home folder, and what is relative is looked for where
+    the node runs and then where ``roslaunch`` was started, which has nodes run in a folder of its own.
+
+    :raises UsageError: it is in neither.
+    """
+    path = os.path.expanduser(given)
+    shell = os.environ.get("PWD", "")
+    for found in (path, os.path.join(shell, path)):
+        if os.path.isabs(found) and found == path or os.path.exists(found):
+            return found
+    raise UsageError(
+        "there is no '%s' in %s, where this node runs%s"
+        % (given, os.getcwd(), ", nor in %s" % shell if shell not in ("", os.getcwd()) else ""),
+        element=parameter,
+        hint="give an absolute path, such as \"$PWD/%s\"" % given,
+    )
+
+
 def options_from(given: Dict[str, Any]) -> NodeOptions:
     """The options of a map of parameters. :raises UsageError: see :func:`read_options`."""
     fields = {}

@@ -18,6 +18,7 @@ import rospy
 
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import GspnError, UsageError
+from gspn_framework_package.ros.options import launched_file
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.guard import read_tokens
 from gspn_framework_package.visualizer.project import Project
@@ -47,7 +48,7 @@ def _server() -> WebServer:
     path = _parameter("plan", "")
     if not path:
         raise UsageError("no plan", element="parameter ~plan", hint="the team's plan file")
-    plan = read_plan(path)
+    plan = read_plan(launched_file(path, "parameter ~plan"))
     robots = int(_parameter("robots", 0))
     if robots:
         plan = plan.for_robots(robots)

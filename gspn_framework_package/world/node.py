@@ -36,6 +36,7 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from gspn_framework_package.model.errors import GspnError, InputError
+from gspn_framework_package.ros.options import launched_file
 from gspn_framework_package.world import messages
 from gspn_framework_package.world.move_base import MAP_FRAME, MoveBase
 from gspn_framework_package.world.recording import Recorder
@@ -235,6 +236,7 @@ def main() -> int:
         room_file = rospy.get_param("~room", "")
         if not room_file:
             raise InputError("no room file", element="parameter ~room")
+        room_file = launched_file(str(room_file), "parameter ~room")
         room = load_room(room_file)
         robots = robot_names(rospy.get_param("~robots", "robot_1"))
         if len(robots) > len(room.spawn):

@@ -18,7 +18,8 @@ from typing import Any, Callable, Dict, Optional, Tuple
 import rospy
 
 from gspn_framework_package.execution.actions import ActionFailed
-from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.ros.options import launched_file
 from gspn_framework_package.world import patrol
 from gspn_framework_package.world.base_client import BaseClient
 from gspn_framework_package.world.room import Room
@@ -103,8 +104,8 @@ def _connect(robot: str, location: str) -> Tuple[BaseClient, Room]:
     with _lock:
         if file not in _rooms:
             try:
-                _rooms[file] = load_room(file)
-            except InputError as error:
+                _rooms[file] = load_room(launched_file(str(file), "parameter room"))
+            except GspnError as error:
                 raise ActionFailed(str(error)) from None
         if robot not in _clients:
             _clients[robot] = BaseClient(robot)

@@ -10,7 +10,7 @@ from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.ros.node_main import robot_of
-from gspn_framework_package.ros.options import options_from
+from gspn_framework_package.ros.options import launched_file, options_from
 from gspn_framework_package.ros.patience import Patience
 
 
@@ -82,3 +82,21 @@ def test_which_robot_is_meant(plan, given, robot):
 def test_a_robot_that_cannot_be_meant(plan, given, message):
     with pytest.raises(UsageError, match=message):
         robot_of(plan, options_from({"plan": "p", **given}))
+
+
+def test_a_file_is_looked_for_where_roslaunch_was_started_too(tmp_path, monkeypatch):
+    """roslaunch has its nodes run in ~/.ros."""
+    shell, node = tmp_path / "shell", tmp_path / "node"
+    for folder in (shell / "plans" / "mine", node / "own"):
+        folder.mkdir(parents=True)
+    monkeypatch.chdir(node)
+    monkeypatch.setenv("PWD", str(shell))
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert launched_file("plans/mine", "~plan") == str(shell / "plans" / "mine")
+    assert launched_file("own", "~plan") == "own"
+    assert launched_file("~/shell", "~plan") == str(shell)
+    assert launched_file("/no/such/plan", "~plan") == "/no/such/plan"  # whoever reads it says so
+    with pytest.raises(UsageError) as caught:
+        launched_file("plans/other", "~plan")
+    for part in ("~plan", "plans/other", str(node), str(shell), '"$PWD/plans/other"'):
+        assert part in str(caught.value)
