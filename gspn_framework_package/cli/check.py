@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+from typing import List
 
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT, check
+from gspn_framework_package.analysis.preflight_report import CheckItem, Severity, names
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.plan import Plan, ServerAction
 
 NAME = "check"
 HELP = "check whether a plan may run, before any robot moves"
@@ -38,6 +41,7 @@ def run(args: argparse.Namespace) -> int:
         plan = plan.for_robots(args.robots)
     with ProgressLine() as progress:
         report = check(plan, limit=args.limit, standalone=args.standalone, progress=progress)
+    report = report._replace(items=(*_look_at_goals(plan), *report.items))
     if args.json:
         data = report.to_json()
         data["notes"] = list(plan.notes)
@@ -47,3 +51,26 @@ def run(args: argparse.Namespace) -> int:
             print("note     %s" % note)
         print(report)
     return report.exit_code
+
+
+def _look_at_goals(plan: Plan) -> List[CheckItem]:
+    """What is wrong with the goals for action servers, where this shell has ROS, which knows their types."""
+    bound = list(plan.actions.values()) + [action for robot in plan.robots for action in robot.actions.values()]
+    if not any(isinstance(action, ServerAction) for action in bound):
+        return []
+    try:
+        from gspn_framework_package.ros.action_targets import look_at_goals
+    except ImportError:
+        return []
+    found = look_at_goals(plan)
+    items = [
+        CheckItem("goals", Severity.REFUSED, "%s: %s" % (where, text), {"where": where})
+        for where, text in found.misfits.items()
+    ]
+    for text in sorted(set(found.unknown.values())):
+        places = [where for where, said in found.unknown.items() if said == text]
+        items.append(
+            CheckItem("goals", Severity.WARNING, "%s; its goals were not looked at (%s)" % (text, names(places)),
+                      {"where": places})  # fmt: skip
+        )
+    return items

@@ -39,7 +39,8 @@ class ActionTarget(NamedTuple):
         goal = type(self.action_type().action_goal.goal)()
         try:
             if self.goal:
-                genpy.message.fill_message_args(goal, [dict(self.goal)], keys={"now": rospy.get_rostime()})
+                now = rospy.get_rostime() if rospy.core.is_initialized() else genpy.Time()
+                genpy.message.fill_message_args(goal, [dict(self.goal)], keys={"now": now})
                 goal._check_types()
         except (genpy.MessageException, genpy.SerializationError, TypeError, ValueError) as error:
             raise PlanError(
@@ -90,6 +91,14 @@ def _target(place: str, action: Any, namespace: str) -> ActionTarget:
 
         outcomes = action.outcomes if foreign else {}
         return ActionTarget(place, name, ExecGSPNAction, {"place": place}, outcomes, foreign)
+    action_type = _action_type(place, type_name)
+    target = ActionTarget(place, name, action_type, action.goal or {}, action.outcomes, True)
+    target.new_goal()
+    return target
+
+
+def _action_type(place: str, type_name: str) -> Any:
+    """The class of an action type. :raises PlanError: it is not known here."""
     try:
         action_type = roslib.message.get_message_class(type_name)
     except Exception as error:  # whatever importing somebody's messages raises
@@ -102,6 +111,34 @@ def _target(place: str, action: Any, namespace: str) -> ActionTarget:
             "there is no action type '%s'" % type_name, element="action of '%s'" % place,
             hint="write package/NameAction; is the package in this workspace?",
         )  # fmt: skip
-    target = ActionTarget(place, name, action_type, action.goal or {}, action.outcomes, True)
-    target.new_goal()
-    return target
+    return action_type
+
+
+class GoalFindings(NamedTuple):
+    """What is to be said of the goals of a plan: texts by "ROBOT in PLACE"."""
+
+    misfits: Dict[str, str]
+    """The goal is not one of its type."""
+    unknown: Dict[str, str]
+    """The type is not known in this shell, so that its goal was not looked at."""
+
+
+def look_at_goals(plan: Plan) -> GoalFindings:
+    """Whether the goals of the plan's foreign action servers fit their types. Needs no node and no master."""
+    found = GoalFindings({}, {})
+    for robot in plan.robots:
+        for place in plan.action_places:
+            action = plan.action(robot.name, place)
+            if not isinstance(action, ServerAction):
+                continue
+            where = "%s in %s" % (robot.name, place)
+            try:
+                action_type = _action_type(place, action.type)
+            except PlanError as error:
+                found.unknown[where] = error.message
+                continue
+            try:
+                ActionTarget(place, action.server, action_type, action.goal or {}, action.outcomes, True).new_goal()
+            except PlanError as error:
+                found.misfits[where] = error.message
+    return found
