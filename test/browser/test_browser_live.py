@@ -209,10 +209,16 @@ def test_the_age_of_the_last_event_is_told_and_the_end_of_all_events(told, open_
     page.wait_for_selector("#connection:has-text('last event')")
     page.wait_for_selector("#log li.fault:has-text('its action failed')")
     # before a robot was heard, nothing is known
-    told.told.hub.publish({"k": "status", "status": {"running": False, "ended": None}})
+    silent = [{"name": "robot_%d" % i, "phase": ""} for i in (1, 2, 3, 4)]
+    told.told.hub.publish({"k": "status", "status": {"running": False, "ended": None}}, {"k": "robots", "r": silent})
     page.wait_for_selector("body[data-stale] #frame-name:has-text('no robot of the team has been heard yet')")
-    told.told.hub.publish({"k": "status", "status": {"running": True}})
-    page.wait_for_selector("body:not([data-stale])")
+    page.wait_for_selector(".robot-card[data-robot='robot_1'] .badge:has-text('not heard yet')")
+    assert page.inner_text(".robot-card[data-robot='robot_1'] .since") == ""
+    lanes = "() => { const { line, model } = window.gspn.page; return line.segments(model.board.t, model.board.t + 9).get('robot_1').parts; }"
+    assert page.evaluate(lanes) == []
+    told.told.hub.publish({"k": "status", "status": {"running": True}}, {"k": "robots", "r": [{"name": "robot_1", "phase": "doing"}]})
+    page.wait_for_selector("body:not([data-stale]) .robot-card[data-robot='robot_1'] .badge:has-text('acts')")
+    assert page.evaluate(lanes)
     # a net that the server has closed is shown as it was, and said to be so
     told.session().close()
     page.wait_for_selector("body[data-stale] #notice:has-text('no longer open on the server')")

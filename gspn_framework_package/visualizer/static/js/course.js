@@ -30,27 +30,29 @@ export function lanesOf(model, begin, end) {
   const last = model.indexAfter(board.n);
   const lanes = new Map();
   const leave = (lane, t) => {
-    if (lane.place >= 0 && t > begin && t > lane.at) lane.parts.push([Math.max(begin, lane.at), t, lane.place, lane.phase]);
+    const phase = lane.paused ? "waiting" : lane.phase; // without one nothing was heard of it
+    if (phase && lane.place >= 0 && t > begin && t > lane.at) lane.parts.push([Math.max(begin, lane.at), t, lane.place, phase]);
   };
-  const change = (name, t, place, phase) => {
+  const change = (name, t, place, phase, paused) => {
     let lane = lanes.get(name);
-    if (!lane) lanes.set(name, lane = { at: t, place: undefined, phase: "", parts: [] });
-    if ((place ?? lane.place) === lane.place && (phase ?? lane.phase) === lane.phase) return;
+    if (!lane) lanes.set(name, lane = { at: t, place: undefined, phase: "", paused: false, parts: [] });
+    if ((place ?? lane.place) === lane.place && (phase ?? lane.phase) === lane.phase && (paused ?? lane.paused) === lane.paused) return;
     leave(lane, t);
     lane.at = t;
     lane.place = place ?? lane.place;
     lane.phase = phase ?? lane.phase;
+    lane.paused = paused ?? lane.paused;
   };
   // the events at hand lead from a board that is known to the one that is shown; otherwise only the latter is told
   const told = base && base.n <= board.n && (last > 0 ? events[last - 1].n : base.n) === board.n;
-  for (const robot of (told ? base : board).robots.values()) change(robot.name, robot.since ?? (told ? base : board).t, robot.place, robot.phase);
+  for (const robot of (told ? base : board).robots.values()) change(robot.name, robot.since ?? (told ? base : board).t, robot.place, robot.phase, robot.paused);
   for (let i = 0; told && i < last; i++) {
     const event = events[i];
     if (event.n <= base.n) continue;
     if (event.k === "fire") {
       for (const move of event.m) change(move[0], event.t, move[2] ?? NOWHERE, move[2] === null ? "" : "doing");
     } else if (event.k === "robots") {
-      for (const robot of event.r) change(robot.name, event.t, robot.place, robot.phase);
+      for (const robot of event.r) change(robot.name, event.t, robot.place, robot.phase, robot.paused);
       for (const name of event.gone || []) change(name, event.t, NOWHERE, "");
     }
   }

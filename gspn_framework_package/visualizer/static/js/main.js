@@ -327,12 +327,11 @@ class Page {
     const { model } = this;
     if (!model.board) return;
     const { status } = model.mode === "REPLAY" ? model.board : model.head;
-    const unheard = model.mode === "LIVE" && status.running === false && status.ended === null;
-    document.body.toggleAttribute("data-stale", model.stale || unheard);
+    document.body.toggleAttribute("data-stale", model.stale || model.unheard);
     document.body.toggleAttribute("data-fault", Boolean(model.mode === "LIVE" && status.fault));
     let says = model.info.says || MODE_SAYS[model.mode] || "";
     if (model.mode === "LIVE" && status.ended) says = `${status.fault ? "broke off" : "over"}: ${status.ended}`;
-    if (unheard) says = "no robot of the team has been heard yet; this is the beginning of the plan";
+    if (model.unheard) says = "no robot of the team has been heard yet; this is the beginning of the plan";
     if (model.info.loading) says += ", still being read";
     if (model.stale) says = `as it was at ${clock(this.lostSince)}; nothing has been heard since`;
     $("frame-name").replaceChildren(h("b", { text: model.mode }), says ? ` — ${says}` : "");

@@ -130,6 +130,9 @@ export class Model extends EventTarget {
   /** Whether what is shown may have changed long since: nobody tells. A recorded run does not change. */
   get stale() { return this.lostAt !== null && this.mode !== "REPLAY"; }
 
+  /** Whether nothing of a live run is known yet: the board is the beginning of the plan. */
+  get unheard() { return this.mode === "LIVE" && this.head.status.running === false && this.head.status.ended === null; }
+
   /** Seconds of the run that the view shows; a live one goes on between events, while the server is heard. */
   now() {
     if (this.mode === "LIVE" && this.following && this.board.status.running) {

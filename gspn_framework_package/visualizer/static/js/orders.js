@@ -28,6 +28,7 @@ export class Orders extends EventTarget {
   get refusal() {
     if (!this.page.mayAct) return ONLY_LOOK;
     if (this.model.stale) return "the server is not heard";
+    if (this.model.unheard) return "no robot of the team has been heard yet";
     return "";
   }
 

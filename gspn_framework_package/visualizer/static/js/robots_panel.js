@@ -7,27 +7,27 @@ const PHASES = new Map([
   ["doing", ["acts", "good"]], ["done", ["waits", "warn"]], ["waiting", ["waits", "warn"]], ["failed", ["failed", "bad"]], ["lost", ["lost", "bad"]],
   ["left", ["has left", ""]], ["inactive", ["has finished", ""]],
 ]);
-const AT_WORK = ["doing", "done", "waiting"];
 
-/** What a robot is up to, in one word, and the kind of badge. After the end of a run nobody acts or waits. */
-export function phaseOf(robot, ended = false) {
-  if (ended && AT_WORK.includes(robot.phase)) return ["stopped", ""];
+/** What a robot is up to, in one word, and the kind of badge. After the end of a run (`status`) nobody acts or waits. */
+export function phaseOf(robot, status) {
+  const over = Boolean(status.ended) && !["lost", "left", "failed"].includes(robot.phase);
+  if (over && !(status.finished && robot.phase === "inactive")) return ["stopped", ""];
   if (robot.paused) return ["paused", "warn"];
-  return PHASES.get(robot.phase) || ["", ""];
+  return PHASES.get(robot.phase) || ["not heard yet", ""];
 }
 
 const gone = (robot) => robot.phase === "lost" || robot.phase === "left";
 
 /** How long a robot has been at what it does. */
 function since(model, robot) {
-  if (gone(robot) || robot.since === undefined || robot.since === null) return "";
+  if (gone(robot) || (!robot.phase && !robot.paused) || robot.since === undefined || robot.since === null) return "";
   return seconds(Math.max(0, model.now() - robot.since));
 }
 
 export function robotCard(model, robot, buttons = []) {
   const place = robot.place >= 0 ? model.scene.places[robot.place] : null;
   const ended = Boolean(model.board.status.ended);
-  const [word, kind] = phaseOf(robot, ended);
+  const [word, kind] = phaseOf(robot, model.board.status);
   const disc = h("span", { class: "disc", text: shortName(robot.name), "aria-hidden": "true" });
   disc.style.background = colourOf(robot.name);
   const feedback = model.following && !ended && !gone(robot) ? feedbackOf(model, robot) : null;

@@ -275,7 +275,7 @@ export class TimeLine extends EventTarget {
   says() {
     const { board, scene, head } = this.model;
     const robots = [...board.robots.values()].sort((a, b) => natural(a.name, b.name)).slice(0, 8);
-    const does = robots.map((robot) => `${robot.name} ${phaseOf(robot, Boolean(board.status.ended))[0]}${robot.place >= 0 ? ` in ${scene.places[robot.place].name}` : ""}`);
+    const does = robots.map((robot) => `${robot.name} ${phaseOf(robot, board.status)[0]}${robot.place >= 0 ? ` in ${scene.places[robot.place].name}` : ""}`);
     return [`${seconds(board.t)}, event ${board.n} of ${head.n}`, ...does].join("; ");
   }
 
