@@ -87,14 +87,30 @@ prepare_system() {
 
 # --- the venv: what the system's packages lack
 
+# The libraries that the package runs on, as they are installed on the system, as constraints for pip: another
+# NumPy in the venv would take the place of the one that SciPy and ROS are built for.
+system_versions() {
+    /usr/bin/python3 - <<'PYTHON'
+import importlib.metadata
+for name in ("click", "Flask", "itsdangerous", "Jinja2", "jsonschema", "lxml", "MarkupSafe", "matplotlib",
+             "numpy", "Pillow", "psutil", "PyYAML", "scipy", "waitress", "Werkzeug"):
+    try:
+        print(name + "==" + importlib.metadata.version(name))
+    except importlib.metadata.PackageNotFoundError:
+        pass
+PYTHON
+}
+
 prepare_venv() {
-    local list=$ROOT/scripts/requirements.txt key
-    key=$({ echo "$VENV"; /usr/bin/python3 --version; cat "$list"; } | sha256sum)
+    local list=$ROOT/scripts/requirements.txt constraints=$WORKSPACE/constraints.txt key
+    system_versions >"$constraints" || die "cannot find the versions of the system's libraries"
+    key=$({ echo "$VENV"; /usr/bin/python3 --version; cat "$list" "$constraints"; } | sha256sum)
     [ "$(cat "$VENV/prepared" 2>/dev/null)" = "$key" ] && return 0
     say "installing Python packages into .workspace/venv"
     [ -x "$VENV/bin/python" ] || /usr/bin/python3 -m venv --system-site-packages "$VENV" || die "cannot make $VENV"
-    local log=$WORKSPACE/pip.log
-    timeout 1200 "$VENV/bin/python" -m pip install --disable-pip-version-check -r "$list" \
+    local log=$WORKSPACE/pip.log pip=("$VENV/bin/python" -m pip install --disable-pip-version-check)
+    # the pip of Ubuntu 20.04 does not look for versions that go together
+    { timeout 300 "${pip[@]}" "pip>=21.3" && timeout 1200 "${pip[@]}" -c "$constraints" -r "$list"; } \
         </dev/null >"$log" 2>&1 || { tail -n 20 "$log" >&2; die "pip failed; all of its output: $log"; }
     echo "$key" >"$VENV/prepared"
 }

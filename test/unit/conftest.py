@@ -5,12 +5,17 @@ import threading
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 
 sys.path.append(str(Path(__file__).parent))
 sys.path.append(str(Path(__file__).parents[1] / "rostest" / "support"))  # "waiting", which needs no ROS
+
+
+settings.register_profile("unit", deadline=None)  # no test times speed: the machine may be busy
+settings.load_profile("unit")
 
 
 class _Slots(Listener):

@@ -49,6 +49,28 @@ ROS = re.compile(
 #: Libraries that the package does without: only the modules that use them fail to import.
 OPTIONAL = ["numba"]
 
+#: What the package imports that is not Python's own nor a ROS package of that name -> its rosdep key, "" for what rosdep
+#: does not have and the package does without.
+ROSDEP_KEYS = {
+    "PIL": "python3-pil",
+    "flask": "python3-flask",
+    "imageio_ffmpeg": "",
+    "jsonschema": "python3-jsonschema",
+    "lxml": "python3-lxml",
+    "matplotlib": "python3-matplotlib",
+    "numba": "",
+    "numpy": "python3-numpy",
+    "playwright": "",
+    "psutil": "python3-psutil",
+    "pybullet": "",
+    "pybullet_utils": "",
+    "rospkg": "python3-rospkg",
+    "scipy": "python3-scipy",
+    "stormpy": "",
+    "waitress": "python3-waitress",
+    "yaml": "python3-yaml",
+}
+
 
 def name_of(path):
     parts = list(path.relative_to(ROOT).with_suffix("").parts)
@@ -209,6 +231,15 @@ def test_version_and_license_agree_everywhere():
     assert manifest.findtext("license") == "BSD-3-Clause"
     license_file = ROOT / manifest.find("license").get("file")
     assert license_file.read_text("utf-8").startswith("BSD 3-Clause")
+
+
+@pytest.mark.skipif(sys.version_info < (3, 10), reason="Python does not say what its own modules are")
+def test_the_manifest_names_all_that_the_package_imports():
+    manifest = ElementTree.parse(str(ROOT / "package.xml")).getroot()
+    named = {element.text for tag in ("depend", "exec_depend") for element in manifest.findall(tag)}
+    imported = {name.split(".")[0] for path in MODULES for name in imports_of(path)}
+    others = imported - set(sys.stdlib_module_names) - {PACKAGE.name, ""}
+    assert {ROSDEP_KEYS.get(name, name) for name in others} - {""} <= named
 
 
 def test_every_interface_file_is_built():

@@ -224,8 +224,7 @@ def messages(plan, firings, run="run"):
 
 
 def write_bag(path, items):
-    import genpy
-    import rosbag
+    genpy, rosbag = pytest.importorskip("genpy"), pytest.importorskip("rosbag")
 
     with rosbag.Bag(str(path), "w") as bag:
         for i, message in enumerate(items):
