@@ -12,6 +12,10 @@ called. It asks for what it needs by the names of its parameters, all of them op
 ``is_cancelled``
     called without arguments, tells whether somebody wants it to end; ``is_cancelled.wait(s)``
     sleeps ``s`` seconds and wakes at once when that happens.
+``id``
+    number of the robot: the one that its name ends with (standalone, agents are called by their
+    numbers, from 1); a name without a number is given as it is. Functions that were written for the
+    thesis take it.
 ``visit``, ``attempt``
     number of the robot's visit (it grows at each move) and of the attempt within it: above 1, an
     earlier attempt failed or was cut off by a crash.
@@ -41,10 +45,11 @@ import importlib
 import importlib.util
 import inspect
 import os
+import re
 import sys
 import threading
 from types import ModuleType
-from typing import Any, Callable, Dict, FrozenSet, NamedTuple, Optional, Set, TypeVar
+from typing import Any, Callable, Dict, FrozenSet, NamedTuple, Optional, Set, TypeVar, Union
 
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.expression import shorten
@@ -102,6 +107,16 @@ class ActionContext(NamedTuple):
     is_cancelled: Cancellation
     visit: int = 0
     attempt: int = 1
+
+    @property
+    def id(self) -> Union[int, str]:
+        """The number that the robot's name ends with, or its name where it ends with none."""
+        number = re.search(r"[0-9]{1,18}$", self.robot)
+        return int(number.group()) if number else self.robot
+
+
+PARAMETERS = ActionContext._fields + ("id",)
+"""The names of what an action may ask for."""
 
 
 class PythonAction:
@@ -286,8 +301,8 @@ def _parameters(function: Callable[..., Any], name: str, bound: bool = False) ->
     missing = inspect.Parameter.empty
     for parameter in parameters:
         if parameter.kind is parameter.VAR_KEYWORD:
-            names.update(ActionContext._fields)
-        elif parameter.name in ActionContext._fields:
+            names.update(PARAMETERS)
+        elif parameter.name in PARAMETERS:
             if parameter.kind is parameter.POSITIONAL_ONLY:
                 raise PlanError(
                     "its parameter '%s' cannot be given by name" % parameter.name,
@@ -298,7 +313,7 @@ def _parameters(function: Callable[..., Any], name: str, bound: bool = False) ->
             raise PlanError(
                 "its parameter '%s' is nothing that an action can ask for" % parameter.name,
                 element="action '%s'" % name,
-                hint="there are: %s" % ", ".join(ActionContext._fields),
+                hint="there are: %s" % ", ".join(PARAMETERS),
             )
     return frozenset(names)
 

@@ -29,6 +29,18 @@ def read_plan(path: str) -> Plan:
         read.
     :raises GspnError: with file, line and element; nothing is half-loaded.
     """
+    path, document = _open(path)
+    try:
+        if thesis_input.is_thesis_input(document.data):
+            return thesis_input.plan_from_thesis(document.data, path)
+        return _own_form(document, path)
+    except GspnError as error:
+        error.located(file=path)
+        raise
+
+
+def _open(path: str) -> Tuple[str, JsonDocument]:
+    """The file of a plan, and the JSON object in it. :raises PlanError: there is none."""
     path = os.fspath(path)
     if os.path.isdir(path):
         folder, path = path, os.path.join(path, PLAN_FILE)
@@ -36,15 +48,12 @@ def read_plan(path: str) -> Plan:
             raise PlanError("there is no %s in that folder" % PLAN_FILE, file=folder)
     try:
         document = read_document(path)
-        data = document.data
-        if not isinstance(data, dict):
-            raise PlanError("a plan is a JSON object, not a %s" % type(data).__name__, file=path)
-        if thesis_input.is_thesis_input(data):
-            return thesis_input.plan_from_thesis(data, path)
-        return _own_form(document, path)
     except GspnError as error:
         error.located(file=path)
         raise
+    if not isinstance(document.data, dict):
+        raise PlanError("a plan is a JSON object, not a %s" % type(document.data).__name__, file=path)
+    return path, document
 
 
 class NetOrPlan(NamedTuple):
@@ -64,10 +73,14 @@ def read_net_or_plan(
     constants: Mapping[str, float] = NO_CONSTANTS,
     infinite_servers: Optional[bool] = None,
     missing_weight: float = 1.0,
+    net_will_do: bool = False,
 ) -> NetOrPlan:
     """Read a plan, as :func:`read_plan`, or a net, as :func:`~gspn_framework_package.formats.registry.read_net`, with
-    the options of that. A folder and a JSON file are taken for a plan, unless a format is given.
+    the options of that. A folder and a JSON file are taken for a plan, unless a format is given. An input file of the
+    thesis that maps no place to an action is taken for its net (5.3).
 
+    :param net_will_do: take an input file of the thesis for its net also where the rest of it makes no plan; a note
+        says why.
     :raises UsageError: a plan, and options that it says itself.
     :raises GspnError: it cannot be read.
     """
@@ -77,8 +90,7 @@ def read_net_or_plan(
                 "how a net is read (its name in the file, constants, servers, weights) can be said of a net only",
                 hint="this is a plan, which says it itself",
             )
-        plan = read_plan(path)
-        return NetOrPlan(plan.net, plan, tuple(plan.notes))
+        return _net_of_thesis(path, net_will_do) or _whole_plan(path)
     found, notes = read_net_with_notes(
         path,
         format=format,
@@ -88,6 +100,33 @@ def read_net_or_plan(
         missing_weight=missing_weight,
     )
     return NetOrPlan(found, None, tuple(notes))
+
+
+def _whole_plan(path: str) -> NetOrPlan:
+    plan = read_plan(path)
+    return NetOrPlan(plan.net, plan, tuple(plan.notes))
+
+
+def _net_of_thesis(path: str, net_will_do: bool) -> Optional[NetOrPlan]:
+    """The net of an input file of the thesis that is to be taken for a net; None where it is a plan."""
+    path, document = _open(path)
+    if not thesis_input.is_thesis_input(document.data):
+        return None
+    if not thesis_input.has_mapping(document.data):
+        reason = "it maps no place to an action"
+    elif net_will_do:
+        try:
+            return _whole_plan(path)
+        except GspnError as error:
+            reason = ": ".join(filter(None, (error.element, error.message)))
+    else:
+        return None
+    try:
+        found = thesis_input.net_from_thesis(document.data, path)
+    except GspnError as error:
+        error.located(file=path)
+        raise
+    return NetOrPlan(found.net, None, found.notes + ("taken for a net, not for a plan: %s" % reason,))
 
 
 def is_plan(path: str) -> bool:

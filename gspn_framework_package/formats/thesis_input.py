@@ -4,17 +4,22 @@ In files written for the thesis the values are JSON strings that hold Python lit
 (``"{'p1': ['ExecGSPN', 'action_server_1']}"``, ``"('p1','p2')"``, ``"True"``), policy cells are
 numbers, numeric strings or ``'-'``, and paths are absolute to a machine that is gone: what does not
 exist is looked for by its name beside the input file.
+
+Such files also hold entries that are there for illustration and that the thesis's framework never looked at: policy
+rows that name an exponential transition or one that the net lacks, an action of a resource place or of a place that
+the net lacks. They are left out here, each with a note.
 """
 
 from __future__ import annotations
 
 import ast
 import os
-from typing import Any, List, Mapping, Sequence, Tuple
+from typing import Any, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.formats.plan_json import EXEC_GSPN, deal_robots, server_name
 from gspn_framework_package.formats.registry import read_net_with_notes
 from gspn_framework_package.model.errors import PlanError
+from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import (
     Action,
     FunctionAction,
@@ -22,11 +27,14 @@ from gspn_framework_package.model.plan import (
     ServerAction,
     Synchronisation,
 )
-from gspn_framework_package.model.policy import Policy
+from gspn_framework_package.model.policy import Policy, PolicyRow
+
+CLIENTS = "place_to_client_mapping"
+FUNCTIONS = "place_to_function_mapping"
 
 ROS_KEYS = (
     "gspn",
-    "place_to_client_mapping",
+    CLIENTS,
     "resources_list",
     "places_tuple",
     "policy_dictionary",
@@ -35,15 +43,39 @@ ROS_KEYS = (
 STANDALONE_KEYS = (
     "project_path",
     "gspn",
-    "place_to_function_mapping",
+    FUNCTIONS,
     "places_tuple",
     "policy_dictionary",
 )
 
 
+class ThesisNet(NamedTuple):
+    """The net of an input file, and notes on how it was read."""
+
+    net: Net
+    notes: Tuple[str, ...]
+
+
 def is_thesis_input(data: Mapping[str, Any]) -> bool:
     """Whether a JSON object is one of the two forms, judged by the keys that only they have."""
-    return "place_to_client_mapping" in data or "place_to_function_mapping" in data
+    return CLIENTS in data or FUNCTIONS in data or "gspn" in data and "net" not in data
+
+
+def has_mapping(data: Mapping[str, Any]) -> bool:
+    """Whether an input file maps any place to what is done there. Without that it is the net that is meant (5.3: to
+    look at a GSPN, neither a mapping nor a policy is needed)."""
+    return any(data.get(key) not in (None, "", "{}", {}, "None") for key in (CLIENTS, FUNCTIONS))
+
+
+def net_from_thesis(data: Mapping[str, Any], path: str) -> ThesisNet:
+    """The net of an input file, whatever the file says of actions and policy.
+
+    :raises PlanError: the file names no net that is there.
+    :raises InputError: the net cannot be read.
+    """
+    reader = _Reader(data, path, ("gspn",))
+    net, notes = _read_net(reader, "project_path" in data)
+    return ThesisNet(net, tuple(notes + reader.notes))
 
 
 def plan_from_thesis(data: Mapping[str, Any], path: str) -> Plan:
@@ -51,38 +83,65 @@ def plan_from_thesis(data: Mapping[str, Any], path: str) -> Plan:
     dealt over the action places in the order of ``places_tuple`` by the initial marking; the seed
     is 0.
 
-    :raises PlanError: a key is missing or unknown, or a value cannot be read.
+    :raises PlanError: a key is missing, or a value cannot be read.
     """
-    is_ros = "place_to_client_mapping" in data
-    reader = _Reader(data, path, ROS_KEYS if is_ros else STANDALONE_KEYS)
-    project = reader.existing(reader.text("project_path"), folder=True) if not is_ros else ""
-    net_path = reader.existing(reader.text("gspn"), beside=project)
-    net, notes = read_net_with_notes(net_path)
+    is_ros = CLIENTS in data or FUNCTIONS not in data and "project_path" not in data
+    keys = ROS_KEYS if is_ros else STANDALONE_KEYS
+    reader = _Reader(data, path, keys)
+    reader.leave_out_unknown(keys)
+    net, notes = _read_net(reader, not is_ros)
     places = reader.names("places_tuple")
-    policy = Policy.from_table(places, reader.policy_rows())
+    policy = _without_illustrations(Policy.from_table(places, reader.policy_rows()), net, reader.notes)
     if is_ros:
-        resources = frozenset(reader.names("resources_list"))
-        actions = {
-            p: reader.client(p, value) for p, value in reader.mapping("place_to_client_mapping")
-        }
+        resources = frozenset(reader.places_of(net, reader.names("resources_list"), "resources_list"))
+        actions = {p: reader.client(p, value) for p, value in reader.mapping(CLIENTS)}
         full = reader.flag("full_synchronization")
     else:
-        functions = dict(reader.mapping("place_to_function_mapping"))
         resources = frozenset()
-        actions = {p: reader.function(p, value) for p, value in functions.items()}
+        actions = {p: reader.function(p, value) for p, value in reader.mapping(FUNCTIONS)}
         full = True
     plan = Plan(
         net=net,
         name=os.path.splitext(os.path.basename(path))[0],
         policy=policy,
-        actions=actions,
+        actions=reader.actions_of(net, actions, resources, CLIENTS if is_ros else FUNCTIONS),
         resource_places=resources,
         robots=deal_robots(net, resources, places, "robot_" if is_ros else ""),
         synchronisation=Synchronisation.FULL if full else Synchronisation.PARTIAL,
-        folder=project or os.path.dirname(os.path.abspath(path)),
+        folder=(reader.project() if not is_ros else "") or os.path.dirname(os.path.abspath(path)),
         file=path,
     )
     return plan.validate().with_notes(notes + reader.notes)
+
+
+def _read_net(reader: _Reader, in_project: bool) -> Tuple[Net, List[str]]:
+    return read_net_with_notes(reader.existing(reader.text("gspn"), beside=reader.project() if in_project else ""))
+
+
+def _without_illustrations(policy: Policy, net: Net, notes: List[str]) -> Policy:
+    """The policy without the choices that no robot can ask for, and without the rows that have no other ones. What is
+    left of a row is scaled to sum to 1. Each choice that was left out is told in ``notes``."""
+    rows = []
+    for number, row in enumerate(policy.rows, 1):
+        kept, left_out = [], []
+        for name, probability in row.choices:
+            index = net.transition_index.get(name)
+            if index is None:
+                left_out.append("'%s', which the net does not have" % name)
+            elif net.transitions[index].timed:
+                left_out.append("'%s', which is exponential: a policy chooses among immediate transitions" % name)
+            else:
+                kept.append((name, probability))
+        total = sum(probability for _, probability in kept)
+        if not left_out:
+            rows.append(row)
+            continue
+        if total > 0:
+            rows.append(PolicyRow(row.counts, tuple((name, probability / total) for name, probability in kept)))
+        else:
+            left_out.append("and so the row, of which nothing is left")
+        notes.append("policy row %d: left out %s" % (number, "; ".join(left_out)))
+    return Policy(policy.places, rows)
 
 
 class _Reader:
@@ -92,14 +151,41 @@ class _Reader:
         self.data = data
         self.path = path
         self.notes: List[str] = []
+        self._project: Optional[str] = None
         for key in keys:
             if key not in data:
                 raise PlanError(
                     "the key '%s' is missing" % key, file=path, hint="needed are " + ", ".join(keys)
                 )
-        for key in data:
+
+    def leave_out_unknown(self, keys: Sequence[str]) -> None:
+        """Note the keys that are not among ``keys``."""
+        for key in self.data:
             if key not in keys:
                 self.notes.append("the key '%s' is not known and was left out" % key)
+
+    def project(self) -> str:
+        """The folder of the functions."""
+        if self._project is None:
+            self._project = self.existing(self.text("project_path"), folder=True)
+        return self._project
+
+    def places_of(self, net: Net, names: Sequence[str], key: str) -> List[str]:
+        """Those of ``names`` that are places of the net; the others are noted."""
+        for name in names:
+            if name not in net.place_index:
+                self.notes.append("%s: '%s' was left out: the net has no such place" % (key, name))
+        return [name for name in names if name in net.place_index]
+
+    def actions_of(
+        self, net: Net, actions: Mapping[str, Action], resources: FrozenSet[str], key: str
+    ) -> Dict[str, Action]:
+        """Those of ``actions`` that a robot can come to; the others are noted."""
+        there = self.places_of(net, list(actions), key)
+        for place in there:
+            if place in resources and actions[place] is not None:
+                self.notes.append("%s: the action of '%s' was left out: that is a resource place" % (key, place))
+        return {place: actions[place] for place in there if place not in resources}
 
     def _fail(self, key: str, value: Any, wanted: str) -> PlanError:
         return PlanError("%.80r is not %s" % (value, wanted), file=self.path, element=key)

@@ -121,7 +121,7 @@ class Folder:
         """The net or plan at ``path``. :raises GspnError: it cannot be read."""
         whole = self.resolve(path)
         _check_files(whole)
-        found = read_net_or_plan(whole)
+        found = read_net_or_plan(whole, net_will_do=True)
         return _checked(Document(path, found.net, found.plan, found.plan is not None, found.notes))
 
     def _inside(self, whole: str) -> bool:
@@ -182,7 +182,7 @@ def _looks_like_plan(path: str) -> bool:
     except (OSError, UnicodeDecodeError):
         return False
     own = '"net"' in head and '"actions"' in head
-    return own or '"place_to_client_mapping"' in head or '"place_to_function_mapping"' in head
+    return own or '"gspn"' in head
 
 
 def read_upload(files: Any) -> Document:
@@ -206,7 +206,7 @@ def read_upload(files: Any) -> Document:
             if not plans and len(sent) > 1:
                 raise UsageError("several nets were sent, and no input file that chooses")
             name = plans[0] if plans else next(iter(sent))
-            found = read_net_or_plan(os.path.join(folder, name))
+            found = read_net_or_plan(os.path.join(folder, name), net_will_do=True)
             return _checked(Document(name, found.net, found.plan, notes=found.notes))
         except InputError as error:
             if error.file:  # the folder is nobody's business

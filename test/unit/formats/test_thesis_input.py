@@ -8,7 +8,8 @@ from typing import Any, Dict
 
 import pytest
 
-from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.analysis.preflight import check
+from gspn_framework_package.formats.plan_file import read_net_or_plan, read_plan
 from gspn_framework_package.formats.registry import write_net
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import GspnError
@@ -100,3 +101,86 @@ def test_a_missing_key_is_named(folder: Path) -> None:
     del data["resources_list"]
     with pytest.raises(GspnError, match="the key 'resources_list' is missing"):
         read_plan(write(folder, data))
+
+
+def test_policy_rows_that_no_robot_can_ask_for_are_left_out_with_a_note(folder: Path) -> None:
+    """Files of the thesis fill in the policy for illustration where there is nothing to decide."""
+    policy = {
+        "('-', '-')": {"t1": 1},  # exponential
+        "(1, '-')": {"t9": 1},  # not in the net
+        "(2, '-')": {"t1": 0.5, "t2": 0.125, "t3": 0.375},
+        "(3, '-')": {"t1": 1, "t2": 0},
+    }
+    plan = read_plan(write(folder, dict(STANDALONE, policy_dictionary=policy)))
+    assert [(row.counts, row.choices) for row in plan.policy.rows] == [((2, None), (("t2", 0.25), ("t3", 0.75)))]
+    timed = "left out 't1', which is exponential: a policy chooses among immediate transitions"
+    assert [note for note in plan.notes if "policy row" in note] == [
+        "policy row 1: %s; and so the row, of which nothing is left" % timed,
+        "policy row 2: left out 't9', which the net does not have; and so the row, of which nothing is left",
+        "policy row 3: %s" % timed,
+        "policy row 4: %s; and so the row, of which nothing is left" % timed,
+    ]
+
+
+def test_a_row_that_is_no_distribution_is_refused_whatever_it_names(folder: Path) -> None:
+    policy = {"('-', '-')": {"t1": 0.7, "t2": 0.7}}
+    with pytest.raises(GspnError, match="policy row 1: the probabilities sum to 1.4"):
+        read_plan(write(folder, dict(STANDALONE, policy_dictionary=policy)))
+
+
+def test_actions_that_no_robot_comes_to_are_left_out_with_a_note(folder: Path) -> None:
+    mapping = {place: ["ExecGSPN", "server_" + place] for place in ("p1", "p2", "r1", "gone")}
+    data = dict(ROS, place_to_client_mapping=str(mapping), resources_list="['r1', 'gone']")
+    plan = read_plan(write(folder, data))
+    assert sorted(plan.actions) == ["p1", "p2"]
+    assert plan.resource_places == {"r1"}
+    for note in (
+        "place_to_client_mapping: the action of 'r1' was left out: that is a resource place",
+        "place_to_client_mapping: 'gone' was left out: the net has no such place",
+        "resources_list: 'gone' was left out: the net has no such place",
+    ):
+        assert note in plan.notes
+    assert check(plan).exit_code == 0
+
+
+def test_a_plan_of_our_own_stays_strict_about_its_policy_and_actions(folder: Path) -> None:
+    own: Dict[str, Any] = {"net": "net.xml", "resource_places": ["r1"], "actions": {"p1": None, "p2": None}}
+    policy = {"places": ["p1"], "rows": [{"marking": ["-"], "choose": {"t1": 1}}]}
+    with pytest.raises(GspnError, match="'t1' is an exponential transition"):
+        read_plan(write(folder, dict(own, policy=policy)))
+    with pytest.raises(GspnError, match="the net has no place 'gone'"):
+        read_plan(write(folder, dict(own, actions={"p1": None, "p2": None, "gone": None})))
+    assert check(read_plan(write(folder, dict(own, actions={"p1": None, "p2": None, "r1": None})))).refused
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {"gspn": "net.xml"},
+        {"project_path": "/gone", "gspn": "net.xml"},
+        {"gspn": "/gone/net.xml", "place_to_function_mapping": "", "places_tuple": "", "policy_dictionary": ""},
+        dict(STANDALONE, place_to_function_mapping={}, policy_dictionary={}),
+    ],
+    ids=["net", "project", "empty", "no mapping"],
+)
+def test_an_input_without_a_mapping_is_its_net(folder: Path, data: Dict[str, Any]) -> None:
+    """To look at a net, or to simulate it, neither a mapping nor a policy is needed (5.3)."""
+    found = read_net_or_plan(write(folder, data))
+    assert found.plan is None
+    assert [place.name for place in found.net.places] == ["p1", "p2", "r1"]
+    assert "taken for a net, not for a plan: it maps no place to an action" in found.notes
+
+
+def test_a_mapping_and_a_policy_that_mean_nothing_leave_a_net_where_that_will_do(folder: Path) -> None:
+    path = write(folder, dict(STANDALONE, place_to_function_mapping="{'p1': 'nothing'}", policy_dictionary="?"))
+    with pytest.raises(GspnError, match="'\\?' is not a Python literal"):
+        read_net_or_plan(path)
+    found = read_net_or_plan(path, net_will_do=True)
+    assert found.plan is None
+    assert "taken for a net, not for a plan: policy_dictionary: '?' is not a Python literal" in found.notes
+    assert read_net_or_plan(write(folder, STANDALONE), net_will_do=True).plan is not None
+
+
+def test_an_input_without_a_mapping_is_no_plan(folder: Path) -> None:
+    with pytest.raises(GspnError, match="the key 'place_to_function_mapping' is missing"):
+        read_plan(write(folder, {"project_path": ".", "gspn": "net.xml"}))
