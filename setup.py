@@ -1,11 +1,25 @@
-"""What catkin installs of the Python package; read by catkin_make, not called by hand."""
+"""How the Python package is installed: by catkin_make into a workspace, and by pip where there is no ROS."""
 
 import os
+import xml.etree.ElementTree as ElementTree
 
-from catkin_pkg.python_setup import generate_distutils_setup
 from setuptools import find_packages, setup
 
 PACKAGE = "gspn_framework_package"
+
+LIBRARIES = {
+    "python3-flask": "Flask>=1.1",
+    "python3-jsonschema": "jsonschema>=3.2",
+    "python3-lxml": "lxml>=4.5",
+    "python3-matplotlib": "matplotlib>=3.1",
+    "python3-numpy": "numpy>=1.17",
+    "python3-pil": "Pillow>=7.0",
+    "python3-psutil": "psutil>=5.5",
+    "python3-scipy": "scipy>=1.3",
+    "python3-waitress": "waitress>=1.4",
+    "python3-yaml": "PyYAML>=5.3",
+}
+"""rosdep key -> what pip calls it."""
 
 
 def data_files():
@@ -19,10 +33,30 @@ def data_files():
     return sorted(found)
 
 
+def for_pip(manifest):
+    """Return what pip wants to know beyond what catkin does. ROS itself does not come from pip, and is not needed for
+    what the package does without it."""
+    named = [element.text for element in manifest.findall("exec_depend")]
+    return {
+        "python_requires": ">=3.8",
+        "install_requires": [LIBRARIES[key] for key in named if key in LIBRARIES],
+        "extras_require": {"fast": ["numba"], "world": ["pybullet>=3.2", "imageio-ffmpeg>=0.4"]},
+        "entry_points": {"console_scripts": ["gspn = %s.cli.main:main" % PACKAGE]},
+    }
+
+
+manifest = ElementTree.parse("package.xml").getroot()
+# catkin asks this file what there is by running it under another name, and tells where it installs to
+by_catkin = __name__ != "__main__" or "CATKIN_BINARY_DIR" in os.environ
 setup(
-    **generate_distutils_setup(
-        packages=find_packages(include=[PACKAGE, PACKAGE + ".*"]),
-        package_dir={"": "."},
-        package_data={PACKAGE: data_files()},
-    )
+    name=PACKAGE,
+    version=manifest.findtext("version"),
+    description=" ".join(manifest.findtext("description").split()),
+    maintainer=manifest.findtext("maintainer"),
+    maintainer_email=manifest.find("maintainer").get("email"),
+    license=manifest.findtext("license"),
+    packages=find_packages(include=[PACKAGE, PACKAGE + ".*"]),
+    package_dir={"": "."},
+    package_data={PACKAGE: data_files()},
+    **({} if by_catkin else for_pip(manifest))
 )

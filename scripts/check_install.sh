@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Used by run_tests: installs the package, and uses it from the install space alone.
+# Used by run_tests: installs the package, by catkin and by pip, and uses it from there alone.
 
 # shellcheck source=scripts/prepare.sh
 . "$(dirname "${BASH_SOURCE[0]}")/prepare.sh"
@@ -60,3 +60,21 @@ echo "gspn check of $count plans: as in the checkout"
 # installed.
 install -m 755 "$ROOT/test/rostest/world/test_world_node.py" "$INSTALLED/lib/$PACKAGE/"
 installed "ROS_HOSTNAME=localhost rostest '$ROOT/test/rostest/world/world.test'" || die "the room does not run"
+
+# Without ROS, by pip: a wheel of what a checkout holds, in a venv of its own on the system's libraries.
+CHECKOUT=$WORKSPACE/pip_checkout SEPARATE=$WORKSPACE/pip_venv
+rm -rf "$CHECKOUT" "$SEPARATE"
+mkdir -p "$CHECKOUT"
+cp -r "$ROOT/$PACKAGE" "$ROOT"/{setup.py,package.xml,pyproject.toml,LICENSE} "$CHECKOUT"
+log=$WORKSPACE/pip_install.log
+{ /usr/bin/python3 -m venv --system-site-packages "$SEPARATE" \
+    && "$VENV/bin/python" -m pip --disable-pip-version-check wheel -q --no-deps -w "$CHECKOUT/dist" "$CHECKOUT" \
+    && "$SEPARATE/bin/python" -m pip --disable-pip-version-check install -q --no-deps "$CHECKOUT"/dist/*.whl; } \
+    >"$log" 2>&1 || { tail -n 20 "$log"; die "pip does not install the package"; }
+same_files "$PACKAGE, by pip" "$ROOT/$PACKAGE" "$(echo "$SEPARATE"/lib/python3*/site-packages)/$PACKAGE"
+(cd / && env -i PATH=/usr/bin:/bin LC_ALL=C.UTF-8 bash -ec "
+    [ \"\$('$SEPARATE/bin/gspn' --version)\" = 'gspn $(PYTHONPATH=$ROOT python3 -c "import $PACKAGE as p; print(p.__version__)")' ]
+    '$SEPARATE/bin/gspn' check '$ROOT/plans/measure' >/dev/null
+    '$SEPARATE/bin/gspn' run '$ROOT/plans/measure' --firings 1 --quiet >/dev/null
+    '$SEPARATE/bin/python' -c 'import $PACKAGE.visualizer.serving'
+") || die "the package that pip has installed does not run"

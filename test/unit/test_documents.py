@@ -31,6 +31,8 @@ SET_UP = (
     r"rosdep install --from-paths src --ignore-src -y",
     r"catkin_make( install)?( -DPYTHON_EXECUTABLE=/usr/bin/python3)?",
     r"pip3? install .+",
+    r"python3 -m venv ~/gspn",
+    r"~/gspn/bin/(pip install \.|gspn --help)",
     # programs of others
     r"rosrun fkie_master_(discovery|sync) \w+",
     r"roscore",
