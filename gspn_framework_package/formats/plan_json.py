@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from typing import Any, Dict, List, Mapping, Optional
+from typing import Any, Dict, List, Mapping, Optional, Tuple
 
 import jsonschema
 
@@ -57,13 +57,30 @@ def check_schema(
     part = whole
     if definition is not None:
         part = dict(whole["definitions"][definition], definitions=whole["definitions"])
-    errors = jsonschema.Draft7Validator(part).iter_errors(data)
-    error = jsonschema.exceptions.best_match(errors)
-    if error is not None:
+    errors = list(jsonschema.Draft7Validator(part).iter_errors(data))
+    if errors:
+        error = _most_telling(errors)
         path = list(error.absolute_path)
         line = document.line(path + _unknown_key(error)) if document is not None else None
         element = ".".join(str(step) for step in path)
         raise PlanError(_shorten(error.message), file=file, line=line, element=element or None, hint=_hint(error))
+
+
+def _most_telling(errors: List[Any]) -> Any:
+    """Of what does not fit, the outermost. Where none of several forms fits, that of the form which fits best, if there
+    is one. (``best_match`` of jsonschema chooses otherwise in each of its versions.)"""
+
+    def depth(error: Any) -> Tuple[int, bool]:
+        return len(error.path), error.validator in ("anyOf", "oneOf")
+
+    best = min(errors, key=depth)
+    while best.context:
+        deepest = max(depth(error) for error in best.context)
+        forms = [error for error in best.context if depth(error) == deepest]
+        if len(forms) > 1:
+            break
+        best = forms[0]
+    return best
 
 
 def _unknown_key(error: Any) -> List[str]:
