@@ -130,7 +130,10 @@ class _Reader:
             if record["kind"] == "ended":
                 t = round(self._clock.read(record), 4)
                 ended = str(record.get("reason", ""))
-                changes = self._events.status(ended=ended, finished=bool(record.get("finished")))
+                state = self._replayer.state
+                changes = self._events.status(
+                    ended=ended, finished=bool(record.get("finished")), fault=state.fault
+                )
                 return [{**event, "t": t} for event in changes]
             return []
         except LogError as error:

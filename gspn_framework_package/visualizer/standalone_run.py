@@ -130,10 +130,8 @@ class StandaloneRun(Activity, Listener):
         with contextlib.suppress(ExecutionError):  # the page was told
             self._executor.wait(seconds)
         if not self._executor.over:
-            self._ended(
-                "it did not react to the order to stop (%s) within %g s, and was given up" % (reason, seconds),
-                fault=True,
-            )
+            text = "it did not react to the order to stop (%s) within %g s, and was given up"
+            self._gave_way(text % (reason, seconds))
 
     def _order(self, message: str, entry: Callable[[Fields], log.Entry]) -> Handler:
         """The handler of a command that becomes an entry of the log; ``message`` says what was done, with the fields
@@ -210,15 +208,21 @@ class StandaloneRun(Activity, Listener):
 
     def on_end(self, reason: str, finished: bool) -> None:
         """On the executor's thread."""
-        self._ended(reason, finished)
+        self._ended(reason, finished, self._executor.state.fault)
         self._close_log()
 
     def on_broken(self, reason: str) -> None:
         """On the executor's thread."""
         if self.path is not None:
             reason = reason.replace(self.path, os.path.basename(self.path))
-        self._ended(reason, fault=True)
+        self._gave_way(reason)
         self._close_log()
+
+    def _gave_way(self, reason: str) -> None:
+        """It ends by a fault of which nobody has told yet."""
+        if not self._told_end:
+            self._hub.publish({"k": "note", "level": "fault", "robot": "", "text": reason})
+        self._ended(reason, fault=True)
 
     def _ended(self, reason: str, finished: bool = False, fault: bool = False) -> None:
         """Tell the end, once."""
@@ -229,8 +233,6 @@ class StandaloneRun(Activity, Listener):
         events: List[Event] = self._events.status(
             running=False, ended=reason, finished=finished, stalled="", fault=fault
         )
-        if fault:
-            events.append({"k": "note", "level": "fault", "robot": "", "text": reason})
         self._hub.publish(*events)
 
     def _close_log(self) -> None:

@@ -3,8 +3,8 @@
 import pytest
 from page_client import HOST, PageClient
 
-from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.visualizer.guard import GUESSES, Guard
+from gspn_framework_package.model.errors import InputError, UsageError
+from gspn_framework_package.visualizer.guard import GUESSES, Guard, read_tokens
 
 
 @pytest.fixture(name="client")
@@ -146,6 +146,24 @@ def test_a_token_that_is_short_or_no_plain_text_is_refused(token):
             Guard("127.0.0.1", 1, **{field: token})
     with pytest.raises(UsageError, match="the same"):
         Guard("127.0.0.1", 1, token="x" * 16, viewer_token="x" * 16)
+
+
+def test_tokens_are_read_from_a_file_that_nobody_else_can_read(tmp_path):
+    file = tmp_path / "tokens"
+    for text, expected in (("a" * 16, ("a" * 16, None)), ("a" * 16 + "\n" + "b" * 16 + "\n", ("a" * 16, "b" * 16))):
+        file.write_text(text)
+        file.chmod(0o600)
+        assert read_tokens(str(file)) == expected
+    file.chmod(0o640)
+    with pytest.raises(InputError, match="others may read it"):
+        read_tokens(str(file))
+    file.chmod(0o600)
+    for data in (b"", b"\n" + b"b" * 16, b"\xff\xfe"):
+        file.write_bytes(data)
+        with pytest.raises(InputError, match="holds no token"):
+            read_tokens(str(file))
+    with pytest.raises(InputError, match="cannot be read"):
+        read_tokens(str(tmp_path / "nowhere"))
 
 
 def test_guessing_is_limited_and_keeps_nobody_out_who_has_a_cookie():

@@ -17,7 +17,7 @@ from waiting import wait_for
 from gspn_framework_package.execution.event_log import EventLogWriter, read_log
 from gspn_framework_package.execution.standalone import StandaloneExecutor
 from gspn_framework_package.execution.token_game import TokenGame
-from gspn_framework_package.visualizer import standalone_run
+from gspn_framework_package.visualizer import session, standalone_run
 from gspn_framework_package.visualizer.documents import Folder
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.run_marks import RunMark, cut_runs
@@ -56,11 +56,11 @@ def _served(tmp_path):
     """Make a folder with the plan ``ring`` and serve it; the actions of a, b and c are named."""
     clients = []
 
-    def make(a="go", b="go", c="go"):
+    def make(a="go", b="go", c="go", **fields):
         folder = tmp_path / "ring"
         folder.mkdir(exist_ok=True)
         (folder / "ring_work.py").write_text(ACTIONS)
-        plan = {**PLAN, "actions": {"a": "ring_work." + a, "b": "ring_work." + b, "c": "ring_work." + c}}
+        plan = {**PLAN, "actions": {"a": "ring_work." + a, "b": "ring_work." + b, "c": "ring_work." + c}, **fields}
         (folder / "plan.json").write_text(json.dumps(plan))
         runs = str(tmp_path / "runs")
         project = Project(Folder(str(tmp_path)), lambda document: StandaloneRun(document, runs), runs=runs)
@@ -109,6 +109,20 @@ def test_a_full_disk_ends_the_run_and_the_page_is_told(served, monkeypatch):
     assert client.do("stop", session=key).status_code == 409  # it says so, rather than do nothing
     assert start(client)[1].status_code == 200
     assert not status(client, key)["ended"]
+
+
+def test_a_run_that_an_action_stops_ends_as_a_fault_here_and_in_its_recording(served, tmp_path):
+    client = served(a="fail", on_failure={"*": "stop"})
+    key, _ = start(client)
+    now = ended(client, key)
+    assert now["fault"] and not now["finished"] and "no" in now["ended"]
+    notes = [note["text"] for note in client.board(key)["notes"]]
+    assert len(notes) == len(set(notes))  # told once
+    log = client.post("/api/open", {"path": "runs/%s.jsonl" % now["run"]}).get_json()["id"]
+    again = ended(client, log)
+    assert [again[k] for k in ("run", "ended", "fault", "finished")] == [
+        now[k] for k in ("run", "ended", "fault", "finished")
+    ]
 
 
 def test_a_disk_that_is_full_at_the_start_refuses_the_start_and_leaves_nothing(served, monkeypatch, tmp_path):
@@ -257,6 +271,30 @@ def test_a_check_before_a_start_holds_nobody_and_is_not_begun_twice(served, monk
     assert client.do("simulate", session=key).status_code == 409
     go_on.set()
     wait_for(lambda: status(client, key)["running"], what="the run")
+
+
+def test_a_layout_holds_nobody(served, monkeypatch):
+    client = served(a="wait")
+    key, _ = start(client)
+    under_way, go_on = threading.Event(), threading.Event()
+    lay_out = session.lay_out
+
+    def slow(*args, **options):
+        under_way.set()
+        assert go_on.wait(30)
+        return lay_out(*args, **options)
+
+    monkeypatch.setattr(session, "lay_out", slow)
+    answers = []
+    thread = threading.Thread(target=lambda: answers.append(client.do("layout", session=key).status_code))
+    thread.start()
+    assert under_way.wait(30)
+    assert client.do("layout", session=key).status_code == 409  # once is enough
+    assert client.do("pause", session=key).status_code == 200
+    assert client.do("stop", session=key).status_code == 200
+    go_on.set()
+    thread.join(30)
+    assert answers == [200]
 
 
 # -- runs that were cut off ------------------------------------------------------------------------------

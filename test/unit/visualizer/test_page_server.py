@@ -257,6 +257,23 @@ def test_wrong_usage_is_one_message_and_exit_code_2(words, capsys):
     assert said.startswith("gspn: error: ") and "Traceback" not in said
 
 
+def test_the_tokens_are_printed_with_the_address_and_are_nowhere_else(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(WebServer, "run", lambda server: print(server.address))
+    assert main(["serve", "plans", "--host", "0.0.0.0", "--port", "0"]) == 0
+    first, second, address = capsys.readouterr().out.splitlines()
+    assert len(first.split("#token=")[1].split()[0]) >= 20 and len(second.split("#token=")[1]) >= 20
+    assert "may only look" in second and "token" not in address
+    tokens = tmp_path / "tokens"
+    tokens.write_text("operator-operator\nviewer-viewer-viewer\n")
+    tokens.chmod(0o600)
+    assert main(["serve", "plans", "--port", "0", "--token-file", str(tokens)]) == 0
+    out = capsys.readouterr().out
+    assert "#token=operator-operator " in out and "#token=viewer-viewer-viewer" in out
+    assert main(["serve", "plans", "--port", "0", "--token-file", str(tokens), "--token", "x" * 16]) == 2
+    assert main(["serve", "plans", "--port", "0", "--token", "short"]) == 2
+    assert "at least 16 characters" in capsys.readouterr().err
+
+
 def test_a_port_that_is_taken_is_told(serve, capsys):
     assert main(["serve", "plans", "--port", str(serve().port)]) == 2
     assert "another with --port" in capsys.readouterr().err
