@@ -13,20 +13,22 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
 from gspn_framework_package.analysis.chain import Chain
-from gspn_framework_package.analysis.coverability import TREE_LIMIT, CoverabilityTree
-from gspn_framework_package.analysis.exploration import Cancel, Progress
+from gspn_framework_package.analysis.coverability import CoverabilityTree
+from gspn_framework_package.analysis.exploration import Cancel, Progress, Watch
 from gspn_framework_package.analysis.invariants import invariant_bounds
+from gspn_framework_package.analysis.limits import Limits, states_of
 from gspn_framework_package.analysis.measures import Measures
 from gspn_framework_package.analysis.passage import Passage, first_passage
 from gspn_framework_package.analysis.plan_analysis import PlanSpace, explore_plan
 from gspn_framework_package.analysis.properties import Liveness, Properties
-from gspn_framework_package.analysis.state_space import STATE_LIMIT, StateSpace, Step, explore
+from gspn_framework_package.analysis.state_space import StateSpace, Step, explore
 from gspn_framework_package.analysis.steady_state import SteadyState, steady_state
 from gspn_framework_package.analysis.structure import Structure
 from gspn_framework_package.analysis.transient import time_to_steady_state, transient
@@ -39,10 +41,14 @@ _SEARCHED = 100_000
 """Markings among which one is looked for in a net that has infinitely many."""
 
 _BEGINNING = 20_000
-"""Markings that are visited of a net that is known to have infinitely many: there will be questions left anyway."""
+"""Markings that are visited before anybody asks whether there are infinitely many: most nets have fewer. Of a net that
+is known to have infinitely many no more are visited: there will be questions left anyway."""
 
 _FIRST_TREE = 5_000
-"""Nodes of the first coverability tree that is tried, before markings are visited."""
+"""Nodes of the first coverability tree that is tried, before more markings are visited."""
+
+_FIRST_TREE_SHARE = 32
+"""What share of the memory it may take: one part in so many."""
 
 
 class Reachability(NamedTuple):
@@ -66,7 +72,10 @@ class Analysis:
     """The analysis of a net, or of a plan under its policy.
 
     :param subject: a net or a validated plan.
-    :param limit: markings to visit at most.
+    :param limit: markings to visit at most, short for ``limits`` with so many states.
+    :param limits: how far each part may go.
+    :param structure: whether P-invariants may be asked for bounds. Without them, the coverability tree alone says
+        what grows without bound.
     :param engine: see :func:`~gspn_framework_package.analysis.state_space.explore`.
     :param progress: told how far long work is.
     :param cancel: asked now and then whether to stop.
@@ -79,14 +88,21 @@ class Analysis:
         self,
         subject: Union[Net, Plan],
         *,
-        limit: int = STATE_LIMIT,
+        limit: Optional[int] = None,
+        limits: Limits = Limits(),  # noqa: B008 (it never changes)
+        structure: bool = True,
         engine: str = "auto",
         progress: Optional[Progress] = None,
         cancel: Optional[Cancel] = None,
     ) -> None:
         self.plan = subject if isinstance(subject, Plan) else None
         self.net: Net = subject.net if isinstance(subject, Plan) else subject
-        self.limit = limit
+        nodes = len(self.net.places) + len(self.net.transitions)
+        self.limit: int = states_of(nodes)
+        for given in (limits.states, limit):
+            self.limit = self.limit if given is None else given
+        self.limits = limits._replace(states=self.limit)
+        self._by_structure = structure
         self._engine = engine
         self._progress, self._cancel = progress, cancel
         self._known: Dict[str, Any] = {}
@@ -96,7 +112,7 @@ class Analysis:
     @property
     def structure(self) -> Structure:
         """What the structure of the net alone says."""
-        return self._once("structure", lambda: Structure(self.net))
+        return self._once("structure", lambda: Structure(self.net, limit=self.limits.structure, watch=self._watch))
 
     @property
     def space(self) -> StateSpace:
@@ -118,10 +134,21 @@ class Analysis:
         """The coverability tree. :raises LimitError: it is too large, or cannot be judged."""
         return self._once(
             "tree",
-            lambda: CoverabilityTree(
-                self.net, limit=min(TREE_LIMIT, self.limit), progress=self._progress, cancel=self._cancel
-            ),
+            lambda: self._tree(self.limits.tree, self.limits.memory),
         )
+
+    def _tree(self, limit: int, memory: int) -> CoverabilityTree:
+        return CoverabilityTree(
+            self.net,
+            limit=min(limit, self.limit),
+            progress=self._progress,
+            cancel=self._cancel,
+            memory=memory,
+            seconds=self.limits.seconds,
+        )
+
+    def _watch(self) -> Watch:
+        return Watch(self._progress, self._cancel, seconds=self.limits.seconds)
 
     @property
     def properties(self) -> Properties:
@@ -143,38 +170,75 @@ class Analysis:
 
     def _explore(self) -> StateSpace:
         if self.plan is not None:
-            return explore_plan(self.plan, limit=self.limit, progress=self._progress, cancel=self._cancel)
+            return self._visit_plan(self.plan, self.limit)
+        beginning = explore(
+            self.net,
+            limit=min(self.limit, _BEGINNING),
+            engine=self._engine,
+            progress=self._progress,
+            cancel=self._cancel,
+            bounds=[place.capacity for place in self.net.places],
+            memory=self.limits.memory,
+            seconds=self.limits.seconds,
+        )
+        if beginning.complete or len(beginning) <= min(self.limit, _BEGINNING):
+            return beginning  # that is all, or it is time or memory that there is too little of
         bounds = self._invariant_bounds
         counters = [name for name, bound in bounds.items() if bound is None and self._is_counter(name)]
         unbounded: Optional[List[str]] = []
         if None in bounds.values():
             unbounded = self._unbounded_places()
         if unbounded is None:  # not decided: visit markings, and see
-            space = self._visit(self.net, self.limit)
+            space = self._visit(self.net, self.limit) if self.limit > _BEGINNING else beginning
             if space.complete or not counters:
                 return space
             return self._without(counters)
         if unbounded and set(unbounded) <= set(counters):
             return self._without(counters)
-        return self._visit(self.net, min(self.limit, _BEGINNING) if unbounded else self.limit)
+        if unbounded or self.limit <= _BEGINNING:
+            return beginning
+        return self._visit(self.net, self.limit)
 
     def _without(self, counters: Sequence[str]) -> StateSpace:
         self._known["left_out"] = tuple(counters)
         return self._visit(self.net.without_places(counters), self.limit)
 
     def _visit(self, net: Net, limit: int) -> StateSpace:
-        return explore(net, limit=limit, engine=self._engine, progress=self._progress, cancel=self._cancel)
+        return explore(
+            net,
+            limit=limit,
+            engine=self._engine,
+            progress=self._progress,
+            cancel=self._cancel,
+            bounds=[self._invariant_bounds[place.name] for place in net.places],
+            memory=self.limits.memory,
+            seconds=self.limits.seconds,
+        )
+
+    def _visit_plan(self, plan: Plan, limit: int) -> PlanSpace:
+        return explore_plan(
+            plan,
+            limit=limit,
+            progress=self._progress,
+            cancel=self._cancel,
+            memory=self.limits.memory,
+            seconds=self.limits.seconds,
+        )
 
     @property
     def _invariant_bounds(self) -> Dict[str, Optional[int]]:
-        return self._once(
-            "invariant_bounds", lambda: dict(zip((p.name for p in self.net.places), invariant_bounds(self.net)))
-        )
+        def compute() -> Dict[str, Optional[int]]:
+            if not self._by_structure:
+                return {place.name: place.capacity for place in self.net.places}
+            found = invariant_bounds(self.net, self.limits.structure, self._watch())
+            return dict(zip((p.name for p in self.net.places), found))
+
+        return self._once("invariant_bounds", compute)
 
     def _unbounded_places(self) -> Optional[List[str]]:
         """The places that grow without bound, by a small coverability tree; None: not decided."""
         try:
-            tree = CoverabilityTree(self.net, limit=min(_FIRST_TREE, self.limit), cancel=self._cancel)
+            tree = self._tree(min(_FIRST_TREE, self.limits.tree), self.limits.memory // _FIRST_TREE_SHARE)
         except LimitError as error:
             self._known["growth_reason"] = str(error)
             return None
@@ -201,8 +265,12 @@ class Analysis:
         return (
             not self.net.consumers[p]
             and self.net.places[p].capacity is None
-            and not any(q == p for arcs in self.net.inhibitors for q, _ in arcs)
+            and p not in self._inhibiting
         )
+
+    @property
+    def _inhibiting(self) -> FrozenSet[int]:
+        return self._once("inhibiting", lambda: frozenset(p for arcs in self.net.inhibitors for p, _ in arcs))
 
     def _boundedness(self) -> Boundedness:
         space = self.space
@@ -213,10 +281,12 @@ class Analysis:
         if not space.complete:
             if None not in bounds.values():
                 return Boundedness(
-                    True, bounds, "the bounds are those of the P-invariants, within %d states" % len(space)
+                    True, bounds, "the bounds are those of the P-invariants, within %s" % space.extent
                 )
             return Boundedness(
-                None, bounds, self._known.get("growth_reason", "not decided within %d states" % len(space))
+                None,
+                bounds,
+                self._known.get("growth_reason", "not decided within %s (%s)" % (space.extent, space.hint)),
             )
         bounds = dict(self.properties.bounds)
         grows: List[bool] = []
@@ -248,12 +318,15 @@ class Analysis:
         across = sources != targets
         sources, targets, gains = sources[across], targets[across], gains[across]
         most = np.zeros(found.number, dtype=np.int64)
-        while True:  # longest ways in an acyclic graph, by as many rounds as the longest has arcs
+        watch = self._watch()
+        for rounds in itertools.count():  # longest ways in an acyclic graph, by as many rounds as the longest has arcs
+            watch.step("rounds", rounds)
             better = most.copy()
             np.maximum.at(better, targets, most[sources] + gains)
             if (better == most).all():
                 return int(most.max())
             most = better
+        raise AssertionError("a longest way has an end")
 
     # -- conditions -------------------------------------------------------------------------------------
 
@@ -274,13 +347,13 @@ class Analysis:
         """Look for a marking in a net that has infinitely many: among more and more of them."""
         limit = 1_000
         while True:
-            space = explore(self.net, limit=min(limit, self.limit), cancel=self._cancel, progress=self._progress)
+            space = self._visit(self.net, min(limit, self.limit))
             found = np.flatnonzero(space.holds(condition))
             if len(found):
                 return Reachability(True, len(found), space.witness(int(found[0])))
             if space.complete:
                 return Reachability(False, 0, None)
-            if limit >= min(self.limit, _SEARCHED):
+            if limit >= min(self.limit, _SEARCHED) or len(space) <= limit:
                 return Reachability(None, 0, None)
             limit *= 10
 
@@ -317,7 +390,7 @@ class Analysis:
     @property
     def steady(self) -> SteadyState:
         """The steady state."""
-        return self._once("steady", lambda: steady_state(self.chain, progress=self._progress, cancel=self._cancel))
+        return self._once("steady", lambda: steady_state(self.chain, **self._while_working))
 
     @property
     def measures(self) -> Measures:
@@ -328,7 +401,7 @@ class Analysis:
         """Tokens and throughput at given times (s)."""
         return [
             (found.time, Measures(self.chain, found.distribution))
-            for found in transient(self.chain, times, progress=self._progress, cancel=self._cancel)
+            for found in transient(self.chain, times, **self._while_working)
         ]
 
     def first_passage(self, condition: str, times: Sequence[float] = ()) -> Passage:
@@ -343,7 +416,11 @@ class Analysis:
             space, graph = until, until.rated()
         else:
             space, graph = self.space, self.chain.graph
-        return first_passage(graph, space.holds(condition), times, progress=self._progress, cancel=self._cancel)
+        return first_passage(graph, space.holds(condition), times, **self._while_working)
+
+    @property
+    def _while_working(self) -> Dict[str, Any]:
+        return {"progress": self._progress, "cancel": self._cancel, "seconds": self.limits.seconds}
 
     def _until(self, condition: str) -> PlanSpace:
         """The markings up to where a condition on counters holds: with the counters, and yet not without end."""
@@ -353,13 +430,11 @@ class Analysis:
         else:
             plan = replace(plan, until="(%s) or (%s)" % (plan.until, condition) if plan.until else condition)
         limit = min(self.limit, _SEARCHED) if self._is_unbounded else self.limit
-        return explore_plan(plan, limit=limit, progress=self._progress, cancel=self._cancel)
+        return self._visit_plan(plan, limit)
 
     def time_to_steady_state(self, tolerance: float = 1e-3) -> float:
         """The time (s) from which on the distribution stays within ``tolerance`` of the steady state."""
-        return time_to_steady_state(
-            self.chain, tolerance, steady=self.steady, progress=self._progress, cancel=self._cancel
-        )
+        return time_to_steady_state(self.chain, tolerance, steady=self.steady, **self._while_working)
 
     def _once(self, key: str, compute: Callable[[], Any]) -> Any:
         if key not in self._known:

@@ -86,7 +86,7 @@ class Chain:
 
     def column(self, place: int) -> Any:
         """Token counts of place number ``place`` in the states of the chain."""
-        return self.graph.column(place)[self.states]
+        return self.graph.column(place, self.states)
 
     def bottom_components(self) -> List[Any]:
         """The recurrent classes: for each an int array of states, by their first state."""

@@ -8,18 +8,24 @@ general answer with inhibitor arcs.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Deque, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 from gspn_framework_package.analysis.exploration import Cancel, Progress, Watch
+from gspn_framework_package.analysis.limits import TREE_LIMIT
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
 
 OMEGA = 1 << 62
 """Stands for "any number of tokens" in a marking of the tree."""
 
-TREE_LIMIT = 50_000
-"""Nodes that a tree may have when nothing else is said."""
+
+_COMPARISONS = 400
+"""Comparisons with markings on the way from the root, for each node that the limit allows."""
+
+_NODE_BYTES = 400
+"""What a node takes beside its counts."""
 
 
 class Node(NamedTuple):
@@ -39,7 +45,9 @@ class CoverabilityTree:
     :param net: the net.
     :param untimed: immediate transitions have no precedence (plain Petri net rule).
     :param limit: nodes to build at most.
-    :raises LimitError: the limit was met, or a growth could not be judged.
+    :param memory: bytes to take at most.
+    :param seconds: longest time.
+    :raises LimitError: a limit was met, or a growth could not be judged.
     """
 
     def __init__(
@@ -50,29 +58,61 @@ class CoverabilityTree:
         limit: int = TREE_LIMIT,
         progress: Optional[Progress] = None,
         cancel: Optional[Cancel] = None,
+        memory: float = math.inf,
+        seconds: float = math.inf,
     ) -> None:
         self.net = net
         self.untimed = untimed
         self.nodes: List[Node] = []
         self._exact = _Monotone(net, untimed)
-        self._build(limit, Watch(progress, cancel))
+        self._near = _Near(net)
+        self._most = memory / (8 * len(net.places) + _NODE_BYTES)
+        self._memory = memory
+        self._comparisons = _COMPARISONS * limit
+        self._build(limit, Watch(progress, cancel, seconds=seconds))
 
     def _build(self, limit: int, watch: Watch) -> None:
         first: Dict[Tuple[int, ...], int] = {self.net.initial_marking: 0}
         self.nodes.append(Node(self.net.initial_marking, -1, -1, 0))
-        waiting: Deque[int] = deque([0])
+        with_concession = self.net.enabled(self.net.initial_marking, by_priority=False)
+        waiting: Deque[Tuple[int, Tuple[int, ...]]] = deque([(0, with_concession)])  # and what the parent enabled
         while waiting:
-            number = waiting.popleft()
-            marking = self.nodes[number].marking
-            for t in self.net.enabled(marking, by_priority=not self.untimed):
+            number, with_concession = waiting.popleft()
+            node = self.nodes[number]
+            marking = node.marking
+            if number:
+                before = self.nodes[node.parent].marking
+                with_concession = self._near.enabled(marking, before, with_concession)
+            for t in self._preferred(with_concession):
                 after = self._accelerate(number, t, _fire(self.net, marking, t))
                 same = first.setdefault(after, len(self.nodes))
                 if same == len(self.nodes):
-                    waiting.append(same)
+                    waiting.append((same, with_concession))
+                else:
+                    after = self.nodes[same].marking  # one tuple for both
                 self.nodes.append(Node(after, number, t, same))
-                if len(self.nodes) > limit:
-                    raise LimitError("the coverability tree has more than %d nodes" % limit)
-            watch.step("nodes", len(self.nodes))
+                if len(self.nodes) > limit or self._comparisons < 0:
+                    raise LimitError(
+                        "the coverability tree has more than %d nodes" % limit
+                        if self._comparisons >= 0
+                        else "the coverability tree is too deep: %d nodes took too long" % len(self.nodes),
+                        hint="raise --limit-tree",
+                    )
+                if len(self.nodes) > self._most:
+                    raise LimitError(
+                        "the coverability tree takes more than %.3g GB" % (self._memory / 1e9),
+                        hint="raise --limit-memory",
+                    )
+                watch.step("nodes", len(self.nodes))
+
+    def _preferred(self, with_concession: Sequence[int]) -> Sequence[int]:
+        """Those that take precedence; see :meth:`~gspn_framework_package.model.net.Net.enabled`."""
+        transitions = self.net.transitions
+        immediate = [t for t in with_concession if not transitions[t].timed]
+        if self.untimed or not immediate:
+            return with_concession
+        top = max(transitions[t].priority for t in immediate)
+        return [t for t in immediate if transitions[t].priority == top]
 
     def _accelerate(self, number: int, t: int, after: Tuple[int, ...]) -> Tuple[int, ...]:
         """``after`` with OMEGA where the way from an ancestor to here can be gone again and again."""
@@ -80,6 +120,7 @@ class CoverabilityTree:
         counts = list(after)
         while number >= 0:
             node = self.nodes[number]
+            self._comparisons -= 1
             if all(a <= b for a, b in zip(node.marking, counts)):
                 growing = [p for p, (a, b) in enumerate(zip(node.marking, counts)) if a < b < OMEGA]
                 if growing:
@@ -100,17 +141,21 @@ class CoverabilityTree:
     @property
     def unbounded_places(self) -> List[str]:
         """The places that can hold any number of tokens."""
-        return [
-            place.name
-            for p, place in enumerate(self.net.places)
-            if any(node.marking[p] == OMEGA for node in self.nodes)
-        ]
+        return [place.name for place, most in zip(self.net.places, self._largest) if most == OMEGA]
+
+    @property
+    def _largest(self) -> List[int]:
+        """The largest count of each place."""
+        most = list(self.nodes[0].marking)
+        for number, node in enumerate(self.nodes):
+            if node.same == number:
+                most = list(map(max, most, node.marking))
+        return most
 
     @property
     def bounds(self) -> Dict[str, Optional[int]]:
         """The most tokens that each place can hold; None where there is no bound."""
-        largest = [max(node.marking[p] for node in self.nodes) for p in range(len(self.net.places))]
-        return {place.name: None if n == OMEGA else n for place, n in zip(self.net.places, largest)}
+        return {place.name: None if n == OMEGA else n for place, n in zip(self.net.places, self._largest)}
 
     @property
     def dead_transitions(self) -> List[str]:
@@ -154,6 +199,35 @@ class CoverabilityTree:
         """A marking for people: ``2 a, w b`` with the Greek letter for OMEGA, without the empty places."""
         parts = ["%s %s" % ("ω" if n == OMEGA else n, place.name) for place, n in zip(self.net.places, marking) if n]
         return ", ".join(parts) or "empty"
+
+
+class _Near:
+    """Finds what a marking enables from what the marking before enabled: only the transitions around the places that
+    have changed are looked at."""
+
+    def __init__(self, net: Net) -> None:
+        self._net = net
+        self._looking: List[Set[int]] = [set() for _ in net.places]
+        for t in range(len(net.transitions)):
+            for p, _ in net.inputs[t] + net.inhibitors[t]:
+                self._looking[p].add(t)
+            for p, change in net.effect(t):
+                if change > 0 and net.places[p].capacity is not None:
+                    self._looking[p].add(t)
+
+    def enabled(
+        self, marking: Sequence[int], before: Sequence[int], with_concession: Sequence[int]
+    ) -> Tuple[int, ...]:
+        """What has concession in ``marking``, which came from ``before``, where ``with_concession`` had."""
+        near: Set[int] = set()
+        for p, count in enumerate(marking):
+            if count != before[p]:
+                near |= self._looking[p]
+        if not near:
+            return tuple(with_concession)
+        found = [t for t in with_concession if t not in near]
+        found += [t for t in near if self._net.is_enabled(marking, t)]
+        return tuple(sorted(found))
 
 
 class _Monotone:

@@ -6,12 +6,13 @@ there) and ``numba_engine`` (where numba is installed).
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any, Callable, NamedTuple, Optional, Tuple
 
 import numpy as np
 
-from gspn_framework_package.model.errors import CancelledError
+from gspn_framework_package.model.errors import CancelledError, LimitError
 
 Progress = Callable[[str, int, float], None]
 """Called with what is counted (``"states"``), how many there are, and the seconds since the start."""
@@ -24,13 +25,28 @@ class RawGraph(NamedTuple):
     """What an engine found: ``states`` (uint64, shape ``(n, words)``, the initial one first); the arcs of state
     ``s`` at ``offsets[s]:offsets[s + 1]`` of ``targets`` (state numbers) and ``labels`` (transitions in engine
     order); the successors of the first ``explored`` states are known, of all of them when the limit was not
-    met."""
+    met and there was room enough."""
 
     states: Any
     offsets: Any
     targets: Any
     labels: Any
     explored: int
+
+
+class Room(NamedTuple):
+    """What an exploration may use: ``memory`` in bytes, and the time ``until`` when (of the monotonic clock)."""
+
+    memory: float = math.inf
+    until: float = math.inf
+
+    def left(self, used: float) -> bool:
+        """Whether there is any, with ``used`` bytes in use."""
+        return used <= self.memory and time.monotonic() < self.until
+
+
+ENDLESS = Room()
+"""Room without an end."""
 
 
 class FieldOverflowError(Exception):
@@ -42,26 +58,40 @@ class FieldOverflowError(Exception):
 
 
 class Watch:
-    """Tells progress at most every ``interval`` seconds, and stops the work when it is cancelled."""
+    """Tells progress at most every ``interval`` seconds, and stops the work when it is cancelled or has taken longer
+    than ``seconds``."""
 
     def __init__(
-        self, progress: Optional[Progress] = None, cancel: Optional[Cancel] = None, interval: float = 0.5
+        self,
+        progress: Optional[Progress] = None,
+        cancel: Optional[Cancel] = None,
+        interval: float = 0.5,
+        seconds: float = math.inf,
     ) -> None:
         self._progress = progress
         self._cancel = cancel
         self._interval = interval
+        self._seconds = seconds
         self._start = time.monotonic()
         self._last = self._start
 
     def step(self, what: str, count: int) -> None:
-        """Say that ``count`` of ``what`` are done. :raises CancelledError: somebody said stop."""
+        """Say that ``count`` of ``what`` are done.
+
+        :raises CancelledError: somebody said stop.
+        :raises LimitError: the time is over.
+        """
         if self._cancel is not None and self._cancel():
             raise CancelledError("cancelled after %d %s" % (count, what))
-        if self._progress is not None:
-            now = time.monotonic()
-            if now - self._last >= self._interval:
-                self._last = now
-                self._progress(what, count, now - self._start)
+        now = time.monotonic()
+        if now - self._start > self._seconds:
+            raise LimitError(
+                "not decided within %g s (%s %s)" % (self._seconds, format(count, ","), what),
+                hint="raise --limit-time",
+            )
+        if self._progress is not None and now - self._last >= self._interval:
+            self._last = now
+            self._progress(what, count, now - self._start)
 
 
 class Growing:

@@ -43,18 +43,14 @@ class Measures:
     @property
     def mean_tokens(self) -> Dict[str, float]:
         """Mean number of tokens in each place."""
-        return {
-            place.name: float(self.distribution @ self.chain.column(p)) for p, place in enumerate(self.graph.net.places)
-        }
+        found = self.graph.store.means(self.chain.states, self.distribution)
+        return {place.name: mean for place, mean in zip(self.graph.net.places, found)}
 
     @property
     def token_distribution(self) -> Dict[str, Dict[int, float]]:
         """For each place: number of tokens -> probability."""
-        found = {}
-        for p, place in enumerate(self.graph.net.places):
-            counts = np.bincount(self.chain.column(p), weights=self.distribution)
-            found[place.name] = {n: float(v) for n, v in enumerate(counts) if v > 0}
-        return found
+        found = self.graph.store.distributions(self.chain.states, self.distribution)
+        return {place.name: counts for place, counts in zip(self.graph.net.places, found)}
 
     def probability(self, holds: Any) -> float:
         """Probability of a condition. :param holds: boolean array over the states of the graph."""

@@ -22,9 +22,11 @@ import numpy as np
 from numba import config, njit
 
 from gspn_framework_package.analysis.exploration import (
+    ENDLESS,
     FieldOverflowError,
     Growing,
     RawGraph,
+    Room,
     Watch,
     label_type,
 )
@@ -56,10 +58,11 @@ _CORES = 8
 """More cores do not help: the entering waits for all of them, and they for it."""
 
 
-def explore(packed: PackedNet, limit: int, watch: Watch, cores: int = 0) -> RawGraph:
+def explore(packed: PackedNet, limit: int, watch: Watch, cores: int = 0, room: Room = ENDLESS) -> RawGraph:
     """The reachability graph of ``packed``; same meaning as in ``numpy_engine``.
 
     :param cores: how many to use; 0: as many as numba may use, at most 8.
+    :param room: the exploration ends where this is used up.
     """
     transitions = len(packed.order)
     cores = cores or min(int(vars(config)["NUMBA_NUM_THREADS"]), _CORES)
@@ -79,6 +82,8 @@ def explore(packed: PackedNet, limit: int, watch: Watch, cores: int = 0) -> RawG
     explored = 0
     with ThreadPoolExecutor(max(cores - 1, 1), thread_name_prefix="explore") as others:
         while explored < states.used <= limit:
+            if not room.left(table.nbytes + sum(a.array.nbytes for a in (states, offsets, targets, labels))):
+                break
             if states.used - explored < narrow:
                 explored = _go_narrow(rules, explored, limit, table, states, offsets, targets, labels, buffers[0])
                 table = _with_room(table, states.used + narrow * transitions)

@@ -12,9 +12,11 @@ from typing import Any, Optional, Tuple
 import numpy as np
 
 from gspn_framework_package.analysis.exploration import (
+    ENDLESS,
     FieldOverflowError,
     Growing,
     RawGraph,
+    Room,
     Watch,
     label_type,
 )
@@ -31,11 +33,14 @@ _ROWS = 1 << 15
 """States of one round, at most."""
 
 
-def explore(packed: PackedNet, limit: int, watch: Watch, rounds: Optional[int] = None) -> RawGraph:
+def explore(
+    packed: PackedNet, limit: int, watch: Watch, rounds: Optional[int] = None, room: Room = ENDLESS
+) -> RawGraph:
     """The reachability graph of ``packed``.
 
     :param limit: the exploration ends when more than this many states are known.
     :param rounds: it also ends after so many rounds.
+    :param room: it also ends where this is used up.
     :raises FieldOverflowError: the fields are too narrow.
     """
     transitions = len(packed.order)
@@ -50,6 +55,8 @@ def explore(packed: PackedNet, limit: int, watch: Watch, rounds: Optional[int] =
     rows = max(1, min(_ROWS, (1 << 20) // max(transitions, 1)))
     done = 0
     while explored < states.used <= limit and done != rounds:
+        if not room.left(table.nbytes + sum(a.array.nbytes for a in (states, offsets, targets, labels))):
+            break
         done += 1
         block = states.array[explored : min(explored + rows, states.used)]
         sources, fired = _enabled(packed, block)
@@ -141,6 +148,11 @@ class _Table:
 
     def __init__(self, states: Growing) -> None:
         self._rebuild(1 << 12, states)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return int(self._slots.nbytes)
 
     def insert(self, keys: Any, states: Growing) -> Any:
         """Numbers of ``keys``; those not seen before are appended to ``states``, in order of appearance."""

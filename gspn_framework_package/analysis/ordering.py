@@ -17,6 +17,9 @@ from gspn_framework_package.analysis.graph import flat_ranges
 _SAMPLE = 1_000
 """States whose arcs are looked at."""
 
+_PLACES = 2_000
+"""Places up to which the markings are looked at: with more, the states stay in the order of discovery."""
+
 _WORTH = 0.7
 """Another order is worth the sorting when it leaves less than this share of what goes backward."""
 
@@ -26,6 +29,8 @@ def sweep_order(chain: Chain, states: Any) -> Optional[Any]:
 
     :param states: int array: states of the chain, ascending.
     """
+    if len(chain.graph.net.places) > _PLACES:
+        return None
     rows = states[:: max(1, len(states) // _SAMPLE)]
     begin, end = chain.rates.indptr[rows], chain.rates.indptr[rows + 1]
     arcs = flat_ranges(begin, end)

@@ -21,37 +21,16 @@ MAX_WIDTH = 62
 """Widest field, in bits: counts stay below 2**62."""
 
 
-class PackedNet:
-    """A net compiled for the exploration engines.
+class Packing:
+    """The fields of the places of a net in machine words.
 
     :param net: the net.
     :param widths: bits of the field of each place, without the guard bit.
-    :param by_priority: whether immediate transitions go before exponential ones, and those of a high priority
-        before those of a low one. Without it every transition with concession may fire.
-
-    Arrays over transitions are in *engine order*: classes of falling precedence, file order inside a class.
     """
 
-    def __init__(self, net: Net, widths: Sequence[int], *, by_priority: bool = True) -> None:
+    def __init__(self, net: Net, widths: Sequence[int]) -> None:
         self.net = net
         self.widths = tuple(widths)
-        self._assign_fields()
-        classes = _precedence_classes(net) if by_priority else [list(range(len(net.transitions)))]
-        self.order = np.array([t for members in classes for t in members], dtype=np.int32)
-        """Engine order -> number of the transition in the net."""
-        self.class_ends = np.cumsum([len(members) for members in classes]).astype(np.int64)
-        """Where in engine order each precedence class ends."""
-        size = (len(self.order), self.words)
-        self.need = np.zeros(size, dtype=np.uint64)
-        self.need_guard = np.zeros(size, dtype=np.uint64)
-        self.inhibit = np.zeros(size, dtype=np.uint64)
-        self.inhibit_guard = np.zeros(size, dtype=np.uint64)
-        self.change = np.zeros(size, dtype=np.uint64)
-        for row, t in enumerate(self.order.tolist()):
-            self._compile(row, t)
-        self.initial = self.pack(net.initial_marking)
-
-    def _assign_fields(self) -> None:
         self.word_of: List[int] = []
         self.shift_of: List[int] = []
         word, used = 0, 0
@@ -63,32 +42,6 @@ class PackedNet:
             used += width + 1
         self.words = word + 1
         """Number of words of a packed marking."""
-        guard = [0] * self.words
-        for p, width in enumerate(self.widths):
-            guard[self.word_of[p]] |= 1 << (self.shift_of[p] + width)
-        self.guard = np.array(guard, dtype=np.uint64)
-
-    def _compile(self, row: int, t: int) -> None:
-        net = self.net
-        need, need_guard, inhibit, inhibit_guard, change = ([0] * self.words for _ in range(5))
-        for p, weight in net.inputs[t]:
-            need[self.word_of[p]] += weight << self.shift_of[p]
-            need_guard[self.word_of[p]] |= 1 << (self.shift_of[p] + self.widths[p])
-        for p, threshold in thresholds(net, t).items():
-            if threshold >> self.widths[p]:
-                continue  # beyond what the field can hold: a marking that large would show as an overflow first
-            inhibit[self.word_of[p]] += threshold << self.shift_of[p]
-            inhibit_guard[self.word_of[p]] |= 1 << (self.shift_of[p] + self.widths[p])
-        for p, by in net.effect(t):
-            change[self.word_of[p]] += by * (1 << self.shift_of[p])
-        for into, values in (
-            (self.need, need),
-            (self.need_guard, need_guard),
-            (self.inhibit, inhibit),
-            (self.inhibit_guard, inhibit_guard),
-            (self.change, change),
-        ):
-            into[row] = [value % (1 << WORD_BITS) for value in values]
 
     def pack(self, marking: Sequence[int]) -> Any:
         """The packed form of one marking: an array of ``words`` machine words."""
@@ -134,6 +87,60 @@ class PackedNet:
                 widths[p] = min(2 * width + 2, MAX_WIDTH)
         return tuple(widths)
 
+class PackedNet(Packing):
+    """A net compiled for the exploration engines.
+
+    :param net: the net.
+    :param widths: bits of the field of each place, without the guard bit.
+    :param by_priority: whether immediate transitions go before exponential ones, and those of a high priority
+        before those of a low one. Without it every transition with concession may fire.
+
+    Arrays over transitions are in *engine order*: classes of falling precedence, file order inside a class.
+    """
+
+    def __init__(self, net: Net, widths: Sequence[int], *, by_priority: bool = True) -> None:
+        super().__init__(net, widths)
+        guard = [0] * self.words
+        for p, width in enumerate(self.widths):
+            guard[self.word_of[p]] |= 1 << (self.shift_of[p] + width)
+        self.guard = np.array(guard, dtype=np.uint64)
+        classes = precedence_classes(net) if by_priority else [list(range(len(net.transitions)))]
+        self.order = np.array([t for members in classes for t in members], dtype=np.int32)
+        """Engine order -> number of the transition in the net."""
+        self.class_ends = np.cumsum([len(members) for members in classes]).astype(np.int64)
+        """Where in engine order each precedence class ends."""
+        size = (len(self.order), self.words)
+        self.need = np.zeros(size, dtype=np.uint64)
+        self.need_guard = np.zeros(size, dtype=np.uint64)
+        self.inhibit = np.zeros(size, dtype=np.uint64)
+        self.inhibit_guard = np.zeros(size, dtype=np.uint64)
+        self.change = np.zeros(size, dtype=np.uint64)
+        for row, t in enumerate(self.order.tolist()):
+            self._compile(row, t)
+        self.initial = self.pack(net.initial_marking)
+
+    def _compile(self, row: int, t: int) -> None:
+        net = self.net
+        need, need_guard, inhibit, inhibit_guard, change = ([0] * self.words for _ in range(5))
+        for p, weight in net.inputs[t]:
+            need[self.word_of[p]] += weight << self.shift_of[p]
+            need_guard[self.word_of[p]] |= 1 << (self.shift_of[p] + self.widths[p])
+        for p, threshold in thresholds(net, t).items():
+            if threshold >> self.widths[p]:
+                continue  # beyond what the field can hold: a marking that large would show as an overflow first
+            inhibit[self.word_of[p]] += threshold << self.shift_of[p]
+            inhibit_guard[self.word_of[p]] |= 1 << (self.shift_of[p] + self.widths[p])
+        for p, by in net.effect(t):
+            change[self.word_of[p]] += by * (1 << self.shift_of[p])
+        for into, values in (
+            (self.need, need),
+            (self.need_guard, need_guard),
+            (self.inhibit, inhibit),
+            (self.inhibit_guard, inhibit_guard),
+            (self.change, change),
+        ):
+            into[row] = [value % (1 << WORD_BITS) for value in values]
+
 
 def thresholds(net: Net, t: int) -> dict[int, int]:
     """Place number -> the count from which on it forbids transition number ``t``, by an inhibitor arc or because
@@ -167,7 +174,7 @@ def starting_widths(net: Net, bounds: Sequence[Optional[int]]) -> Tuple[int, ...
     return tuple(widths)
 
 
-def _precedence_classes(net: Net) -> List[List[int]]:
+def precedence_classes(net: Net) -> List[List[int]]:
     """Numbers of transitions in groups of falling precedence; exponential ones are the last group."""
     immediate = {t.priority for t in net.transitions if not t.timed}
     classes = [

@@ -42,20 +42,22 @@ def first_passage(
     *,
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
+    seconds: float = math.inf,
 ) -> Passage:
     """The first time that a condition holds, from the initial marking on.
 
     :param graph: the graph with rates.
     :param goal: boolean array: the states of ``graph`` in which the condition holds.
     :param times: ask for the probability to be there within each of these (s).
-    :raises LimitError: a linear system was not solved to an acceptable residual.
+    :param seconds: longest time that each part of the work may take.
+    :raises LimitError: a linear system was not solved to an acceptable residual, or not in time.
     :raises RefusedError: there is a timeless trap.
     """
     if goal[0]:
         return Passage(1.0, 0.0, [1.0] * len(times), 0.0)
     if not goal.any():
         return Passage(0.0, math.inf, [0.0] * len(times), 0.0)
-    watch = Watch(progress, cancel)
+    watch = Watch(progress, cancel, seconds=seconds)
     chain = Chain(graph, absorbing=goal)
     there = goal[chain.states]
     sources = np.repeat(np.arange(len(chain)), np.diff(chain.rates.indptr))
@@ -79,9 +81,6 @@ def first_passage(
             solution = solve(among, exits, np.ones(len(inside)), backward=True, order=order, watch=watch)
             mean = float(chain.initial[inside] @ solution.values)
             worst = solution.residual
-    within = (
-        [float(at.distribution[there].sum()) for at in transient(chain, times, progress=progress, cancel=cancel)]
-        if len(times)
-        else []
-    )
+    evolution = transient(chain, times, progress=progress, cancel=cancel, seconds=seconds) if len(times) else []
+    within = [float(at.distribution[there].sum()) for at in evolution]
     return Passage(min(probability, 1.0), mean, within, worst)

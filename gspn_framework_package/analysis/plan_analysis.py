@@ -12,6 +12,8 @@ changes. So a marking can be there twice: *asking*, without time, and *waiting*.
 
 from __future__ import annotations
 
+import math
+import time
 from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
@@ -21,10 +23,12 @@ from gspn_framework_package.analysis.exploration import (
     Growing,
     Progress,
     RawGraph,
+    Room,
     Watch,
     label_type,
 )
-from gspn_framework_package.analysis.packing import PackedNet
+from gspn_framework_package.analysis.marking_store import PackedStore
+from gspn_framework_package.analysis.packing import Packing
 from gspn_framework_package.analysis.plan_structure import only_written
 from gspn_framework_package.analysis.rated_graph import RatedGraph
 from gspn_framework_package.analysis.state_space import StateSpace
@@ -34,6 +38,9 @@ from gspn_framework_package.model.plan import Plan
 
 PLAN_STATE_LIMIT = 200_000
 """States that the exploration of a plan may find when nothing else is said."""
+
+_STATE_BYTES, _ARC_BYTES = 400, 100
+"""What a state takes beside its counts while it is explored, and an arc."""
 
 WAITING = "(waits)"
 """What a firing sequence says where robots drew transitions that are not enabled, and wait."""
@@ -181,10 +188,20 @@ class PlanSpace(StateSpace):
     :ivar counters: places that are only written, which were left out.
     """
 
-    def __init__(self, rules: PlanRules, graph: RawGraph, markings: Any, vanishing: Any, values: Any) -> None:
+    def __init__(
+        self,
+        rules: PlanRules,
+        graph: RawGraph,
+        markings: Any,
+        vanishing: Any,
+        values: Any,
+        shortage: Tuple[str, str] = ("", ""),
+    ) -> None:
         widths = [max(int(n).bit_length(), 1) for n in markings.max(axis=0)]
-        packed = PackedNet(rules.net, widths, by_priority=False)
-        super().__init__(packed, graph._replace(states=packed.pack_all(markings)), untimed=False, engine="plan")
+        packing = Packing(rules.net, widths)
+        order = np.arange(len(rules.net.transitions) + 1)  # the last: the robots wait
+        store = PackedStore(packing, packing.pack_all(markings))
+        super().__init__(rules.net, store, graph, order, untimed=False, engine="plan", shortage=shortage)
         self.counters = rules.counters
         self._vanishing = vanishing
         self._values = values
@@ -202,26 +219,29 @@ class PlanSpace(StateSpace):
         """The graph with rates and probabilities. :raises LimitError: it is not complete."""
         self.require_complete("its Markov chain")
         return RatedGraph(
-            self.net,
-            self._vanishing,
-            self.sources,
-            self.targets,
-            self.transitions,
-            self._values,
-            self.markings,
-            self.column,
+            self.net, self._vanishing, self.sources, self.targets, self.transitions, self._values, self.store
         )
 
 
 def explore_plan(
-    plan: Plan, *, limit: int = PLAN_STATE_LIMIT, progress: Optional[Progress] = None, cancel: Optional[Cancel] = None
+    plan: Plan,
+    *,
+    limit: int = PLAN_STATE_LIMIT,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+    memory: float = math.inf,
+    seconds: float = math.inf,
 ) -> PlanSpace:
     """Find the markings that a plan reaches under its policy.
 
     :param plan: a validated plan.
     :param limit: stop soon after this many states are known; the result then is not ``complete``.
+    :param memory: stop when it takes more than so many bytes.
+    :param seconds: stop after so long.
     :raises CancelledError: ``cancel`` said so.
     """
+    room = Room(memory, time.monotonic() + seconds)
+    shortage = ("--limit", "")
     rules = PlanRules(plan)
     net = rules.net
     watch = Watch(progress, cancel)
@@ -263,6 +283,11 @@ def explore_plan(
         offsets.extend(np.array([len(targets)]))
         if explored % 256 == 0:
             watch.step("states", len(order))
+            if not room.left(len(order) * (16 * len(net.places) + _STATE_BYTES) + len(targets) * _ARC_BYTES):
+                shortage = ("--limit-memory", "%.3g GB" % (memory / 1e9))
+                if not room.left(0):
+                    shortage = ("--limit-time", "%g s" % seconds)
+                break
     vanishing += [False] * (len(order) - explored)
     offsets.extend(np.full(len(order) - explored, len(targets), dtype=np.int64))
     graph = RawGraph(
@@ -273,4 +298,6 @@ def explore_plan(
         explored,
     )
     markings = np.array([marking for marking, _ in order], dtype=np.int64).reshape(len(order), -1)
-    return PlanSpace(rules, graph, markings, np.array(vanishing, dtype=bool), np.array(values, dtype=np.float64))
+    return PlanSpace(
+        rules, graph, markings, np.array(vanishing, dtype=bool), np.array(values, dtype=np.float64), shortage
+    )

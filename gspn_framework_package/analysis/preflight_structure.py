@@ -130,7 +130,7 @@ class StructureChecks:
         if set(self.plan.resource_places) <= set(self.written):
             return
         net = self.net.without_places(self.written)
-        bounds = dict(zip((p.name for p in net.places), invariant_bounds(net, 2_000)))
+        bounds = dict(zip((p.name for p in net.places), invariant_bounds(net, 200_000)))
         self.resource_bounds = {p.name: bounds[p.name] for p in net.places if p.name in self.plan.resource_places}
         unknown = [p for p, bound in self.resource_bounds.items() if bound is None]
         if unknown:

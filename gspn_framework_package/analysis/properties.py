@@ -62,7 +62,7 @@ class Properties:
     @property
     def bounds(self) -> Dict[str, int]:
         """The most tokens that each place can hold."""
-        return {place.name: int(self.space.column(p).max()) for p, place in enumerate(self.space.net.places)}
+        return {place.name: most for place, most in zip(self.space.net.places, self.space.store.largest())}
 
     @property
     def k_safe(self) -> int:

@@ -6,10 +6,11 @@ from the elimination of the vanishing markings on, does not care which.
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, NamedTuple
+from typing import Any, Iterator, NamedTuple, Tuple, Union
 
 import numpy as np
 
+from gspn_framework_package.analysis.marking_store import PackedStore, SparseStore
 from gspn_framework_package.analysis.state_space import StateSpace
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Marking, Net
@@ -25,8 +26,7 @@ class RatedGraph(NamedTuple):
     :ivar transitions: int array, numbers of transitions.
     :ivar values: float array: the rate (1/s) of an arc that leaves a tangible state, the probability of one that
         leaves a vanishing state.
-    :ivar markings: given state numbers, the markings as an int64 array, one row a state.
-    :ivar column: given a place number, its token count in every state.
+    :ivar store: the markings of the states.
     """
 
     net: Net
@@ -35,11 +35,18 @@ class RatedGraph(NamedTuple):
     targets: Any
     transitions: Any
     values: Any
-    markings: Callable[[Any], Any]
-    column: Callable[[int], Any]
+    store: Union[PackedStore, SparseStore]
 
     def __len__(self) -> int:
         return len(self.vanishing)
+
+    def markings(self, states: Any) -> Any:
+        """The markings of states (numbers) as an int64 array, one row a state."""
+        return self.store.rows(states)
+
+    def column(self, place: int, states: Any = None) -> Any:
+        """The token counts of place number ``place`` in all states, or in ``states``."""
+        return self.store.column(place, states)
 
     def marking(self, state: int) -> Marking:
         """The marking of one state."""
@@ -67,32 +74,34 @@ def rate(space: StateSpace) -> RatedGraph:
     vanishing = space.is_vanishing
     sources = space.sources
     values = np.empty(space.arcs, dtype=np.float64)
-    degree_of: Dict[int, Any] = {}
-    for t, transition in enumerate(space.net.transitions):
-        arcs = np.flatnonzero(space.transitions == t)
-        if not len(arcs):
-            continue
+    for t, arcs in _arcs_by_transition(space.transitions):
+        transition = space.net.transitions[t]
         if not transition.timed:
             values[arcs] = transition.weight
         elif transition.servers == 1:
             values[arcs] = transition.rate
         else:
-            degree = _enabling_degree(space, t, sources[arcs], degree_of)
+            degree = _enabling_degree(space, t, sources[arcs])
             if transition.servers is not None:
                 degree = np.minimum(degree, transition.servers)
             values[arcs] = transition.rate * degree
     _normalise(space, vanishing, sources, values)
-    return RatedGraph(
-        space.net, vanishing, sources, space.targets, space.transitions, values, space.markings, space.column
-    )
+    return RatedGraph(space.net, vanishing, sources, space.targets, space.transitions, values, space.store)
 
 
-def _enabling_degree(space: StateSpace, t: int, states: Any, columns: dict[int, Any]) -> Any:
+def _arcs_by_transition(transitions: Any) -> Iterator[Tuple[int, Any]]:
+    """The transitions that fire somewhere, each with the numbers of its arcs."""
+    order = np.argsort(transitions, kind="stable")
+    numbers, begin = np.unique(transitions[order], return_index=True)
+    ends = np.append(begin[1:], len(order))
+    for t, first, last in zip(numbers.tolist(), begin.tolist(), ends.tolist()):
+        yield t, order[first:last]
+
+
+def _enabling_degree(space: StateSpace, t: int, states: Any) -> Any:
     degree = np.full(len(states), np.iinfo(np.int64).max, dtype=np.int64)
     for p, weight in space.net.inputs[t]:
-        if p not in columns:
-            columns[p] = space.column(p)
-        np.minimum(degree, columns[p][states] // weight, out=degree)
+        np.minimum(degree, space.column(p, states) // weight, out=degree)
     return degree if space.net.inputs[t] else np.ones(len(states), dtype=np.int64)
 
 

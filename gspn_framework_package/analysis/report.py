@@ -9,7 +9,10 @@ from __future__ import annotations
 import math
 from typing import Any, Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Tuple
 
+import numpy as np
+
 from gspn_framework_package.analysis.analyse import Analysis, Reachability
+from gspn_framework_package.analysis.chain import Component
 from gspn_framework_package.analysis.measures import Measures
 from gspn_framework_package.model.errors import CancelledError, RefusedError
 
@@ -17,9 +20,12 @@ INFINITE = "infinite"
 
 STRUCTURE = (
     "place_invariants", "transition_invariants", "conservative", "strictly_conservative", "consistent", "repetitive",
-    "siphons", "traps", "classes", "conflict_sets",
+    "siphons", "traps", "unmarked_siphon", "siphons_hold_marked_traps", "unguarded_siphon", "classes", "conflict_sets",
 )  # fmt: skip
 """The keys of what the structure alone says."""
+
+COMPONENTS = 10
+"""Recurrent classes that are told one by one, the most probable ones; the others are counted."""
 
 
 class Questions(NamedTuple):
@@ -92,7 +98,9 @@ class _Report:
             raise
         except RefusedError as error:
             self.undecided[key] = str(error)
-            return None
+        except MemoryError:
+            self.undecided[key] = "not decided: there is too little memory (raise --limit-memory)"
+        return None
 
     def basics(self) -> None:
         net, plan = self.analysis.net, self.analysis.plan
@@ -103,6 +111,14 @@ class _Report:
         self.data["arcs"] = len(net.arcs)
         self.data["inhibitor_arcs"] = sum(arc.inhibitor for arc in net.arcs)
         self.data["tokens"] = sum(net.initial_marking)
+        limits = self.analysis.limits
+        self.data["limits"] = {
+            "states": limits.states,
+            "tree": limits.tree,
+            "structure": limits.structure,
+            "seconds": limits.seconds,
+            "memory_bytes": limits.memory,
+        }
 
     def structure(self) -> None:
         structure = self.analysis.structure
@@ -116,6 +132,13 @@ class _Report:
         self.answer("repetitive", lambda: structure.repetitive)
         self.answer("siphons", lambda: [s._asdict() for s in structure.siphons])
         self.answer("traps", lambda: [s._asdict() for s in structure.traps])
+        self.answer("unmarked_siphon", lambda: list(structure.unmarked_siphon))
+        self.answer("siphons_hold_marked_traps", lambda: structure.unguarded_siphon is None)
+        if self.data["siphons_hold_marked_traps"] is False:
+            found = structure.unguarded_siphon
+            self.data["unguarded_siphon"] = list(found.places) if found else None
+        else:
+            self.data["unguarded_siphon"] = None
         self.answer("classes", lambda: dict(structure.classes._asdict()))
         self.answer("conflict_sets", lambda: structure.conflict_sets)
 
@@ -136,7 +159,7 @@ class _Report:
             self.undecided["states"] = (
                 "the net is unbounded"
                 if analysis.boundedness.bounded is False
-                else "not decided within %d states" % len(space)
+                else "not decided within %s (%s)" % (space.extent, space.hint)
             )
         self.data["left_out"] = list(analysis.left_out)
         self.data["engine"] = space.engine
@@ -176,11 +199,11 @@ class _Report:
                 data["witness"] = space.path_to(int(dead[0]))
                 data["marking"] = space.named(int(dead[0]))
             if not space.complete:
-                self.undecided["deadlocks.count"] = "%d found within %d states" % (len(dead), len(space))
+                self.undecided["deadlocks.count"] = "%d found within %s (%s)" % (len(dead), space.extent, space.hint)
             self.data["deadlocks"] = data
         else:
             self.data["deadlocks"] = None
-            self.undecided["deadlocks"] = "none found within %d states, which are not all" % len(space)
+            self.undecided["deadlocks"] = "none found within %s, which are not all (%s)" % (space.extent, space.hint)
 
     def _home(self) -> Dict[str, Any]:
         analysis = self.analysis
@@ -206,8 +229,8 @@ class _Report:
         def compute() -> Dict[str, Any]:
             found = self.analysis.reach(condition)
             if found.reachable is None:
-                self.undecided["reach.%s" % condition] = "not found within %d states, which are not all" % len(
-                    self.analysis.space
+                self.undecided["reach.%s" % condition] = "not found within %s, which are not all" % (
+                    self.analysis.space.extent
                 )
             return _reachability(condition, found)
 
@@ -219,8 +242,8 @@ class _Report:
         def compute() -> Dict[str, Any]:
             found = self.analysis.cover(marking)
             if found.reachable is None:
-                self.undecided["cover.%s" % text] = "not found within %d states, which are not all" % len(
-                    self.analysis.space
+                self.undecided["cover.%s" % text] = "not found within %s, which are not all" % (
+                    self.analysis.space.extent
                 )
             data = _reachability(text, found)
             data["coverable"] = data.pop("reachable")
@@ -230,19 +253,21 @@ class _Report:
 
     def steady_state(self, rewards: Mapping[str, float]) -> None:
         def compute() -> Dict[str, Any]:
-            steady, measures = self.analysis.steady, self.analysis.measures
+            steady, measures, chain = self.analysis.steady, self.analysis.measures, self.analysis.chain
             data = _measures(measures)
             data["mean_waiting_time"] = measures.mean_waiting_time
             data["residual"] = steady.residual
             data["method"] = steady.method
-            data["components"] = []
-            for component in steady.components:
-                part: Dict[str, Any] = {"states": len(component.states), "probability": component.probability}
-                if len(steady.components) > 1:
-                    whole = steady.distribution * 0.0
-                    whole[component.states] = component.distribution
-                    part.update(_measures(Measures(self.analysis.chain, whole)))
-                data["components"].append(part)
+            told = steady.likeliest(COMPONENTS)
+            data["components"] = [self._component(component, len(steady.components) > 1) for component in told]
+            data["component_count"] = len(steady.components)
+            dead = self.analysis.space.is_dead
+            data["deadlock_count"] = sum(
+                len(c.states) == 1 and bool(dead[chain.states[c.states[0]]]) for c in steady.components
+            )
+            data["probability_of_other_components"] = max(1.0 - sum(c.probability for c in told), 0.0) * (
+                len(steady.components) > len(told)
+            )
             for place in self.analysis.left_out:
                 self.undecided["steady_state.mean_tokens.%s" % place] = "only written; it was left out"
             if rewards:
@@ -250,6 +275,22 @@ class _Report:
             return data
 
         self.answer("steady_state", compute)
+
+    def _component(self, component: Component, several: bool) -> Dict[str, Any]:
+        """A recurrent class: how large it is, how probable, whether it is a deadlock, and its most probable marking."""
+        chain = self.analysis.chain
+        likeliest = int(component.states[int(component.distribution.argmax())])
+        part: Dict[str, Any] = {
+            "states": len(component.states),
+            "probability": component.probability,
+            "deadlock": len(component.states) == 1 and bool(self.analysis.space.is_dead[chain.states[likeliest]]),
+            "marking": chain.graph.net.named(chain.graph.marking(int(chain.states[likeliest])), zeros=False),
+        }
+        if several:
+            whole = np.zeros(len(chain))
+            whole[component.states] = component.distribution
+            part.update(_measures(Measures(chain, whole)))
+        return part
 
     def _reward(self, measures: Measures, rewards: Mapping[str, float]) -> float:
         net = self.analysis.net

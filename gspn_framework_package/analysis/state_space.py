@@ -13,29 +13,34 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import sys
+import time
 from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
-from gspn_framework_package.analysis import numpy_engine
+from gspn_framework_package.analysis import numpy_engine, sparse_engine
 from gspn_framework_package.analysis.exploration import (
     Cancel,
     FieldOverflowError,
     Progress,
     RawGraph,
+    Room,
     Watch,
 )
 from gspn_framework_package.analysis.invariants import invariant_bounds
-from gspn_framework_package.analysis.packing import PackedNet, starting_widths
+from gspn_framework_package.analysis.limits import STATE_LIMIT
+from gspn_framework_package.analysis.marking_store import PackedStore, SparseStore
+from gspn_framework_package.analysis.packing import PackedNet, Packing, starting_widths
 from gspn_framework_package.model.condition import Condition, parse_condition
 from gspn_framework_package.model.errors import LimitError, UsageError
 from gspn_framework_package.model.net import Marking, Net
 
-STATE_LIMIT = 2_000_000
-"""States that an exploration may find when nothing else is said."""
+ENGINES = ("auto", "numpy", "numba", "sparse")
 
-ENGINES = ("auto", "numpy", "numba")
+_SPARSE = 1 << 15
+"""Machine words of all transitions from which on markings are explored one at a time, as what changes in them."""
 
 _SMALL = 100_000
 """Up to this many states numpy is done before numba's machine code is even loaded."""
@@ -43,8 +48,8 @@ _SMALL = 100_000
 _FEW_ROUNDS = 5_000
 """Rounds that numpy is given for them, a second or so: it is slow where the graph is deep and narrow."""
 
-_INVARIANT_EFFORT = 2_000
-"""Candidate invariants worth looking at for the sake of narrow fields."""
+_INVARIANT_EFFORT = 100_000
+"""Steps of a search for invariants that narrow fields are worth."""
 
 
 class Step(NamedTuple):
@@ -65,25 +70,36 @@ class StateSpace:
     :ivar targets: int array: the state that each arc leads to.
     :ivar transitions: int array: the number of the transition of each arc.
     :ivar explored: the successors of this many states are known.
-    :ivar engine: what explored it, ``numpy`` or ``numba``.
+    :ivar engine: what explored it, ``numpy``, ``numba`` or ``sparse``.
+    :ivar store: the markings.
+    :ivar shortage: what there was too little of, where it is not complete: the option to raise, and how much there was.
     """
 
-    def __init__(self, packed: PackedNet, graph: RawGraph, *, untimed: bool, engine: str) -> None:
-        self.net = packed.net
+    def __init__(
+        self,
+        net: Net,
+        store: Union[PackedStore, SparseStore],
+        graph: RawGraph,
+        order: Any,
+        *,
+        untimed: bool,
+        engine: str,
+        shortage: Tuple[str, str] = ("", ""),
+    ) -> None:
+        self.net = net
         self.untimed = untimed
         self.engine = engine
+        self.shortage = shortage
+        self.store = store
         self.offsets = graph.offsets
         self.targets = graph.targets
         self.explored = graph.explored
-        self._packed = packed
-        self._states = graph.states
-        order = packed.order.astype(graph.labels.dtype)
-        in_file_order = bool((np.diff(packed.order) > 0).all())
-        self.transitions = graph.labels if in_file_order else order[graph.labels]
+        in_file_order = bool((np.diff(order) > 0).all())
+        self.transitions = graph.labels if in_file_order else order.astype(graph.labels.dtype)[graph.labels]
         self._parents: Optional[Any] = None
 
     def __len__(self) -> int:
-        return len(self._states)
+        return len(self.store)
 
     @property
     def arcs(self) -> int:
@@ -98,21 +114,29 @@ class StateSpace:
     @property
     def memory(self) -> int:
         """Bytes that the arrays take."""
-        return int(self._states.nbytes + self.offsets.nbytes + self.targets.nbytes + self.transitions.nbytes)
+        return int(self.store.nbytes + self.offsets.nbytes + self.targets.nbytes + self.transitions.nbytes)
 
     def require_complete(self, question: str) -> None:
         """:raises LimitError: the limit on states was met, so that ``question`` is not decided."""
         if not self.complete:
-            raise LimitError(
-                "%s: not decided within %d states" % (question, len(self)),
-                hint="raise the limit, or ask about a smaller net",
-            )
+            raise LimitError("%s: not decided within %s" % (question, self.extent), hint=self.hint)
+
+    @property
+    def extent(self) -> str:
+        """For people: what was looked at."""
+        amount = self.shortage[1]
+        return "%d states" % len(self) + (" and %s" % amount if amount else "")
+
+    @property
+    def hint(self) -> str:
+        """For people: what to do where it is not complete."""
+        return "raise %s, or ask about a smaller net" % (self.shortage[0] or "--limit")
 
     # -- markings ---------------------------------------------------------------------------------------
 
     def marking(self, state: int) -> Marking:
         """The marking of one state."""
-        return tuple(self._packed.unpack(self._states[state : state + 1])[0].tolist())
+        return tuple(self.store.rows(slice(state, state + 1))[0].tolist())
 
     def named(self, state: int) -> Dict[str, int]:
         """The marking of one state as place -> count, without the empty places."""
@@ -121,18 +145,16 @@ class StateSpace:
     def markings(self, states: Any = None) -> Any:
         """Markings as an int64 array, one row a state, one column a place; of all states, or of those numbered
         (or sliced, or masked) by ``states``."""
-        return self._packed.unpack(self._states if states is None else self._states[states])
+        return self.store.rows(states)
 
-    def column(self, place: int) -> Any:
-        """Token counts of place number ``place`` in every state, as an int64 array."""
-        return self._packed.column(self._states, place)
+    def column(self, place: int, states: Any = None) -> Any:
+        """Token counts of place number ``place`` in every state, or in ``states``, as an int64 array."""
+        return self.store.column(place, states)
 
     def find(self, marking: Union[Sequence[int], Mapping[str, int]]) -> Optional[int]:
         """The number of the state with that marking (in place order, or place -> count), or None."""
         counts = self.net.marking(marking) if isinstance(marking, Mapping) else tuple(marking)
-        if not self._packed.fits(counts):
-            return None
-        found = np.flatnonzero((self._states == self._packed.pack(counts)).all(axis=1))
+        found = self.store.find(counts)
         return int(found[0]) if len(found) else None
 
     def holds(self, condition: Union[str, Condition]) -> Any:
@@ -145,9 +167,10 @@ class StateSpace:
         result = np.empty(len(self), dtype=bool)
         dead = self.is_dead if condition.labels else None
         for begin in range(0, len(self), 1 << 17):
-            part = slice(begin, begin + (1 << 17))
+            part = slice(begin, min(begin + (1 << 17), len(self)))
             labels = {} if dead is None else {"deadlock": dead[part]}
-            result[part] = condition.holds_in(self.markings(part), labels)
+            columns = _Columns(self, part)
+            result[part] = condition.holds_in_columns(columns, part.stop - part.start, labels)
         return result
 
     def condition(self, text: str) -> Condition:
@@ -232,17 +255,22 @@ def explore(
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
     bounds: Optional[Sequence[Optional[int]]] = None,
+    memory: float = math.inf,
+    seconds: float = math.inf,
 ) -> StateSpace:
     """Find the reachable markings.
 
     :param limit: stop soon after this many states are known; the result then is not ``complete``.
-    :param engine: ``numpy``, ``numba``, or ``auto``: numba for large state spaces, where it is installed.
+    :param engine: ``numpy``, ``numba``, ``sparse``, or ``auto``: sparse for nets of thousands of places, numba for
+        large state spaces, where it is installed.
     :param untimed: let immediate transitions have no precedence over others, nor priorities among themselves: what
         the robots of a plan, which take time in decision places too, can reach.
     :param progress: told the number of states now and then.
     :param cancel: asked now and then.
     :param bounds: of each place, the most tokens it can hold (None: unknown), if the caller knows; otherwise
         the P-invariants are asked. A bound that is too low costs time, never correctness.
+    :param memory: stop when it takes more than so many bytes.
+    :param seconds: stop after so long.
     :raises CancelledError: ``cancel`` said so.
     :raises UsageError: the engine is not there.
     """
@@ -250,31 +278,66 @@ def explore(
         raise UsageError("there is no engine '%s'" % engine, hint="choose among %s" % ", ".join(ENGINES))
     if limit < 1:
         raise UsageError("a limit of %d states makes no sense" % limit, hint="give a number of at least 1")
-    if bounds is None:
-        bounds = invariant_bounds(net, _INVARIANT_EFFORT)
     watch = Watch(progress, cancel)
+    room = Room(memory, time.monotonic() + seconds)
+
+    def space(store: Union[PackedStore, SparseStore], graph: RawGraph, order: Any, name: str) -> StateSpace:
+        shortage = ("--limit", "")
+        if len(store) <= limit:
+            shortage = ("--limit-memory", "%.3g GB" % (memory / 1e9))
+            if time.monotonic() >= room.until:
+                shortage = ("--limit-time", "%g s" % seconds)
+        return StateSpace(net, store, graph, order, untimed=untimed, engine=name, shortage=shortage)
+
+    if engine == "sparse" or (engine == "auto" and _is_sparse(net)):
+        return space(*_run_sparse(net, limit, watch, untimed, room), "sparse")
+    if bounds is None:
+        bounds = invariant_bounds(net, _INVARIANT_EFFORT, watch)
     widths = starting_widths(net, bounds)
     while True:
         packed = PackedNet(net, widths, by_priority=not untimed)
         try:
-            graph, name = _run(packed, limit, watch, engine)
-            return StateSpace(packed, graph, untimed=untimed, engine=name)
+            graph, name = _run(packed, limit, watch, engine, room)
         except FieldOverflowError as overflow:
             widths = packed.wider(overflow.bits)
+        else:
+            return space(PackedStore(Packing(net, widths), graph.states), graph, packed.order, name)
 
 
-def _run(packed: PackedNet, limit: int, watch: Watch, engine: str) -> Tuple[RawGraph, str]:
+def _is_sparse(net: Net) -> bool:
+    """Whether the machine words of the markings would be many, and their transitions too."""
+    return len(net.transitions) * (len(net.places) // 21 + 1) > _SPARSE  # 21 fields of 3 bits in a word
+
+
+def _run_sparse(
+    net: Net, limit: int, watch: Watch, untimed: bool, room: Room
+) -> Tuple[SparseStore, RawGraph, Any]:
+    graph, store, order = sparse_engine.explore(net, limit, watch, by_priority=not untimed, room=room)
+    return store, graph, order
+
+
+class _Columns:
+    """The columns of some of the markings, made when they are looked at."""
+
+    def __init__(self, space: StateSpace, part: slice) -> None:
+        self._space, self._part = space, part
+
+    def __getitem__(self, place: int) -> Any:
+        return self._space.column(place, self._part)
+
+
+def _run(packed: PackedNet, limit: int, watch: Watch, engine: str, room: Room) -> Tuple[RawGraph, str]:
     if engine == "numpy" or (engine == "auto" and not numba_is_there()):
-        return numpy_engine.explore(packed, limit, watch), "numpy"
+        return numpy_engine.explore(packed, limit, watch, room=room), "numpy"
     if engine == "auto" and "numba" not in sys.modules:
-        graph = numpy_engine.explore(packed, min(limit, _SMALL), watch, rounds=_FEW_ROUNDS)
-        if graph.explored == len(graph.states) or len(graph.states) > limit:
+        graph = numpy_engine.explore(packed, min(limit, _SMALL), watch, rounds=_FEW_ROUNDS, room=room)
+        if graph.explored == len(graph.states) or len(graph.states) > limit or not room.left(0):
             return graph, "numpy"
     try:
         from gspn_framework_package.analysis import numba_engine
     except ImportError as error:
         raise UsageError("the engine numba is not there: %s" % error, hint="install numba, or choose numpy") from None
-    return numba_engine.explore(packed, limit, watch), "numba"
+    return numba_engine.explore(packed, limit, watch, room=room), "numba"
 
 
 def numba_is_there() -> bool:

@@ -13,21 +13,26 @@ idle + busy = 1
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, List, NamedTuple, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
+from gspn_framework_package.analysis.exploration import Watch
 from gspn_framework_package.analysis.invariants import (
-    INVARIANT_LIMIT,
     Invariant,
     place_invariants,
     transition_invariants,
     transition_surpluses,
+    uncovered_place,
+    uncovered_transition,
 )
+from gspn_framework_package.analysis.limits import STRUCTURE_LIMIT
 from gspn_framework_package.analysis.siphons import (
-    SIPHON_LIMIT,
     PlaceSet,
+    largest_siphon,
     minimal_siphons,
     minimal_traps,
+    unguarded_siphon,
 )
+from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
 
 
@@ -87,24 +92,29 @@ def conflict_sets(net: Net) -> List[Tuple[str, ...]]:
     for t, transition in enumerate(net.transitions):
         groups.setdefault((transition.timed, 0 if transition.timed else transition.priority), []).append(t)
     found = []
+    inhibited_by: List[List[int]] = [[] for _ in net.places]
+    for t, arcs in enumerate(net.inhibitors):
+        for p, _ in arcs:
+            inhibited_by[p].append(t)
+    effects = [dict(net.effect(t)) for t in range(len(net.transitions))]
     for members in groups.values():
         parent = {t: t for t in members}
 
         def root(t: int) -> int:
             while parent[t] != t:  # noqa: B023
+                parent[t] = parent[parent[t]]  # noqa: B023
                 t = parent[t]  # noqa: B023
             return t
 
-        member_set = set(members)
-        for p in range(len(net.places)):
-            takers = [t for t in net.consumers[p] if t in member_set and dict(net.effect(t)).get(p, 0) < 0]
-            readers = [t for t in net.consumers[p] if t in member_set]
-            givers = [t for t in net.producers[p] if t in member_set and dict(net.effect(t)).get(p, 0) > 0]
-            inhibited = [t for t in members if any(q == p for q, _ in net.inhibitors[t])]
+        for p in {p for t in members for p, _ in net.inputs[t] + net.outputs[t]}:
+            readers = [t for t in net.consumers[p] if t in parent]
+            takers = [t for t in readers if effects[t].get(p, 0) < 0]
+            givers = [t for t in net.producers[p] if t in parent and effects[t].get(p, 0) > 0]
+            inhibited = [t for t in inhibited_by[p] if t in parent]
             for some, others in ((takers, readers), (givers, inhibited)):
-                for t in some:
-                    for other in others:
-                        parent[root(other)] = root(t)
+                if some and others:
+                    for t in some + others:
+                        parent[root(t)] = root(some[0])
         sets: Dict[int, List[int]] = {}
         for t in members:
             sets.setdefault(root(t), []).append(t)
@@ -118,31 +128,53 @@ class Structure:
     Every property raises LimitError where the search it needs would go beyond its limit.
     """
 
-    def __init__(self, net: Net, *, invariant_limit: int = INVARIANT_LIMIT, siphon_limit: int = SIPHON_LIMIT) -> None:
+    def __init__(
+        self, net: Net, *, limit: int = STRUCTURE_LIMIT, watch: Optional[Callable[[], Watch]] = None
+    ) -> None:
+        """:param limit: elementary steps of each search at most.
+        :param watch: makes the watch of a search: where it tells progress and asks whether to stop."""
         self.net = net
-        self._invariant_limit = invariant_limit
-        self._siphon_limit = siphon_limit
+        self._limit = limit
+        self._watch = watch or Watch
         self._known: Dict[str, Any] = {}
 
     @property
     def place_invariants(self) -> List[Invariant]:
         """The minimal P-invariants."""
-        return self._once("P", lambda: place_invariants(self.net, self._invariant_limit))
+        return self._search("P", place_invariants)
 
     @property
     def transition_invariants(self) -> List[Invariant]:
         """The minimal T-invariants."""
-        return self._once("T", lambda: transition_invariants(self.net, self._invariant_limit))
+        return self._search("T", transition_invariants)
 
     @property
     def siphons(self) -> List[PlaceSet]:
         """The minimal siphons."""
-        return self._once("siphons", lambda: minimal_siphons(self.net, self._siphon_limit))
+        return self._search("siphons", minimal_siphons)
 
     @property
     def traps(self) -> List[PlaceSet]:
         """The minimal traps."""
-        return self._once("traps", lambda: minimal_traps(self.net, self._siphon_limit))
+        return self._search("traps", minimal_traps)
+
+    @property
+    def unguarded_siphon(self) -> Optional[PlaceSet]:
+        """A siphon without a marked trap; see :func:`~gspn_framework_package.analysis.siphons.unguarded_siphon`."""
+
+        def search(net: Net, limit: int, watch: Watch) -> Optional[PlaceSet]:
+            try:
+                return unguarded_siphon(net, limit, watch, minimal=self.siphons)
+            except LimitError:
+                return unguarded_siphon(net, limit, watch)
+
+        return self._search("unguarded", search)
+
+    @property
+    def unmarked_siphon(self) -> Tuple[str, ...]:
+        """The places of the largest siphon without a token: none of them ever gets one."""
+        empty = [place.name for place in self.net.places if not place.tokens]
+        return self._once("unmarked", lambda: largest_siphon(self.net, empty))
 
     @property
     def classes(self) -> NetClasses:
@@ -158,7 +190,14 @@ class Structure:
     def conservative(self) -> bool:
         """Whether a weighted sum over *all* places stays the same: every place is in a P-invariant (then the net
         is bounded)."""
-        covered = {name for i in self.place_invariants for name in i.weights}
+        try:
+            covered = {name for i in self.place_invariants for name in i.weights}
+        except LimitError:
+            if self.strictly_conservative:
+                return True
+            if uncovered_place(self.net) is not None:
+                return False
+            raise
         return len(covered) == len(self.net.places)
 
     @property
@@ -169,16 +208,51 @@ class Structure:
     @property
     def consistent(self) -> bool:
         """Whether every transition is in a T-invariant."""
-        covered = {name for i in self.transition_invariants for name in i.weights}
+        try:
+            covered = {name for i in self.transition_invariants for name in i.weights}
+        except LimitError:
+            if not any(self._change_of_all):
+                return True
+            if uncovered_transition(self.net) is not None:
+                return False
+            raise
         return len(covered) == len(self.net.transitions)
 
     @property
     def repetitive(self) -> bool:
         """Whether some marking allows every transition to fire infinitely often: there are firing counts, all
         above 0, that lose no token."""
-        surpluses = self._once("repetitive", lambda: transition_surpluses(self.net, self._invariant_limit))
+        if all(change >= 0 for change in self._change_of_all):
+            return True
+        try:
+            if self.consistent:
+                return True
+        except LimitError:
+            pass
+        surpluses = self._search("repetitive", transition_surpluses)
         covered = {name for row in surpluses for name in row}
         return len(covered) == len(self.net.transitions)
+
+    @property
+    def _change_of_all(self) -> List[int]:
+        """What every place wins when each transition fires once."""
+        change = [0] * len(self.net.places)
+        for t in range(len(self.net.transitions)):
+            for p, by in self.net.effect(t):
+                change[p] += by
+        return change
+
+    def _search(self, key: str, search: Callable[[Net, int, Watch], Any]) -> Any:
+        """What a search finds; where it went beyond its limit, the same error each time."""
+        if key not in self._known:
+            try:
+                self._known[key] = search(self.net, self._limit, self._watch())
+            except LimitError as error:
+                self._known[key] = error
+        found = self._known[key]
+        if isinstance(found, LimitError):
+            raise found
+        return found
 
     def _once(self, key: str, compute: Callable[[], Any]) -> Any:
         if key not in self._known:

@@ -83,15 +83,22 @@ class Evolution:
 
 
 def transient(
-    chain: Chain, times: Iterable[float], *, progress: Optional[Progress] = None, cancel: Optional[Cancel] = None
+    chain: Chain,
+    times: Iterable[float],
+    *,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+    seconds: float = math.inf,
 ) -> List[Transient]:
     """The distributions at ``times`` (s), in their order.
 
+    :param seconds: longest time that the work may take.
+    :raises LimitError: it took longer.
     :raises UsageError: a time that is negative or not finite.
     :raises CancelledError: ``cancel`` said so.
     """
     asked = list(times)
-    evolution = Evolution(chain, watch=Watch(progress, cancel))
+    evolution = Evolution(chain, watch=Watch(progress, cancel, seconds=seconds))
     found = {}
     for time in sorted(set(asked)):
         found[time] = evolution.advance(time - evolution.time)
@@ -105,16 +112,18 @@ def time_to_steady_state(
     steady: Optional[SteadyState] = None,
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
+    seconds: float = math.inf,
 ) -> float:
     """The time (s), to about 1 %, from which on the distribution stays within ``tolerance`` of the steady state
     (half the sum of absolute differences, the total variation distance).
 
-    :raises LimitError: the steady state was not found.
+    :param seconds: longest time that the work may take.
+    :raises LimitError: the steady state was not found, or it took longer.
     """
     if not 0 < tolerance < 1:
         raise UsageError("a tolerance of %g makes no sense" % tolerance, hint="give a number between 0 and 1")
-    goal = (steady or steady_state(chain, progress=progress, cancel=cancel)).distribution
-    watch = Watch(progress, cancel)
+    goal = (steady or steady_state(chain, progress=progress, cancel=cancel, seconds=seconds)).distribution
+    watch = Watch(progress, cancel, seconds=seconds)
 
     def away(vector: Any) -> float:
         return 0.5 * float(np.abs(vector - goal).sum())

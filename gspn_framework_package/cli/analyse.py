@@ -8,13 +8,14 @@ import json
 import math
 import sys
 from pathlib import Path
-from typing import Any, Dict, Iterator, Mapping, Tuple
+from typing import Any, Dict, Iterator, Mapping, Sequence, Tuple
 
 from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.report import STRUCTURE, Questions, report, rows
-from gspn_framework_package.analysis.state_space import ENGINES, STATE_LIMIT
+from gspn_framework_package.analysis.state_space import ENGINES
+from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, working
 from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.model.errors import UsageError
 
@@ -79,9 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     asking.add_argument("--no-structure", action="store_true", help="leave out invariants, siphons and traps")
     asking.add_argument("--no-time", action="store_true", help="leave out the steady state")
     effort = parser.add_argument_group("effort")
-    effort.add_argument(
-        "--limit", type=int, default=STATE_LIMIT, metavar="N", help="markings to visit at most (default %(default)s)"
-    )
+    add_limit_arguments(effort)
     effort.add_argument("--engine", choices=ENGINES, default="auto", help="who explores (default: auto)")
     parser.epilog = "Exit codes: 0 answered (what was not decided is said), 2 wrong input or usage."
 
@@ -101,9 +100,20 @@ def run(args: argparse.Namespace) -> int:
     )
     if any(not (t >= 0 and math.isfinite(t)) for t in questions.at):
         raise UsageError("--at: a time is a number of seconds, at least 0")
-    with ProgressLine() as progress:
-        analysis = Analysis(subject, limit=args.limit, engine=args.engine, progress=progress)
-        data = report(analysis, questions)
+    limits = limits_of(args)
+
+    def analyse(progress: Progress, cancel: Cancel) -> Dict[str, Any]:
+        analysis = Analysis(
+            subject,
+            limits=limits,
+            structure=questions.structure,
+            engine=args.engine,
+            progress=progress,
+            cancel=cancel,
+        )
+        return report(analysis, questions)
+
+    data = working(analyse, limits.memory)
     data["notes"] = notes
     if args.csv:
         with Path(args.csv).open("w", newline="", encoding="utf-8") as file:
@@ -203,6 +213,11 @@ def _structure_text(data: Mapping[str, Any]) -> Iterator[str]:
         for entry in (found or [])[:SHOWN]:
             yield "    %s%s" % (", ".join(entry["places"]), "" if entry["marked"] else " (unmarked)")
         yield from _more(found)
+    if data["unmarked_siphon"]:
+        yield "never marked: %s" % _some(data["unmarked_siphon"])
+    guarded = data["siphons_hold_marked_traps"]
+    without = " (not: %s)" % _some(data["unguarded_siphon"]) if guarded is False else ""
+    yield "every siphon holds a marked trap: %s%s" % (_answer(guarded), without)
 
 
 def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
@@ -242,9 +257,19 @@ def _steady_text(steady: Mapping[str, Any]) -> Iterator[str]:
     yield "steady state (%s, residual %.1e):" % (steady["method"], steady["residual"])
     if len(steady["components"]) > 1:
         for part in steady["components"]:
-            yield "    a recurrent class of %d states, reached with probability %s" % (
-                part["states"],
+            kind = "a recurrent class of %s states, most of the time in" % format(part["states"], ",")
+            if part["states"] == 1:
+                kind = "the deadlock" if part["deadlock"] else "one state for good:"
+            yield "    with probability %s it ends in %s (%s)" % (
                 _number(part["probability"]),
+                kind,
+                _map(part["marking"]),
+            )
+        others = steady["component_count"] - len(steady["components"])
+        if others:
+            yield "    with probability %s in one of %s others; of all %s, %s are deadlocks" % (
+                _number(steady["probability_of_other_components"]),
+                *(format(n, ",") for n in (others, steady["component_count"], steady["deadlock_count"])),
             )
     yield "    %-32s %14s %14s" % ("place", "mean tokens", "mean wait (s)")
     for place, mean in steady["mean_tokens"].items():
@@ -269,6 +294,10 @@ def _number(value: Any) -> str:
 def _map(values: Mapping[str, Any]) -> str:
     shown = ["%s %s" % (name, _number(v)) for name, v in list(values.items())[:SHOWN]]
     return ", ".join(shown) + (", ... (%d in all)" % len(values) if len(values) > SHOWN else "")
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:SHOWN]) + (", ... (%d in all)" % len(names) if len(names) > SHOWN else "")
 
 
 def _more(found: Any) -> Iterator[str]:

@@ -11,7 +11,7 @@ from typing import Dict, List
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain_export import explicit_chain
 from gspn_framework_package.analysis.invariants import invariant_bounds
-from gspn_framework_package.analysis.state_space import STATE_LIMIT
+from gspn_framework_package.analysis.limits import STATE_LIMIT
 from gspn_framework_package.cli.net_input import (
     add_net_arguments,
     print_notes,
@@ -40,7 +40,7 @@ HELP = "write a net in another format"
 CHAINS = {"prism-chain": ".tra", "drn": ".drn"}
 """What a computed Markov chain is written as -> how the files end: PRISM's explicit files, and Storm's DRN."""
 
-BOUNDS_EFFORT = 2_000
+BOUNDS_EFFORT = 200_000
 """Candidate invariants worth looking at for the sake of bounds."""
 
 

@@ -9,8 +9,10 @@ from typing import Union
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.coverability import CoverabilityTree
 from gspn_framework_package.analysis.drawing import chain_graph, tree_graph
+from gspn_framework_package.analysis.exploration import Cancel, Progress
+from gspn_framework_package.analysis.limits import MEMORY
+from gspn_framework_package.cli.limits import working
 from gspn_framework_package.cli.net_input import add_net_arguments, print_notes, read_net_or_plan_argument
-from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats.dot import IMAGE_FORMATS, Graph, net_graph, render
 from gspn_framework_package.formats.source import write_bytes
 from gspn_framework_package.model.errors import UsageError
@@ -81,7 +83,10 @@ def _graph(subject: Union[Net, Plan], what: str, limit: int) -> Graph:
     net = subject.net if isinstance(subject, Plan) else subject
     if what == "net":
         return net_graph(net)
-    with ProgressLine() as progress:
+
+    def draw(progress: Progress, cancel: Cancel) -> Graph:
         if what == "coverability":
-            return tree_graph(CoverabilityTree(net, limit=limit, progress=progress))
-        return chain_graph(Analysis(subject, limit=limit, progress=progress).chain)
+            return tree_graph(CoverabilityTree(net, limit=limit, progress=progress, cancel=cancel, memory=MEMORY))
+        return chain_graph(Analysis(subject, limit=limit, progress=progress, cancel=cancel).chain)
+
+    return working(draw, MEMORY)

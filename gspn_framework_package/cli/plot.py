@@ -9,9 +9,9 @@ from typing import Any, List
 import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.state_space import STATE_LIMIT
+from gspn_framework_package.analysis.exploration import Cancel, Progress
+from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, working
 from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.model.errors import UsageError
 
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--points", type=int, default=60, metavar="N", help="points in time (default %(default)s)")
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="only these places or transitions")
     parser.add_argument("--condition", metavar="CONDITION", help="of --what passage")
-    parser.add_argument("--limit", type=int, default=STATE_LIMIT, metavar="N", help="markings to visit at most")
+    add_limit_arguments(parser.add_argument_group("effort"))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -53,9 +53,12 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("matplotlib is not installed", hint="install python3-matplotlib") from None
     matplotlib.use("Agg")
     subject, notes = read_subject(args)
-    with ProgressLine() as progress:
-        analysis = Analysis(subject, limit=args.limit, progress=progress)
-        figure = _figure(analysis, args)
+    limits = limits_of(args)
+
+    def make(progress: Progress, cancel: Cancel) -> Any:
+        return _figure(Analysis(subject, limits=limits, structure=False, progress=progress, cancel=cancel), args)
+
+    figure = working(make, limits.memory)
     figure.savefig(args.output, dpi=150)
     print_notes(notes)
     return 0

@@ -102,7 +102,13 @@ class Condition:
         import numpy
 
         columns = numpy.asarray(markings).T
-        rows = columns.shape[1] if columns.ndim == 2 else 0
+        return self.holds_in_columns(columns, columns.shape[1] if columns.ndim == 2 else 0, labels)
+
+    def holds_in_columns(self, columns: Any, rows: int, labels: Mapping[str, Any] = {}) -> Any:
+        """The same, the markings told by columns: ``columns[p]`` has the counts of place number ``p`` in each of the
+        ``rows`` markings, and is asked for those places only that the condition names."""
+        import numpy
+
         with numpy.errstate(all="ignore"):
             result = _run(self._program, columns, labels, _vector_functions())
         return numpy.broadcast_to(numpy.asarray(result, dtype=bool), (rows,)).copy()

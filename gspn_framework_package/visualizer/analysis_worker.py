@@ -18,6 +18,7 @@ from typing import Any, Dict, List, Optional, Union
 import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.report import INFINITE, Questions, report
 from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.formats.net_json import net_from_json
@@ -66,8 +67,9 @@ def _analyse(request: Dict[str, Any]) -> None:
     if "simulate" in request:
         _say(part={"simulation": _simulate(subject, request["simulate"], progress)})
         return
-    analysis = Analysis(subject, limit=request["limit"], progress=progress)
     questions = _questions(request)
+    limits = Limits(states=request["limit"], seconds=float(request["seconds"]), memory=MEMORY_BYTES // 2)
+    analysis = Analysis(subject, limits=limits, structure=questions.structure, progress=progress)
     if questions.structure or questions.timing:
         first = Questions(structure=questions.structure, timing=False)
         _say(part=report(analysis, first))  # what is known soon is shown soon

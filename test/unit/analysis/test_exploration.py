@@ -77,7 +77,7 @@ def test_several_words(engine):
         builder.place("a%d" % i, tokens=2).place("b%d" % i, tokens=2**30)
         builder.exponential("t%d" % i, inputs=["a%d" % i, "b%d" % i], outputs={"b%d" % ((i + 1) % 5): 3})
     space = explore(builder.build(), engine=engine)
-    assert space._packed.words > 2
+    assert space.store.packing.words > 2
     check_against_reference(space)
 
 

@@ -141,7 +141,7 @@ def test_text_and_csv(run, saved, tmp_path):
         (["--cover", "nowhere=1"], "there is no place 'nowhere'"),
         (["--reward", "nowhere=1"], "there is no transition 'nowhere'"),
         (["--at", "-1"], "at least 0"),
-        (["--limit", "0"], "limit of 0"),
+        (["--limit", "0"], "--limit 0: a limit is a number above 0"),
         (["--time-to-steady-state", "2"], "tolerance of 2"),
         (["--robots", "2"], "for plans"),
     ],

@@ -1,0 +1,146 @@
+"""How far the verbs of the analysis go, and how they are stopped."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import resource
+import sys
+import threading
+from typing import Any, Callable, List, TypeVar
+
+from gspn_framework_package.analysis.exploration import Cancel, Progress
+from gspn_framework_package.analysis.limits import (
+    LARGE_NET,
+    MEMORY,
+    SECONDS,
+    STATE_LIMIT,
+    STRUCTURE_LIMIT,
+    TREE_LIMIT,
+    Limits,
+)
+from gspn_framework_package.cli.progress import ProgressLine
+from gspn_framework_package.model.errors import CancelledError, LimitError, UsageError
+
+Result = TypeVar("Result")
+
+_PATIENCE = 0.5
+"""Time (s) that cancelled work has to come to its end by itself."""
+
+
+def add_limit_arguments(parser: Any) -> None:
+    """Declare the limits (of a parser or a group of its arguments)."""
+    parser.add_argument(
+        "--limit",
+        type=int,
+        metavar="N",
+        help="markings to visit at most (default %s; fewer in nets of more than %s nodes)"
+        % (format(STATE_LIMIT, ","), format(LARGE_NET, ",")),
+    )
+    parser.add_argument(
+        "--limit-tree",
+        type=int,
+        default=TREE_LIMIT,
+        metavar="N",
+        help="nodes of a coverability tree at most (default %(default)s)",
+    )
+    parser.add_argument(
+        "--limit-structure",
+        type=int,
+        default=STRUCTURE_LIMIT,
+        metavar="N",
+        help="steps of each search for invariants, siphons and traps at most (default %(default)s: a second or two)",
+    )
+    parser.add_argument(
+        "--limit-time",
+        type=float,
+        default=SECONDS,
+        metavar="S",
+        help="longest time of each part, in seconds (default %(default)g)",
+    )
+    parser.add_argument(
+        "--limit-memory",
+        type=float,
+        default=MEMORY / 1e9,
+        metavar="GB",
+        help="memory to use at most (default %(default).3g)",
+    )
+
+
+def limits_of(args: argparse.Namespace) -> Limits:
+    """The limits that the arguments give. :raises UsageError: one makes no sense."""
+    for option in ("limit", "limit_tree", "limit_structure", "limit_time", "limit_memory"):
+        value = getattr(args, option)
+        if value is not None and not (value > 0 and math.isfinite(value)):
+            raise UsageError("--%s %g: a limit is a number above 0" % (option.replace("_", "-"), value))
+    return Limits(args.limit, args.limit_tree, args.limit_structure, args.limit_time, int(args.limit_memory * 1e9))
+
+
+def working(work: Callable[[Progress, Cancel], Result], memory: float) -> Result:
+    """Do long work with a progress line, so that an interrupt ends it at once.
+
+    The work is done on another thread: so the interrupt is seen while a library's compiled code computes.
+
+    :param work: gets a progress callback, and asks a cancel callback now and then.
+    :param memory: bytes that this process may take more than now.
+    :raises LimitError: it took more.
+    """
+    result: List[Result] = []
+    errors: List[BaseException] = []
+    cancelled = threading.Event()
+
+    def run(progress: Progress) -> None:
+        try:
+            result.append(work(progress, cancelled.is_set))
+        except BaseException as error:
+            errors.append(error)
+
+    before = _limit_memory(memory)
+    try:
+        with ProgressLine() as progress:
+            thread = threading.Thread(target=run, args=(progress,), name="analysis", daemon=True)
+            thread.start()
+            try:
+                while thread.is_alive():
+                    thread.join(1.0)
+            except KeyboardInterrupt:
+                cancelled.set()
+                thread.join(_PATIENCE)
+                if thread.is_alive():
+                    progress.__exit__()
+                    _leave()
+                raise
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, before)
+    if errors:
+        error = errors[0]
+        if isinstance(error, MemoryError):
+            raise LimitError("it takes more than %.3g GB of memory" % (memory / 1e9), hint="raise --limit-memory")
+        if isinstance(error, CancelledError):
+            raise KeyboardInterrupt
+        raise error
+    return result[0]
+
+
+def _limit_memory(memory: float) -> Any:
+    """Let this process take so many bytes more; returns what it might take before."""
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    used = 0
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            used = int(file.read().split()[5]) * resource.getpagesize()
+    except (OSError, ValueError, IndexError):
+        pass  # not Linux: the limit is for all of it
+    soft = used + int(memory)
+    if before[1] != resource.RLIM_INFINITY:
+        soft = min(soft, before[1])
+    resource.setrlimit(resource.RLIMIT_DATA, (soft, before[1]))
+    return before
+
+
+def _leave() -> None:
+    """End the process: compiled code goes on, and cannot be asked to stop."""
+    sys.stdout.flush()
+    print("gspn: interrupted", file=sys.stderr, flush=True)
+    os._exit(130)
