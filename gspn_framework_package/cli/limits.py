@@ -88,26 +88,27 @@ def working(work: Callable[[Progress, Cancel], Result], memory: float) -> Result
     """
     result: List[Result] = []
     errors: List[BaseException] = []
-    cancelled = threading.Event()
+    cancelled, done = threading.Event(), threading.Event()
 
     def run(progress: Progress) -> None:
         try:
             result.append(work(progress, cancelled.is_set))
         except BaseException as error:
             errors.append(error)
+        finally:
+            done.set()
 
     before = _limit_memory(memory)
     try:
         with ProgressLine() as progress:
             thread = threading.Thread(target=run, args=(progress,), name="analysis", daemon=True)
-            thread.start()
             try:
-                while thread.is_alive():
-                    thread.join(1.0)
+                thread.start()
+                while not done.wait(1.0):  # not join: an interrupt there has a thread taken for ended (bpo-45274)
+                    pass
             except KeyboardInterrupt:
                 cancelled.set()
-                thread.join(_PATIENCE)
-                if thread.is_alive():
+                if not done.wait(_PATIENCE):
                     progress.__exit__()
                     _leave()
                 raise

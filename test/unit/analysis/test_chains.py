@@ -17,9 +17,11 @@ from gspn_framework_package.analysis.linear import solve
 from gspn_framework_package.analysis.measures import Measures
 from gspn_framework_package.analysis.ordering import sweep_order
 from gspn_framework_package.analysis.passage import first_passage
+from gspn_framework_package.analysis.report import Questions, report
 from gspn_framework_package.analysis.state_space import explore
-from gspn_framework_package.analysis.steady_state import steady_state
+from gspn_framework_package.analysis.steady_state import stationary, steady_state
 from gspn_framework_package.analysis.transient import Evolution, poisson, time_to_steady_state, transient
+from gspn_framework_package.benchmark.large_nets import endings
 from gspn_framework_package.benchmark.nets import kanban, polling
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
@@ -43,6 +45,41 @@ def test_several_recurrent_classes():
     means = Analysis(fork()).measures.mean_tokens
     assert means == pytest.approx({"start": 0, "left": 0.25, "right": 0.5, "far": 0.25})
     assert Analysis(fork()).measures.throughput["away"] == pytest.approx(0.75 * 4 / 3)
+
+
+@relaxed
+@given(bounded_nets(immediate=False))
+def test_small_recurrent_classes_together_and_each_by_itself(net):
+    chain = Chain.of(explore(net))
+    steady = steady_state(chain)
+    assert sum(c.probability for c in steady.components) == pytest.approx(1.0)
+    for component in steady.components:
+        alone = stationary(chain, component.states).values
+        assert component.distribution == pytest.approx(alone, abs=1e-10)
+    # The probability to end up in a class, by dense algebra.
+    within = np.concatenate([c.states for c in steady.components])
+    outside = np.setdiff1d(np.arange(len(chain)), within)
+    rates = chain.rates.toarray()
+    stays = np.linalg.solve(np.diag(chain.exit_rates[outside]) - rates[np.ix_(outside, outside)].T,
+                            chain.initial[outside])  # fmt: skip
+    for component in steady.components:
+        reached = chain.initial[component.states].sum() + (stays @ rates[np.ix_(outside, component.states)]).sum()
+        assert component.probability == pytest.approx(reached, abs=1e-10)
+
+
+def test_of_many_recurrent_classes_the_likeliest_are_named():
+    data = report(Analysis(endings(5, 40)), Questions(structure=False))
+    steady = data["steady_state"]
+    assert (steady["component_count"], steady["deadlock_count"], len(steady["components"])) == (200, 200, 10)
+    first = steady["components"][0]
+    assert first["deadlock"] and first["marking"] == {"way4": 1, "at0": 1}
+    leaving = 5.0 + sum(0.1 + 0.01 * k for k in range(5))
+    assert first["probability"] == pytest.approx(0.14 / leaving)
+    told = sum(part["probability"] for part in steady["components"])
+    assert steady["probability_of_other_components"] == pytest.approx(1 - told)
+    loop = NetBuilder().place("a", tokens=1).exponential("t", inputs="a", outputs="a").build()
+    (only,) = report(Analysis(loop), Questions())["steady_state"]["components"]
+    assert not only["deadlock"]  # it is never left, but something happens there
 
 
 def test_passages_that_may_never_come():

@@ -1,4 +1,4 @@
-"""Both engines find what the firing rule of the model finds, in any number of words, without a silent overflow."""
+"""All engines find what the firing rule of the model finds, in any number of words, without a silent overflow."""
 
 import numpy as np
 import pytest
@@ -6,14 +6,16 @@ from generated_nets import bounded_nets, reference_space
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from gspn_framework_package.analysis import sparse_engine
 from gspn_framework_package.analysis.exploration import Watch
 from gspn_framework_package.analysis.packing import PackedNet, starting_widths
 from gspn_framework_package.analysis.state_space import explore, numba_is_there
+from gspn_framework_package.benchmark.large_nets import ring
 from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import CancelledError, UsageError
 
-ENGINES = ["numpy", pytest.param("numba", marks=pytest.mark.skipif(not numba_is_there(), reason="numba is missing"))]
+ENGINES = ["numpy", "sparse", pytest.param("numba", marks=pytest.mark.skipif(not numba_is_there(), reason="numba is missing"))]
 relaxed = settings(deadline=None, suppress_health_check=list(HealthCheck))
 
 
@@ -54,6 +56,48 @@ def test_engines_number_the_states_alike(net):
         assert np.array_equal(getattr(one, array), getattr(other, array))
 
 
+@pytest.mark.parametrize("whole", [10**6, 0])
+@relaxed
+@given(net=bounded_nets(), data=st.data())
+def test_sparse_markings_answer_as_packed_ones(whole, net, data):
+    packed = explore(net, engine="numpy")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sparse_engine, "_WHOLE", whole)  # told as they are, or as what differs from the initial one
+        sparse = explore(net, engine="sparse")
+    assert np.array_equal(packed.markings(), sparse.markings())
+    for array in ("offsets", "targets", "transitions"):
+        assert np.array_equal(getattr(packed, array), getattr(sparse, array))
+    chosen = np.array(sorted(data.draw(st.sets(st.integers(0, len(packed) - 1), min_size=1))))
+    assert np.array_equal(packed.markings(chosen), sparse.markings(chosen))
+    for p in range(len(net.places)):
+        assert np.array_equal(packed.column(p), sparse.column(p))
+        assert np.array_equal(packed.column(p, chosen), sparse.column(p, chosen))
+    assert packed.store.largest() == sparse.store.largest()
+    for state in chosen.tolist():
+        assert sparse.find(packed.marking(state)) == state
+    assert sparse.find([99] * len(net.places)) is None
+    weights = np.array(data.draw(st.lists(st.sampled_from([0.0, 0.25, 1.0]),
+                                          min_size=len(chosen), max_size=len(chosen))))  # fmt: skip
+    assert sparse.store.means(chosen, weights) == pytest.approx(packed.store.means(chosen, weights))
+    for one, other in zip(packed.store.distributions(chosen, weights), sparse.store.distributions(chosen, weights)):
+        assert one == pytest.approx(other)
+    assert np.array_equal(packed.holds("p0 > p1 or deadlock"), sparse.holds("p0 > p1 or deadlock"))
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_too_little_memory_or_time_ends_it_and_is_said(engine):
+    space = explore(philosophers(12), engine=engine, memory=100_000)
+    assert not space.complete and space.shortage[0] == "--limit-memory" and "--limit-memory" in space.hint
+    space = explore(philosophers(12), engine=engine, seconds=0.0)
+    assert not space.complete and space.shortage[0] == "--limit-time" and "0 s" in space.extent
+
+
+def test_nets_of_thousands_of_places_are_explored_by_what_changes():
+    space = explore(ring(3_000))
+    assert (space.engine, len(space), space.complete) == ("sparse", 3_000, True)
+    assert space.path_to(2) == ["t0", "t1"] and space.named(2_999) == {"p2999": 1}
+
+
 @pytest.mark.skipif(not numba_is_there(), reason="numba is missing")
 @relaxed
 @given(net=bounded_nets(), cores=st.integers(2, 4))
@@ -77,7 +121,7 @@ def test_several_words(engine):
         builder.place("a%d" % i, tokens=2).place("b%d" % i, tokens=2**30)
         builder.exponential("t%d" % i, inputs=["a%d" % i, "b%d" % i], outputs={"b%d" % ((i + 1) % 5): 3})
     space = explore(builder.build(), engine=engine)
-    assert space.store.packing.words > 2
+    assert engine == "sparse" or space.store.packing.words > 2
     check_against_reference(space)
 
 

@@ -5,11 +5,19 @@ import itertools
 import pytest
 from generated_nets import bounded_nets
 from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from gspn_framework_package.analysis.invariants import invariant_bounds, place_invariants, transition_invariants
-from gspn_framework_package.analysis.siphons import minimal_siphons, minimal_traps
+from gspn_framework_package.analysis.siphons import (
+    largest_siphon,
+    largest_trap,
+    minimal_siphons,
+    minimal_traps,
+    unguarded_siphon,
+)
 from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.analysis.structure import Structure, classify, conflict_sets
+from gspn_framework_package.benchmark.large_nets import ring
 from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LimitError
@@ -99,6 +107,61 @@ def test_siphons_and_traps_by_definition(net):
     assert {frozenset(s.places) for s in traps} == subsets_by_definition(net, net.consumers, net.outputs)
     for found in siphons + traps:
         assert found.marked == any(net.place(p).tokens for p in found.places)
+
+
+@relaxed
+@given(bounded_nets(max_places=5, max_transitions=6), st.sets(st.integers(0, 4)))
+def test_what_is_decided_without_a_list(net, numbers):
+    names = [p.name for i, p in enumerate(net.places) if i in numbers]
+    for largest, feeding, support in (
+        (largest_siphon, net.producers, net.inputs),
+        (largest_trap, net.consumers, net.outputs),
+    ):
+        inside = [s for s in sets_by_definition(net, feeding, support) if s <= set(names)]
+        assert set(largest(net, names)) == set().union(*inside)
+    siphons = sets_by_definition(net, net.producers, net.inputs)
+    traps = sets_by_definition(net, net.consumers, net.outputs)
+
+    def is_guarded(siphon):
+        return any(trap <= siphon and any(net.place(p).tokens for p in trap) for trap in traps)
+
+    for found in (unguarded_siphon(net), unguarded_siphon(net, minimal=minimal_siphons(net))):
+        if found is None:
+            assert all(is_guarded(s) for s in siphons)
+        else:
+            assert frozenset(found.places) in siphons and not is_guarded(frozenset(found.places))
+
+
+def sets_by_definition(net, feeding, support):
+    """All non-empty sets of places that hold an item of ``support[t]`` for every ``t`` that feeds them."""
+    places = range(len(net.places))
+    return {
+        frozenset(net.places[p].name for p in chosen)
+        for size in range(1, len(net.places) + 1)
+        for chosen in itertools.combinations(places, size)
+        if all({p for p, _ in support[t]} & set(chosen) for p in chosen for t in feeding[p])
+    }
+
+
+def test_the_structure_of_a_large_ring():
+    structure = Structure(ring(3_000), limit=200_000)
+    assert [len(i.weights) for i in structure.place_invariants] == [3_000]
+    assert [len(i.weights) for i in structure.transition_invariants] == [3_000]
+    assert [len(s.places) for s in structure.siphons + structure.traps] == [3_000, 3_000]
+    assert structure.unguarded_siphon is None and structure.conservative and structure.repetitive
+
+
+@relaxed
+@given(bounded_nets(max_places=5, max_transitions=6))
+def test_what_shows_at_once_is_what_the_invariants_say(net):
+    structure = Structure(net)
+    limited = Structure(net, limit=0)
+    for question in ("conservative", "consistent", "repetitive"):
+        try:
+            answer = getattr(limited, question)
+        except LimitError:
+            continue
+        assert answer == getattr(structure, question)
 
 
 def test_known_structures():
