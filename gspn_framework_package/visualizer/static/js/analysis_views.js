@@ -150,6 +150,7 @@ export class AnswerViews {
         ["Home states", result.home_states ? number(result.home_states.count) : this.answer(result, "home_states")],
         ["Dead transitions", dead ? this.names(dead) : this.answer(result, "dead_transitions")],
         result.left_out?.length > 0 && ["Left out", `${result.left_out.join(", ")}: only written`],
+        ["Limits", `${number(result.limits.states)} markings, ${number(result.limits.tree)} nodes of a tree, ${number(result.limits.structure)} steps for invariants, siphons and traps; ${number(result.limits.seconds)} s and ${number(result.limits.memory_bytes / 1e9)} GB for each part`],
       ]),
       deadlocks?.marking && [h("h3", { text: "A deadlock" }), this.marking(deadlocks.marking), this.way(deadlocks.witness)],
       h("div", { class: "buttons" },
@@ -167,7 +168,12 @@ export class AnswerViews {
     const stay = ({ mean_stay: value }) => (value === "infinite" ? "for ever" : number(value));
     return this.section("Steady state",
       steady.reward !== undefined && this.facts([["Reward", `${number(steady.reward)} /s`]]),
-      steady.components?.length > 1 && h("p", { class: "muted", text: `It ends up in one of ${steady.components.length} recurrent classes, with probabilities ${steady.components.slice(0, 8).map((c) => number(c.probability)).join(", ")}.` }),
+      steady.component_count > 1 && [
+        h("p", { class: "muted", text: `It ends up in one of ${steady.component_count} recurrent classes, ${steady.deadlock_count} of them deadlocks.${steady.component_count > steady.components.length ? ` The ${steady.components.length} most probable:` : ""}` }),
+        h("table", { class: "states" },
+          h("thead", {}, h("tr", {}, h("th", { text: "Most of the time in" }), h("th", { class: "number", text: "probability" }), h("th", { class: "number", text: "states" }))),
+          h("tbody", {}, steady.components.map((part) => h("tr", {}, h("td", { text: Object.entries(part.marking).map(([place, n]) => (n === 1 ? place : `${n} ${place}`)).join(", ") || "empty" }), h("td", { class: "number", text: number(part.probability) }), h("td", { class: "number", text: part.deadlock ? "deadlock" : number(part.states) }))))),
+      ],
       h("div", { class: "buttons" }, this.painter("Show mean tokens", "Mean number of tokens", ...this.heat(steady.mean_tokens)), this.painter("Show throughput", "Firings a second", ...this.heat(steady.throughput))),
       h("h3", { text: "Tokens" }), this.table(["Place", "mean", "wait (s)"], tokens.map(([name, value]) => [name, value, waits.get(name) ?? null])),
       h("h3", { text: "Throughput (1/s)" }), this.table(["Transition", "firings"], flows),
