@@ -4,13 +4,14 @@ robot's actions on the other (thesis 4.3, Algorithm 1)."""
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import itertools
 import os
 import queue
 import threading
 import time
 import uuid
-from typing import Any, Callable, Dict, List, Optional
+from typing import Any, BinaryIO, Callable, Dict, List, Optional
 
 import rospy
 
@@ -38,6 +39,37 @@ from gspn_framework_package.ros.place_servers import PlaceServers
 
 FAREWELL = 2.0
 """Seconds for which a node goes on after the end of the run, so that the others hear of it."""
+LOCK_TIME = 8.0
+"""Seconds that a log may still be held by a node that is about to end."""
+
+
+def lock_log(path: str) -> BinaryIO:
+    """Hold a log: two nodes that write into one file leave something that neither can read.
+
+    :returns: the file; closing it lets go of the log.
+    :raises LogError: another process holds it, or it cannot be written.
+    """
+    deadline = time.monotonic() + LOCK_TIME
+    try:
+        os.makedirs(os.path.dirname(path), exist_ok=True)
+        file = open(path, "ab")  # noqa: SIM115
+    except OSError as error:
+        raise LogError("cannot be written (%s)" % error.strerror, file=path) from None
+    while True:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return file
+        except BlockingIOError:
+            if time.monotonic() > deadline:
+                file.close()
+                raise LogError(
+                    "another node is writing this log", file=path,
+                    hint="a robot has one node in a run: end that one, or give another run",
+                ) from None  # fmt: skip
+            time.sleep(0.1)
+        except OSError:  # a file system without locks
+            return file
+
 
 class ExecutionNode(Worker):
     """Executes a plan for one robot, until the run is over.
@@ -109,6 +141,7 @@ class ExecutionNode(Worker):
 
     def _open_log(self) -> None:
         path = self.options.log_file(self.robot)
+        self._lock = lock_log(path)
         log_id, records = uuid.uuid4().hex, []
         if os.path.exists(path) and os.path.getsize(path):
             try:
@@ -211,6 +244,7 @@ class ExecutionNode(Worker):
         for part in parts:
             with contextlib.suppress(rospy.ROSException, rospy.ServiceException):  # rospy has closed it before us
                 part.close()
+        self._lock.close()
         if self._servers is not None:
             self._servers.stop()
 

@@ -29,7 +29,13 @@ from gspn_framework_package.ros.registration import MASTER_ERRORS, published_top
 
 def run_execution_node() -> int:
     """The execution node of a robot; returns the exit code of the process."""
-    return run_node("gspn_executor", lambda ending: _execute(read_options(), ending))
+    name = rospy.names.get_mappings().get("__name", "gspn_executor")
+
+    def before() -> None:
+        options = read_options_of(rospy.names.ns_join(_own_namespace(), name))
+        refuse_taken([_own_namespace()], options.run)
+
+    return run_node("gspn_executor", lambda ending: _execute(read_options(), ending), before)
 
 
 def run_hosted_robots() -> int:
@@ -94,6 +100,24 @@ def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
         raise ExecutionError("the plan is refused: %s" % "; ".join(reasons), file=plan.file)
 
 
+def refuse_taken(namespaces: List[str], run: str) -> None:
+    """Refuse to start where a robot of another run is at work: ROS would end its node without a word, for two nodes
+    of one name cannot be. Where nobody answers, or the run there is over, there is nothing to refuse.
+
+    :raises ExecutionError: a namespace is taken.
+    """
+    from gspn_framework_package.ros.operator_client import status_in
+
+    for namespace in namespaces:
+        status = status_in(namespace)
+        if status is not None and status["run"] != run and status["ended"] is None:
+            raise ExecutionError(
+                "%s is taken: %s of run '%s' is at work there" % (namespace, status["robot"], status["run"]),
+                hint="give this team another namespace (prefix:=, ns:=), or end that run: gspn stop --run %s"
+                % status["run"],
+            )
+
+
 def await_servers(names: Iterable[str], seconds: float, ending: Ending) -> None:
     """Wait until the master knows every one of these action servers.
 
@@ -125,6 +149,7 @@ def _execute(options: NodeOptions, ending: Ending) -> int:
 
 def _host(options: NodeOptions, ending: Ending) -> int:
     plan, namespaces = _team(options)
+    refuse_taken(list(namespaces.values()), options.run)
     return _run_robots(plan, namespaces, options, ending)
 
 
@@ -147,7 +172,7 @@ def _fork(options: NodeOptions) -> int:
         if code:
             return code
     # what all will need, once for all
-    from gspn_framework_package.ros import execution_node, master_watch  # noqa: F401
+    from gspn_framework_package.ros import execution_node, master_watch, operator_client  # noqa: F401
 
     share_log_configuration()
     members = []
@@ -176,7 +201,11 @@ _Body = Callable[[Plan, str, str, NodeOptions, Ending], int]
 def _member(plan: Plan, robot: str, namespace: str, name: str, options: NodeOptions, body: _Body) -> Member:
     def be_robot() -> int:
         be_node(name, namespace)
-        return run_node(name, lambda ending: body(plan, robot, namespace, options, ending))
+        return run_node(
+            name,
+            lambda ending: body(plan, robot, namespace, options, ending),
+            lambda: refuse_taken([namespace], options.run) if body is _run_robot else None,
+        )
 
     return Member(rospy.names.ns_join(namespace, name), be_robot)
 

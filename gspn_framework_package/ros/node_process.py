@@ -31,11 +31,12 @@ SHUTDOWN_TIME = 5.0
 """Seconds that the node has to unregister at its end; a master that does not answer is not waited for any longer."""
 
 
-def run_node(name: str, body: Callable[[Ending], int]) -> int:
+def run_node(name: str, body: Callable[[Ending], int], before: Callable[[], None] = lambda: None) -> int:
     """Start a ROS node, and end it in order on SIGINT, SIGTERM and ``rosnode kill``.
 
     :param name: of the node, where nobody gives it another.
     :param body: what the node does; given what tells when the node shall end. Its errors are told in one line.
+    :param before: called when there is a master, before the node takes its name from a node that has it.
     :returns: the exit code: that of ``body`` or of its error, or 128 + the signal.
     """
     raise_descriptor_limit()
@@ -52,6 +53,7 @@ def run_node(name: str, body: Callable[[Ending], int]) -> int:
         await_master(ending)
         if ending.is_set():
             return 128 + ending.signals[0]
+        before()
         rospy.init_node(name, disable_signals=True)
         accept_many_connections()
         publish_log_lines_on_a_thread()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import time
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
@@ -33,6 +34,27 @@ class Answer(NamedTuple):
     node: NodeAddress
     success: bool
     message: str
+
+
+def status_in(namespace: str) -> Optional[Dict[str, Any]]:
+    """The status of the execution node in a namespace; None where there is none, or it does not answer. May be called
+    before this process is a node itself. :raises OSError: no master answers; and others of ``MASTER_ERRORS``."""
+    name = rospy.names.ns_join(namespace, "command")
+    master: Any = master_proxy()
+    code, _, uri = master.lookupService("/gspn_operator", name)
+    if code != 1:
+        return None
+    calls = ServiceCalls(deadline=PATIENCE)
+    answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    try:
+        calls.call(namespace, uri, name, Command, CommandRequest(command="status"), answers.put)
+        deadline = time.monotonic() + PATIENCE
+        while time.monotonic() < deadline and not calls.failures:  # nobody there: the master has not noticed yet
+            with contextlib.suppress(queue.Empty):
+                return read_status(answers.get(timeout=0.02).message)
+        return None
+    finally:
+        calls.close()
 
 
 class OperatorClient:

@@ -130,6 +130,12 @@ class ServicesTest(RobotTestCase):
         code, output = gspn("retry")
         self.assertEqual(code, 2, output)
 
+        # a team of another run does not end this one by the names of its nodes
+        other = self.team(team.plan, ("robot_1",), robots=2).start()["robot_1"]
+        self.assertEqual(other.exit_code(), 1)
+        self.assertIn("/robot_1 is taken: robot_1 of run '%s' is at work there" % team.run, other.said())
+        self.assertTrue(robot_1.status()["active"])
+
         self.assertEqual(gspn("stop")[0], 0)
         self.assertEqual([robot.exit_code() for robot in team], [1, 1])
         code, output = gspn("status")
