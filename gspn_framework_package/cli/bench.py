@@ -14,6 +14,7 @@ from gspn_framework_package.benchmark.figures import draw_figures
 from gspn_framework_package.benchmark.machine import machine_line, table
 from gspn_framework_package.benchmark.results import Results
 from gspn_framework_package.benchmark.team_run import LAUNCH_FILES, Master, need_ros
+from gspn_framework_package.cli import numbers
 from gspn_framework_package.model.errors import UsageError
 
 NAME = "bench"
@@ -43,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mode", choices=[*LAUNCH_FILES, "both"], default="process",
                         help="a process for each robot, or all hosted in one (default: %(default)s)")  # fmt: skip
     parser.add_argument("--partial", action="store_true", help="with partial synchronisation")
-    parser.add_argument("--window", type=float, default=5.0, metavar="S",
+    parser.add_argument("--window", type=numbers.duration, default=5.0, metavar="S",
                         help="seconds that each point is measured for (default: %(default)s)")  # fmt: skip
     parser.add_argument("--output", metavar="FOLDER",
                         help="write results.csv, results.json and the figures there; go on where a run into that "
@@ -122,11 +123,8 @@ def _run_experiment(
 
 
 def _sizes(text: str) -> List[int]:
-    """Numbers with commas. :raises ValueError: not that; argparse tells it."""
-    numbers = [int(part) for part in text.split(",")]
-    if min(numbers) < 1:
-        raise ValueError(text)
-    return numbers
+    """Numbers with commas, for argparse."""
+    return [numbers.robots(part) for part in text.split(",")]
 
 
 def _terminated(*_: Any) -> None:

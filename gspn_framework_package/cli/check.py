@@ -8,6 +8,7 @@ from typing import List
 
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT, check
 from gspn_framework_package.analysis.preflight_report import CheckItem, Severity, names
+from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.plan import Plan, ServerAction
@@ -22,12 +23,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
     parser.add_argument(
         "--limit",
-        type=int,
+        type=numbers.markings,
         default=MARKING_LIMIT,
         metavar="N",
         help="markings to visit at most where structure cannot decide (default %(default)s)",
     )
-    parser.add_argument("--robots", type=int, metavar="N", help="check it for a team of N robots")
+    parser.add_argument("--robots", type=numbers.robots, metavar="N", help="check it for a team of N robots")
     parser.add_argument(
         "--standalone", action="store_true", help="check it for agents, which transitions may create and destroy"
     )

@@ -12,6 +12,7 @@ from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain_export import explicit_chain
 from gspn_framework_package.analysis.invariants import invariant_bounds
 from gspn_framework_package.analysis.limits import STATE_LIMIT
+from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import (
     add_net_arguments,
     print_notes,
@@ -76,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--limit",
-        type=int,
+        type=numbers.markings,
         default=STATE_LIMIT,
         metavar="N",
         help="of a chain: markings to visit at most (default %(default)s)",

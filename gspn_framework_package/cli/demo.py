@@ -16,6 +16,7 @@ import uuid
 import webbrowser
 from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
 
+from gspn_framework_package.cli import numbers
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.model.plan import Plan
@@ -35,19 +36,19 @@ START_TIME = 60.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument("--robots", type=int, default=3, metavar="N", help="number of robots (3)")
+    parser.add_argument("--robots", type=numbers.robots, default=3, metavar="N", help="number of robots (3)")
     parser.add_argument("--plan", required=True, metavar="FOLDER", help="folder of the plan")
-    parser.add_argument("--seconds", type=float, default=0, metavar="S", help="end after S seconds; 0: at Ctrl-C")
+    parser.add_argument("--seconds", type=numbers.seconds, default=0, metavar="S",
+                        help="end after S seconds; 0: at Ctrl-C")  # fmt: skip
     parser.add_argument("--headless", action="store_true", help="open no window (the page is served all the same)")
     parser.add_argument("--no-world", action="store_true", help="no simulated room, where the plan's folder has one")
-    parser.add_argument("--port", type=int, default=8090, metavar="P", help="port of the page, or the next free (8090)")
+    parser.add_argument("--port", type=numbers.port, default=8090, metavar="P",
+                        help="port of the page, or the next free (8090)")  # fmt: skip
     parser.epilog = "Exit codes: 0 the team ran, 1 a node died or nothing fired, 2 not a plan or wrong usage."
 
 
 def run(args: argparse.Namespace) -> int:
     """Start the team, show it, end it, and tell how it went."""
-    if args.seconds < 0:
-        raise UsageError("--seconds must not be below 0")
     room = None if args.no_world else find_room(args.plan)
     path = room.plan if room else args.plan
     plan = read_plan(path).for_robots(args.robots)

@@ -11,6 +11,7 @@ from gspn_framework_package.analysis.coverability import CoverabilityTree
 from gspn_framework_package.analysis.drawing import chain_graph, tree_graph
 from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.limits import MEMORY
+from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.limits import working
 from gspn_framework_package.cli.net_input import add_net_arguments, print_notes, read_net_or_plan_argument
 from gspn_framework_package.formats.dot import IMAGE_FORMATS, Graph, net_graph, render
@@ -44,14 +45,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--limit",
-        type=int,
+        type=numbers.markings,
         default=DEFAULT_LIMIT,
         metavar="N",
         help="most markings to draw (default: %(default)s)",
     )
     parser.add_argument(
         "--timeout",
-        type=float,
+        type=numbers.duration,
         default=60.0,
         metavar="S",
         help="longest time for Graphviz, in seconds (default: %(default)g)",
@@ -66,8 +67,6 @@ def run(args: argparse.Namespace) -> int:
             "cannot tell the kind of picture from the name '%s'" % args.output,
             hint="end it in .%s or .dot" % ", .".join(IMAGE_FORMATS),
         )
-    if args.limit < 1:
-        raise UsageError("--limit must be at least 1")
     subject, notes = read_net_or_plan_argument(args)
     graph = _graph(subject, args.what, args.limit)
     text = graph.text()

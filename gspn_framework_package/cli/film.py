@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from typing import Any, Dict, Iterator, Tuple
 
+from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.model.errors import InputError, UsageError
 
@@ -21,12 +22,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("film", metavar="FILM", help="what to write: .mp4 (needs ffmpeg), .gif, .webp, or a folder")
     parser.add_argument("--recording", metavar="FILE", help="film this run (patrol.launch record:=FILE)")
     parser.add_argument("--room", metavar="FILE", help="without a recording: the room file of the patrol")
-    parser.add_argument("--robots", type=int, default=4, metavar="N", help="without a recording: robots (4)")
-    parser.add_argument("--seed", type=int, default=0, help="without a recording: of what is drawn (0)")
-    parser.add_argument("--seconds", type=float, default=120, metavar="S", help="seconds of the run (120)")
-    parser.add_argument("--from", type=float, default=0, metavar="S", dest="start", help="begin there (0)")
-    parser.add_argument("--speed", type=float, default=8, metavar="X", help="times as fast as the run (8)")
-    parser.add_argument("--rate", type=float, default=20, metavar="N", help="pictures a second (20)")
+    parser.add_argument("--robots", type=numbers.whole(1, 100), default=4, metavar="N",
+                        help="without a recording: robots (4)")  # fmt: skip
+    parser.add_argument("--seed", type=numbers.seed, default=0, help="without a recording: of what is drawn (0)")
+    parser.add_argument("--seconds", type=numbers.duration, default=120, metavar="S", help="seconds of the run (120)")
+    parser.add_argument("--from", type=numbers.seconds, default=0, metavar="S", dest="start", help="begin there (0)")
+    parser.add_argument("--speed", type=numbers.number(0.0, 1e4, above=0.0), default=8, metavar="X",
+                        help="times as fast as the run (8)")  # fmt: skip
+    parser.add_argument("--rate", type=numbers.number(0.0, 1e3, above=0.0), default=20, metavar="N",
+                        help="pictures a second (20)")  # fmt: skip
     parser.add_argument("--view", default="corner", choices=("corner", "top"), help="from where (corner)")
     parser.add_argument("--size", default="960x720", metavar="WxH", help="pixels (960x720)")
     parser.add_argument("--json", action="store_true", help="tell the result as JSON")

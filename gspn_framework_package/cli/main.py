@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
 import os
 import sys
 import traceback
@@ -60,6 +61,8 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     :param arguments: the words after the program's name; by default those it was started with.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if isinstance(sys.stdout, io.TextIOWrapper) and hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a file's name may have bytes that are no text
     debug = "--debug" in words or bool(os.environ.get("GSPN_DEBUG"))
     try:
         code = _run(words)
@@ -76,7 +79,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         if debug:
             traceback.print_exc()
         message, code = _explain(error)
-        print(f"gspn: {message}", file=sys.stderr)
+        print("gspn: %s" % message.encode("utf-8", "backslashreplace").decode("utf-8"), file=sys.stderr)
         return code
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from typing import Dict, List, Tuple, Union
 
@@ -87,6 +88,6 @@ def _constants(words: List[str]) -> Dict[str, float]:
             constants[name.strip()] = float(value)
         except ValueError:
             equals = ""
-        if not equals or not name.strip():
+        if not equals or not name.strip() or not math.isfinite(constants[name.strip()]):
             raise UsageError("--const %s: NAME=NUMBER was expected" % word)
     return constants

@@ -10,6 +10,7 @@ import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.exploration import Cancel, Progress
+from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, working
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
@@ -32,8 +33,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="mean tokens or throughput over time, the distribution of tokens in the steady state, or the probability "
         "to come to a condition over time (default: tokens)",
     )
-    parser.add_argument("--time", type=float, metavar="T", help="until when (s); by default, until it has settled")
-    parser.add_argument("--points", type=int, default=60, metavar="N", help="points in time (default %(default)s)")
+    parser.add_argument("--time", type=numbers.duration, metavar="T",
+                        help="until when (s); by default, until it has settled")  # fmt: skip
+    parser.add_argument("--points", type=numbers.whole(2, 100_000), default=60, metavar="N",
+                        help="points in time (default %(default)s)")  # fmt: skip
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="only these places or transitions")
     parser.add_argument("--condition", metavar="CONDITION", help="of --what passage")
     add_limit_arguments(parser.add_argument_group("effort"))
@@ -45,8 +48,6 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("a picture ends in .png, .svg or .pdf, not as '%s' does" % args.output)
     if (args.what == "passage") != (args.condition is not None):
         raise UsageError("--what passage and --condition belong together")
-    if args.points < 2:
-        raise UsageError("--points %d: at least 2" % args.points)
     try:
         import matplotlib
     except ImportError:

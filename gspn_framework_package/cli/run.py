@@ -12,6 +12,7 @@ import uuid
 from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.analysis.preflight import check
+from gspn_framework_package.cli import numbers
 from gspn_framework_package.execution.entries import Entry
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.firing import Firing
@@ -28,10 +29,10 @@ HELP = "execute a plan without ROS, its agents on threads"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
-    parser.add_argument("--agents", type=int, metavar="N", help="run it with N agents")
-    parser.add_argument("--seconds", type=float, metavar="S", help="stop after S seconds")
-    parser.add_argument("--firings", type=int, metavar="N", help="stop after N firings")
-    parser.add_argument("--seed", type=int, help="seed of the policy's draws, for the plan's own")
+    parser.add_argument("--agents", type=numbers.robots, metavar="N", help="run it with N agents")
+    parser.add_argument("--seconds", type=numbers.seconds, metavar="S", help="stop after S seconds")
+    parser.add_argument("--firings", type=numbers.whole(0, 2**53), metavar="N", help="stop after N firings")
+    parser.add_argument("--seed", type=numbers.seed, help="seed of the policy's draws, for the plan's own")
     parser.add_argument("--log", metavar="FILE", help="record the run as an event log (a new file)")
     parser.add_argument(
         "--json", action="store_true", help="print one JSON object a line: firings, faults, the end"

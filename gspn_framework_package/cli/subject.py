@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import List, Tuple, Union
 
-from gspn_framework_package.cli import net_input
+from gspn_framework_package.cli import net_input, numbers
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -19,7 +19,7 @@ def add_subject_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="of a plan take the net by its weights, instead of the policy",
     )
-    parser.add_argument("--robots", type=int, metavar="N", help="of a plan: for a team of N robots")
+    parser.add_argument("--robots", type=numbers.robots, metavar="N", help="of a plan: for a team of N robots")
 
 
 def read_subject(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]:

@@ -15,6 +15,7 @@ from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import ExpressionError, PlanError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import (
+    MAX_ROBOTS,
     Action,
     FailureKind,
     FailureRule,
@@ -26,6 +27,7 @@ from gspn_framework_package.model.plan import (
     ServerAction,
     Synchronisation,
     Timing,
+    too_many_robots,
 )
 from gspn_framework_package.model.policy import Policy
 
@@ -180,6 +182,9 @@ def deal_robots(
     by place in the order given (that of the net where none is), resource places left out."""
     places = list(order or ())
     places += [p.name for p in net.places if p.name not in set(places)]
+    total = sum(net.place(p).tokens for p in places if p not in resources)
+    if total > MAX_ROBOTS:
+        raise too_many_robots(total)
     names = [p for p in places if p not in resources for _ in range(net.place(p).tokens)]
     return tuple(RobotSpec("%s%d" % (prefix, k), place) for k, place in enumerate(names, 1))
 

@@ -126,7 +126,8 @@ def read_net_with_notes(
 def _check_constants(data: bytes, constants: Mapping[str, float]) -> None:
     """:raises UsageError: a constant that no word of the file is: a slip of the pen, which would change nothing."""
     for name in constants:
-        if b"\0" not in data and not re.search(rb"(?<!\w)%s(?!\w)" % re.escape(name).encode(), data):
+        word = re.escape(name).encode(errors="surrogateescape")
+        if b"\0" not in data and not re.search(rb"(?<!\w)%s(?!\w)" % word, data):
             raise UsageError("the constant '%s' does not occur in the file" % name, hint="is it spelt as it is there?")
 
 

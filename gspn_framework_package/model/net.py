@@ -31,6 +31,10 @@ from gspn_framework_package.model.errors import NetError, NotEnabledError
 
 Marking = Tuple[int, ...]
 Position = Tuple[float, float]
+MAX_COUNT = 2**53
+"""Largest number of tokens, capacity, arc weight or priority that a net may say: what every part of the
+package, JSON and a browser hold exactly."""
+
 WeightedPlaces = Tuple[Tuple[int, int], ...]
 """Pairs (place index, arc weight), in the order of the arcs in the file."""
 
@@ -147,6 +151,7 @@ class Net:
                     "weight %r is not a whole number of at least 1" % (arc.weight,),
                     element=_arc_name(arc),
                 )
+            _check_size(arc.weight, "weight", _arc_name(arc))
             place, transition = (
                 self.place_index.get(arc.source),
                 self.transition_index.get(arc.target),
@@ -437,6 +442,11 @@ def _arc_name(arc: Arc) -> str:
     )
 
 
+def _check_size(count: int, what: str, element: str) -> None:
+    if count > MAX_COUNT:
+        raise NetError("its %s is larger than 2**53 (%d)" % (what, MAX_COUNT), element=element)
+
+
 def _check_place(place: Place) -> None:
     element = "place '%s'" % place.name
     if not isinstance(place.tokens, int) or place.tokens < 0:
@@ -444,6 +454,7 @@ def _check_place(place: Place) -> None:
             "its initial marking %r is not a whole number of at least 0" % (place.tokens,),
             element=element,
         )
+    _check_size(place.tokens, "initial marking", element)
     if place.capacity is None:
         return
     if not isinstance(place.capacity, int) or place.capacity < 1:
@@ -452,6 +463,7 @@ def _check_place(place: Place) -> None:
             element=element,
             hint="leave the capacity out for an unlimited place",
         )
+    _check_size(place.capacity, "capacity", element)
     if place.tokens > place.capacity:
         raise NetError(
             "its initial marking %d is above its capacity %d" % (place.tokens, place.capacity),
@@ -472,6 +484,7 @@ def _check_transition(transition: Transition) -> None:
             "its priority %r is not a whole number of at least 0" % (transition.priority,),
             element=element,
         )
+    _check_size(transition.priority, "priority", element)
     if transition.servers is not None and (
         not isinstance(transition.servers, int) or transition.servers < 1
     ):
@@ -480,3 +493,4 @@ def _check_transition(transition: Transition) -> None:
             element=element,
             hint="None stands for infinitely many",
         )
+    _check_size(transition.servers or 1, "number of servers", element)

@@ -16,6 +16,18 @@ from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.policy import Policy
 
+MAX_ROBOTS = 10_000
+"""Most robots of a team: a number beyond it is a slip, and would fill the memory."""
+
+
+def too_many_robots(number: int) -> PlanError:
+    """The error of a team that is larger than any could be."""
+    return PlanError(
+        "a team of %d robots; at most %d are possible" % (number, MAX_ROBOTS),
+        element="robots",
+        hint="every token in an action place is a robot; are these resource places?",
+    )
+
 
 class Synchronisation(enum.Enum):
     """How much the robots tell each other (thesis 4.3.3)."""
@@ -223,8 +235,8 @@ class Plan:
 
         :raises PlanError: ``number`` below 1, or nowhere to start.
         """
-        if number < 1:
-            raise PlanError("a team has at least 1 robot, not %d" % number)
+        if not 1 <= number <= MAX_ROBOTS:
+            raise PlanError("a team has from 1 to %d robots, not %d" % (MAX_ROBOTS, number))
         robots = list(self.robots[:number])
         cycle = self.spawn or tuple(r.place for r in self.robots)
         taken = {r.name for r in robots}
@@ -317,6 +329,8 @@ class Plan:
                     )
 
     def _validate_robots(self) -> None:
+        if len(self.robots) > MAX_ROBOTS:
+            raise too_many_robots(len(self.robots))
         names = set()
         for robot in self.robots:
             if robot.name in names or not robot.name:

@@ -29,7 +29,7 @@ def nets(draw, capacities=True, servers=(1, None, 3)):
         tokens = draw(COUNTS)
         capacity = None
         if capacities and draw(st.booleans()):
-            capacity = max(1, tokens + draw(st.integers(0, 3)))
+            capacity = min(max(1, tokens + draw(st.integers(0, 3))), 2**53)
         places.append(Place(name, tokens, capacity, draw(POSITIONS)))
     transitions = []
     for name in names[split:][:5]:

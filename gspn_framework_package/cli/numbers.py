@@ -1,0 +1,71 @@
+"""Numbers on the command line, with bounds: what lies outside is a wrong usage, said in one line."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from typing import Callable, Optional
+
+MOST_MARKINGS = 10**12
+"""Largest limit on markings: no machine holds more."""
+
+MOST_SECONDS = 10.0**12
+"""Longest time in seconds: some 30,000 years."""
+
+MOST_REPLICATIONS = 10**6
+"""Most runs of one simulation: the interval is a thousandth as wide as the spread of one run."""
+
+
+def whole(least: int, most: int) -> Callable[[str], int]:
+    """A type for ``add_argument``: a whole number from ``least`` to ``most``."""
+
+    def read(text: str) -> int:
+        try:
+            value = int(text) if len(text) <= 40 else None
+        except ValueError:
+            value = None
+        if value is None or not least <= value <= most:
+            raise argparse.ArgumentTypeError("'%.40s' is not a whole number from %d to %d" % (text, least, most))
+        return value
+
+    return read
+
+
+def number(least: float, most: float, *, above: Optional[float] = None) -> Callable[[str], float]:
+    """A type for ``add_argument``: a number from ``least`` (or, with ``above``, greater than that) to ``most``, which
+    may be infinite; never NaN."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= most or (above is not None and value <= above):
+            begin = "from %g" % least if above is None else "above %g" % above
+            end = "" if most == math.inf else " to %g" % most
+            raise argparse.ArgumentTypeError("'%.40s' is not a number %s%s" % (text, begin, end))
+        return value
+
+    return read
+
+
+markings = whole(1, MOST_MARKINGS)
+"""A limit on markings."""
+
+robots = whole(1, 10_000)
+"""The size of a team."""
+
+seconds = number(0.0, MOST_SECONDS)
+"""A time in seconds."""
+
+port = whole(0, 65_535)
+"""A port of this machine; 0: any free one."""
+
+duration = number(0.0, MOST_SECONDS, above=0.0)
+"""A time in seconds that is not 0."""
+
+replications = whole(1, MOST_REPLICATIONS)
+"""Runs of one simulation."""
+
+seed = whole(-(2**63), 2**63 - 1)
+"""A seed of the policy's draws."""
