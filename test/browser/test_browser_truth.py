@@ -134,11 +134,11 @@ def test_after_a_reset_the_time_line_begins_anew_and_the_reset_is_taken_back(sho
 
 
 class Dense(Activity):
-    """A recorded run with an event every 2 ms for 40 s: robot_1 goes to and fro, robot_2 waits from 0.5 s on."""
+    """A recorded run with an event every 2 ms for 24 s: robot_1 goes to and fro, robot_2 waits from 0.5 s on."""
 
     mode = "REPLAY"
     STEP = 0.002
-    EVENTS = 20_000
+    EVENTS = 12_000
 
     def begin(self, hub):
         board = Board(2, [2, 0])
@@ -177,11 +177,11 @@ def test_the_clock_of_a_dense_recording_is_that_of_the_board_and_no_lane_is_inve
     page.keyboard.press(" ")
     page.wait_for_function("(n) => window.gspn.model.board.n === n", arg=Dense.EVENTS)
     assert page.evaluate("() => window.ahead") == []
-    assert page.evaluate("() => window.gspn.model.now()") == 40.0
-    page.evaluate("() => window.gspn.model.show(15000)")
-    page.wait_for_function("() => window.gspn.model.board.n === 15000 && window.gspn.model.base?.n < 15000 && !window.gspn.model.fetching")
-    lanes = page.evaluate("() => Object.fromEntries(window.gspn.page.line.segments(20, 30))")
-    assert lanes["robot_2"]["parts"] == [[20, 30, 0, "done"]]
+    assert page.evaluate("() => window.gspn.model.now()") == 24.0
+    page.evaluate("() => window.gspn.model.show(9000)")
+    page.wait_for_function("() => window.gspn.model.board.n === 9000 && window.gspn.model.base?.n < 9000 && !window.gspn.model.fetching")
+    lanes = page.evaluate("() => Object.fromEntries(window.gspn.page.line.segments(8, 18))")
+    assert lanes["robot_2"]["parts"] == [[8, 18, 0, "done"]]
     known = page.evaluate("() => window.gspn.model.base.t")
     first = lanes["robot_1"]["parts"][0]
     assert first[0] >= known - Dense.STEP and first[1] - first[0] <= 2 * Dense.STEP

@@ -294,7 +294,8 @@ export class Model extends EventTarget {
         this.tell("view");
         return;
       }
-      if (!this.loading && this.board.n < this.head.n && (!known || (known.n < this.head.n && known.t - this.playClock < PREPARED * this.speed))) {
+      const short = !known || (known.n < this.head.n && known.n - this.board.n < KEPT / 2 && known.t - this.playClock < PREPARED * this.speed);
+      if (short && !this.loading && this.board.n < this.head.n) {
         this.loading = true;
         this.fetchAhead().catch(() => {}).finally(() => { this.loading = false; });
       }
