@@ -42,7 +42,7 @@ export class TimeLine extends EventTarget {
     };
     this.canvas.onkeydown = (event) => this.key(event);
     const spans = $("span");
-    spans.replaceChildren(h("option", { value: "", text: "all" }), ...SPANS.map((span) => h("option", { value: span, text: spanText(span) })));
+    spans.replaceChildren(h("option", { value: "", text: "auto" }), ...SPANS.map((span) => h("option", { value: span, text: spanText(span) })));
     spans.onchange = () => { this.span = Number(spans.value) || null; this.update(); };
     this.observer = new ResizeObserver(() => this.update());
     this.observer.observe(this.canvas.parentElement);
