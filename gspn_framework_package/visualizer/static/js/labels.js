@@ -10,12 +10,13 @@ const FAMILY = 'system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
 const BOLD = 1.12; // how much wider the name of the selected node is
 const SMALLEST = 9.5; // px
 const CROWDED = 0.28; // below this zoom only a few names, of what matters most
+const TINY = 0.1; // and below this one none but of what is selected
 const FEW = 120;
 const DRAWN = 700; // at most
 const CELL = 64;
 const ARCS = 1500; // names keep clear of arcs in nets with up to this many
-const THOROUGH = 400; // nodes in the view up to which every spot is tried, and names make room for others
-const PUZZLED = 120; // nodes in the view up to which names move for names that move for others
+const THOROUGH = 250; // nodes in the view up to which every spot is tried
+const PUZZLED = 120; // and up to which names move to make room for others
 const SLIDES = [0, -0.33, 0.33, -0.66, 0.66, -1, 1]; // how far a name is moved along its symbol, from its middle
 const GAP = 3; // px between a symbol and its name
 const FLAG = 11; // height of the triangle above a transition that is enabled, in units of the net
@@ -25,6 +26,7 @@ const shorten = (name) => {
   return characters.length > CHARACTERS ? `${characters.slice(0, CHARACTERS - 1).join("")}…` : name;
 };
 
+const NOTHING = [];
 const apart = (a, b) => a[0] >= b[2] || a[2] <= b[0] || a[1] >= b[3] || a[3] <= b[1];
 
 /** Boxes [x0, y0, x1, y1] in pixels; a coarse grid tells which are near. */
@@ -56,25 +58,33 @@ class Boxes {
   under(box) {
     const found = new Set();
     for (const key of this.keys(box)) {
-      for (const other of this.cells.get(key) || []) if (!apart(box, other)) found.add(other);
+      for (const other of this.cells.get(key) || NOTHING) if (!apart(box, other)) found.add(other);
     }
     return found;
   }
 
   free(box) {
-    return this.keys(box).every((key) => [...(this.cells.get(key) || [])].every((other) => apart(box, other)));
+    for (const key of this.keys(box)) {
+      for (const other of this.cells.get(key) || NOTHING) if (!apart(box, other)) return false;
+    }
+    return true;
   }
 }
 
 export class Labels {
   constructor(view) {
     this.view = view;
-    const ruler = document.createElement("canvas").getContext("2d");
-    ruler.font = `100px ${FAMILY}`;
-    for (const node of view.nodes) {
+    this.ruler = document.createElement("canvas").getContext("2d");
+    this.ruler.font = `100px ${FAMILY}`;
+  }
+
+  /** Width of a name at a font size of 1. */
+  width(node) {
+    if (node.text === undefined) {
       node.text = shorten(node.name);
-      node.textWidth = ruler.measureText(node.text).width / 100 + 0.1; // at a font size of 1
+      node.textWidth = this.ruler.measureText(node.text).width / 100 + 0.1;
     }
+    return node.textWidth;
   }
 
   later() {
@@ -109,6 +119,13 @@ export class Labels {
     this.chosen = view.selection && view.nodeOf(view.selection);
     this.beside = new Set(this.chosen ? view.arcs.all.flatMap(({ from, to }) => (from === this.chosen ? [to] : to === this.chosen ? [from] : [])) : []);
     const crowded = k < CROWDED;
+    const least = k < TINY ? 1 : crowded ? 2 : 3; // rank of what is named at this zoom
+    const order = [];
+    for (const item of seen) {
+      const rank = this.rank(item.node);
+      if (rank <= least) order.push({ ...item, rank }); else this.take(item.node, null);
+    }
+    if (!order.length) return;
     this.k = k;
     this.shown = shown;
     this.line = shown * 1.25;
@@ -132,16 +149,15 @@ export class Labels {
       this.fixed.add([sx - half, base - this.line * 0.85, sx + half, base + this.line * 0.15]);
     }
 
-    const order = seen.map((item) => ({ ...item, rank: this.rank(item.node) }));
     order.sort((a, b) => a.rank - b.rank || (a.node.kind === "place" ? 0 : 1) - (b.node.kind === "place" ? 0 : 1));
     this.thorough = seen.length <= THOROUGH;
     const leftOut = [];
     for (const item of order) {
-      if (crowded ? item.rank === 3 || this.placed.size >= FEW : this.placed.size >= DRAWN) continue;
+      if (this.placed.size >= (crowded ? FEW : DRAWN)) break;
       const box = this.bestFree(item) || (item.rank === 0 ? this.leastBad(item) : null);
       if (box) this.settle(item, box); else leftOut.push(item);
     }
-    if (this.thorough) for (const item of leftOut) this.makeRoom(item, seen.length <= PUZZLED ? 3 : 1);
+    if (seen.length <= PUZZLED) for (const item of leftOut) this.makeRoom(item, 3);
     for (const item of order) {
       const box = this.placed.get(item);
       this.take(item.node, box ? [(box[0] - item.sx) / k, (box[1] + shown * 0.95 - item.sy) / k] : null);
@@ -155,7 +171,7 @@ export class Labels {
     const [halfWidth, halfHeight] = node.kind === "place" ? [RADIUS, RADIUS] : BAR[node.kind];
     const w = halfWidth * k, h = halfHeight * k;
     const above = h + (node.kind === "place" ? 0 : FLAG * k);
-    const length = node.textWidth * this.shown * (node === this.chosen ? BOLD : 1);
+    const length = this.width(node) * this.shown * (node === this.chosen ? BOLD : 1);
     const found = [];
     const spot = (x0, y0, cost) => found.push(Object.assign([x0, y0, x0 + length, y0 + line], { cost }));
     for (const far of this.thorough ? [0, 0.6, 1.2, 1.8] : [0]) {
@@ -192,7 +208,7 @@ export class Labels {
   crossed(box) {
     let count = 0;
     for (const key of this.names.keys(box)) {
-      for (const [px, py] of this.points.get(key) || []) {
+      for (const [px, py] of this.points.get(key) || NOTHING) {
         if (px > box[0] - 1 && px < box[2] + 1 && py > box[1] + 1 && py < box[3] - 2) count += 1;
       }
     }
