@@ -104,19 +104,24 @@ class StructureChecks:
             return
         acts = {self.net.place_number(p) for p in self.plan.action_places}
         differing = [
-            t.name
+            t
             for i, t in enumerate(self.net.transitions)
             if t.timed and t.servers is not None and any(p in acts for p, _ in self.net.inputs[i])
         ]
-        if differing:
-            self._list.add(
-                "servers",
-                Severity.WARNING,
-                "%s: the file says a limited number of servers, but robots work in "
-                "parallel, so runs and the analysis of the plan have as many servers as robots; the "
-                "analysis of the net takes the file's word" % names(differing),
-                transitions=differing,
-            )
+        # one server is also what a file means that says nothing of servers
+        for single, severity, what in (
+            (False, Severity.WARNING, "the file says a limited number of servers"),
+            (True, Severity.OK, "one server in the file, or none said"),
+        ):
+            listed = [t.name for t in differing if (t.servers == 1) is single]
+            if listed:
+                self._list.add(
+                    "servers",
+                    severity,
+                    "%s: %s; robots work in parallel, so runs and the analysis of the plan have as many servers as "
+                    "robots; the analysis of the net takes the file's word" % (names(listed), what),
+                    transitions=listed,
+                )
 
     def _look_at_resources(self) -> None:
         if self.written:

@@ -87,14 +87,18 @@ def robot_of(plan: Plan, options: NodeOptions) -> Tuple[Plan, str]:
 
 
 def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
-    """Refuse a plan that must not run, and tell its warnings. :raises ExecutionError: refused."""
+    """Refuse a plan that must not run, and warn, once for each kind of finding. :raises ExecutionError: refused."""
     from gspn_framework_package.analysis.preflight import check
     from gspn_framework_package.analysis.preflight_report import Severity
 
     report = check(plan)
+    warnings: Dict[str, List[str]] = {}
     for item in report.items:
         if item.severity is Severity.WARNING:
-            warn("%s: %s: %s" % (plan.name, item.check, item.text))
+            warnings.setdefault(item.check, []).append(item.text)
+    for kind, texts in warnings.items():
+        more = " (and %d more of this kind: see 'gspn check')" % (len(texts) - 1) if len(texts) > 1 else ""
+        warn("%s: %s: %s%s" % (plan.name, kind, texts[0], more))
     if report.refused:
         reasons = [i.text for i in report.items if i.severity is Severity.REFUSED]
         raise ExecutionError("the plan is refused: %s" % "; ".join(reasons), file=plan.file)

@@ -276,7 +276,11 @@ def test_a_counter_that_the_policy_reads_is_not_left_out():
 
 def test_servers_of_transitions_and_places_that_decide():
     single = NetBuilder("single").place("a", tokens=2).exponential("go", inputs="a", outputs="a")
-    assert check(make_plan(single)).of("servers")[0].details["transitions"] == ["go"]
+    (item,) = check(make_plan(single)).of("servers")
+    assert (item.details["transitions"], item.severity) == (["go"], Severity.OK)  # nothing was said of servers
+    two = NetBuilder("two").place("a", tokens=2).exponential("go", inputs="a", outputs="a", servers=2)
+    (item,) = check(make_plan(two)).of("servers")
+    assert (item.details["transitions"], item.severity) == (["go"], Severity.WARNING)
     assert check(make_plan(choice())).of("decision_actions")[0].details["places"] == ["d"]
     assert not check(make_plan(choice(), idle=["d"])).of("decision_actions")
 
