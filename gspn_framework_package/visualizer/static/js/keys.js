@@ -7,7 +7,7 @@ const TABLE = [
   ["→  ←", "a step, a step back"],
   ["Shift + →", "n steps"],
   ["X", "fire the transition that is chosen"],
-  ["R", "reset the simulation"],
+  ["R", "reset the simulation, for all viewers; ← takes it back"],
   ["E", "highlight of what is enabled, on and off"],
   ["L", "back to live"],
   ["F", "fit the net"],
