@@ -266,7 +266,8 @@ export class TimeLine extends EventTarget {
     canvas.setAttribute("aria-valuemax", Math.max(model.head.n, model.oldest));
     canvas.setAttribute("aria-valuenow", model.board.n);
     canvas.setAttribute("aria-valuetext", this.says());
-    $("position").textContent = `${seconds(model.now())}   ·   ${model.board.n} / ${model.head.n}`;
+    const reading = model.info.loading ? `   ·   reading the log: ${Math.floor(100 * (model.info.progress || 0))} %` : "";
+    $("position").textContent = `${seconds(model.now())}   ·   ${model.board.n} / ${model.head.n}${reading}`;
     $("back-to-live").hidden = model.following || model.mode === "REPLAY";
     $("back-to-live").textContent = model.mode === "LIVE" ? "Back to live" : "Back to now";
   }
