@@ -1,9 +1,11 @@
-"""``gspn convert``: a net from one format into another."""
+"""``gspn convert``: a net from one format into another, and a plan into one file."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import shutil
 import sys
 from pathlib import Path
 from typing import Dict, List
@@ -30,16 +32,22 @@ from gspn_framework_package.formats import (
     write_net,
 )
 from gspn_framework_package.formats.markov_chain import drn, prism_files
+from gspn_framework_package.formats.plan_file import PLAN_FILE, is_plan, read_plan
+from gspn_framework_package.formats.plan_json import plan_to_short_json
 from gspn_framework_package.formats.source import write_bytes
 from gspn_framework_package.model.composition import expand_place
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import FunctionAction, Plan
 
 NAME = "convert"
-HELP = "write a net in another format"
+HELP = "write a net in another format, or a plan as one file"
 
 CHAINS = {"prism-chain": ".tra", "drn": ".drn"}
 """What a computed Markov chain is written as -> how the files end: PRISM's explicit files, and Storm's DRN."""
+
+PLAN = "plan"
+"""What a plan is written as: ``plan.json`` with net and policy inside."""
 
 BOUNDS_EFFORT = 200_000
 """Candidate invariants worth looking at for the sake of bounds."""
@@ -48,12 +56,17 @@ BOUNDS_EFFORT = 200_000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     add_net_arguments(parser)
-    parser.add_argument("output", metavar="OUT", help="the file to write, - for standard output")
+    parser.add_argument(
+        "output",
+        metavar="OUT",
+        help="the file to write, - for standard output; for a plan, such as an input file of the thesis: a new .json "
+        "file, or a folder that gets a plan.json and the functions",
+    )
     parser.add_argument(
         "--to",
         metavar="FORMAT",
         help="its format, when its name does not tell: %s; or the Markov chain of the net, or of the "
-        "plan under its policy, state by state: %s"
+        "plan under its policy, state by state: %s; or, of a plan, 'plan' (.json)"
         % (
             ", ".join("%s (%s)" % (f.name, f.extensions[0]) for f in FORMATS.values()),
             ", ".join("%s (%s)" % item for item in CHAINS.items()),
@@ -92,6 +105,8 @@ def run(args: argparse.Namespace) -> int:
     if args.output == "-" and args.json:
         raise UsageError("--json and the net cannot both go to standard output")
     suffix = Path(args.output).suffix.lower()
+    if args.to == PLAN or args.to is None and (suffix == ".json" or os.path.isdir(args.output)):
+        return _write_plan(args)
     chain = args.to or next((name for name, ending in CHAINS.items() if ending == suffix), None)
     if chain in CHAINS:
         if args.expand:
@@ -156,6 +171,49 @@ def _write_chain(args: argparse.Namespace, kind: str) -> int:
     else:
         print_notes(notes)
     return 0
+
+
+def _write_plan(args: argparse.Namespace) -> int:
+    """Write a plan as one file, or as a folder with the functions beside it."""
+    if args.output == "-":
+        raise UsageError("a plan is not written to standard output")
+    if args.expand or args.label or args.net or args.const or args.servers or args.controllable or args.source_format:
+        raise UsageError("the options of nets and chains say nothing of a plan")
+    if not is_plan(args.net_file):
+        raise UsageError("this is a net, and not a plan", file=args.net_file, hint="a plan needs actions too")
+    plan = read_plan(args.net_file)
+    notes = list(plan.notes)
+    in_folder = os.path.isdir(args.output)
+    path = os.path.join(args.output, PLAN_FILE) if in_folder else args.output
+    if os.path.exists(path):
+        raise UsageError("it exists already", file=path, hint="give the name of a new file")
+    notes += _bring_functions(plan, os.path.dirname(os.path.abspath(path)), in_folder)
+    text = json.dumps(plan_to_short_json(plan), indent=2, ensure_ascii=False) + "\n"
+    write_bytes(path, text.encode())
+    if args.json:
+        done = {"output": path, "format": PLAN, "plan": plan.name, "notes": notes}
+        print(json.dumps(done, indent=2, ensure_ascii=False))
+    else:
+        print_notes(notes)
+    return 0
+
+
+def _bring_functions(plan: Plan, folder: str, copy: bool) -> List[str]:
+    """See to it that the files of the plan's functions lie in ``folder``; what a person has to do about it."""
+    actions = list(plan.actions.values()) + [a for robot in plan.robots for a in robot.actions.values()]
+    modules = {a.function.rpartition(".")[0] for a in actions if isinstance(a, FunctionAction)}
+    notes = []
+    for module in sorted(modules):
+        name = module.replace(".", "/") + ".py"
+        source, target = os.path.join(plan.folder or "", name), os.path.join(folder, name)
+        if os.path.exists(target) or os.path.realpath(plan.folder or "") == os.path.realpath(folder):
+            continue
+        if copy and os.path.isfile(source):
+            os.makedirs(os.path.dirname(target), exist_ok=True)
+            shutil.copyfile(source, target)
+        else:
+            notes.append("%s belongs beside the plan, in %s" % (name, folder))
+    return notes
 
 
 def _labels(words: List[str]) -> Dict[str, str]:

@@ -35,7 +35,7 @@ VERBS: Dict[str, Tuple[str, str]] = {
     "analyse": ("analyse", "analyse a net, or a plan under its policy: structure, state space, time"),
     "plot": ("plot", "plot results of the analysis: tokens over time, distributions, throughput"),
     "draw": ("draw", "draw a net, its coverability tree or its Markov chain"),
-    "convert": ("convert", "write a net in another format"),
+    "convert": ("convert", "write a net in another format, or a plan as one file"),
     "serve": ("serve", "open the page: simulate, analyse and execute the nets and plans of a folder"),
     "replay": ("replay", "open the page on a recorded run: an event log, or a rosbag of fired_transitions"),
     "verify": ("verify", "check the logs of a run against the rules, from the logs alone"),

@@ -279,6 +279,16 @@ def plan_to_json(plan: Plan) -> Dict[str, Any]:
     return data
 
 
+def plan_to_short_json(plan: Plan) -> Dict[str, Any]:
+    """As :func:`plan_to_json`, for people: without what is the default anyway."""
+    data = plan_to_json(plan)
+    default = plan_to_json(Plan(plan.net))
+    short = {key: value for key, value in data.items() if key in ("net", "actions") or value != default.get(key)}
+    if plan.robots and not any(robot.actions for robot in plan.robots):
+        short["robots"] = {robot.name: robot.place for robot in plan.robots}
+    return short
+
+
 def _action_to_json(action: Action) -> Any:
     if isinstance(action, FunctionAction):
         return {"function": action.function, "server": action.server}

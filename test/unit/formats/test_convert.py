@@ -7,6 +7,7 @@ import pytest
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import FORMATS, read_net, write_net
+from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 
 DATA = Path(__file__).parent / "data"
@@ -130,3 +131,41 @@ def test_a_constant_that_the_file_does_not_have_is_an_error(tmp_path, capsys):
     assert "the constant 'NN' does not occur in the file" in capsys.readouterr().err
     assert convert(DATA / "greatspn.PNPRO", whole, "--net", "machine", "--const", "N=3") == 0
     assert read_net(whole).place("waiting").tokens == 3
+
+
+def test_an_input_file_of_the_thesis_becomes_a_plan(tmp_path, capsys):
+    folder, new = tmp_path / "old", tmp_path / "new"
+    folder.mkdir()
+    new.mkdir()
+    net = NetBuilder("net").place("a", 2).place("b").exponential("go", inputs="a", outputs="b").build()
+    write_net(net, folder / "net.xml", "pipe")
+    (folder / "work.py").write_text("def here(id):\n    return 'go'\n")
+    data = {
+        "project_path": ".", "gspn": "net.xml", "places_tuple": "('a',)", "policy_dictionary": "{(1,): {'go': 1}}",
+        "place_to_function_mapping": "{'a': 'work.here', 'b': None}",
+    }  # fmt: skip
+    (folder / "input.json").write_text(json.dumps(data))
+    assert convert(folder / "input.json", new) == 0
+    assert "policy row 1: left out 'go', which is exponential" in capsys.readouterr().err
+    written = json.loads((new / "plan.json").read_text())
+    assert sorted(written) == ["actions", "net", "plan", "policy", "robots"]
+    assert written["robots"] == {"1": "a", "2": "a"}
+    assert (new / "work.py").read_text() == (folder / "work.py").read_text()
+    assert read_plan(str(new)).hash() == read_plan(str(folder / "input.json")).hash()
+    assert main(["run", "--quiet", str(new)]) == 0
+    capsys.readouterr()
+
+    assert convert(folder / "input.json", new) == 2  # never over one that is there
+    assert "plan.json: it exists already" in capsys.readouterr().err
+    assert convert(folder / "input.json", tmp_path / "plan.json", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["notes"][-1] == "work.py belongs beside the plan, in %s" % tmp_path
+
+
+def test_every_plan_is_the_same_as_one_file(tmp_path, capsys):
+    for plan in sorted(PLANS.iterdir()):
+        if (plan / "plan.json").is_file():
+            assert convert(plan, tmp_path / (plan.name + ".json")) == 0
+            assert read_plan(str(tmp_path / (plan.name + ".json"))).hash() == read_plan(str(plan)).hash()
+    assert convert(PLANS / "measure" / "net.xml", tmp_path / "net.json") == 2
+    assert "this is a net, and not a plan" in capsys.readouterr().err
