@@ -219,6 +219,9 @@ def test_the_age_of_the_last_event_is_told_and_the_end_of_all_events(told, open_
     told.told.hub.publish({"k": "status", "status": {"running": True}}, {"k": "robots", "r": [{"name": "robot_1", "phase": "doing"}]})
     page.wait_for_selector("body:not([data-stale]) .robot-card[data-robot='robot_1'] .badge:has-text('acts')")
     assert page.evaluate(lanes)
+    told.told.hub.publish({"k": "robots", "r": [{"name": "robot_1", "phase": "left"}], "gone": []})
+    page.wait_for_selector(".robot-card[data-robot='robot_1'] .badge:has-text('has left')")
+    assert page.evaluate(lanes) == []
     # a net that the server has closed is shown as it was, and said to be so
     told.session().close()
     page.wait_for_selector("body[data-stale] #notice:has-text('no longer open on the server')")

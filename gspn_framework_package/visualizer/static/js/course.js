@@ -31,7 +31,7 @@ export function lanesOf(model, begin, end) {
   const lanes = new Map();
   const leave = (lane, t) => {
     const phase = lane.paused ? "waiting" : lane.phase; // without one nothing was heard of it
-    if (phase && lane.place >= 0 && t > begin && t > lane.at) lane.parts.push([Math.max(begin, lane.at), t, lane.place, phase]);
+    if (phase && phase !== "left" && lane.place >= 0 && t > begin && t > lane.at) lane.parts.push([Math.max(begin, lane.at), t, lane.place, phase]);
   };
   const change = (name, t, place, phase, paused) => {
     let lane = lanes.get(name);
