@@ -1,0 +1,131 @@
+"""The node ``thesis_interface``: a team in the words of the thesis (4.3.3), for programs that were written for it.
+
+Publishes every firing on ``/TRANSITIONS_FIRED`` (GSPNFiringData), and serves, for each robot N in its namespace,
+``current_place_robot_N`` (CurrentPlace) and ``fire_sync_transition_N`` (FireSyncTransition). It only translates: it
+keeps no marking, and no robot waits for it. What others publish on ``/TRANSITIONS_FIRED`` it does not hear, since the
+robots alone agree on what fires.
+
+Private parameters: ``robots`` (how many), ``prefix`` (what their namespaces begin with), ``run`` (name of the run; ""
+takes the first that is heard).
+"""
+
+from __future__ import annotations
+
+import queue
+import re
+from typing import Any, Dict
+
+import rospy
+
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.msg import FiredTransition, GSPNFiringData
+from gspn_framework_package.ros.ending import Ending
+from gspn_framework_package.ros.messages import FIRED_TOPIC
+from gspn_framework_package.ros.node_process import run_node
+from gspn_framework_package.ros.node_services import ORDER_TIME
+from gspn_framework_package.ros.registration import MASTER_ERRORS, master_proxy
+from gspn_framework_package.ros.service_calls import ServiceCalls
+from gspn_framework_package.srv import (
+    CurrentPlace,
+    CurrentPlaceResponse,
+    FireSyncTransition,
+    FireSyncTransitionResponse,
+    GetState,
+    GetStateRequest,
+    SetPlace,
+    SetPlaceRequest,
+)
+
+TOPIC = "/TRANSITIONS_FIRED"
+
+
+def run_thesis_interface() -> int:
+    """The node; returns the exit code of the process."""
+    return run_node("thesis_interface", _translate)
+
+
+def _translate(ending: Ending) -> int:
+    robots = rospy.get_param("~robots", 0)
+    if not isinstance(robots, int) or isinstance(robots, bool) or robots < 1:
+        raise UsageError("%r is not a number of robots" % (robots,), element="parameter ~robots")
+    interface = ThesisInterface(robots, str(rospy.get_param("~prefix", "robot_")), str(rospy.get_param("~run", "")))
+    ending.wait()
+    interface.close()
+    return 0
+
+
+class ThesisInterface:
+    """See the module.
+
+    :param robots: how many robots there are.
+    :param prefix: what their namespaces begin with; the number follows.
+    :param run: name of the run, "" for the first that is heard.
+    """
+
+    def __init__(self, robots: int, prefix: str, run: str) -> None:
+        self._prefix, self._run = prefix, run
+        self._calls = ServiceCalls(deadline=ORDER_TIME)
+        self._publisher = rospy.Publisher(TOPIC, GSPNFiringData, queue_size=1000)
+        self._services = []
+        for number in range(1, robots + 1):
+            for name, service_class, serve in (
+                ("current_place_robot_%d", CurrentPlace, self._current_place),
+                ("fire_sync_transition_%d", FireSyncTransition, self._fire_sync),
+            ):
+                whole = self._service(number, name % number)
+                self._services.append(rospy.Service(whole, service_class, _bound(serve, number)))
+        self._subscriber = rospy.Subscriber(FIRED_TOPIC, FiredTransition, self._on_fired, tcp_nodelay=True)
+
+    def close(self) -> None:
+        """End the threads of the calls."""
+        self._calls.close()
+
+    def _service(self, number: int, name: str) -> str:
+        return str(rospy.resolve_name("/%s%d/%s" % (self._prefix.strip("/"), number, name)))
+
+    def _on_fired(self, message: Any) -> None:
+        self._run = self._run or message.run
+        if message.run == self._run:
+            self._publisher.publish(firing_data(message))
+
+    def _current_place(self, number: int, request: Any) -> CurrentPlaceResponse:
+        state = self._ask(number, "get_state", GetState, GetStateRequest())
+        return CurrentPlaceResponse(state.place, "DOING" if state.state == "Doing" else "DONE", number)
+
+    def _fire_sync(self, number: int, request: Any) -> FireSyncTransitionResponse:
+        order = SetPlaceRequest(place=request.place_to_go, run=self._run)
+        answer = self._ask(number, "set_place", SetPlace, order)
+        return FireSyncTransitionResponse("SUCCESS" if answer.success else answer.message)
+
+    def _ask(self, number: int, name: str, service_class: Any, request: Any) -> Any:
+        """What the node of a robot answers. :raises rospy.ServiceException: it does not."""
+        service = self._service(number, name)
+        try:
+            master: Any = master_proxy()
+            code, _, uri = master.lookupService(rospy.get_name(), service)
+        except MASTER_ERRORS as error:
+            raise rospy.ServiceException("no ROS master answers (%s)" % error) from None
+        if code != 1:
+            raise rospy.ServiceException("there is no service %s" % service)
+        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._calls.call(service, uri, service, service_class, request, answers.put)
+        try:
+            return answers.get(timeout=ORDER_TIME + 1.0)
+        except queue.Empty:
+            raise rospy.ServiceException("%s does not answer" % service) from None
+
+
+def firing_data(message: Any) -> GSPNFiringData:
+    """A FiredTransition in the words of the thesis."""
+    marking: Dict[str, int] = dict(zip(message.places, message.counts))
+    number = re.search(r"[0-9]{1,18}$", message.robot)
+    return GSPNFiringData(
+        transition=message.transition,
+        marking=str(marking),
+        robot_id=int(number.group()) if number else 0,
+        timestamp=str(message.header.stamp),
+    )
+
+
+def _bound(serve: Any, number: int) -> Any:
+    return lambda request: serve(number, request)
