@@ -68,6 +68,7 @@ ROSDEP_KEYS = {
     "scipy": "python3-scipy",
     "stormpy": "",
     "waitress": "python3-waitress",
+    "werkzeug": "python3-flask",  # Flask is built on it
     "yaml": "python3-yaml",
 }
 
