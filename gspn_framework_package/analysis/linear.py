@@ -7,6 +7,7 @@ residual of the answer decides.
 
 from __future__ import annotations
 
+import sys
 import warnings
 from typing import Any, Callable, NamedTuple, Optional
 
@@ -47,6 +48,9 @@ _CHECKED = 8
 
 _ROUNDING = 1e-14
 """Imbalance, relative to the largest term, that rounding alone may cause."""
+
+_WORTH_LOADING = 1_000_000
+"""Entries of a matrix from which on compiled sweeps save more time than it takes to load numba, half a second."""
 
 _PATIENCE = 100
 """Strides without a residual half as large after which an answer that is acceptable is taken: the rest is rounding."""
@@ -212,6 +216,8 @@ def _swept(
 
 def _sweeper(matrix: Any, diagonal: Any, constant: Any, backward: bool) -> Callable[[Any], Any]:
     """One Gauss-Seidel sweep, as a function of the values; it may change them in place."""
+    if matrix.nnz < _WORTH_LOADING and "numba" not in sys.modules:
+        return _scipy_sweeper(matrix, diagonal, constant, backward)
     try:
         from gspn_framework_package.analysis.numba_sweeps import sweep
     except ImportError:

@@ -19,8 +19,9 @@ from functools import lru_cache
 from typing import Any, List, NamedTuple, Tuple
 
 import numpy as np
-from numba import config, njit
+from numba import config
 
+from gspn_framework_package.analysis.compiling import compiled
 from gspn_framework_package.analysis.exploration import (
     ENDLESS,
     FieldOverflowError,
@@ -202,7 +203,7 @@ def _with_room(table: Any, states: int) -> Any:
     return table
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _shift(table: Any) -> Any:
     """How far a hash is shifted down to the number of its first slot."""
     shift = np.uint64(64)
@@ -213,7 +214,7 @@ def _shift(table: Any) -> Any:
     return shift
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _refill(table: Any, larger: Any) -> None:
     shift, mask = _shift(larger), np.uint64(len(larger) - 1)
     for i in range(len(table)):
@@ -225,7 +226,7 @@ def _refill(table: Any, larger: Any) -> None:
             larger[slot] = entry
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _hash(keys: Any, row: int, words: int) -> Any:
     value = keys[row, 0] * _MIX_1
     for w in range(1, words):
@@ -241,7 +242,7 @@ def _hash(keys: Any, row: int, words: int) -> Any:
 def _enter_for(words: int) -> Any:
     """Entering for markings of that many words: a constant, so that the compiler unrolls what depends on it."""
 
-    @njit(cache=True, nogil=True)
+    @compiled
     def enter(table: Any, states: Any, known: Any, keys: Any, arcs: Any, targets: Any) -> Any:
         """Number the states ``keys`` that are not known yet, from ``known`` on, and tell the targets of ``arcs``;
         the number of states known then. Without arcs the keys are entered all the same."""
@@ -285,7 +286,7 @@ def _enter_for(words: int) -> Any:
 def _expand_for(words: int) -> Any:
     """Expanding for markings of that many words."""
 
-    @njit(cache=True, nogil=True)
+    @compiled
     def expand(rules: Any, states: Any, table: Any, share: Any, found: Any) -> Any:
         """Expand the states from the first of ``share`` up to the second; what comes of them goes into ``found``.
 
@@ -378,7 +379,7 @@ def _narrow_for(words: int) -> Any:
     """Rounds of few states, for markings of that many words."""
     expand, enter = _expand_for(words), _enter_for(words)
 
-    @njit(cache=True, nogil=True)
+    @compiled
     def narrow(
         rules: Any, explored: Any, known: Any, most: Any, few: Any, states: Any, table: Any, offsets: Any, found: Any,
         arcs: Any,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
+from gspn_framework_package.analysis.compiling import compiled
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def sweep(offsets: Any, columns: Any, data: Any, constant: Any, share: Any, values: Any, backward: Any) -> None:
     """One sweep of ``values = (constant + matrix @ values) * share``, in place; the matrix in CSR form."""
     size = len(values)

@@ -42,8 +42,8 @@ ENGINES = ("auto", "numpy", "numba", "sparse")
 _SPARSE = 1 << 15
 """Machine words of all transitions from which on markings are explored one at a time, as what changes in them."""
 
-_SMALL = 100_000
-"""Up to this many states numpy is done before numba's machine code is even loaded."""
+_SMALL = 1_500_000
+"""Up to this many states numpy is done before numba's machine code is even loaded, which takes more than a second."""
 
 _FEW_ROUNDS = 5_000
 """Rounds that numpy is given for them, a second or so: it is slow where the graph is deep and narrow."""
@@ -329,7 +329,7 @@ class _Columns:
 def _run(packed: PackedNet, limit: int, watch: Watch, engine: str, room: Room) -> Tuple[RawGraph, str]:
     if engine == "numpy" or (engine == "auto" and not numba_is_there()):
         return numpy_engine.explore(packed, limit, watch, room=room), "numpy"
-    if engine == "auto" and "numba" not in sys.modules:
+    if engine == "auto" and "%s.numba_engine" % __package__ not in sys.modules:
         graph = numpy_engine.explore(packed, min(limit, _SMALL), watch, rounds=_FEW_ROUNDS, room=room)
         if graph.explored == len(graph.states) or len(graph.states) > limit or not room.left(0):
             return graph, "numpy"

@@ -1,5 +1,9 @@
 """All engines find what the firing rule of the model finds, in any number of words, without a silent overflow."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from generated_nets import bounded_nets, reference_space
@@ -215,3 +219,26 @@ def test_packing_keeps_every_count(fields):
 def test_widths_hold_arc_weights_and_initial_tokens():
     net = NetBuilder().place("a", tokens=9).place("b").exponential("t", inputs={"a": 3}, outputs={"b": 70}).build()
     assert starting_widths(net, [0, 0]) == (4, 7)
+
+
+@pytest.mark.skipif(not numba_is_there(), reason="numba is missing")
+def test_compiles_where_no_machine_code_can_be_kept(monkeypatch):
+    from numba.core import caching
+
+    from gspn_framework_package.analysis.compiling import compiled
+
+    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])  # as in a read-only install without a home
+    assert compiled(lambda a: a + 1)(2) == 3
+
+
+def test_numba_is_not_loaded_for_what_numpy_does_sooner():
+    program = (
+        "import sys\n"
+        "from gspn_framework_package.analysis.analyse import Analysis\n"
+        "from gspn_framework_package.benchmark.nets import kanban\n"
+        "analysis = Analysis(kanban(2))\n"
+        "assert analysis.steady.method == 'Gauss-Seidel' and analysis.space.engine == 'numpy'\n"
+        "assert 'numba' not in sys.modules\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=300, env=environment)
