@@ -25,7 +25,7 @@ def tree_graph(tree: CoverabilityTree) -> Graph:
         if number == 0:
             looks["penwidth"] = 2.5
         if node.same != number:
-            looks["style"] = "rounded,dashed"
+            looks["style"] = "rounded,dashed,filled"
         elif number not in inner:
             looks["color"] = "red"
         graph.node(str(number), **looks)
@@ -53,13 +53,18 @@ def chain_graph(chain: Chain) -> Graph:
         graph.node(str(number), label=label, **looks)
     rates = chain.rates.tocoo()
     for source, target, rate in sorted(zip(rates.row.tolist(), rates.col.tolist(), rates.data.tolist())):
-        graph.edge(str(source), str(target), label="%.4g" % rate)
+        graph.edge(str(source), str(target), label=" %.4g " % rate)  # else two labels read as one number
     return graph
 
 
 def _graph(name: str) -> Graph:
-    graph = Graph(name, fontname="Helvetica", rankdir="TB", layout="dot")
-    graph.defaults("node", fontname="Helvetica", fontsize=10, shape="box", style="rounded", height=0.3)
+    # Nodes are drawn over the arcs, and are white: an arc that passes behind one does not cross its text.
+    graph = Graph(
+        name, fontname="Helvetica", rankdir="TB", layout="dot", nodesep=0.4, ranksep=0.6, outputorder="edgesfirst"
+    )
+    graph.defaults(
+        "node", fontname="Helvetica", fontsize=10, shape="box", style="rounded,filled", fillcolor="white", height=0.3
+    )
     graph.defaults("edge", fontname="Helvetica", fontsize=9, arrowsize=0.7)
     return graph
 

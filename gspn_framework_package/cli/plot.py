@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import logging
+import warnings
 from pathlib import Path
-from typing import Any, List
+from typing import Any, List, Mapping, Sequence
 
 import numpy as np
 
@@ -18,6 +20,20 @@ from gspn_framework_package.model.errors import UsageError
 
 NAME = "plot"
 HELP = "plot results of the analysis: tokens over time, distributions, throughput"
+
+_COLORS = 10
+"""Colours of matplotlib's usual cycle; what comes after them is told apart by its line."""
+
+_LINES = ("-", "--", "-.", ":")
+
+_SAME = 1e-3
+"""Curves that differ by less than this share of the height are one in a picture."""
+
+_NAMES = 8
+"""Names that the legend gives of curves that are one."""
+
+_ROWS = 20
+"""Curves in a column of the legend."""
 
 KINDS = ("tokens", "throughput", "distribution", "passage")
 
@@ -53,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
     except ImportError:
         raise UsageError("matplotlib is not installed", hint="install python3-matplotlib") from None
     matplotlib.use("Agg")
+    # Its remarks on fonts and layouts are for those who program with it; names with unknown letters get boxes.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     subject, notes = read_subject(args)
     limits = limits_of(args)
 
@@ -60,7 +78,9 @@ def run(args: argparse.Namespace) -> int:
         return _figure(Analysis(subject, limits=limits, structure=False, progress=progress, cancel=cancel), args)
 
     figure = working(make, limits.memory)
-    figure.savefig(args.output, dpi=150)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        figure.savefig(args.output, dpi=150)
     print_notes(notes)
     return 0
 
@@ -86,11 +106,41 @@ def _figure(analysis: Analysis, args: argparse.Namespace) -> Any:
     found = analysis.at(times.tolist())
     series = [m.mean_tokens if args.what == "tokens" else m.throughput for _, m in found]
     axes.set_ylabel("mean tokens" if args.what == "tokens" else "throughput [1/s]")
-    for name in _chosen(list(series[0]), args.only):
-        axes.plot(times, [values[name] for values in series], label=name)
-    axes.set_ylim(bottom=0)
-    axes.legend(fontsize="small", ncol=2)
+    curves = {name: np.array([values[name] for values in series]) for name in _chosen(list(series[0]), args.only)}
+    groups = alike(curves)
+    for number, names in enumerate(groups):
+        color, line = number % _COLORS, _LINES[number // _COLORS % len(_LINES)]
+        axes.plot(times, curves[names[0]], color="C%d" % color, linestyle=line, label=_title(names))
+    axes.set_ylim(bottom=-0.02 * axes.get_ylim()[1])  # so that a curve of zeros is seen
+    # Beside the curves, never on them; with a line for each group, and names that are long broken.
+    axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0), ncol=1 + (len(groups) - 1) // _ROWS)
+    figure.set_size_inches(11 + 3 * ((len(groups) - 1) // _ROWS), max(5.0, 0.19 * _rows(groups)))
     return figure
+
+
+def alike(curves: Mapping[str, Any]) -> List[List[str]]:
+    """The names of the curves in groups of those that lie on one another, in the order of the first of each."""
+    height = max((float(np.abs(curve).max(initial=0.0)) for curve in curves.values()), default=0.0)
+    groups: List[List[str]] = []
+    for name, curve in curves.items():
+        for group in groups:
+            if np.abs(curves[group[0]] - curve).max(initial=0.0) <= _SAME * height:
+                group.append(name)
+                break
+        else:
+            groups.append([name])
+    return groups
+
+
+def _title(names: Sequence[str]) -> str:
+    """A line of the legend for curves that are one, two names in a row."""
+    shown = list(names[:_NAMES]) + (["and %d more" % (len(names) - _NAMES)] if len(names) > _NAMES else [])
+    return ",\n".join(", ".join(shown[i : i + 2]) for i in range(0, len(shown), 2))
+
+
+def _rows(groups: Sequence[Sequence[str]]) -> int:
+    """How many rows of text the legend has at most in one column."""
+    return sum(_title(names).count("\n") + 1 for names in groups[:_ROWS])
 
 
 def _distribution(axes: Any, analysis: Analysis, args: argparse.Namespace) -> None:

@@ -2,13 +2,16 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gspn_framework_package.analysis.report import STRUCTURE
 from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.cli.plot import alike
 from gspn_framework_package.formats import write_net
 from gspn_framework_package.model.builder import NetBuilder
 
@@ -173,6 +176,25 @@ def test_plot(run, tmp_path, words):
     code, _, err = run("plot", PLANS / "rendezvous", "-o", tmp_path / "picture.svg", "--points", 5, *words)
     assert (code, err) == (0, "")
     assert "<svg" in (tmp_path / "picture.svg").read_text()
+
+
+def test_curves_that_are_one_are_drawn_once():
+    times = np.linspace(0.0, 1.0, 9)
+    groups = alike({"a": times, "b": 1 - times, "c": times + 1e-6, "d": times * 0.9, "e": 1 - times})
+    assert groups == [["a", "c"], ["b", "e"], ["d"]]
+
+
+def test_every_curve_of_a_plot_can_be_told_apart(run, tmp_path, saved):
+    pytest.importorskip("matplotlib", reason="plots are optional")
+    builder = NetBuilder("many").place("start", tokens=1)
+    for i in range(30):
+        builder.place("p%d" % i).exponential("t%d" % i, rate=1.0 + i, inputs="start", outputs="p%d" % i)
+    path = tmp_path / "picture.svg"
+    code, _, err = run("plot", saved(builder.build()), "-o", path, "--points", 5)
+    assert code == 0 and "matplotlib" not in err and "Warning" not in err
+    lines = re.findall(r'<g id="line2d_\d+">\s*<path d="[^"]*" (?:clip-path="[^"]*" )?style="([^"]*)"', path.read_text())
+    curves = [style for style in lines if "stroke: #" in style and "stroke-width: 1.5" in style]
+    assert len(set(curves)) >= 30  # colour and line
 
 
 def test_plot_wrong_usage(run, tmp_path):
