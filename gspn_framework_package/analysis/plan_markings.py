@@ -17,6 +17,7 @@ from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.graph import ShortestWays, adjacency
 from gspn_framework_package.analysis.plan_structure import only_written, terminal_places
 from gspn_framework_package.analysis.state_space import StateSpace, explore
+from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Distribution, PolicyTable
@@ -58,7 +59,7 @@ class PlanMarkings:
         self._own = len(net.transitions)
         if losses:
             net = _with_losses(net, plan, set(self.left_out))
-        self.net = net
+        self.net = net = _with_end(net, plan)
         self.space: StateSpace = explore(net, limit=limit, untimed=True, progress=progress, cancel=cancel)
         self._table = plan.policy.bind(plan.net)
         self._number = {p: plan.net.place_index[place.name] for p, place in enumerate(net.places)}
@@ -274,6 +275,19 @@ def _distinct_rows(rows: Any) -> Tuple[Any, Any]:
     else:
         _, first, of = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     return first, of.reshape(-1)
+
+
+def _with_end(net: Net, plan: Plan) -> Net:
+    """The net without the firings after ``until``: what a run that is over would count is not explored.
+
+    An inhibitor arc to every transition says so, for each count that is enough for ``until`` by itself.
+    """
+    if not plan.until:
+        return net
+    enough = parse_condition(plan.until, [p.name for p in plan.net.places]).enough()
+    ends = [(place, count) for place, count in enough if place in net.place_index and count >= 1]
+    arcs = [Arc(place, t.name, count, True) for place, count in ends for t in net.transitions]
+    return Net(net.places, net.transitions, net.arcs + tuple(arcs), net.name)
 
 
 def _with_losses(net: Net, plan: Plan, left_out: set[str]) -> Net:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from typing import List, Optional, Sequence
+from dataclasses import replace
+from typing import Any, Dict, Iterable, List, Optional, Sequence
 
 from gspn_framework_package.analysis.coverability import CoverabilityTree
 from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.plan_markings import Finding, PlanMarkings
-from gspn_framework_package.analysis.plan_structure import robot_flows
+from gspn_framework_package.analysis.plan_structure import only_written, robot_flows
 from gspn_framework_package.analysis.preflight_report import (
     LISTED,
     Checklist,
@@ -190,9 +191,17 @@ class MarkingChecks:
         found = list(markings.dead(after_losses=False))
         self._tell_findings("dead_markings", Severity.WARNING, found, "dead marking: nothing goes on")
         lost = list(markings.dead(after_losses=True))
-        self._tell_findings(
-            "dead_after_loss", Severity.WARNING, lost, "when a robot is lost, the others can be stuck", listed=3
-        )
+        if lost:
+            more = " (and in %d other markings)" % (len(lost) - 1) if len(lost) > 1 else ""
+            self._list.add(
+                "dead_after_loss",
+                Severity.WARNING,
+                "when a robot is lost, the others can be stuck: in %s, reached by %s%s"
+                % (marking_text(lost[0].marking), sequence(lost[0].sequence), more),
+                **lost[0].to_json(),
+                count=len(lost),
+                others=[finding.to_json() for finding in lost[1:LISTED]],
+            )
         if not found and markings.complete:
             self._list.add("dead_markings", Severity.OK, "no dead marking is reachable", decided_by="exploration")
         elif not found:
@@ -200,7 +209,7 @@ class MarkingChecks:
 
     def _decide_policy(self, markings: PlanMarkings) -> None:
         severity = Severity.REFUSED if self.plan.strict else Severity.WARNING
-        gaps = list(markings.policy_gaps()) if self.plan.policy.rows or self.plan.strict else []
+        gaps = self._kinds(markings.policy_gaps()) if self.plan.policy.rows or self.plan.strict else []
         self._tell_findings(
             "policy",
             severity,
@@ -219,10 +228,19 @@ class MarkingChecks:
         elif not gaps and not waiting:
             self._undecided(markings, "policy", "whether the policy covers every marking")
 
+    def _kinds(self, findings: Iterable[Finding]) -> List[Finding]:
+        """The findings, the first of those that differ only in counters that ``until`` alone reads."""
+        counters = set(only_written(replace(self.plan, until=None)))
+        kinds: Dict[Any, Finding] = {}
+        for finding in findings:
+            counts = tuple(item for item in finding.marking.items() if item[0] not in counters)
+            kinds.setdefault((finding.place, counts), finding)
+        return list(kinds.values())
+
     def _tell_findings(
-        self, check: str, severity: Severity, found: Sequence[Finding], what: str, listed: int = LISTED
+        self, check: str, severity: Severity, found: Sequence[Finding], what: str
     ) -> None:
-        for finding in found[:listed]:
+        for finding in found[:LISTED]:
             where = " for a robot in %s" % finding.place if finding.place else ""
             self._list.add(
                 check,
@@ -230,7 +248,7 @@ class MarkingChecks:
                 "%s%s in %s, reached by %s" % (what, where, marking_text(finding.marking), sequence(finding.sequence)),
                 **finding.to_json(),
             )
-        if len(found) > listed:
+        if len(found) > LISTED:
             self._list.add(check, severity, "%s: %d markings in all" % (what, len(found)), count=len(found))
 
     def _undecided(self, markings: PlanMarkings, check: str, what: str) -> None:

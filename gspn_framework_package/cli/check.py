@@ -10,8 +10,11 @@ from gspn_framework_package.analysis.preflight import MARKING_LIMIT, check
 from gspn_framework_package.analysis.preflight_report import CheckItem, Severity, names
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.progress import ProgressLine
+from gspn_framework_package.execution.actions import missing_function
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.model.plan import Plan, ServerAction
+from gspn_framework_package.formats.registry import read_net
+from gspn_framework_package.model.errors import GspnError, InputError, UsageError
+from gspn_framework_package.model.plan import FunctionAction, Plan, ServerAction
 
 NAME = "check"
 HELP = "check whether a plan may run, before any robot moves"
@@ -37,12 +40,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check the plan and print the report."""
-    plan = read_plan(args.plan)
+    plan = _read(args.plan)
     if args.robots is not None:
         plan = plan.for_robots(args.robots)
     with ProgressLine() as progress:
         report = check(plan, limit=args.limit, standalone=args.standalone, progress=progress)
-    report = report._replace(items=(*_look_at_goals(plan), *report.items))
+    report = report._replace(items=(*_look_at_functions(plan), *_look_at_goals(plan), *report.items))
     if args.json:
         data = report.to_json()
         data["notes"] = list(plan.notes)
@@ -52,6 +55,36 @@ def run(args: argparse.Namespace) -> int:
             print("note     %s" % note)
         print(report)
     return report.exit_code
+
+
+def _read(path: str) -> Plan:
+    """:raises GspnError: not a plan; a net is told as what it is."""
+    try:
+        return read_plan(path)
+    except InputError:
+        try:
+            read_net(path)
+        except GspnError:
+            pass
+        else:
+            raise UsageError(
+                "this is a net; only plans are checked", file=path, hint="gspn analyse says what a net can do"
+            ) from None
+        raise
+
+
+def _look_at_functions(plan: Plan) -> List[CheckItem]:
+    """The functions that are not there, as far as their source tells without running it."""
+    bound = {action: place for place, action in plan.actions.items() if isinstance(action, FunctionAction)}
+    for robot in plan.robots:
+        bound.update({action: place for place, action in robot.actions.items() if isinstance(action, FunctionAction)})
+    items = []
+    for action, place in bound.items():
+        text = missing_function(plan.folder, action.function)
+        if text:
+            text = "%s in %s: %s" % (action.function, place, text)
+            items.append(CheckItem("functions", Severity.REFUSED, text, {"place": place}))
+    return items
 
 
 def _look_at_goals(plan: Plan) -> List[CheckItem]:

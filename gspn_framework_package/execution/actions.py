@@ -40,6 +40,7 @@ The decorator is not needed; it checks the parameters where the function is writ
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import importlib
 import importlib.util
@@ -230,6 +231,46 @@ def load_actions(plan: Plan, robot: str) -> Dict[str, PythonAction]:
                 loaded[bound.function] = load_action(plan.folder, bound.function)
             result[place] = loaded[bound.function]
     return result
+
+
+def missing_function(folder: Optional[str], name: str) -> Optional[str]:
+    """What is missing for the action ``module.function``, as far as the source tells without running it; None where
+    nothing is, or where it cannot be told.
+
+    :param folder: the plan's folder.
+    """
+    module, _, function = name.rpartition(".")
+    path = os.path.join(os.path.abspath(folder), *module.split(".")) if folder else ""
+    file = next((f for f in (path + ".py", os.path.join(path, "__init__.py")) if path and os.path.isfile(f)), None)
+    if file is None:
+        try:
+            found = importlib.util.find_spec(module.split(".")[0]) is not None
+        except (ImportError, ValueError):
+            found = False
+        return None if found else "there is no %s.py beside the plan, and no such module" % module.replace(".", "/")
+    try:
+        with open(file, "rb") as source:
+            tree = ast.parse(source.read(), file)
+    except (OSError, SyntaxError, ValueError) as error:
+        line = ", line %s" % error.lineno if isinstance(error, SyntaxError) and error.lineno else ""
+        return "%s%s: it cannot be read: %s" % (file, line, getattr(error, "msg", None) or error)
+    defined = set()
+    waiting: list[Any] = list(tree.body)
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+            defined.add(node.name)  # what is inside is not the module's
+        elif isinstance(node, (ast.Import, ast.ImportFrom)):
+            defined |= {alias.asname or alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            defined.add(node.id)
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("globals", "setattr", "exec"):
+            return None
+        else:
+            waiting += ast.iter_child_nodes(node)
+    if function in defined or "*" in defined or "__getattr__" in defined:
+        return None
+    return "there is no '%s' in %s" % (function, file)
 
 
 def _load_module(folder: Optional[str], name: str, element: str) -> ModuleType:

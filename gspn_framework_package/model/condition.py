@@ -77,6 +77,7 @@ class Condition:
 
     def __init__(self, text: str, tree: Any, place_index: Mapping[str, int]) -> None:
         self.text = text
+        self._tree = tree
         self._program = _compile(tree, place_index)
         self.places: Tuple[str, ...] = tuple(
             name for name, i in place_index.items() if ("place", i) in set(self._program)
@@ -112,6 +113,29 @@ class Condition:
         with numpy.errstate(all="ignore"):
             result = _run(self._program, columns, labels, _vector_functions())
         return numpy.broadcast_to(numpy.asarray(result, dtype=bool), (rows,)).copy()
+
+    def enough(self) -> List[Tuple[str, int]]:
+        """Pairs (place, count): the condition holds wherever the place has that many tokens or more.
+
+        Only what stands there as such is found: ``place >= number``, and such comparisons joined by "or".
+
+        >>> parse_condition("a >= 3 or 2 < b or (a > 1 and b > 1)", ["a", "b"]).enough()
+        [('a', 3), ('b', 3)]
+        """
+        found = []
+        waiting = [self._tree]
+        while waiting:
+            node = waiting.pop()
+            if isinstance(node, Logical) and node.operator == "or":
+                waiting += [node.right, node.left]
+            elif isinstance(node, Comparison):
+                left, operator, right = node.left, node.operator, node.right
+                if isinstance(left, Number):
+                    left, operator, right = right, {"<": ">", "<=": ">="}.get(operator, ""), left
+                if isinstance(left, Name) and isinstance(right, Number) and operator in (">", ">="):
+                    count = math.floor(right.value) + 1 if operator == ">" else math.ceil(right.value)
+                    found.append((left.name, max(count, 0)))
+        return found
 
     def __repr__(self) -> str:
         return "<Condition %s>" % shorten(self.text)

@@ -8,10 +8,13 @@ sets up a machine is in :data:`SET_UP`, and not run. A command that is none of t
 from __future__ import annotations
 
 import os
+import pty
 import re
+import select
 import shutil
 import subprocess
 import sys
+import time
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -146,6 +149,64 @@ def _options_exist(command: Command, program: list, words: list) -> None:
             assert re.search(r"(?<![\w-])%s(?![\w-])" % re.escape(option), told.stdout), str(command)
 
 
+def test_the_first_plan_typed_in_a_terminal(tmp_path):
+    """From the first line to the last that needs no ROS: each command ends well, and the check says what is promised."""
+    said = []
+    with Terminal(tmp_path) as terminal:
+        for step in steps(ROOT / "docs/first_plan.md"):
+            if isinstance(step, File):
+                path = tmp_path / step.path
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(step.text, encoding="utf-8")
+            elif step.line.startswith("python3 -m " + PACKAGE):
+                code, text = terminal.type(step.line)
+                assert code == step.exit_code, "%s\n%s" % (step, text)
+                assert "Traceback" not in text, text
+                said.append((step.line.split()[3], text))
+    checks = [text for verb, text in said if verb == "check"]
+    assert len(checks) == 2
+    assert "the policy has no row, so that the weights decide for a robot in Look in (Look: 2, Tap: 1" in checks[0]
+    assert "no row" not in checks[1]
+    assert not any("warning" in text for text in checks[1:])
+    assert not any("not decided" in text or "without bound" in text for text in checks)
+
+
+class Terminal:
+    """A shell in a pseudo-terminal of its own, in ``folder``, for commands as a person types them."""
+
+    def __init__(self, folder: Path) -> None:
+        self._master, slave = pty.openpty()
+        environment = dict(os.environ, PYTHONPATH=str(ROOT), PYTHONDONTWRITEBYTECODE="1", PS1="", TERM="xterm")
+        environment["PATH"] = os.path.dirname(sys.executable) + os.pathsep + environment["PATH"]
+        self._shell = subprocess.Popen(
+            ["bash", "--norc", "--noediting", "-i"], cwd=str(folder), env=environment, stdin=slave, stdout=slave,
+            stderr=slave, start_new_session=True,
+        )  # fmt: skip
+        os.close(slave)
+
+    def __enter__(self) -> Terminal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._shell.kill()
+        self._shell.wait()
+        os.close(self._master)
+
+    def type(self, line: str, patience: float = 120.0) -> tuple:
+        """Type a line, and wait for its end: its exit code, and what the terminal showed."""
+        os.write(self._master, (line + "; echo \"<ended\" $?'>'\n").encode())
+        shown = ""
+        deadline = time.monotonic() + patience
+        while True:
+            ended = re.search(r"<ended (\d+)>", shown)
+            if ended:
+                return int(ended.group(1)), shown
+            left = deadline - time.monotonic()
+            assert left > 0, "%s did not end:\n%s" % (line, shown)
+            if select.select([self._master], [], [], left)[0]:
+                shown += os.read(self._master, 65536).decode("utf-8", "replace")
+
+
 # -- with ROS --------------------------------------------------------------------------------------
 
 
@@ -177,6 +238,7 @@ def _try_rosservice(command: Command, words: list) -> None:
     assert name in SERVICES, str(command)
     request = (ROOT / "srv" / (SERVICES[name] + ".srv")).read_text(encoding="utf-8").split("---")[0]
     fields = re.findall(r"^\w+(?:\[\])? (\w+)", request, re.MULTILINE)
+    assert len(words) > 2, "%s: in a terminal rosservice asks for arguments, for {} where there are none" % command
     if len(words) > 2:
         import yaml
 

@@ -3,6 +3,7 @@
 is evaluated with the arguments that they give."""
 
 import os
+import pty
 import subprocess
 import sys
 import unittest
@@ -82,10 +83,15 @@ class Documents(unittest.TestCase):
     # -- helpers ---------------------------------------------------------------------------------
 
     def run_to_the_end(self, line):
-        ended = subprocess.run(
-            ["bash", "-c", line], cwd=str(ROOT), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT, text=True, timeout=60,
-        )  # fmt: skip
+        master, slave = pty.openpty()  # rosservice asks for arguments where it reads from a terminal
+        try:
+            ended = subprocess.run(
+                ["bash", "-c", line], cwd=str(ROOT), stdin=slave, stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT, text=True, timeout=60,
+            )  # fmt: skip
+        finally:
+            os.close(master)
+            os.close(slave)
         self.assertEqual(ended.returncode, 0, "%s\n%s" % (line, ended.stdout))
         return ended.stdout
 

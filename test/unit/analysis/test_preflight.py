@@ -178,7 +178,8 @@ def test_smaller_teams_are_covered():
 
 def test_what_a_lost_robot_held_can_come_back():
     plan = make_plan(crossing(), resources=["t1", "t2"])
-    stuck = {tuple(sorted(i.details["marking"].items())) for i in check(plan).of("dead_after_loss")}
+    (item,) = check(plan).of("dead_after_loss")
+    stuck = {tuple(sorted(i["marking"].items())) for i in (item.details, *item.details["others"])}
     assert (("right", 1), ("t1", 1)) not in stuck
     # One alone holds t1 and is lost: the other needs it.
     assert any(("r1", 1) in marking for marking in stuck)
@@ -305,6 +306,20 @@ def test_servers_that_do_not_answer_are_refused():
     (item,) = report.of("servers_answer")
     assert (item.details["robot"], item.details["place"]) == ("robot_2", "a")
     assert check(plan, server_probe=lambda *_: None).exit_code == 0
+
+
+@pytest.mark.parametrize("until", ["done >= 12", "12 <= done", "done > 11", "done >= 100000 or done >= 12"])
+def test_what_comes_after_the_end_is_not_explored(until):
+    """A counter that only ``until`` reads has no bound but the end of the run."""
+    builder = (NetBuilder("n").place("a", tokens=2).place("d").place("done")
+               .exponential("work", inputs="a", outputs=["d", "done"], servers=None)
+               .immediate("x", inputs="d", outputs="a").immediate("y", inputs="d", outputs="a"))  # fmt: skip
+    rows = Policy.from_table(["a"], [([1], {"x": 1})])
+    report = check(make_plan(builder, resources=["done"], policy=rows, until=until), limit=500)
+    assert report.complete
+    assert report.of("resource_bounds")[0].details["bounds"] == {"done": 12}
+    assert severities(report, "dead_markings") == [Severity.OK]
+    assert report.of("policy")[0].details["marking"].get("a", 0) == 0
 
 
 def test_limit_and_cancel():

@@ -1,0 +1,62 @@
+"""What ``gspn check`` says beyond the check itself: functions that are not there, and nets."""
+
+import json
+
+import pytest
+
+from gspn_framework_package.cli.main import main
+
+PLAN = {
+    "net": {
+        "places": [{"name": "P", "tokens": 1}, {"name": "Q"}],
+        "transitions": [{"name": "T", "timed": True, "rate": 1}, {"name": "U", "timed": True, "rate": 1}],
+        "arcs": [{"from": "P", "to": "T"}, {"from": "T", "to": "Q"}, {"from": "Q", "to": "U"}, {"from": "U", "to": "P"}],
+    },
+    "actions": {"P": "work.go", "Q": None},
+}
+
+SOURCES = {
+    "def go():\n    pass\n": None,
+    "class go:\n    def __call__(self):\n        pass\n": None,
+    "from os import path as go\n": None,
+    "if True:\n    go = print\n": None,
+    "from os import *\n": None,
+    "def gone():\n    go = 1\n": "there is no 'go' in",
+    "class Other:\n    def go(self):\n        pass\n": "there is no 'go' in",
+    "def go(:\n": "line 1: it cannot be read",
+    "raise SystemExit(5)\ndef go():\n    pass\n": None,  # it is not run
+}
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_a_function_that_is_not_there_is_refused(tmp_path, capsys, source):
+    (tmp_path / "plan.json").write_text(json.dumps(PLAN))
+    (tmp_path / "work.py").write_text(source)
+    message = SOURCES[source]
+    assert main(["check", str(tmp_path)]) == (1 if message else 0)
+    shown = capsys.readouterr().out
+    assert ("refused  functions: work.go in P:" in shown) == bool(message)
+    assert (message or "") in shown
+
+
+def test_a_module_that_is_not_there_is_refused(tmp_path, capsys):
+    (tmp_path / "plan.json").write_text(json.dumps(PLAN))
+    assert main(["check", str(tmp_path)]) == 1
+    assert "there is no work.py beside the plan" in capsys.readouterr().out
+    (tmp_path / "plan.json").write_text(json.dumps(dict(PLAN, actions={"P": "os.getcwd", "Q": None})))
+    assert main(["check", str(tmp_path)]) == 0
+
+
+def test_a_net_is_told_as_a_net(tmp_path, capsys):
+    assert main(["convert", _net(tmp_path), str(tmp_path / "net.pnml")]) == 0
+    capsys.readouterr()
+    assert main(["check", str(tmp_path / "net.pnml")]) == 2
+    assert "this is a net; only plans are checked (gspn analyse says what a net can do)" in capsys.readouterr().err
+    (tmp_path / "none.txt").write_text("hello")
+    assert main(["check", str(tmp_path / "none.txt")]) == 2
+    assert "not JSON" in capsys.readouterr().err
+
+
+def _net(folder):
+    (folder / "plan.json").write_text(json.dumps(PLAN))
+    return str(folder / "plan.json")
