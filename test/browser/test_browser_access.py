@@ -120,7 +120,7 @@ def off_the_page(page):
         """() => [...document.querySelectorAll("#left, #right, #bottom, .centre, .top")].filter((e) => {
           const b = e.getBoundingClientRect();
           return b.width && (b.left < -.5 || b.right > innerWidth + .5 || b.bottom > innerHeight + .5); }).map((e) => e.id)
-          .concat(document.documentElement.scrollWidth > innerWidth ? ["scrolls"] : [])"""
+          .concat(document.documentElement.scrollWidth > innerWidth || document.documentElement.scrollHeight > innerHeight ? ["scrolls"] : [])"""
     )
 
 
@@ -130,6 +130,7 @@ def test_everything_is_reached_at_every_width(serve_folder, open_page, picture):
     for width, height in FORMS.items():
         page.set_viewport_size({"width": width, "height": height})
         page.wait_for_function("(width) => window.gspn.page.view.camera.now && innerWidth === width", arg=width)
+        page.wait_for_selector("body[data-form='%s']" % ("narrow" if width < 640 else "medium" if width < 1000 else "wide"))
         page.wait_for_function("() => document.querySelectorAll('.label').length > 0")
         settle(page)
         assert not hidden_controls(page), width

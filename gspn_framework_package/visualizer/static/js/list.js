@@ -114,7 +114,7 @@ export class NodeList extends EventTarget {
     if (!row) return;
     row.setAttribute("aria-selected", "true");
     this.list.setAttribute("aria-activedescendant", row.id);
-    const top = row.offsetTop - this.list.offsetTop;
+    const top = row.offsetTop;
     if (top < this.list.scrollTop || top + ROW > this.list.scrollTop + this.list.clientHeight) this.list.scrollTop = top - this.list.clientHeight / 2;
   }
 }
