@@ -12,8 +12,6 @@ from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.actions import missing_function
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.formats.registry import read_net
-from gspn_framework_package.model.errors import GspnError, InputError, UsageError
 from gspn_framework_package.model.plan import FunctionAction, Plan, ServerAction
 
 NAME = "check"
@@ -40,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check the plan and print the report."""
-    plan = _read(args.plan)
+    plan = read_plan(args.plan)
     if args.robots is not None:
         plan = plan.for_robots(args.robots)
     with ProgressLine() as progress:
@@ -55,22 +53,6 @@ def run(args: argparse.Namespace) -> int:
             print("note     %s" % note)
         print(report)
     return report.exit_code
-
-
-def _read(path: str) -> Plan:
-    """:raises GspnError: not a plan; a net is told as what it is."""
-    try:
-        return read_plan(path)
-    except InputError:
-        try:
-            read_net(path)
-        except GspnError:
-            pass
-        else:
-            raise UsageError(
-                "this is a net; only plans are checked", file=path, hint="gspn analyse says what a net can do"
-            ) from None
-        raise
 
 
 def _look_at_functions(plan: Plan) -> List[CheckItem]:

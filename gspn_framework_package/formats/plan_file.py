@@ -10,8 +10,9 @@ from gspn_framework_package.formats import thesis_input
 from gspn_framework_package.formats.draft import NO_CONSTANTS
 from gspn_framework_package.formats.json_file import JsonDocument, read_document
 from gspn_framework_package.formats.plan_json import check_schema, plan_from_json, policy_from_json
-from gspn_framework_package.formats.registry import read_net_with_notes
-from gspn_framework_package.model.errors import GspnError, PlanError, UsageError
+from gspn_framework_package.formats.registry import is_xml, read_net, read_net_with_notes
+from gspn_framework_package.formats.source import read_bytes
+from gspn_framework_package.model.errors import GspnError, InputError, PlanError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy
@@ -29,7 +30,14 @@ def read_plan(path: str) -> Plan:
         read.
     :raises GspnError: with file, line and element; nothing is half-loaded.
     """
-    path, document = _open(path)
+    try:
+        return _read(*_open(path))
+    except InputError:
+        _refuse_net(path)
+        raise
+
+
+def _read(path: str, document: JsonDocument) -> Plan:
     try:
         if thesis_input.is_thesis_input(document.data):
             return thesis_input.plan_from_thesis(document.data, path)
@@ -37,6 +45,19 @@ def read_plan(path: str) -> Plan:
     except GspnError as error:
         error.located(file=path)
         raise
+
+
+def _refuse_net(path: str) -> None:
+    """Name a net that was given in place of a plan. :raises GspnError: it is one, or XML that cannot be read."""
+    if not os.path.isfile(path):
+        return
+    try:
+        read_net(path)
+    except GspnError:
+        if is_xml(read_bytes(path)):
+            raise  # what is wrong with the net says more than that it is not JSON
+        return
+    raise UsageError("this is a net, not a plan", file=path, hint="gspn analyse says what a net can do")
 
 
 def _open(path: str) -> Tuple[str, JsonDocument]:

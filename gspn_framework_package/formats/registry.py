@@ -183,7 +183,7 @@ def _read(data: bytes, file: str, wanted: Optional[Format], options: ReadOptions
         raise InputError("the file is empty", file=file)
     if wanted is not None and wanted.from_text is not None:
         return wanted.from_text(_decode(data, file), file, options)
-    if wanted is not None or _is_xml(data):
+    if wanted is not None or is_xml(data):
         root = parse_xml(data, file)
         chosen = wanted or _format_of_xml(root, file)
         _check_root(root, chosen, file)
@@ -211,7 +211,8 @@ def _read(data: bytes, file: str, wanted: Optional[Format], options: ReadOptions
     )
 
 
-def _is_xml(data: bytes) -> bool:
+def is_xml(data: bytes) -> bool:
+    """Whether a file with this content is meant as XML."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return True
     if data.startswith(codecs.BOM_UTF8):

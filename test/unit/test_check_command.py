@@ -51,7 +51,12 @@ def test_a_net_is_told_as_a_net(tmp_path, capsys):
     assert main(["convert", _net(tmp_path), str(tmp_path / "net.pnml")]) == 0
     capsys.readouterr()
     assert main(["check", str(tmp_path / "net.pnml")]) == 2
-    assert "this is a net; only plans are checked (gspn analyse says what a net can do)" in capsys.readouterr().err
+    assert "this is a net, not a plan (gspn analyse says what a net can do)" in capsys.readouterr().err
+    assert main(["run", str(tmp_path / "net.pnml")]) == 2
+    assert "this is a net, not a plan" in capsys.readouterr().err
+    (tmp_path / "broken.pnml").write_text("<pnml")
+    assert main(["check", str(tmp_path / "broken.pnml")]) == 2
+    assert "JSON" not in capsys.readouterr().err
     (tmp_path / "none.txt").write_text("hello")
     assert main(["check", str(tmp_path / "none.txt")]) == 2
     assert "not JSON" in capsys.readouterr().err
