@@ -163,8 +163,9 @@ class Analysis:
 
     @property
     def reversible(self) -> bool:
-        """Whether the initial marking can always be reached again."""
-        if any(self._counts_up(place) != 0 for place in self.left_out):
+        """Whether the initial marking can always be reached again. Not where a counter that was left out can get
+        tokens, since nothing takes them."""
+        if any(self._counts_up(place) != self.net.place(place).tokens for place in self.left_out):
             return False
         return self.properties.reversible
 
@@ -256,7 +257,8 @@ class Analysis:
         """:raises LimitError: it is."""
         if self._is_unbounded:
             raise LimitError(
-                "%s: not decided, since the net is unbounded" % question,
+                "not decided, since the net is unbounded",
+                element=question,
                 hint="%s can grow without end" % ", ".join(self._known["tree"].unbounded_places),
             )
 

@@ -74,7 +74,7 @@ class StructureChecks:
             self._list.add(
                 "conservative",
                 Severity.OK,
-                "every transition moves as many robots in as out (by structure)",
+                "every transition moves as many robots in as out, resource places aside (by structure)",
                 decided_by="structure",
             )
 

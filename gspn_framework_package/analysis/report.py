@@ -14,7 +14,7 @@ import numpy as np
 from gspn_framework_package.analysis.analyse import Analysis, Reachability
 from gspn_framework_package.analysis.chain import Component
 from gspn_framework_package.analysis.measures import Measures
-from gspn_framework_package.model.errors import CancelledError, RefusedError
+from gspn_framework_package.model.errors import CancelledError, LimitError, RefusedError
 
 INFINITE = "infinite"
 
@@ -96,6 +96,9 @@ class _Report:
             return _plain(compute())
         except CancelledError:
             raise
+        except LimitError as error:
+            error.element = None  # the key says what was asked
+            self.undecided[key] = str(error)
         except RefusedError as error:
             self.undecided[key] = str(error)
         except MemoryError:
@@ -199,16 +202,20 @@ class _Report:
                 data["witness"] = space.path_to(int(dead[0]))
                 data["marking"] = space.named(int(dead[0]))
             if not space.complete:
-                self.undecided["deadlocks.count"] = "%d found within %s (%s)" % (len(dead), space.extent, space.hint)
+                self.undecided["deadlocks.count"] = "%d found within %s, which are not all" % (len(dead), space.extent)
             self.data["deadlocks"] = data
         else:
             self.data["deadlocks"] = None
-            self.undecided["deadlocks"] = "none found within %s, which are not all (%s)" % (space.extent, space.hint)
+            self.undecided["deadlocks"] = "none found within %s, which are not all" % space.extent
 
     def _home(self) -> Dict[str, Any]:
         analysis = self.analysis
         states = analysis.properties.home_states
-        return {"count": len(states), "example": analysis.space.named(int(states[0])) if len(states) else None}
+        return {
+            "count": len(states),
+            "example": analysis.space.named(int(states[0])) if len(states) else None,
+            "without": list(analysis.left_out),
+        }
 
     def _by_tree(self) -> None:
         """What the coverability tree knows of an unbounded net."""

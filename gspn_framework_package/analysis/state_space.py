@@ -119,7 +119,7 @@ class StateSpace:
     def require_complete(self, question: str) -> None:
         """:raises LimitError: the limit on states was met, so that ``question`` is not decided."""
         if not self.complete:
-            raise LimitError("%s: not decided within %s" % (question, self.extent), hint=self.hint)
+            raise LimitError("not decided within %s" % self.extent, element=question, hint=self.hint)
 
     @property
     def extent(self) -> str:

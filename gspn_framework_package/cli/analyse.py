@@ -6,9 +6,10 @@ import argparse
 import csv
 import json
 import math
+import re
 import sys
 from pathlib import Path
-from typing import Any, Dict, Iterator, Mapping, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, Mapping, Sequence, Tuple
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.exploration import Cancel, Progress
@@ -24,6 +25,9 @@ HELP = "analyse a net, or a plan under its policy: structure, state space, time"
 
 SHOWN = 12
 """Entries of a list that the text shows; --json has them all."""
+
+TIMED = ("steady_state", "transient", "time_to_steady_state", "mean_time_to")
+"""The keys of what a simulation estimates where it is not computed."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -190,13 +194,27 @@ def _text(data: Mapping[str, Any]) -> Iterator[str]:
             )
             for within in entry["within"]:
                 yield "    within %g s with probability %s" % (within["time"], _number(within["probability"]))
+    yield from _undecided_text(data)
+
+
+def _undecided_text(data: Mapping[str, Any]) -> Iterator[str]:
+    """Every reason once, with all that it is the reason of."""
+    concerned: Dict[str, List[str]] = {}
     for key, reason in data["undecided"].items():
-        yield "not decided: %s: %s" % (key, reason)
+        concerned.setdefault(re.sub("^not decided[:,]? ", "", reason), []).append(key)
+    for reason, keys in concerned.items():
+        yield "not decided: %s: %s" % (", ".join(keys), reason)
+    if data["states"] is None and any(key.split(".")[0] in TIMED for key in data["undecided"]):
+        yield "gspn simulate estimates tokens, throughput and times without all states, from random runs"
 
 
 def _structure_text(data: Mapping[str, Any]) -> Iterator[str]:
     words = ("conservative", "strictly_conservative", "consistent", "repetitive")
-    yield ", ".join("%s %s" % (word.replace("_", " "), _answer(data[word])) for word in words)
+    yield "by structure, with the tokens of all places: %s" % ", ".join(
+        "%s %s" % (word.replace("_", " "), _answer(data[word])) for word in words
+    )
+    if data["kind"] == "plan" and data["conservative"] is False:
+        yield "    (resource places count too; gspn check says whether robots are created or destroyed)"
     classes = [name.replace("_", " ") for name, holds in (data["classes"] or {}).items() if holds]
     yield "classes: %s" % (", ".join(classes) or "none")
     for key, title in (("place_invariants", "P-invariants"), ("transition_invariants", "T-invariants")):
@@ -240,11 +258,19 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
         )
     elif dead:
         yield "deadlocks: none"
-    yield "live: %s, reversible: %s" % (_answer(data["live"]), _answer(data["reversible"]))
+    home, left_out = data["home_states"], _some(data["left_out"])
+    yield "live: %s, reversible: %s%s" % (
+        _answer(data["live"]),
+        _answer(data["reversible"]),
+        # the initial marking is a home state only where all states are
+        " (without %s: yes)" % left_out
+        if data["reversible"] is False and left_out and home["count"] == states["total"]
+        else "",
+    )
     if data["liveness"] and not data["live"]:
         yield "liveness: %s" % _map(data["liveness"])
-    if data["home_states"]:
-        yield "home states: %d" % data["home_states"]["count"]
+    if home:
+        yield "home states%s: %d" % (" without %s" % left_out if left_out else "", home["count"])
 
 
 def _reach_text(entry: Any, word: str) -> Iterator[str]:

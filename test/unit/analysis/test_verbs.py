@@ -133,6 +133,57 @@ def test_text_and_csv(run, saved, tmp_path):
     assert float(rows["steady_state throughput", "leave"]) == pytest.approx(0.0925846346, abs=5e-11)
 
 
+def test_home_states_and_reversible_say_what_they_are_of(run):
+    code, out, _ = run("analyse", PLANS / "measure", "--no-structure", "--no-time")
+    assert code == 0
+    assert "live: yes, reversible: no (without P3: yes)\nhome states without P3: 8\n" in out
+    data = json.loads(run("analyse", PLANS / "measure", "--json")[1])
+    assert data["reversible"] is False
+    assert (data["home_states"]["count"], data["home_states"]["without"]) == (data["states"]["total"], ["P3"])
+
+
+def test_a_counter_that_nothing_feeds_does_not_keep_a_plan_from_its_beginning(run, tmp_path):
+    net = {
+        "places": [{"name": "A", "tokens": 1}, {"name": "B"}, {"name": "Never"}, {"name": "Count", "tokens": 3}],
+        "transitions": [{"name": t, "timed": True, "rate": 1} for t in ("go", "back", "count")],
+        "arcs": [
+            {"from": "A", "to": "go"}, {"from": "go", "to": "B"}, {"from": "B", "to": "back"},
+            {"from": "back", "to": "A"}, {"from": "Never", "to": "count"}, {"from": "count", "to": "Never"},
+            {"from": "count", "to": "Count"},
+        ],
+    }  # fmt: skip
+    plan = {"plan": "idle", "net": net, "resource_places": ["Count"], "robots": {"robot_1": "A"}}
+    plan["actions"] = {"A": None, "B": None, "Never": None}
+    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    code, out, _ = run("analyse", tmp_path, "--no-structure", "--no-time")
+    assert code == 0 and "left out, because only written: Count" in out
+    assert "reversible: yes" in out
+
+
+def test_a_reason_is_told_once_with_what_it_concerns(run):
+    words = "--limit", 100, "--no-structure", "--reach", "deadlock", "--mean-time-to", "deadlock", "--at", 1
+    code, out, _ = run("analyse", PLANS / "patrol", *words)
+    lines = out.splitlines()
+    told = [line for line in lines if "raise --limit" in line]
+    assert code == 0 and len(told) == 1, out
+    concerned = re.match("not decided: ([^:]*): within 101 states", told[0]).group(1).split(", ")
+    assert concerned == [
+        "states", "bounded", "bounds", "live", "liveness", "dead_transitions", "reversible", "home_states",
+        "steady_state", "transient", "mean_time_to.deadlock",
+    ]  # fmt: skip
+    assert lines[-1].startswith("gspn simulate estimates")
+    assert "gspn simulate" not in run("analyse", PLANS / "patrol", "--limit", 100, "--no-structure", "--no-time")[1]
+    assert "gspn simulate" not in run("analyse", PLANS / "measure", "--limit", 100, "--no-structure")[1]
+
+
+def test_conservative_says_what_is_counted(run):
+    _, analysed, _ = run("analyse", PLANS / "measure", "--no-time")
+    assert "by structure, with the tokens of all places: conservative no" in analysed
+    assert "(resource places count too; gspn check says whether robots are created or destroyed)" in analysed
+    _, checked, _ = run("check", PLANS / "measure")
+    assert "every transition moves as many robots in as out, resource places aside" in checked
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

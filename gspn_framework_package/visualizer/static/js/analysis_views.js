@@ -138,6 +138,7 @@ export class AnswerViews {
     const { states, deadlocks } = result;
     const live = Object.entries(result.liveness || {});
     const dead = result.dead_transitions;
+    const home = result.home_states, without = home?.without.length ? `without ${home.without.join(", ")}` : "";
     return this.section(body.policy ? "Behaviour under the policy" : "Behaviour",
       this.facts([
         ["States", states ? `${states.total.toLocaleString("en")} (${states.tangible.toLocaleString("en")} tangible)` : this.answer(result, "states")],
@@ -146,8 +147,8 @@ export class AnswerViews {
         result.k_safe !== null && result.k_safe !== undefined && ["k-safe", result.k_safe === "infinite" ? "no" : `${result.k_safe}-safe`],
         ["Deadlocks", !deadlocks ? this.answer(result, "deadlocks") : deadlocks.count === 0 ? h("span", { class: "badge good", text: "none" }) : [h("span", { class: "badge bad", text: deadlocks.count === null ? "at least one" : plural(deadlocks.count, "marking") }), " "]],
         ["Live", this.answer(result, "live")],
-        ["Reversible", this.answer(result, "reversible")],
-        ["Home states", result.home_states ? number(result.home_states.count) : this.answer(result, "home_states")],
+        ["Reversible", [this.answer(result, "reversible"), result.reversible === false && without && home.count === states.total ? ` (${without}: yes)` : ""]],
+        ["Home states", home ? `${number(home.count)}${without && ` (${without})`}` : this.answer(result, "home_states")],
         ["Dead transitions", dead ? this.names(dead) : this.answer(result, "dead_transitions")],
         result.left_out?.length > 0 && ["Left out", `${result.left_out.join(", ")}: only written`],
         ["Limits", `${number(result.limits.states)} markings, ${number(result.limits.tree)} nodes of a tree, ${number(result.limits.structure)} steps for invariants, siphons and traps; ${number(result.limits.seconds)} s and ${number(result.limits.memory_bytes / 1e9)} GB for each part`],
