@@ -132,6 +132,18 @@ def test_every_property_of_the_thesis_is_answered(show_net, open_page):
     page.wait_for_selector("#answers dt:has-text('Reward')")
 
 
+def test_home_states_say_which_counters_they_are_told_without(show_net, open_page):
+    net = (NetBuilder("counting").place("up", tokens=1).place("down").place("failures")
+           .exponential("fail", inputs="up", outputs=["down", "failures"])
+           .exponential("repair", inputs="down", outputs="up").build())  # fmt: skip
+    page = open_page(show_net(net).address)
+    page.keyboard.press("3")
+    page.click("button:has-text('State space')")
+    analysed(page)
+    page.wait_for_selector("dt:has-text('Reversible') + dd:has-text('no (without failures: yes)')")
+    page.wait_for_selector("dt:has-text('Home states') + dd:has-text('2 (without failures)')")
+
+
 @pytest.fixture(name="open_long_analysis")
 def _open_long_analysis(show_net, open_page, monkeypatch):
     """A site, and a page whose state space takes most of a minute."""

@@ -8,18 +8,17 @@ sets up a machine is in :data:`SET_UP`, and not run. A command that is none of t
 from __future__ import annotations
 
 import os
-import pty
 import re
-import select
 import shutil
 import subprocess
 import sys
-import time
+import urllib.request
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
 from document_commands import PACKAGE, ROOT, Command, File, documents, steps
+from terminal import Terminal
 
 from gspn_framework_package.cli.main import VERBS, _parser
 
@@ -28,6 +27,10 @@ SET_UP = (
     r"export ROS_(MASTER_URI|IP|HOSTNAME)=\S+",
     r"source (/opt/ros/noetic|devel|install|build/catkin_ws/devel)/setup\.bash",
     r"(cd|mkdir -p) ~/catkin_ws(/src)?",
+    # one's own folder: the document is typed in a terminal below
+    r'export PYTHONPATH="\$PWD"',
+    r"mkdir -p ~/greenhouse",
+    r"cd ~",
     r'ln -s "\$PWD" ~/catkin_ws/src/gspn_framework_package',
     # installing and building: ./run_tests does it from scripts/, see scripts/prepare.sh and scripts/check_install.sh
     r"sudo apt-get install .+",
@@ -149,21 +152,32 @@ def _options_exist(command: Command, program: list, words: list) -> None:
             assert re.search(r"(?<![\w-])%s(?![\w-])" % re.escape(option), told.stdout), str(command)
 
 
+# -- typed in a terminal ---------------------------------------------------------------------------
+
+
+def _terminal(folder: Path, home: Path) -> Terminal:
+    """A shell whose ``python3`` has the libraries, and knows nothing of this checkout."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment["PATH"] = os.path.dirname(sys.executable) + os.pathsep + environment["PATH"]
+    return Terminal(folder, {**environment, "HOME": str(home), "PYTHONDONTWRITEBYTECODE": "1"})
+
+
 def test_the_first_plan_typed_in_a_terminal(tmp_path):
-    """From the first line to the last that needs no ROS: each command ends well, and the check says what is promised."""
+    """From the first line to the last that needs no ROS: each command ends well, and the check says what is promised.
+    It begins in the checkout; the document says how to go on from there."""
     said = []
-    with Terminal(tmp_path) as terminal:
+    with _terminal(ROOT, home=tmp_path) as terminal:
         for step in steps(ROOT / "docs/first_plan.md"):
             if isinstance(step, File):
                 path = tmp_path / step.path
-                path.parent.mkdir(parents=True, exist_ok=True)
+                assert path.parent.is_dir(), "the document has not made %s" % path.parent
                 path.write_text(step.text, encoding="utf-8")
-            elif step.line.startswith("python3 -m " + PACKAGE):
+            elif not step.line.startswith("ros"):
                 code, text = terminal.type(step.line)
                 assert code == step.exit_code, "%s\n%s" % (step, text)
                 assert "Traceback" not in text, text
-                said.append((step.line.split()[3], text))
-    checks = [text for verb, text in said if verb == "check"]
+                said.append((step.words[3:4], text))
+    checks = [text for verb, text in said if verb == ["check"]]
     assert len(checks) == 2
     assert "the policy has no row, so that the weights decide for a robot in Look in (Look: 2, Tap: 1" in checks[0]
     assert "no row" not in checks[1]
@@ -171,40 +185,29 @@ def test_the_first_plan_typed_in_a_terminal(tmp_path):
     assert not any("not decided" in text or "without bound" in text for text in checks)
 
 
-class Terminal:
-    """A shell in a pseudo-terminal of its own, in ``folder``, for commands as a person types them."""
-
-    def __init__(self, folder: Path) -> None:
-        self._master, slave = pty.openpty()
-        environment = dict(os.environ, PYTHONPATH=str(ROOT), PYTHONDONTWRITEBYTECODE="1", PS1="", TERM="xterm")
-        environment["PATH"] = os.path.dirname(sys.executable) + os.pathsep + environment["PATH"]
-        self._shell = subprocess.Popen(
-            ["bash", "--norc", "--noediting", "-i"], cwd=str(folder), env=environment, stdin=slave, stdout=slave,
-            stderr=slave, start_new_session=True,
-        )  # fmt: skip
-        os.close(slave)
-
-    def __enter__(self) -> Terminal:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._shell.kill()
-        self._shell.wait()
-        os.close(self._master)
-
-    def type(self, line: str, patience: float = 120.0) -> tuple:
-        """Type a line, and wait for its end: its exit code, and what the terminal showed."""
-        os.write(self._master, (line + "; echo \"<ended\" $?'>'\n").encode())
-        shown = ""
-        deadline = time.monotonic() + patience
-        while True:
-            ended = re.search(r"<ended (\d+)>", shown)
-            if ended:
-                return int(ended.group(1)), shown
-            left = deadline - time.monotonic()
-            assert left > 0, "%s did not end:\n%s" % (line, shown)
-            if select.select([self._master], [], [], left)[0]:
-                shown += os.read(self._master, 65536).decode("utf-8", "replace")
+def test_the_readme_typed_in_a_terminal(sandbox, tmp_path):
+    """What its five minutes need no ROS for, in a checkout: each command ends as it says, the page at Ctrl-C."""
+    typed = []
+    with _terminal(sandbox, home=tmp_path) as terminal:
+        for step in steps(ROOT / "README.md"):
+            if not isinstance(step, Command) or step.words[:3] != ["python3", "-m", PACKAGE]:
+                continue
+            typed.append(step.words[3])
+            line = SHORTER.sub(lambda match: match.group(1) + "%g" % SECONDS, step.line)
+            if typed[-1] in ENDLESS:
+                terminal.begin(line + " --port 0")
+                address = re.search(r"http://[^\s]+", terminal.shows(r"The page is at .*Ctrl-C"))
+                assert address, str(step)
+                with urllib.request.urlopen(address.group(0), timeout=60) as page:
+                    assert b"<title" in page.read(), str(step)
+                terminal.interrupt()
+                code, text = terminal.end()
+                assert code in (0, 130), "%s\n%s" % (step, text)
+            else:
+                code, text = terminal.type(line)
+                assert code == step.exit_code, "%s\n%s" % (step, text)
+            assert "Traceback" not in text, "%s\n%s" % (step, text)
+    assert typed == ["check", "check", "run", "analyse", "serve", "replay"]
 
 
 # -- with ROS --------------------------------------------------------------------------------------

@@ -4,9 +4,14 @@ is evaluated with the arguments that they give."""
 
 import os
 import pty
+import re
+import socket
 import subprocess
 import sys
+import tempfile
 import unittest
+from contextlib import ExitStack
+from pathlib import Path
 
 import rosgraph
 
@@ -14,7 +19,8 @@ HERE = os.path.dirname(os.path.realpath(__file__))
 TEST = os.path.dirname(os.path.dirname(HERE))
 sys.path[:0] = [os.path.join(TEST, "unit"), os.path.join(os.path.dirname(HERE), "support")]
 
-from document_commands import ROOT, Command, documents, steps  # noqa: E402
+from document_commands import ROOT, Command, File, documents, steps  # noqa: E402
+from terminal import Terminal  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
 PACKAGE = "gspn_framework_package"
@@ -80,7 +86,47 @@ class Documents(unittest.TestCase):
                 output = self.run_to_the_end(command.line.replace("roslaunch", "roslaunch" + listed, 1))
                 self.assertTrue(output.strip())
 
+    def test_own_robots_typed_in_terminals(self):
+        """The document's two robots, each launched in a terminal of its own, with a master of their own."""
+        lines = [s.line for s in steps(ROOT / "docs/own_robots.md") if isinstance(s, Command)]
+        launches = [line for line in lines if "robot.launch" in line][:2]
+        self.assertEqual([re.findall(r"robot:=(\w+)", line) for line in launches], [["robot_1"], ["robot_2"]])
+        with tempfile.TemporaryDirectory() as home, ExitStack() as stack:
+            self.write_greenhouse(Path(home))
+            with socket.socket() as free:
+                free.bind(("localhost", 0))
+                master = "http://localhost:%d" % free.getsockname()[1]
+            environment = {**os.environ, "HOME": home, "ROS_HOME": home + "/.ros", "ROS_MASTER_URI": master}
+            teams = [stack.enter_context(Terminal(Path(home), environment)) for _ in launches]
+            for number, (terminal, line) in enumerate(zip(teams, launches), 1):
+                terminal.begin(line)
+                terminal.shows(r"process\[robot_%d/executor-\d+\]: started" % number)
+            teams[1].shows(r"robot_2: does ")
+            operator = stack.enter_context(Terminal(Path(home), environment))
+            (question,) = [line for line in lines if line.startswith("rosservice call /robot_2/get_place")]
+            code, text = operator.type(question)
+            self.assertEqual(code, 0, text)
+            self.assertRegex(text, r"Water|Look|Refill")
+            (listening,) = [line for line in lines if line.startswith("rostopic hz")]
+            operator.begin(listening)
+            operator.shows("average rate")
+            operator.interrupt()
+            for terminal in [operator, *reversed(teams)]:  # the first has the master
+                if terminal is not operator:
+                    terminal.interrupt()
+                code, text = terminal.end()
+                self.assertEqual(code, 0, text)
+                self.assertNotIn("Traceback", text)
+
     # -- helpers ---------------------------------------------------------------------------------
+
+    def write_greenhouse(self, home):
+        """The plan of the first document, with time to look around, as it says."""
+        (home / "greenhouse").mkdir()
+        for step in steps(ROOT / "docs/first_plan.md"):
+            if isinstance(step, File):
+                text = step.text.replace("Watered >= 12", "Watered >= 1000")
+                (home / step.path).write_text(text, encoding="utf-8")
 
     def run_to_the_end(self, line):
         master, slave = pty.openpty()  # rosservice asks for arguments where it reads from a terminal
