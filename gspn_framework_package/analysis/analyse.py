@@ -22,7 +22,7 @@ import numpy as np
 from gspn_framework_package.analysis.chain import Chain
 from gspn_framework_package.analysis.coverability import CoverabilityTree
 from gspn_framework_package.analysis.exploration import Cancel, Progress, Watch
-from gspn_framework_package.analysis.invariants import invariant_bounds
+from gspn_framework_package.analysis.invariants import bounds_of
 from gspn_framework_package.analysis.limits import Limits, states_of
 from gspn_framework_package.analysis.measures import Measures
 from gspn_framework_package.analysis.passage import Passage, first_passage
@@ -231,8 +231,13 @@ class Analysis:
         def compute() -> Dict[str, Optional[int]]:
             if not self._by_structure:
                 return {place.name: place.capacity for place in self.net.places}
-            found = invariant_bounds(self.net, self.limits.structure, self._watch())
-            return dict(zip((p.name for p in self.net.places), found))
+            try:
+                found = self.structure.place_invariants
+            except LimitError:
+                found = []
+            number = self.net.place_index
+            rows = [[(number[name], w) for name, w in invariant.weights.items()] for invariant in found]
+            return dict(zip(number, bounds_of(self.net, rows, self.net.initial_marking)))
 
         return self._once("invariant_bounds", compute)
 

@@ -8,6 +8,7 @@ import json
 import math
 import re
 import sys
+from itertools import islice
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Mapping, Sequence, Tuple
 
@@ -15,13 +16,16 @@ from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.report import STRUCTURE, Questions, report, rows
 from gspn_framework_package.analysis.state_space import ENGINES
-from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, working
+from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, rare_collections, working
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.model.errors import UsageError
 
 NAME = "analyse"
 HELP = "analyse a net, or a plan under its policy: structure, state space, time"
+
+_PARTS = 10_000
+"""Parts of the JSON text (a name, a number, a bracket) that are written together."""
 
 SHOWN = 12
 """Entries of a list that the text shows; --json has them all."""
@@ -91,6 +95,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Analyse, and print the answers."""
+    with rare_collections():
+        return _run(args)
+
+
+def _run(args: argparse.Namespace) -> int:
     subject, notes = read_subject(args)
     questions = Questions(
         at=tuple(t for group in args.at for t in group),
@@ -129,7 +138,9 @@ def run(args: argparse.Namespace) -> int:
             if option:  # every key is there, whatever is left out
                 data.update(dict.fromkeys(keys))
                 data["undecided"].update(dict.fromkeys(keys, "left out, as asked"))
-        json.dump(data, sys.stdout, indent=2, allow_nan=False, ensure_ascii=False)
+        parts = json.JSONEncoder(indent=2, allow_nan=False, ensure_ascii=False).iterencode(data)
+        for block in iter(lambda: "".join(islice(parts, _PARTS)), ""):  # writing each by itself takes twice as long
+            sys.stdout.write(block)
         print()
     else:
         print_notes(notes)

@@ -6,7 +6,7 @@ with its line."""
 
 from __future__ import annotations
 
-from typing import Dict, List, Mapping, NamedTuple, NoReturn, Optional, Union
+from typing import Dict, List, Mapping, NamedTuple, NoReturn, Optional, Sequence, Union
 
 from gspn_framework_package.model.errors import ExpressionError, GspnError, NetError
 from gspn_framework_package.model.expression import evaluate, shorten, whole
@@ -41,7 +41,11 @@ class ReadOptions(NamedTuple):
 
 def one_line(text: Optional[str]) -> str:
     """A name or id without line breaks and the space around it."""
-    return " ".join(part.strip() for part in (text or "").splitlines()).strip()
+    if not text:
+        return ""
+    if text.isprintable():  # no character in it breaks a line
+        return text.strip()
+    return " ".join(part.strip() for part in text.splitlines()).strip()
 
 
 class _Node(NamedTuple):
@@ -139,9 +143,9 @@ class NetDraft:
         line: Optional[int] = None,
     ) -> None:
         """Add an arc; its ends are ids or names, and may come later in the file."""
-        element = "arc '%s'" % shorten(identifier) if identifier else "arc"
         source, target = one_line(source), one_line(target)
         if not source or not target:
+            element = "arc '%s'" % shorten(identifier) if identifier else "arc"
             self.fail("it has no %s" % ("target" if source else "source"), element, line)
         self._arcs.append(_ArcLine(identifier or "", source, target, weight, inhibitor, line))
 
@@ -152,12 +156,13 @@ class NetDraft:
         item: Union[Place, Transition],
         line: Optional[int],
     ) -> None:
-        kind = "place" if isinstance(item, Place) else "transition"
         identifier, name = one_line(identifier), one_line(name)
         key = identifier or name
         if not key:
+            kind = "place" if isinstance(item, Place) else "transition"
             self.fail("a %s has neither an id nor a name" % kind, line=line)
         if key in self._nodes:
+            kind = "place" if isinstance(item, Place) else "transition"
             other = self._nodes[key]
             where = " in line %d" % other.line if other.line else ""
             self.fail(
@@ -202,40 +207,45 @@ class NetDraft:
         """
         names = self._names()
         by_name: Dict[str, str] = {n.name: i for i, n in self._nodes.items() if n.name}
-        lines: Dict[str, Optional[int]] = {}
         places: List[Place] = []
         transitions: List[Transition] = []
         for identifier, node in self._nodes.items():
             item = node.item._replace(name=names[identifier])
             if isinstance(item, Place):
                 places.append(item)
-                lines["place '%s'" % item.name] = node.line
             else:
                 transitions.append(item)
-                lines["transition '%s'" % item.name] = node.line
         arcs = []
         for arc in self._arcs:
-            ends = [
-                names.get(end) or names.get(by_name.get(end, ""))
-                for end in (arc.source, arc.target)
-            ]
-            if ends[0] is None or ends[1] is None:
+            source = names.get(arc.source) or names.get(by_name.get(arc.source, ""))
+            target = names.get(arc.target) or names.get(by_name.get(arc.target, ""))
+            if source is None or target is None:
                 self.fail(
                     "there is no place or transition '%s'"
-                    % (arc.target if ends[0] else arc.source),
+                    % (arc.target if source else arc.source),
                     "arc '%s' from '%s' to '%s'" % (arc.identifier, arc.source, arc.target),
                     arc.line,
                     "an arc joins a place and a transition of the same net",
                 )
-            arcs.append(Arc(ends[0], ends[1], arc.weight, arc.inhibitor))
-            kind = "inhibitor arc" if arc.inhibitor else "arc"
-            lines.setdefault("%s from '%s' to '%s'" % (kind, ends[0], ends[1]), arc.line)
+            arcs.append(Arc(source, target, arc.weight, arc.inhibitor))
         if not places and not transitions:
             self.fail("the net has no place and no transition")
         try:
             return Net(places, transitions, arcs, name)
         except GspnError as error:
-            raise error.located(file=self.file, line=lines.get(error.element or "")) from None
+            line = self._lines(names, arcs).get(error.element or "")
+            raise error.located(file=self.file, line=line) from None
+
+    def _lines(self, names: Mapping[str, str], arcs: Sequence[Arc]) -> Dict[str, Optional[int]]:
+        """The line of each element, under the name that the net's own checks call it."""
+        lines: Dict[str, Optional[int]] = {}
+        for identifier, node in self._nodes.items():
+            kind = "place" if isinstance(node.item, Place) else "transition"
+            lines["%s '%s'" % (kind, names[identifier])] = node.line
+        for arc, drafted in zip(arcs, self._arcs):
+            kind = "inhibitor arc" if arc.inhibitor else "arc"
+            lines.setdefault("%s from '%s' to '%s'" % (kind, arc.source, arc.target), drafted.line)
+        return lines
 
     def _names(self) -> Dict[str, str]:
         """The name of each id: its own, or the id where that is empty or not its own alone."""

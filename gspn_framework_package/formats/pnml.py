@@ -99,7 +99,7 @@ class _Reader:
         self.arcs: List[etree._Element] = []
         self.untimed = 0
         self.parameters = 0
-        self.means = any(_properties(net, STOCHASTIC))
+        self.means = any(_properties(all_of(net, "toolspecific"), STOCHASTIC))
         self.tina = _TINA in (net.get("type") or "").lower()
 
     def read(self) -> None:
@@ -168,21 +168,24 @@ class _Reader:
             "only place/transition nets are read; unfold it first",
         )
 
-    def _check(self, element: etree._Element, known_of_it: vocabulary.Element, what: str) -> None:
-        for node in element:
-            if tag(node) in _COLOURED_LABELS:
-                self._refuse_colour(node, what)
-        vocabulary.check(element, known_of_it, what, self.draft.fail)
+    def _check(self, parent: etree._Element, known_of_it: vocabulary.Element, what: str) -> None:
+        def fail(message: str, element: Optional[str], line: Optional[int], hint: Optional[str]) -> None:
+            for node in parent:  # no vocabulary has these labels: where there is one, the check fails
+                if tag(node) in _COLOURED_LABELS:
+                    self._refuse_colour(node, what)
+            self.draft.fail(message, element, line, hint)
 
-    def _own(self, element: etree._Element, what: str) -> Dict[str, str]:
+        vocabulary.check(parent, known_of_it, what, fail)
+
+    def _own(self, data: List[etree._Element], what: str, line: int) -> Dict[str, str]:
         """What this package wrote there, which a newer version may know more of."""
-        own = dict(_properties(element, OWN))
+        own = dict(_properties(data, OWN))
         for key in own:
             if key not in _OWN_KEYS:
                 self.draft.fail(
                     "its property '%s' is not known" % shorten(key),
                     what,
-                    line_of(element),
+                    line,
                     "was the file written by a newer version of this package?",
                 )
         return own
@@ -192,7 +195,7 @@ class _Reader:
         self._check(element, _PLACE, what)
         text = label(element, "initialMarking", "text")
         tokens = self.draft.count(text, "initial marking", what, line) if text else 0
-        text = self._own(element, what).get("capacity")
+        text = self._own(all_of(element, "toolspecific"), what, line).get("capacity")
         capacity = self.draft.count(text, "capacity", what, line) if text else None
         self.draft.add_place(
             element.get("id"),
@@ -207,7 +210,8 @@ class _Reader:
         what, line = name_of(element, "transition"), line_of(element)
         self._check(element, _TRANSITION, what)
         identifier, name = element.get("id"), label(element, "name", "text")
-        data, own = dict(_properties(element, STOCHASTIC)), self._own(element, what)
+        tools = all_of(element, "toolspecific")
+        data, own = dict(_properties(tools, STOCHASTIC)), self._own(tools, what, line)
         kind = data.get("distributionType", "").upper()
         if not kind and ("weight" in data or "priority" in data):
             kind = "IMMEDIATE"
@@ -326,10 +330,11 @@ class _Reader:
             self.draft.add_arc(identifier, target, source, weight, False, line)
 
 
-def _properties(element: etree._Element, tool: str) -> List[Tuple[str, str]]:
-    """The data of a tool at an element: ``<property key="weight">2</property>``, or attributes."""
+def _properties(nodes: List[etree._Element], tool: str) -> List[Tuple[str, str]]:
+    """The data of a tool in the ``toolspecific`` of an element: properties (``<property key="weight">2</property>``),
+    or attributes."""
     found: List[Tuple[str, str]] = []
-    for node in all_of(element, "toolspecific"):
+    for node in nodes:
         if node.get("tool") == tool:
             found += [(str(k), str(v)) for k, v in node.items() if k not in ("tool", "version")]
             found += [(p.get("key", ""), (p.text or "").strip()) for p in all_of(node, "property")]

@@ -68,19 +68,23 @@ def check(element: etree._Element, vocabulary: Element, what: str, fail: _Fail) 
     :param fail: raises the error: (message, element, line, hint).
     """
     check_attributes(element, vocabulary, what, fail)
-    if not vocabulary.text and (element.text or "").strip():
+    text = element.text
+    if text and not vocabulary.text and text.strip():
         fail(
-            "the text '%s' stands in <%s> itself" % (shorten(element.text or ""), tag(element)),
+            "the text '%s' stands in <%s> itself" % (shorten(text), tag(element)),
             what,
             line_of(element),
             _words("there should be", vocabulary.children),
         )
+    if not len(element):
+        return
     seen: Set[str] = set()
     for node in element:
         name = tag(node)
-        if (node.tail or "").strip():
+        tail = node.tail
+        if tail and tail.strip():
             fail(
-                "the text '%s' stands in <%s> itself" % (shorten(node.tail or ""), tag(element)),
+                "the text '%s' stands in <%s> itself" % (shorten(tail), tag(element)),
                 what,
                 line_of(node),
                 "text belongs into an element of its own",

@@ -67,16 +67,20 @@ def tag(element: etree._Element) -> str:
     name = element.tag
     if not isinstance(name, str):  # an entity reference that nothing declares
         return ""
-    return name.rpartition("}")[2]
+    return name if name[:1] != "{" else name.rpartition("}")[2]
 
 
 def child(element: etree._Element, name: str) -> Optional[etree._Element]:
     """The first child with that tag, whatever its namespace."""
+    if not len(element):  # as most arcs are; asking lxml costs more
+        return None
     return next(element.iterchildren("{*}" + name), None)
 
 
 def all_of(element: etree._Element, name: str) -> List[etree._Element]:
     """All children with that tag, whatever their namespace."""
+    if not len(element):
+        return []
     return list(element.iterchildren("{*}" + name))
 
 
@@ -99,6 +103,8 @@ def arc_kind(element: etree._Element) -> str:
     (PIPE, TINA), ``<type><text>`` or ``<type><value>``, and ``<arctype><text>`` (ProM, pm4py). Where
     two of them disagree, the answer holds both words.
     """
+    if not len(element) and element.get("type") is None:
+        return "normal"
     found = {element.get("type"), label(element, "arctype", "text")}
     for node in all_of(element, "type"):
         found |= {node.get("value"), label(element, "type", "text"), label(element, "type", "value")}

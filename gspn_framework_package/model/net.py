@@ -151,7 +151,8 @@ class Net:
                     "weight %r is not a whole number of at least 1" % (arc.weight,),
                     element=_arc_name(arc),
                 )
-            _check_size(arc.weight, "weight", _arc_name(arc))
+            if arc.weight > MAX_COUNT:
+                _check_size(arc.weight, "weight", _arc_name(arc))
             place, transition = (
                 self.place_index.get(arc.source),
                 self.transition_index.get(arc.target),

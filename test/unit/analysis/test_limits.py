@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from gspn_framework_package.analysis import analyse
+from gspn_framework_package.analysis import analyse, invariants
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.limits import LARGE_NET, STATE_LIMIT, Limits, states_of
 from gspn_framework_package.analysis.report import Questions, report
@@ -27,10 +27,26 @@ def test_without_structure_no_invariant_is_looked_for(monkeypatch):
     def fail(*_, **__):
         raise AssertionError("nobody asked for it")
 
-    monkeypatch.setattr(analyse, "invariant_bounds", fail)
+    monkeypatch.setattr(invariants, "_place_semiflows", fail)
     monkeypatch.setattr(analyse, "CoverabilityTree", fail)
     data = report(Analysis(workflow(120), structure=False), Questions(structure=False, timing=False))
     assert data["states"]["total"] > 1 and data["bounded"]
+
+
+@pytest.mark.parametrize("limits", [Limits(), Limits(structure=50)])
+def test_invariants_are_looked_for_once(monkeypatch, limits):
+    searches = []
+    search = invariants._place_semiflows
+
+    def count(*args):
+        searches.append(args)
+        return search(*args)
+
+    monkeypatch.setattr(invariants, "_place_semiflows", count)
+    monkeypatch.setattr(analyse, "_BEGINNING", 10)  # so that bounds are asked for
+    data = report(Analysis(ring(30), limits=limits), Questions())
+    assert data["states"]["total"] == 30
+    assert len(searches) == 1
 
 
 def test_what_is_small_enough_is_visited_before_anything_else_is_asked(monkeypatch):
