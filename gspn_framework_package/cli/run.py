@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import sys
@@ -35,7 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=numbers.seed, help="seed of the policy's draws, for the plan's own")
     parser.add_argument("--log", metavar="FILE", help="record the run as an event log (a new file)")
     parser.add_argument(
-        "--json", action="store_true", help="print one JSON object a line: firings, faults, the end"
+        "--json", action="store_true", help="print one JSON object a line: firings, faults, the end; "
+        "what actions print goes to standard error"
     )
     parser.add_argument("--quiet", action="store_true", help="print only faults and the end")
     parser.epilog = (
@@ -54,6 +56,17 @@ def run(args: argparse.Namespace) -> int:
     event_log = _event_log(args.log, plan)
     printer = _Printer(plan, args.json, args.quiet)
     executor = StandaloneExecutor(plan, printer, event_log, firing_limit=args.firings)
+    # a line that an action prints would break one of ours in two
+    with contextlib.redirect_stdout(sys.stderr) if args.json else contextlib.nullcontext():
+        return _execute(args, executor, printer, event_log)
+
+
+def _execute(
+    args: argparse.Namespace,
+    executor: StandaloneExecutor,
+    printer: _Printer,
+    event_log: Optional[EventLogWriter],
+) -> int:
     started = time.monotonic()
     deadline = started + args.seconds if args.seconds is not None else None
     executor.start()
@@ -112,6 +125,7 @@ class _Printer(Listener):
         self.over = threading.Event()
         self._plan = plan
         self._json = as_json
+        self._out = sys.stdout
         self._quiet = quiet
         self._count = 0
 
@@ -166,7 +180,7 @@ class _Printer(Listener):
         print("ended: %s; %d firings in %.1f s; %s" % (reason, self._count, seconds, there))
 
     def _print(self, data: Dict[str, Any]) -> None:
-        print(json.dumps(data), flush=True)
+        print(json.dumps(data), file=self._out, flush=True)
 
 
 def _moves(firing: Firing) -> str:

@@ -40,9 +40,9 @@ def test_a_function_that_is_not_there_is_refused(tmp_path, capsys, source):
 
 
 def test_a_module_that_is_not_there_is_refused(tmp_path, capsys):
-    (tmp_path / "plan.json").write_text(json.dumps(PLAN))
+    (tmp_path / "plan.json").write_text(json.dumps(dict(PLAN, actions={"P": "in_no_folder.go", "Q": None})))
     assert main(["check", str(tmp_path)]) == 1
-    assert "there is no work.py beside the plan" in capsys.readouterr().out
+    assert "there is no in_no_folder.py beside the plan" in capsys.readouterr().out
     (tmp_path / "plan.json").write_text(json.dumps(dict(PLAN, actions={"P": "os.getcwd", "Q": None})))
     assert main(["check", str(tmp_path)]) == 0
 

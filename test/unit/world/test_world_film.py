@@ -146,7 +146,7 @@ def test_a_film_file_has_all_pictures(kind, tmp_path):
         (["film.avi"], "no kind of film"),
         (["/no/such/folder/film.gif"], "no such folder"),
         (["pictures", "--size", "huge"], "--size"),
-        (["pictures", "--speed", "0"], "--speed must be above 0"),
+        (["pictures", "--speed", "0"], "argument --speed: '0' is not a number above 0"),
         (["pictures", "--recording", "/no/such/file"], "cannot read the recording"),
         (["pictures", "--robots", "9"], "only 8 robots"),
     ],
