@@ -85,7 +85,7 @@ class Team:
     def order(self, robot: str, command: str) -> str:
         """Give the team an operator's command through a robot, from that robot's own namespace; "" when it was carried
         out, else why not."""
-        words = self._network.command(robot, ["rosservice", "call", "/%s/command" % robot, command, "", ""])
+        words = self._network.command(robot, ["rosservice", "call", "/%s/command" % robot, "{command: %s}" % command])
         try:
             done = subprocess.run(
                 words, env=self._environment(robot), stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
