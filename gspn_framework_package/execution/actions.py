@@ -243,11 +243,9 @@ def missing_function(folder: Optional[str], name: str) -> Optional[str]:
     path = os.path.join(os.path.abspath(folder), *module.split(".")) if folder else ""
     file = next((f for f in (path + ".py", os.path.join(path, "__init__.py")) if path and os.path.isfile(f)), None)
     if file is None:
-        try:
-            found = importlib.util.find_spec(module.split(".")[0]) is not None
-        except (ImportError, ValueError):
-            found = False
-        return None if found else "there is no %s.py beside the plan, and no such module" % module.replace(".", "/")
+        if _is_installed(module):
+            return None
+        return "there is no %s.py beside the plan, and no such module" % module.replace(".", "/")
     try:
         with open(file, "rb") as source:
             tree = ast.parse(source.read(), file)
@@ -279,6 +277,8 @@ def _load_module(folder: Optional[str], name: str, element: str) -> ModuleType:
         if path and os.path.isfile(file):
             return _load_file(str(folder), file, element)
     try:
+        if not _is_installed(name):
+            raise ModuleNotFoundError(name=name)
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name is None or not (name + ".").startswith(error.name + "."):
@@ -293,6 +293,23 @@ def _load_module(folder: Optional[str], name: str, element: str) -> ModuleType:
         raise _import_failed(error, None, element) from error
 
 
+_plan_folders: set[str] = set()
+"""Folders of plans that are on ``sys.path`` because their modules may import each other."""
+
+
+def _is_installed(name: str) -> bool:
+    """Whether Python has the module, or the package it is in, not counting what belongs to another plan."""
+    try:
+        spec = importlib.util.find_spec(name.split(".")[0])
+    except (ImportError, ValueError):
+        return False
+    if spec is None:
+        return False
+    packages = list(spec.submodule_search_locations or ())
+    entries = packages or ([spec.origin] if spec.has_location and spec.origin else [])
+    return not entries or any(os.path.dirname(os.path.abspath(entry)) not in _plan_folders for entry in entries)
+
+
 def _load_file(folder: str, file: str, element: str) -> ModuleType:
     # A name of its own: two plans may both have an actions.py, even in one process.
     digest = hashlib.sha256(os.path.realpath(file).encode()).hexdigest()[:12]
@@ -302,6 +319,7 @@ def _load_file(folder: str, file: str, element: str) -> ModuleType:
     folder = os.path.abspath(folder)
     if folder not in sys.path:
         sys.path.append(folder)  # its modules may import each other; they hide none of Python's own
+        _plan_folders.add(folder)
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

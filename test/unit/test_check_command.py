@@ -47,6 +47,19 @@ def test_a_module_that_is_not_there_is_refused(tmp_path, capsys):
     assert main(["check", str(tmp_path)]) == 0
 
 
+def test_the_modules_of_another_plan_are_not_taken(tmp_path, capsys):
+    for name in ("has", "lacks"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "plan.json").write_text(json.dumps(dict(PLAN, actions={"P": "only_here.go", "Q": None})))
+    (tmp_path / "has" / "only_here.py").write_text("def go():\n    pass\n")
+    assert main(["run", str(tmp_path / "has"), "--seconds", "0.1", "--quiet"]) == 0
+    capsys.readouterr()
+    assert main(["check", str(tmp_path / "lacks")]) == 1
+    assert "there is no only_here.py beside the plan" in capsys.readouterr().out
+    assert main(["run", str(tmp_path / "lacks"), "--seconds", "0.1", "--quiet"]) == 2
+    assert "there is no module 'only_here'" in capsys.readouterr().err
+
+
 def test_a_net_is_told_as_a_net(tmp_path, capsys):
     assert main(["convert", _net(tmp_path), str(tmp_path / "net.pnml")]) == 0
     capsys.readouterr()
