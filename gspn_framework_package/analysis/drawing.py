@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Dict, Sequence
+from typing import Dict, Mapping, Sequence
 
 import numpy as np
 
@@ -10,6 +10,12 @@ from gspn_framework_package.analysis.chain import Chain
 from gspn_framework_package.analysis.coverability import OMEGA, CoverabilityTree
 from gspn_framework_package.formats.dot import Attribute, Graph
 from gspn_framework_package.model.net import Net
+
+_MAX_LAYERED = 60
+"""Most states of a chain that are drawn in layers, with their rates: more make long rows of nodes with all arcs between
+them, and numbers that nobody can tell the arc of."""
+
+_LAYERED: Mapping[str, Attribute] = {"rankdir": "TB", "layout": "dot", "nodesep": 0.4, "ranksep": 0.6}
 
 _MERGED = 1e-12  # probabilities below this are the rounding of an elimination
 
@@ -34,11 +40,14 @@ def tree_graph(tree: CoverabilityTree) -> Graph:
     return graph
 
 
-def chain_graph(chain: Chain) -> Graph:
+def chain_graph(chain: Chain, note: str = "") -> Graph:
     """The Markov chain: a node a tangible marking, an arc a rate (1/s). States where it can start are bold, with their
-    probability where there are several; states that are never left are red."""
+    probability where there are several; states that are never left are red.
+
+    :param note: a line to write below the drawing, which then has no rates.
+    """
     net = chain.graph.net
-    graph = _graph(net.name)
+    graph = _graph(net.name, {"label": note} if note else {}, large=len(chain) > _MAX_LAYERED)
     starts = int(np.count_nonzero(chain.initial > _MERGED))
     markings = chain.graph.markings(chain.states)
     for number in range(len(chain)):
@@ -53,14 +62,29 @@ def chain_graph(chain: Chain) -> Graph:
         graph.node(str(number), label=label, **looks)
     rates = chain.rates.tocoo()
     for source, target, rate in sorted(zip(rates.row.tolist(), rates.col.tolist(), rates.data.tolist())):
-        graph.edge(str(source), str(target), label=" %.4g " % rate)  # else two labels read as one number
+        shown: Dict[str, Attribute] = {} if note else {"label": " %.4g " % rate}  # else two labels read as one number
+        graph.edge(str(source), str(target), **shown)
     return graph
 
 
-def _graph(name: str) -> Graph:
+def note_of_rates_left_out(chain: Chain) -> str:
+    """What to tell of a chain that is too large for rates in its picture; empty for a smaller one."""
+    if len(chain) <= _MAX_LAYERED:
+        return ""
+    return "%d states; the rates of the %d arcs are left out; gspn convert --to drn has them, and -o OUT.dot" % (
+        len(chain),
+        chain.rates.nnz,
+    )
+
+
+def _graph(name: str, attributes: Mapping[str, Attribute] = {}, large: bool = False) -> Graph:
     # Nodes are drawn over the arcs, and are white: an arc that passes behind one does not cross its text.
     graph = Graph(
-        name, fontname="Helvetica", rankdir="TB", layout="dot", nodesep=0.4, ranksep=0.6, outputorder="edgesfirst"
+        name,
+        fontname="Helvetica",
+        **({"layout": "sfdp", "overlap": "prism", "splines": "false"} if large else _LAYERED),
+        outputorder="edgesfirst",
+        **attributes,
     )
     graph.defaults(
         "node", fontname="Helvetica", fontsize=10, shape="box", style="rounded,filled", fillcolor="white", height=0.3

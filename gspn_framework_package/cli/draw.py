@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Union
+from typing import List, Union
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.coverability import CoverabilityTree
-from gspn_framework_package.analysis.drawing import chain_graph, tree_graph
+from gspn_framework_package.analysis.drawing import chain_graph, note_of_rates_left_out, tree_graph
 from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.limits import MEMORY
 from gspn_framework_package.cli import numbers
@@ -68,9 +68,10 @@ def run(args: argparse.Namespace) -> int:
             hint="end it in .%s or .dot" % ", .".join(IMAGE_FORMATS),
         )
     subject, notes = read_net_or_plan_argument(args)
-    graph = _graph(subject, args.what, args.limit)
+    is_text = image in ("dot", "gv")
+    graph = _graph(subject, args.what, args.limit, notes, is_text)
     text = graph.text()
-    if image in ("dot", "gv"):
+    if is_text:
         write_bytes(args.output, text.encode("utf-8"))
     else:
         write_bytes(args.output, render(text, image, args.timeout))
@@ -78,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _graph(subject: Union[Net, Plan], what: str, limit: int) -> Graph:
+def _graph(subject: Union[Net, Plan], what: str, limit: int, notes: List[str], everything: bool) -> Graph:
     net = subject.net if isinstance(subject, Plan) else subject
     if what == "net":
         return net_graph(net)
@@ -86,6 +87,10 @@ def _graph(subject: Union[Net, Plan], what: str, limit: int) -> Graph:
     def draw(progress: Progress, cancel: Cancel) -> Graph:
         if what == "coverability":
             return tree_graph(CoverabilityTree(net, limit=limit, progress=progress, cancel=cancel, memory=MEMORY))
-        return chain_graph(Analysis(subject, limit=limit, progress=progress, cancel=cancel).chain)
+        chain = Analysis(subject, limit=limit, progress=progress, cancel=cancel).chain
+        note = "" if everything else note_of_rates_left_out(chain)
+        if note:
+            notes.append(note)
+        return chain_graph(chain, note)
 
     return working(draw, MEMORY)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import subprocess
 from typing import Dict, List, Mapping, Optional, Sequence, Union
 
+from gspn_framework_package.formats.routes import Box, Layout, Line, Point, layout
 from gspn_framework_package.model.errors import InputError, LimitError, UsageError
 from gspn_framework_package.model.net import Net, Place, Position, Transition
 
@@ -19,6 +20,9 @@ _MAX_LAYERED = 300
 
 _MAX_DOTS = 4
 """Most tokens that are drawn as dots; more are a number."""
+
+_ARROW_LENGTH, _DOT_LENGTH = 7.0, 5.6
+"""Lengths of the two heads of arcs, in points, at the size that nets are drawn with."""
 
 Attribute = Union[str, int, float]
 
@@ -88,7 +92,10 @@ def net_graph(net: Net, marking: Optional[Sequence[int]] = None) -> Graph:
     nodes = len(net.places) + len(net.transitions)
     positions = _positions(net)
     attributes: Dict[str, Attribute] = {"fontname": "Helvetica", "forcelabels": "true"}
-    if positions:
+    placed = _placed(net, positions) if positions else None
+    if placed is not None:
+        attributes.update(layout="nop2", notranslate="true", outputorder="edgesfirst")
+    elif positions:
         attributes.update(layout="neato", inputscale=72, splines="true", notranslate="true")
     elif nodes > _MAX_LAYERED:
         attributes.update(layout="sfdp", overlap="prism", splines="false")
@@ -98,20 +105,27 @@ def net_graph(net: Net, marking: Optional[Sequence[int]] = None) -> Graph:
     graph.defaults("node", fontname="Helvetica", fontsize=10, margin=0, fixedsize="true")
     graph.defaults("edge", fontname="Helvetica", fontsize=9, arrowsize=0.7)
     counts = net.initial_marking if marking is None else marking
-    for place, tokens in zip(net.places, counts):
-        graph.node(place.name, **_place_attributes(place, tokens), **_at(place.name, positions))
-    for transition in net.transitions:
+    spots = [{"xlp": _point(spot)} for spot in placed.labels] if placed else [{} for _ in range(nodes)]
+    for place, tokens, spot in zip(net.places, counts, spots):
+        graph.node(place.name, **_place_attributes(place, tokens), **_at(place.name, positions), **spot)
+    for transition, spot in zip(net.transitions, spots[len(net.places) :]):
         graph.node(
             transition.name,
             **_transition_attributes(transition),
             **_at(transition.name, positions),
+            **spot,
         )
-    for arc in net.arcs:
+    for number, arc in enumerate(net.arcs):
         looks: Dict[str, Attribute] = {}
         if arc.weight != 1:
             looks["label"] = arc.weight
         if arc.inhibitor:
             looks["arrowhead"] = "odot"
+        if placed is not None:
+            route = placed.routes[number]
+            looks["pos"] = "e,%s %s" % (_point(route.tip), " ".join(map(_point, route[:4])))
+            if route.label is not None:
+                looks["lp"] = _point(route.label)
         graph.edge(arc.source, arc.target, **looks)
     return graph
 
@@ -135,6 +149,32 @@ def _at(name: str, positions: Mapping[str, Position]) -> Dict[str, Attribute]:
         return {}
     x, y = positions[name]
     return {"pos": "%.2f,%.2f!" % (x, 0 - y)}  # Graphviz counts y upwards
+
+
+def _placed(net: Net, positions: Mapping[str, Position]) -> Optional[Layout]:
+    """Ways of the arcs and spots of the labels; None where Graphviz has to find them."""
+    looks = [_place_attributes(place, 0) for place in net.places] + [_transition_attributes(t) for t in net.transitions]
+    names = [place.name for place in net.places] + [transition.name for transition in net.transitions]
+    number = {name: i for i, name in enumerate(names)}
+    boxes: List[Box] = []
+    for name, look in zip(names, looks):
+        half = [36.0 * float(look.get(key, look["width"])) for key in ("width", "height")]
+        x, y = positions[name]
+        boxes.append(Box(x, 0 - y, half[0], half[1], look["shape"] == "circle", str(look["xlabel"])))
+    lines = [
+        Line(
+            number[arc.source],
+            number[arc.target],
+            str(arc.weight) if arc.weight != 1 else "",
+            _DOT_LENGTH if arc.inhibitor else _ARROW_LENGTH,
+        )
+        for arc in net.arcs
+    ]
+    return layout(boxes, lines)
+
+
+def _point(point: Point) -> str:
+    return "%.2f,%.2f" % point
 
 
 def _place_attributes(place: Place, tokens: int) -> Dict[str, Attribute]:

@@ -8,6 +8,7 @@ import pytest
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.coverability import CoverabilityTree
 from gspn_framework_package.analysis.drawing import chain_graph, tree_graph
+from gspn_framework_package.benchmark.large_nets import ring
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import write_net
 from gspn_framework_package.model.builder import NetBuilder
@@ -67,6 +68,24 @@ def test_a_chain_without_its_vanishing_markings():
     assert rates == [("a", "c", "1"), ("a", "d", "3"), ("c", "a", "0.5")]
     assert text.count('color="red"') == 1
     assert text.count("penwidth") == 1
+
+
+def test_a_large_chain_is_drawn_without_its_rates_and_says_so(tmp_path, capsys):
+    write_net(ring(150), tmp_path / "n.xml")
+    words = ["draw", str(tmp_path / "n.xml"), "--what", "chain", "-o"]
+    assert main([*words, str(tmp_path / "n.dot")]) == 0
+    assert capsys.readouterr().err == ""
+    text = (tmp_path / "n.dot").read_text(encoding="utf-8")
+    assert len(edges(text)) == 150  # each with its rate
+    assert 'layout="sfdp"' in text
+    if shutil.which("dot") is None:
+        pytest.skip("Graphviz is not installed")
+    assert main([*words, str(tmp_path / "n.svg")]) == 0
+    note = "150 states; the rates of the 150 arcs are left out"
+    assert note in capsys.readouterr().err
+    picture = (tmp_path / "n.svg").read_text(encoding="utf-8").replace("&#160;", " ")
+    assert note in picture
+    assert picture.count("<text") == 151  # the states and the note
 
 
 def test_a_chain_that_starts_by_chance():

@@ -83,6 +83,20 @@ def test_positions_are_kept():
     assert at["top"][1] < at["left"][1] - 60  # y goes down in our drawings, as on the screen
 
 
+def test_fixed_nodes_get_arcs_and_labels_at_fixed_spots():
+    net = (
+        NetBuilder("n").place("left", position=(0, 10)).place("right", position=(300, 10))
+        .immediate("top", position=(150, -90), inputs={"left": 2}, outputs="right").build()
+    )  # fmt: skip
+    text = dot.net_graph(net).text()
+    assert 'layout="nop2"' in text
+    assert len(re.findall(r'xlp="[-\d.]+,[-\d.]+"', text)) == 3
+    assert len(re.findall(r'-> "\w+" \[.*pos="e,', text)) == 2
+    assert len(re.findall(r' lp="', text)) == 1
+    far = NetBuilder("far").place("a", position=(0, 0)).place("b", position=(1e300, 3)).build()
+    assert 'layout="neato"' in dot.net_graph(far).text()
+
+
 @needs_graphviz
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(net=nets())

@@ -1,0 +1,253 @@
+"""Where the arcs and labels of a net go, whose nodes have places in the drawing.
+
+Graphviz lays arcs on each other and labels across arcs where the nodes are fixed, so both are put here: an arc is
+straight where it can be, and bends away from nodes and from arcs that run along it; a label takes the free spot
+that is nearest to its node. Lengths are points (1/72 inch), y counts upwards.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
+
+Point = Tuple[float, float]
+
+_STEP = 6.0  # distance of the points of an arc that are looked at; closer than that, two arcs run on each other
+_NEAR = 28.0  # around its ends an arc may meet the others that end there
+_BENDS = (0, 14, -14, 28, -28, 45, -45, 65, -65, 90, -90, 120, -120)
+_GAPS = (3.0, 10.0, 20.0, 32.0)
+_DIRECTIONS = [math.radians(a) for a in (90, 270, 135, 45, 225, 315, 180, 0, 112, 68, 248, 292, 158, 22, 202, 338)]
+_MAX_EXTENT = 20_000.0
+_MAX_LENGTH = 300_000.0
+LINE_HEIGHT = 12.5
+LETTER = 6.4
+"""Mean width of a letter of a node's label; wider than in most fonts, so that none is cut."""
+
+
+class Box(NamedTuple):
+    """A node: its middle, half its width and height, and the lines of its label."""
+
+    x: float
+    y: float
+    half_width: float
+    half_height: float
+    round: bool
+    label: str
+
+
+class Line(NamedTuple):
+    """An arc between two boxes (by number), with its label and the length of its head."""
+
+    source: int
+    target: int
+    label: str
+    head: float
+
+
+class Route(NamedTuple):
+    """The way of an arc: where it starts, two control points, where its head begins and ends; where its label is."""
+
+    start: Point
+    first: Point
+    second: Point
+    base: Point
+    tip: Point
+    label: Optional[Point]
+
+    def points(self) -> List[Point]:
+        """Points along it, at most some six points of length apart."""
+        corners = (self.start, self.first, self.second, self.base)
+        number = max(4, int(sum(map(_distance, corners, corners[1:])) / _STEP) + 1)
+        found = []
+        for i in range(number + 1):
+            t = i / number
+            weights = ((1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t * t * (1 - t), t**3)
+            found.append(_mean(weights, corners))
+        return [*found, self.tip]
+
+
+class Layout(NamedTuple):
+    """The routes, in the order of the lines, and the middle of each box's label."""
+
+    routes: List[Route]
+    labels: List[Point]
+
+
+def layout(boxes: Sequence[Box], lines: Sequence[Line]) -> Optional[Layout]:
+    """Routes and labels; None where the drawing is too large for this to be quick."""
+    extent = max((abs(v) for box in boxes for v in box[:2]), default=0.0)
+    if extent > _MAX_EXTENT or len(boxes) * len(lines) > 100_000:
+        return None
+    lengths = [_distance(boxes[line.source][:2], boxes[line.target][:2]) for line in lines]
+    if sum(lengths) > _MAX_LENGTH:
+        return None
+    routes: Dict[int, Route] = {}
+    taken: Dict[Tuple[int, int], Set[int]] = {}
+    for number in sorted(range(len(lines)), key=lambda i: lengths[i]):  # long ones can go around more easily
+        routes[number] = _route(boxes, lines, number, routes, taken)
+        for x, y in routes[number].points():
+            for i in (-1, 0, 1):
+                for j in (-1, 0, 1):
+                    taken.setdefault((int(x // _STEP) + i, int(y // _STEP) + j), set()).add(number)
+    spots = _Spots(boxes)
+    for number, route in routes.items():
+        spots.add_arc(number, route)
+    labels = [spots.put(_around(box), *_size(box.label)) for box in boxes]
+    ready = []
+    for number, line in enumerate(lines):
+        route = routes[number]
+        if line.label:
+            route = route._replace(label=spots.put(_along(route), *_size(line.label)))
+        ready.append(route)
+    return Layout(ready, labels)
+
+
+def _distance(a: Sequence[float], b: Sequence[float]) -> float:
+    return math.hypot(a[0] - b[0], a[1] - b[1])
+
+
+def _mean(weights: Sequence[float], points: Sequence[Point]) -> Point:
+    return sum(w * p[0] for w, p in zip(weights, points)), sum(w * p[1] for w, p in zip(weights, points))
+
+
+def _size(label: str) -> Tuple[float, float]:
+    lines = label.splitlines() or [""]
+    return LETTER * max(map(len, lines)), LINE_HEIGHT * len(lines)
+
+
+def _border(box: Box, towards: Point) -> Point:
+    """Where the way from the middle of the box to a point leaves it."""
+    dx, dy = towards[0] - box.x, towards[1] - box.y
+    length = math.hypot(dx, dy)
+    if length < 1e-9:
+        return box.x + box.half_width, box.y
+    if box.round:
+        part = box.half_width / length
+    else:
+        part = min(half / abs(d) for half, d in ((box.half_width, dx), (box.half_height, dy)) if d)
+    return box.x + part * dx, box.y + part * dy
+
+
+def _bent(boxes: Sequence[Box], line: Line, bend: float) -> Route:
+    a, b = boxes[line.source], boxes[line.target]
+    dx, dy = b.x - a.x, b.y - a.y
+    length = math.hypot(dx, dy) or 1.0
+    middle = ((a.x + b.x) / 2 - 2 * bend * dy / length, (a.y + b.y) / 2 + 2 * bend * dx / length)
+    start, tip = _border(a, middle), _border(b, middle)
+    away = _distance(middle, tip) or 1.0
+    head = min(line.head, away / 2)
+    base = (tip[0] + head * (middle[0] - tip[0]) / away, tip[1] + head * (middle[1] - tip[1]) / away)
+    first = (start[0] + (middle[0] - start[0]) * 2 / 3, start[1] + (middle[1] - start[1]) * 2 / 3)
+    second = (base[0] + (middle[0] - base[0]) * 2 / 3, base[1] + (middle[1] - base[1]) * 2 / 3)
+    return Route(start, first, second, base, tip, None)
+
+
+def _route(
+    boxes: Sequence[Box],
+    lines: Sequence[Line],
+    number: int,
+    routes: Dict[int, Route],
+    taken: Dict[Tuple[int, int], Set[int]],
+) -> Route:
+    """The way with the least to object to, of those there are."""
+    line = lines[number]
+    ends = (boxes[line.source][:2], boxes[line.target][:2])
+    others = [box for i, box in enumerate(boxes) if i not in (line.source, line.target)]
+    tips = [routes[i].tip for i in routes if lines[i].target == line.target]
+    tips += [routes[i].start for i in routes if lines[i].source == line.target]
+    pair = {line.source, line.target}
+    beside = [_middle(route) for i, route in routes.items() if {lines[i].source, lines[i].target} == pair]
+    room = _distance(*ends) / 2
+    best, least = _bent(boxes, line, 0), math.inf
+    for bend in _BENDS:
+        if abs(bend) > max(room, 14):
+            continue
+        route = _bent(boxes, line, bend)
+        points = route.points()
+        cost = abs(bend) * 0.25
+        for box in others:
+            reach = max(box.half_width, box.half_height) + 5
+            if any(abs(x - box.x) < reach and abs(y - box.y) < reach for x, y in points):
+                cost += 100
+        along: Dict[int, int] = {}
+        for x, y in points:
+            if min(_distance((x, y), ends[0]), _distance((x, y), ends[1])) > _NEAR:
+                for other in taken.get((int(x // _STEP), int(y // _STEP)), ()):
+                    along[other] = along.get(other, 0) + 1
+        for times in along.values():
+            cost += 2 if times <= 4 else 2 * times  # crossing is one thing, running along it another
+        cost += sum(60 for middle in beside if _distance(middle, _middle(route)) < 10)
+        cost += sum(8 for tip in tips if _distance(tip, route.tip) < 6)
+        if cost < least:
+            best, least = route, cost
+        if not least:
+            break
+    return best
+
+
+def _middle(route: Route) -> Point:
+    return _mean((0.125, 0.375, 0.375, 0.125), (route.start, route.first, route.second, route.base))
+
+
+def _around(box: Box) -> Iterator[Tuple[Point, Point, float]]:
+    """Spots for the label of a box: a point beside it, the way from there, and what speaks against the spot."""
+    for gap in _GAPS:
+        for rank, angle in enumerate(_DIRECTIONS):
+            way = (math.cos(angle), math.sin(angle))
+            at = (box.x + way[0] * (box.half_width + gap), box.y + way[1] * (box.half_height + gap))
+            yield at, way, gap * 0.1 + rank * 0.02
+
+
+def _along(route: Route) -> Iterator[Tuple[Point, Point, float]]:
+    """Spots for the label of an arc, as :func:`_around`."""
+    points = route.points()
+    for gap in (3.0, 8.0):
+        for part in (0.5, 0.4, 0.6, 0.3, 0.7):
+            i = max(1, min(len(points) - 2, int(part * len(points))))
+            dx, dy = points[i + 1][0] - points[i - 1][0], points[i + 1][1] - points[i - 1][1]
+            length = math.hypot(dx, dy) or 1.0
+            for side in (1, -1):
+                way = (-side * dy / length, side * dx / length)
+                at = (points[i][0] + gap * way[0], points[i][1] + gap * way[1])
+                yield at, way, gap * 0.1 + abs(part - 0.5)
+
+
+class _Spots:
+    """What is drawn already, and how much of it a rectangle would cover."""
+
+    _CELL = 30.0
+
+    def __init__(self, boxes: Sequence[Box]) -> None:
+        self._boxes = boxes
+        self._points: Dict[Tuple[int, int], List[Tuple[float, float, int]]] = {}
+        self._labels: List[Tuple[float, float, float, float]] = []
+
+    def add_arc(self, number: int, route: Route) -> None:
+        for x, y in route.points():
+            cell = int(x // self._CELL), int(y // self._CELL)
+            self._points.setdefault(cell, []).append((x, y, number))
+
+    def put(self, spots: Iterator[Tuple[Point, Point, float]], width: float, height: float) -> Point:
+        """The middle of a label of this size at the best of the spots, which is taken from now on."""
+        best, least = (0.0, 0.0), math.inf
+        for at, way, cost in spots:
+            if cost >= least:
+                continue
+            x, y = at[0] + way[0] * width / 2, at[1] + way[1] * height / 2
+            cost += self._covered(x, y, width / 2 + 1, height / 2 + 1)
+            if cost < least:
+                best, least = (x, y), cost
+        self._labels.append((*best, width / 2, height / 2))
+        return best
+
+    def _covered(self, x: float, y: float, w: float, h: float) -> float:
+        arcs: Dict[int, int] = {}
+        for i in range(int((x - w) // self._CELL), int((x + w) // self._CELL) + 1):
+            for j in range(int((y - h) // self._CELL), int((y + h) // self._CELL) + 1):
+                for px, py, number in self._points.get((i, j), ()):
+                    if abs(px - x) < w and abs(py - y) < h:
+                        arcs[number] = arcs.get(number, 0) + 1
+        cost = sum(20 + times for times in arcs.values())
+        cost += sum(50 for b in self._boxes if abs(b.x - x) < w + b.half_width and abs(b.y - y) < h + b.half_height)
+        cost += sum(50 for b in self._labels if abs(b[0] - x) < w + b[2] and abs(b[1] - y) < h + b[3])
+        return cost
