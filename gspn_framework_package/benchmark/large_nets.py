@@ -142,6 +142,7 @@ def switches(n: int, tokens: int) -> Net:
 LARGE: Mapping[str, Callable[[], Net]] = {
     "ring 500": lambda: ring(500),
     "ring 2000": lambda: ring(2_000),
+    "ring 50000": lambda: ring(50_000),
     "ring 100000": lambda: ring(100_000),
     "scattered 50000": lambda: scattered(50_000, 50_000, tokens=50_000),
     "cells 30000": lambda: cells(30_000),
