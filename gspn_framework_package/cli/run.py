@@ -31,8 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
     parser.add_argument("--agents", type=numbers.robots, metavar="N", help="run it with N agents")
-    parser.add_argument("--seconds", type=numbers.seconds, metavar="S", help="stop after S seconds")
-    parser.add_argument("--firings", type=numbers.whole(0, 2**53), metavar="N", help="stop after N firings")
+    parser.add_argument("--seconds", type=numbers.duration, metavar="S", help="stop after S seconds")
+    parser.add_argument("--firings", type=numbers.whole(1, 2**53), metavar="N", help="stop after N firings")
     parser.add_argument("--seed", type=numbers.seed, help="seed of the policy's draws, for the plan's own")
     parser.add_argument("--log", metavar="FILE", help="record the run as an event log (a new file)")
     parser.add_argument(
@@ -48,10 +48,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check the plan, execute it, and tell how it ended."""
-    for option in ("seconds", "firings"):
-        value = getattr(args, option)
-        if value is not None and value <= 0:
-            raise UsageError("--%s must be above 0, not %g" % (option, value))
     plan = _plan(args)
     event_log = _event_log(args.log, plan)
     printer = _Printer(plan, args.json, args.quiet)

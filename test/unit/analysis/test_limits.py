@@ -6,9 +6,9 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 
 import pytest
+from waiting import wait_for
 
 from gspn_framework_package.analysis import analyse, invariants
 from gspn_framework_package.analysis.analyse import Analysis
@@ -177,9 +177,7 @@ def test_an_interrupt_ends_the_work_at_once(tmp_path):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
-        deadline = time.monotonic() + 120
-        while _threads(process.pid) < 2 and time.monotonic() < deadline:  # until it works
-            time.sleep(0.05)
+        wait_for(lambda: _threads(process.pid) >= 2, 120, "the analysis to begin")
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
     finally:
