@@ -14,9 +14,11 @@ import argparse
 import importlib
 import io
 import os
+import signal
 import sys
+import threading
 import traceback
-from typing import Dict, NoReturn, Optional, Sequence, Tuple
+from typing import Any, Dict, NoReturn, Optional, Sequence, Tuple
 
 from gspn_framework_package import __version__
 from gspn_framework_package.model.errors import GspnError, missing_library
@@ -64,18 +66,21 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper) and hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")  # a file's name may have bytes that are no text
     debug = "--debug" in words or bool(os.environ.get("GSPN_DEBUG"))
+    interrupts = _Interrupts()
     try:
-        code = _run(words)
+        with interrupts:
+            code = _run(words, interrupts)
         sys.stdout.flush()  # here, where a reader that has gone is noticed
         return code
     except KeyboardInterrupt:
-        print("gspn: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
+        return _interrupted()
     except BrokenPipeError:
         # The reader (head, less) has left. Python flushes once more at exit, and would complain.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_BROKEN_PIPE
     except Exception as error:
+        if interrupts.seen and isinstance(error, ImportError):
+            return _interrupted()
         if debug:
             traceback.print_exc()
         message, code = _explain(error)
@@ -83,13 +88,52 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         return code
 
 
-def _run(words: Sequence[str]) -> int:
+class _Interrupts:
+    """What an interrupt (SIGINT) does: it ends the program on the spot until a verb begins, then it is an exception.
+
+    A compiled module that is interrupted while it imports another prints the KeyboardInterrupt and raises an
+    ImportError in its place ("numpy.core.multiarray failed to import"). So while the modules of the verb are imported,
+    and there is nothing to tidy up yet, no exception is raised; later, ``seen`` tells what an ImportError means.
+    """
+
+    def __init__(self) -> None:
+        self.seen = False
+        self.verb_has_begun = False
+        self._on = False
+
+    def __enter__(self) -> _Interrupts:
+        # else: interrupts are ignored, or belong to a program that calls main()
+        ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        if ours and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, self._on_interrupt)
+            self._on = True
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        if self._on:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def _on_interrupt(self, *_: Any) -> None:
+        if not self.verb_has_begun:
+            os.write(2, b"gspn: interrupted\n")
+            os._exit(EXIT_INTERRUPTED)
+        self.seen = True
+        raise KeyboardInterrupt
+
+
+def _interrupted() -> int:
+    print("gspn: interrupted", file=sys.stderr)
+    return EXIT_INTERRUPTED
+
+
+def _run(words: Sequence[str], interrupts: _Interrupts) -> int:
     try:
         args, unknown = _parser(words).parse_known_args(words)
         if unknown:
             args.parser.error("unrecognized arguments: %s" % " ".join(unknown))
     except SystemExit as leaving:  # --help, --version, wrong usage; argparse has said what
         return leaving.code if isinstance(leaving.code, int) else EXIT_USAGE
+    interrupts.verb_has_begun = True
     return int(args.run(args))
 
 

@@ -4,6 +4,7 @@ import ast
 import importlib
 import os
 import re
+import signal
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -371,6 +372,46 @@ def test_an_exception_is_one_message_and_an_exit_code(verb, capsys, outcome, cod
     assert output == ""
     assert errors.splitlines()[0] == message
     assert "Traceback" not in errors
+
+
+# As a compiled module does that is interrupted while it imports another.
+INTERRUPTED_IMPORT = """
+import os, signal, sys
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "library":
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+                while True:  # until the signal is there
+                    pass
+            except KeyboardInterrupt:
+                raise ImportError("library failed to import")
+
+sys.meta_path.insert(0, Finder())
+from gspn_framework_package.cli import main, verify
+main.VERBS["verb"] = ("verb", "")
+sys.modules["gspn_framework_package.cli.verb"] = verify
+verify.run = lambda args: __import__("library")
+verify.add_arguments = lambda parser: __import__("library") if sys.argv[1] == "early" else None
+sys.exit(main.main(["verb"]))
+"""
+
+
+@pytest.mark.parametrize("when", ["early", "late"])
+def test_an_interrupt_while_a_library_is_imported_is_no_fault(when):
+    process = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED_IMPORT, when],
+        cwd=str(ROOT), env=clean_environment(), stderr=subprocess.PIPE, timeout=60,
+    )  # fmt: skip
+    assert (process.returncode, process.stderr) == (130, b"gspn: interrupted\n")
+
+
+def test_the_handler_of_interrupts_is_put_back(verb):
+    before = signal.getsignal(signal.SIGINT)
+    verb(0)
+    dispatcher.main(["verb"])
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_an_error_with_another_exit_code_keeps_it(verb):

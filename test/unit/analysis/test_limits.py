@@ -174,6 +174,7 @@ def test_an_interrupt_ends_the_work_at_once(tmp_path):
     write_net(philosophers(18), path)
     process = subprocess.Popen(
         [sys.executable, "-m", "gspn_framework_package", "analyse", str(path), "--limit", "100000000"],
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # so that the second thread is that of the analysis
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
