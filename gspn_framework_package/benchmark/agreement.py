@@ -18,34 +18,44 @@ import sys
 import time
 from typing import Any, Dict, Iterator, List, Optional
 
-from gspn_framework_package.benchmark.team.schedule import Schedule, run_schedule
+from gspn_framework_package.benchmark.team.schedule import KINDS, Schedule, run_schedule
 from gspn_framework_package.benchmark.team.world import ViolationError
 
-SIZES = {2: 36, 3: 54, 5: 7, 8: 2, 12: 1}
+SIZES = {1: 4, 2: 30, 3: 48, 4: 8, 5: 6, 8: 3, 13: 1}
 """Robots in a team, and how many of a hundred schedules have that many."""
 
 TELL_EVERY = 30.0
 """Seconds between two lines of progress, where standard error is no terminal."""
 
 
-def draw_schedules(first_seed: int, number: int, sizes: Optional[List[int]] = None) -> Iterator[Schedule]:
-    """Schedules with the seeds from ``first_seed`` on; sizes and modes are drawn by the seed."""
+SHARES = {"": 40, "operator": 20, "power": 12, "spare": 5, "tight": 13, "amnesia": 6, "calm": 4}
+"""Kinds of schedules, and how many of a hundred are of that kind."""
+
+
+def draw_schedules(
+    first_seed: int, number: int, sizes: Optional[List[int]] = None, kinds: Optional[List[str]] = None
+) -> Iterator[Schedule]:
+    """Schedules with the seeds from ``first_seed`` on; sizes, modes and kinds are drawn by the seed."""
     for seed in range(first_seed, first_seed + number):
         source = random.Random(seed)
         if sizes:
             robots = source.choice(sizes)
         else:
             robots = source.choices(list(SIZES), list(SIZES.values()))[0]
-        yield Schedule(seed, robots, source.random() < 0.5)
+        partial = source.random() < 0.5
+        kind = source.choice(kinds) if kinds else source.choices(list(SHARES), list(SHARES.values()))[0]
+        yield Schedule(seed, robots, partial, kind)
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
     """Run the benchmark; the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    kinds = ", ".join(kind for kind in KINDS if kind)
     parser.add_argument("--schedules", type=int, default=2000, metavar="N", help="how many (default %(default)s)")
     parser.add_argument("--seed", type=int, metavar="S", help="the first seed (default: by the clock)")
-    parser.add_argument("--robots", type=int, nargs="+", metavar="N", help="team sizes (default: 2, 3, 5, 8 and 12)")
-    parser.add_argument("--only", metavar="SEED:N:MODE", help="run just this schedule, e.g. 17:3:full")
+    parser.add_argument("--robots", type=int, nargs="+", metavar="N", help="team sizes (default: 1 to 13)")
+    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), metavar="KIND", help="what goes wrong: %s" % kinds)
+    parser.add_argument("--only", metavar="SEED:N:MODE", help="run just this schedule, e.g. 17:3:full:power")
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after that time")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     args = parser.parse_args(arguments)
@@ -54,7 +64,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
         args.schedules = 1
     else:
         first = args.seed if args.seed is not None else int(time.time()) % 10**8 * 1000
-        schedules = draw_schedules(first, args.schedules, args.robots)
+        schedules = draw_schedules(first, args.schedules, args.robots, args.kinds)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     result = run(schedules, args.schedules, args.seconds)
     if args.json:

@@ -124,6 +124,14 @@ class Stop(NamedTuple):
 
 Entry = Union[Start, Done, Failed, Retry, Fire, Join, Leave, Evict, SetPlace, Pause, Resume, Stop]
 
+
+def _plain_types(kind: Any) -> Dict[str, type]:
+    """The types of an entry's fields; a roster is looked at by itself."""
+    plain: Dict[str, type] = {"str": str, "int": int, "bool": bool}
+    named = {name: getattr(t, "__forward_arg__", t) for name, t in kind.__annotations__.items()}
+    return {name: plain[t] for name, t in named.items() if t in plain}
+
+
 _KINDS: Dict[str, Type[Any]] = {
     "start": Start,
     "done": Done,
@@ -139,6 +147,7 @@ _KINDS: Dict[str, Type[Any]] = {
     "stop": Stop,
 }
 _NAMES = {kind: name for name, kind in _KINDS.items()}
+_TYPES = {kind: _plain_types(kind) for kind in _KINDS.values()}
 
 
 def to_json(entry: Entry) -> Dict[str, Any]:
@@ -146,14 +155,17 @@ def to_json(entry: Entry) -> Dict[str, Any]:
     return {"entry": _NAMES[type(entry)], **entry._asdict()}
 
 
-def from_json(data: Dict[str, Any]) -> Entry:
+def from_json(data: Any) -> Entry:
     """The entry of a JSON object. :raises LogError: not one."""
     try:
         kind = _KINDS[data["entry"]]
         fields = {key: value for key, value in data.items() if key != "entry"}
         if kind is Start:
             fields["roster"] = tuple((str(r), str(p), int(i)) for r, p, i in fields["roster"])
-            fields["witnesses"] = tuple(fields.get("witnesses", ()))
+            fields["witnesses"] = tuple(map(str, fields.get("witnesses", ())))
+        for name, expected in _TYPES[kind].items():
+            if name in fields and type(fields[name]) is not expected:
+                raise ValueError("'%s' is not of type %s" % (name, expected.__name__))
         return kind(**fields)
     except (KeyError, TypeError, ValueError) as error:
         raise LogError("not a log entry: %.200r (%s)" % (data, error)) from None

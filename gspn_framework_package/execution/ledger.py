@@ -12,7 +12,7 @@ from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.event_log import Record, first_hash, next_hash
 from gspn_framework_package.execution.firing import firing_to_json
-from gspn_framework_package.execution.team_state import TeamState
+from gspn_framework_package.execution.team_state import GONE, Phase, TeamState
 from gspn_framework_package.execution.token_game import Step, TokenGame
 from gspn_framework_package.model.errors import LogError
 
@@ -49,8 +49,14 @@ class Item(NamedTuple):
         """The item of a JSON value. :raises LogError: not one."""
         try:
             entry, (robot, incarnation, number, log_id), private = data
-            origin = Origin(str(robot), int(incarnation), int(number), str(log_id))
-            return cls(log.from_json(entry), origin, bool(private))
+            if type(incarnation) is not int or type(number) is not int:
+                raise ValueError("its origin is not counted in whole numbers")
+            if not isinstance(robot, str) or not isinstance(log_id, str):
+                raise ValueError("its origin has no name")
+            item = cls(log.from_json(entry), Origin(robot, incarnation, number, log_id), bool(private))
+            if item.private and not isinstance(item.entry, log.Done):
+                raise ValueError("only a Done can be a private move")
+            return item
         except (TypeError, ValueError) as error:
             raise LogError("not an entry with its origin: %.200r (%s)" % (data, error)) from None
 
@@ -63,6 +69,9 @@ class Ledger:
     :ivar state: the team after ``length`` slots; changed in place.
     :ivar hash: the end of the hash chain.
     :ivar seen: robot -> (incarnation, number, log) of its newest entry in the log.
+    :ivar logs: robot -> id of the log with which it was let in last; empty for robots of the first
+        team that never joined again.
+    :ivar cast_out: robot -> slot of its last eviction by force.
     """
 
     def __init__(self, game: TokenGame) -> None:
@@ -70,6 +79,8 @@ class Ledger:
         self.state = game.new_state()
         self.hash = first_hash(game.plan)
         self.seen: Dict[str, Tuple[int, int, str]] = {}
+        self.logs: Dict[str, str] = {}
+        self.cast_out: Dict[str, int] = {}
 
     @property
     def length(self) -> int:
@@ -93,7 +104,26 @@ class Ledger:
             if self.is_news(item.origin):
                 self.seen[item.origin.robot] = item.origin[1:]
                 fresh.append(item)
-        return self._append([i.entry for i in fresh], [list(i.origin) for i in fresh], ballot)
+        appended = self._append([i.entry for i in fresh], [list(i.origin) for i in fresh], ballot)
+        for item in fresh:
+            self._note_membership(item.entry)
+        return appended
+
+    def _note_membership(self, entry: log.Entry) -> None:
+        """Remember whose log counts, and who was cast out."""
+        if isinstance(entry, log.Join):
+            robot = self.state.robots.get(entry.robot)
+            if entry.robot in self.state.witnesses or (robot and robot.incarnation == entry.incarnation):
+                self.logs[entry.robot] = entry.log
+        elif isinstance(entry, log.Evict) and entry.forced:
+            robot = self.state.robots.get(entry.robot)
+            if robot is not None and robot.phase is Phase.LOST and robot.incarnation == entry.incarnation:
+                self.cast_out[entry.robot] = self.length - 1
+
+    def is_cast_out(self, name: str) -> bool:
+        """Whether the robot was evicted by force and has not joined since."""
+        robot = self.state.robots.get(name)
+        return name in self.cast_out and (robot is None or robot.phase in GONE)
 
     def append_local(self, entries: Sequence[log.Entry]) -> Tuple[Record, Step]:
         """The same for entries of a local log, which have no origin."""
@@ -132,14 +162,30 @@ class Ledger:
             "slot": self.length - 1,
             "state": self.state.to_json(self.game.net),
             "seen": {robot: list(newest) for robot, newest in self.seen.items()},
+            "logs": dict(self.logs),
+            "cast_out": dict(self.cast_out),
             "hash": self.hash,
         }
 
     def restore(self, record: Record) -> None:
-        """Take over a ``snapshot`` record. :raises LogError: not one, or not of this plan."""
+        """Take over a ``snapshot`` record; nothing is changed where it is none.
+
+        :raises LogError: not one, or not of this plan.
+        """
         try:
-            self.state = TeamState.from_json(record["state"], self.game.net)
-            self.hash = str(record["hash"])
-            self.seen = {r: (int(i), int(n), str(x)) for r, (i, n, x) in record["seen"].items()}
-        except (KeyError, TypeError, ValueError) as error:
+            state = TeamState.from_json(record["state"], self.game.net)
+            seen = {r: (_whole(i), _whole(n), str(x)) for r, (i, n, x) in record["seen"].items()}
+            logs = {str(r): str(x) for r, x in record.get("logs", {}).items()}
+            cast_out = {str(r): _whole(n) for r, n in record.get("cast_out", {}).items()}
+            if state.next_slot != _whole(record["slot"]) + 1 or not isinstance(record["hash"], str):
+                raise ValueError("it is not of the slot that it names")
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise LogError("not a snapshot (%r)" % error) from None
+        self.state, self.seen, self.logs, self.cast_out = state, seen, logs, cast_out
+        self.hash = record["hash"]
+
+
+def _whole(value: Any) -> int:
+    if type(value) is not int or value < 0:
+        raise ValueError("not a whole number: %.80r" % (value,))
+    return value

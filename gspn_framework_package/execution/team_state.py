@@ -11,7 +11,7 @@ import enum
 from dataclasses import dataclass, field
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
-from gspn_framework_package.model.errors import LogError
+from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.net import Net
 
 POLICY = -1
@@ -162,9 +162,26 @@ class TeamState:
             for robot in sorted(state.robots.values(), key=lambda r: r.order):
                 if robot.phase is Phase.DONE:
                     state._index(robot)
+            state._check()
             return state
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, GspnError) as error:
             raise LogError("not a snapshot of this plan (%s)" % error) from None
+
+    def _check(self) -> None:
+        """:raises ValueError: fields of another type, or that contradict each other."""
+        numbers = [self.seed, self.next_slot, self.version, self.orders, self.created, *self.marking]
+        for robot in self.robots.values():
+            numbers += [robot.incarnation, robot.visit, robot.attempt, robot.order, robot.failures]
+            if not isinstance(robot.name, str) or not isinstance(robot.paused, bool) or not isinstance(robot.why, str):
+                raise ValueError("a robot has a field of another type")
+            if robot.phase not in GONE and self.marking[robot.place] < 1:
+                raise ValueError("no token is where %s is" % robot.name)
+        if any(type(number) is not int for number in numbers) or self.next_slot < 0 or min(self.marking, default=0) < 0:
+            raise ValueError("a number is none, or out of bounds")
+        if not isinstance(self.paused, bool) or not all(isinstance(w, str) for w in self.witnesses):
+            raise ValueError("a field is of another type")
+        if self.ended is not None and not isinstance(self.ended, str):
+            raise ValueError("a field is of another type")
 
 
 _PLAIN = ("seed", "next_slot", "version", "orders", "created", "paused", "ended")

@@ -16,7 +16,7 @@ from gspn_framework_package.benchmark.team.world import Node, ViolationError
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution import token_game as token_game_module
 from gspn_framework_package.execution import turn
-from gspn_framework_package.execution.agreement import consensus as consensus_module
+from gspn_framework_package.execution.agreement import core as core_module
 from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement import pacing as pacing_module
 from gspn_framework_package.execution.agreement.consensus import Consensus
@@ -90,16 +90,16 @@ def _bare_half() -> ContextManager[Any]:
         return 2 * sum(1 for m in members if m in voters) >= len(members)
 
     return _all(
-        mock.patch.object(consensus_module, "is_quorum", half),
+        mock.patch.object(core_module, "is_quorum", half),
         mock.patch.object(pacing_module, "is_quorum", half),
     )
 
 
 def _forgets_promises() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def on_accept(self: Consensus, message: Any, now: float) -> None:
-            self.promised = min(self.promised, Ballot.from_json(message["ballot"]))
-            original(self, message, now)
+        def on_accept(self: Consensus, message: Any, body: Any) -> None:
+            self.promised = min(self.promised, body.ballot)
+            original(self, message, body)
 
         return on_accept
 
@@ -108,8 +108,8 @@ def _forgets_promises() -> ContextManager[Any]:
 
 def _ignores_accepted() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def on_promise(self: Consensus, message: Any, now: float) -> None:
-            original(self, dict(message, accepted=None), now)
+        def on_promise(self: Consensus, message: Any, body: Any, now: float) -> None:
+            original(self, message, body._replace(accepted=None), now)
 
         return on_promise
 
@@ -122,11 +122,10 @@ def _amnesia() -> ContextManager[Any]:
 
 def _counts_any_vote() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def on_accepted(self: Consensus, message: Any, now: float) -> None:
+        def on_accepted(self: Consensus, message: Any, body: Any, now: float) -> None:
             if self.attempt is not None:
-                ballot = list(self.attempt.ballot)
-                message = dict(message, ballot=ballot, slot=self.host.ledger.length)
-            original(self, dict(message, hash=self.host.ledger.hash), now)
+                body = body._replace(ballot=self.attempt.ballot, slot=self.host.ledger.length)
+            original(self, message._replace(hash=self.host.ledger.hash), body, now)
 
         return on_accepted
 
@@ -148,10 +147,10 @@ def _keeps_leading() -> ContextManager[Any]:
 
 def _believes_any_next() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def on_accept(self: Consensus, message: Any, now: float) -> None:
-            if self.accepted is not None and message["slot"] == self.host.ledger.length + 1:
+        def on_accept(self: Consensus, message: Any, body: Any) -> None:
+            if self.accepted is not None and body.slot == self.host.ledger.length + 1:
                 self.host.decided(self.accepted[1], self.accepted[0], mine=False)
-            original(self, message, now)
+            original(self, message, body)
 
         return on_accept
 
@@ -185,7 +184,7 @@ def _asks_only_a_quorum() -> ContextManager[Any]:
     def make(original: Any) -> Any:
         def first_phase_over(self: Consensus) -> bool:
             if self.attempt is not None:
-                self.attempt.answered |= set(self.host.electorate())
+                self.attempt.answered |= set(self.host.members())
             return bool(original(self))
 
         return first_phase_over
@@ -215,8 +214,8 @@ def _everything_private() -> ContextManager[Any]:
 
 def _drops_facts() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def on_nack(self: Consensus, message: Any, now: float) -> bool:
-            beaten = bool(original(self, message, now))
+        def on_nack(self: Consensus, body: Any) -> bool:
+            beaten = bool(original(self, body))
             if beaten:
                 self.host.pool.own = []  # type: ignore[attr-defined]
             return beaten

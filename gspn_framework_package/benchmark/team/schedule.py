@@ -15,8 +15,9 @@ from gspn_framework_package.benchmark.team.world import (
     World,
 )
 from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement.quorum import is_quorum
-from gspn_framework_package.execution.agreement.replica import Replica
+from gspn_framework_package.execution.agreement.replica import Limits, Replica
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.team_state import Phase
@@ -29,21 +30,35 @@ BOUND = 6.0
 """Seconds after the last fault within which everything must be agreed on."""
 
 
+KINDS = {
+    "": "crashes, pauses, partitions, lost logs, joins, leaves, evictions, orders",
+    "operator": "orders all the time; evictions by force, of robots that are off and of such that are not",
+    "power": "every crash is a loss of power, which takes what was not written through to the disk",
+    "spare": "a second process under the name of a robot that is out of reach, or comes back",
+    "tight": "short histories, small chunks and batches, snapshots every few slots; long runs",
+    "amnesia": "logs are lost wherever the others still are a quorum, and nothing else but crashes",
+    "calm": "nothing fails, so that orders meet a team that moves fast",
+}
+"""What goes wrong in a schedule."""
+
+
 class Schedule(NamedTuple):
-    """What to run: ``seed`` decides everything else."""
+    """What to run: ``seed`` decides everything else. ``kind``: one of :data:`KINDS`."""
 
     seed: int
     robots: int
     partial: bool
+    kind: str = ""
 
     def __str__(self) -> str:
-        return "%d:%d:%s" % (self.seed, self.robots, "partial" if self.partial else "full")
+        text = "%d:%d:%s" % (self.seed, self.robots, "partial" if self.partial else "full")
+        return text + ":" + self.kind if self.kind else text
 
     @classmethod
     def parse(cls, text: str) -> Schedule:
-        """The schedule of a text like ``17:3:full``."""
-        seed, robots, mode = text.split(":")
-        return cls(int(seed), int(robots), mode == "partial")
+        """The schedule of a text like ``17:3:full`` or ``17:3:full:power``."""
+        seed, robots, mode, *kind = text.split(":")
+        return cls(int(seed), int(robots), mode == "partial", *kind)
 
 
 class Outcome(NamedTuple):
@@ -60,11 +75,16 @@ class Outcome(NamedTuple):
     blocked: bool
     plan: Plan
     logs: List[Disk]
+    given_up: bool = False
+    """An operator gave up what some robots knew."""
+    tails_lost: bool = False
+    """Votes are missing in the logs, since they were not written through to the disk."""
 
 
 class _Run:
     def __init__(self, schedule: Schedule, replica_type: Type[Replica]) -> None:
-        self.random = source = random.Random("%d|%d|%d" % schedule)
+        self.kind = schedule.kind
+        self.random = source = random.Random("%d|%d|%d|%s" % schedule)
         evict_after = source.choice([0.0, 0.35])
         fence_after = source.choice([0.0, 0.25]) if evict_after else 0.0
         witness = schedule.robots == 2 and source.random() < 0.3
@@ -81,9 +101,19 @@ class _Run:
             duplication=source.choice([0.0, 0.1]),
             late=source.choice([0.0, 0.1]),
         )
-        fast = source.random() < 0.2
+        fast = source.random() < (0.5 if self.kind in ("tight", "calm") else 0.2)
         times = (0.0, 0.002) if fast else (0.01, 0.08)
         self.world = World(plan, source.getrandbits(48), weather, replica_type, times)
+        if self.kind == "tight":
+            self.world.limits = Limits(
+                batch=source.choice([1, 2, 5]),
+                kept=source.choice([1, 3, 10]),
+                chunk=source.choice([1, 2, 3]),
+                snapshot_every=source.choice([2, 5]),
+            )
+        if self.kind == "power":
+            self.world.fsync = source.random() < 0.8
+        self.faults_end = FAULTS_END * (2.5 if self.kind == "tight" else 1.0)
         self.faults: Dict[str, int] = {}
         self.lost_logs = False
         self.left: List[str] = []
@@ -102,15 +132,18 @@ class _Run:
 
     def inject(self) -> None:
         """One fault, drawn at random."""
+        often = self.kind
         kinds = [
-            (6, self._crash),
-            (2, self._crash_without_log),
-            (3, self._suspend),
-            (4, self._partition),
-            (1, self._leave),
+            (0 if often == "calm" else 6, self._crash),
+            (8 if often == "amnesia" else 0 if often == "calm" else 2, self._crash_without_log),
+            (0 if often in ("amnesia", "calm") else 3, self._suspend),
+            (0 if often in ("amnesia", "calm") else 4, self._partition),
+            (0 if often == "amnesia" else 1, self._leave),
             (2, self._join),
-            (3, self._order),
-            (1, self._evict),
+            (12 if often in ("operator", "calm") else 3, self._order),
+            (4 if often == "operator" else 1, self._evict),
+            (8 if often == "operator" else 0, self._force_evict),
+            (6 if often == "spare" else 0, self._spare),
         ]
         weights = [w for w, _ in kinds]
         self.random.choices([k for _, k in kinds], weights)[0]()
@@ -123,7 +156,14 @@ class _Run:
             self._count("crash")
 
     def on_crash(self, node: Node) -> None:
-        node.crash()
+        if self.kind != "power":
+            node.crash()
+        elif self.world.fsync or self._can_lose(node):
+            node.lose_power()
+            self.lost_logs = self.lost_logs or not self.world.fsync
+            self._count("power lost")
+        else:
+            node.crash()
         self._later(0.01, 0.4, lambda: self._restart(node))
 
     def _restart(self, node: Node) -> None:
@@ -146,19 +186,15 @@ class _Run:
     def _can_lose(self, node: Node) -> bool:
         """Whether the others still are a quorum without this robot's vote: otherwise the team
         would (rightly) block for ever."""
-        best = max(
-            (n.replica.ledger for n in self.world.alive() if n.replica),
-            key=lambda ledger: ledger.length,
-        )
-        members = best.state.members()
-        voters = [
-            m
-            for m in members
-            if m != node.name
-            and self.world.nodes[m].disk is not None
-            and (r := self.world.nodes[m].replica) is not None
-            and r.active
-        ]
+        ledgers = [n.replica.ledger for n in self.world.alive() if n.replica]
+        if not ledgers:
+            return False
+        members = max(ledgers, key=lambda ledger: ledger.length).state.members()
+        voters = {
+            n.name
+            for n in self.world.nodes.values()
+            if n.name != node.name and n.disk is not None and n.replica is not None and n.replica.may_vote()
+        }
         return is_quorum(voters, members)
 
     def _suspend(self) -> None:
@@ -214,6 +250,58 @@ class _Run:
             self.world.operator(log.Evict(victim.name, -1), node)
             self._count("evict by the operator")
 
+    def _force_evict(self) -> None:
+        """The operator asserts that a robot is off: mostly one that is, or that seems to be. Sometimes
+        of several, since one assertion may not be enough."""
+        up = self._up()
+        if not up:
+            return
+        node = self.random.choice(up)
+        others = [n for n in self.world.nodes.values() if n is not node and n.name not in self.left]
+        off = [n for n in others if n.replica is None or n.suspended]
+        if not off and others and self.random.random() < 0.7:
+            victim = self.random.choice(others)
+            victim.crash()
+            self._count("crash before an eviction by force")
+            self._later(0.2, 1.0, lambda: self._restart(victim))
+            off = [victim]
+        victims = off if off and self.random.random() < 0.8 else others
+        if not victims:
+            return
+        chosen = self.random.sample(victims, self.random.choice([1, 1, len(victims)]))
+        self._later(0.0, 0.35, lambda: self._assert_off(node, chosen))
+
+    def _assert_off(self, node: Node, victims: List[Node]) -> None:
+        if node not in self._up():
+            return
+        for victim in victims:
+            node.give(io.ForceEvict("f%d" % next(self.world._count), victim.name))
+            self._count("eviction by force")
+        replica = node.replica
+        if replica is not None and replica.off:
+            left = [m for m in replica.members() if m not in replica.asserted_off()]
+            if not is_quorum(left, replica.members()):
+                self.world.given_up = True  # the operator took it on: what only the others know does not count
+
+    def _spare(self) -> None:
+        """A robot gets out of reach; a spare is started under its name, and later the first one comes
+        back into reach."""
+        world = self.world
+        robots = [n for n in self._up() if n.name not in world.plan.witness and n.key == n.name]
+        if len(robots) < 2 or world.spares:
+            return
+        first = self.random.choice(robots)
+        if not self._can_lose(first):
+            return
+        spare = world.add_spare(first)
+        self.lost_logs = True
+        self._count("spare")
+        away = {(a, b) for a in world.nodes for b in world.nodes if a != b and first.key in (a, b)}
+        world.blocked |= away
+        world.away = away
+        self._later(0.0, 0.3, lambda: spare.start() if spare.replica is None else None)
+        self._later(0.2, 1.2, world.come_back)
+
     def _leave(self) -> None:
         up = [n for n in self._up() if n.name not in self.world.plan.witness]
         if len(up) > 1:
@@ -235,6 +323,9 @@ class _Run:
         for node in list(world.alive()):
             replica = node.replica
             assert replica is not None
+            if node.superseded and node.halted:
+                self.world.remove(node)
+                continue
             if replica.halted is not None and not node.halted:
                 self.left.append(node.name)
                 node.crash()
@@ -252,10 +343,11 @@ class _Run:
         world.on_crash = self.on_crash  # type: ignore[method-assign]
         for node in list(world.nodes.values()):
             world.at(0.1 * self.random.random() ** 2, node.start)
-        for _ in range(self.random.randint(0, 7)):
-            world.at(0.05 + (FAULTS_END - 0.1) * self.random.random(), self.inject)
+        most = {"operator": 14, "tight": 10, "calm": 14}.get(self.kind, 7)
+        for _ in range(self.random.randint(0, most)):
+            world.at(0.05 + (self.faults_end - 0.1) * self.random.random(), self.inject)
         world.at(0.05, self._watch)
-        world.run(FAULTS_END)
+        world.run(self.faults_end)
         self._heal()
         world.run(world.now + 0.1)
         world.acting = False
@@ -276,12 +368,15 @@ class _Run:
             blocked,
             world.plan,
             world.logs(),
+            world.given_up,
+            not world.fsync,
         )
 
     def _heal(self) -> None:
         world = self.world
         world.weather = Weather()
         world.blocked.clear()
+        world.come_back()
         for node in list(world.nodes.values()):
             node.doomed = None
             if node.name in self.left:
@@ -294,19 +389,20 @@ class _Run:
         """Whether a lost log, or robots that left while cut off, keep the team from a quorum."""
         nodes = self.world.alive()
         best = max((n.replica.ledger for n in nodes if n.replica), key=lambda x: x.length)
-        voters = [n.name for n in nodes if n.replica is not None and n.replica.active]
+        voters = [n.name for n in nodes if n.replica is not None and n.replica.may_vote()]
         if not best.state.members():
             return True  # all left, or were evicted while the last one left
         return bool(self.lost_logs or self.left) and not is_quorum(voters, best.state.members())
 
     def _why(self) -> str:
         return "; ".join(
-            "%s: %d slots, %s, pending %s, %s"
+            "%s: %d slots, %s, %d pending (%s ...), %s"
             % (
-                n.name,
+                n.key,
                 n.replica.ledger.length,
                 n.replica.waits_for() or "-",
-                [o.item for o in n.replica.pool.own],
+                len(n.replica.pool.own),
+                [o.item.entry for o in n.replica.pool.own[:2]],
                 n.replica.consensus.attempt,
             )
             for n in self.world.alive()
@@ -320,7 +416,8 @@ def check_logs(outcome: Outcome) -> None:
     :raises ViolationError: a rule was broken.
     """
     logs = [EventLog(str(d.header["log"]), d.header, d.records(), plan=outcome.plan) for d in outcome.logs]
-    verdict = verify(logs, settled=not outcome.blocked)
+    settled = not outcome.blocked and not outcome.given_up
+    verdict = verify(logs, settled=settled, complete=not outcome.tails_lost)
     if verdict.violation is not None:
         raise ViolationError("rule %d: %s" % verdict.violation)
 

@@ -12,9 +12,9 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple, 
 from gspn_framework_package.benchmark.team.plans import random_result
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement import interface as io
-from gspn_framework_package.execution.agreement.replica import Pace, Replica
+from gspn_framework_package.execution.agreement.replica import Limits, Pace, Replica
 from gspn_framework_package.execution.event_log import Record, header
-from gspn_framework_package.execution.firing import Ended, StartAction
+from gspn_framework_package.execution.firing import Ended, Fault, StartAction
 from gspn_framework_package.model.plan import Plan, Synchronisation
 
 PACE = Pace(heartbeat=0.15, retry=0.03, takeover=0.06, backoff=0.01)
@@ -42,6 +42,8 @@ class Disk:
 
     header: Record
     lines: List[str] = field(default_factory=list)
+    synced: int = 0
+    """How many of them outlive the power supply."""
 
     def records(self) -> List[Record]:
         """The records, read back."""
@@ -59,11 +61,19 @@ def _header(plan: Plan) -> Record:
 
 
 class Node:
-    """A process that hosts a replica."""
+    """A process that hosts a replica.
 
-    def __init__(self, world: World, name: str) -> None:
+    :param key: tells it from another process under the same name.
+    """
+
+    def __init__(self, world: World, name: str, key: str = "") -> None:
         self.world = world
         self.name = name
+        self.key = key or name
+        self.superseded = False
+        """Another process runs under its name, by the operator's mistake; this one is to halt."""
+        self.trusted = True
+        self.faults: List[str] = []
         self.disk: Optional[Disk] = None
         self.old_disks: List[Disk] = []
         self.replica: Optional[Replica] = None
@@ -90,7 +100,7 @@ class Node:
         self.backlog = []
         self.halted = ""
         if self.disk is None:
-            log_id = "%s-log%d" % (self.name, len(self.old_disks))
+            log_id = "%s-log%d" % (self.key, len(self.old_disks))
             self.disk = Disk(dict(_header(world.plan), robot=self.name, log=log_id))
         self.replica = world.replica_type(
             world.plan,
@@ -100,7 +110,10 @@ class Node:
             self.disk.records(),
             joining=self.joins,
             pace=PACE,
+            limits=world.limits,
+            trusted=self.trusted,
         )
+        self.trusted = True
         self.carry_out(self.replica.start(world.now))
 
     def crash(self) -> None:
@@ -108,6 +121,21 @@ class Node:
         self.replica = None
         self.life += 1
         self.doomed = None
+
+    def lose_power(self) -> None:
+        """The power fails: of what was not written through to the disk an end is lost."""
+        disk = self.disk
+        self.crash()
+        if disk is not None:
+            kept = self.world.random.randint(disk.synced, len(disk.lines))
+            del disk.lines[kept:]
+            self.trusted = self.world.fsync
+
+    def cut_log(self, lines: int) -> None:
+        """Somebody puts an older copy of the log of a dead process back."""
+        if self.disk is not None:
+            del self.disk.lines[max(1, len(self.disk.lines) - lines) :]
+            self.disk.synced = min(self.disk.synced, len(self.disk.lines))
 
     def lose_log(self) -> None:
         """The disk of a dead process is gone."""
@@ -135,6 +163,7 @@ class Node:
     def carry_out(self, effects: List[io.Effect]) -> None:
         """Carry effects out in order; a doomed process dies between two of them."""
         assert self.disk is not None
+        durable = False
         for effect in effects:
             if self.doomed is not None:
                 self.doomed -= 1
@@ -145,10 +174,15 @@ class Node:
                     return
             if isinstance(effect, io.Persist):
                 self._write(effect.record)
-            elif isinstance(effect, io.Send):
-                self.world.send(self.name, effect.to, effect.message)
+                durable = durable or effect.durable
+                continue
+            if durable and self.world.fsync:
+                self.disk.synced = len(self.disk.lines)
+                durable = False
+            if isinstance(effect, io.Send):
+                self.world.send(self.key, effect.to, effect.message)
             elif isinstance(effect, io.Reply):
-                self.world.reply(self.name, effect)
+                self.world.reply(self.key, effect)
             elif isinstance(effect, StartAction):
                 self.world.start_action(self, effect)
             elif isinstance(effect, io.WakeAt):
@@ -158,6 +192,8 @@ class Node:
                 self.world.on_halted(self)
             elif isinstance(effect, Ended):
                 self.ended = True
+            elif isinstance(effect, Fault):
+                self.faults.append(effect.message)
             elif isinstance(effect, io.OrderResult):
                 self.results[effect.order_id] = effect
             elif isinstance(effect, io.Fired):
@@ -210,8 +246,14 @@ class World:
         self.now = 0.0
         self.steps = 0
         self.messages = 0
+        self.hello_bytes = 0
         self.protocol_messages = 0
         """Messages but ``hello``."""
+        self.limits = Limits()
+        self.fsync = True
+        """Whether what has to outlive the power supply is written through to the disk."""
+        self.given_up = False
+        """An operator gave up what some robots knew: their stories may differ from then on."""
         self.acting = True
         self.mishaps = True
         """Some actions fail, or come back with nonsense."""
@@ -222,6 +264,10 @@ class World:
         self._calls: Dict[str, Tuple[str, int]] = {}
         self._chain: Dict[int, str] = {}
         self.published: List[Tuple[float, io.Fired]] = []
+        self.spares = 0
+        self.away: Set[Tuple[str, str]] = set()
+        """Links of a robot that is out of reach while a spare runs under its name."""
+        self._gone: List[Disk] = []
         self.nodes: Dict[str, Node] = {}
         for name in [r.name for r in plan.robots] + list(plan.witness):
             self.nodes[name] = Node(self, name)
@@ -253,9 +299,11 @@ class World:
         text = self._last[1]
         if message["kind"] != "hello":
             self.protocol_messages += 1 if to else len(self.nodes) - 1
+        else:
+            self.hello_bytes += len(text) * (len(self.nodes) - 1)
         call = self.partial and message["kind"] in io.SERVICE_OF_MESSAGE
-        for name in [to] if to else [n for n in self.nodes if n != sender]:
-            if name not in self.nodes:
+        for name, node in list(self.nodes.items()):
+            if name == sender or (to and node.name != to):
                 continue
             request = ""
             if call:
@@ -266,7 +314,7 @@ class World:
     def reply(self, sender: str, effect: io.Reply) -> None:
         """The reply of a call goes back to who called."""
         caller, life = self._calls.pop(effect.request_id, ("", 0))
-        if not caller or not effect.message or self.nodes[caller].life != life:
+        if not effect.message or caller not in self.nodes or self.nodes[caller].life != life:
             return
         self.protocol_messages += 1
         self._carry(sender, caller, json.dumps(effect.message), "")
@@ -286,7 +334,7 @@ class World:
             self.at(self.now + delay, lambda: self._deliver(sender, to, text, request))
 
     def _deliver(self, sender: str, to: str, text: str, request: str) -> None:
-        if (sender, to) not in self.blocked:
+        if (sender, to) not in self.blocked and to in self.nodes:
             self.nodes[to].give(io.Received(json.loads(text), request))
 
     # -- actions ---------------------------------------------------------------------------------
@@ -316,7 +364,7 @@ class World:
 
     def on_record(self, node: Node, record: Record) -> None:
         """A record was written: no two replicas may put different things into one slot."""
-        if record["kind"] == "slot":
+        if record["kind"] == "slot" and not self.given_up:
             known = self._chain.setdefault(record["slot"], record["hash"])
             if known != record["hash"]:
                 raise ViolationError("%s has another slot %d than somebody else" % (node.name, record["slot"]))
@@ -328,11 +376,38 @@ class World:
 
     def on_halted(self, node: Node) -> None:
         """A replica gave up."""
+        if node.superseded or sum(n.name == node.name for n in self.nodes.values()) > 1:
+            node.superseded = True
+            for other in self.nodes.values():  # it stays, then
+                other.superseded = other.superseded and (other is node or other.name != node.name)
+            return
         raise ViolationError("%s halted: %s" % (node.name, node.halted))
 
     def on_crash(self, node: Node) -> None:
         """A doomed process dies."""
         node.crash()
+
+    # -- two processes under one name -----------------------------------------------------------------
+
+    def add_spare(self, first: Node) -> Node:
+        """A node for a second process under the name of the first, which is to give way to it."""
+        self.spares += 1
+        spare = Node(self, first.name, "%s-spare%d" % (first.name, self.spares))
+        spare.joins = first.joins
+        first.superseded = True
+        self.nodes[spare.key] = spare
+        return spare
+
+    def come_back(self) -> None:
+        """The robot that was out of reach is back."""
+        self.blocked -= self.away
+        self.away = set()
+
+    def remove(self, node: Node) -> None:
+        """A node is switched off for good; its logs are kept."""
+        node.crash()
+        del self.nodes[node.key]
+        self._gone += node.old_disks + ([node.disk] if node.disk is not None else [])
 
     # -- questions -------------------------------------------------------------------------------
 
@@ -353,6 +428,8 @@ class World:
             if node.suspended or replica.fenced:
                 return False
             ends.add((replica.ledger.length, replica.ledger.hash))
+            if node.superseded:
+                return False  # until it has noticed
             if any(not o.item.private for o in replica.pool.own):
                 return False
             if replica.ledger.state.ended is None and not (
@@ -367,7 +444,7 @@ class World:
 
     def logs(self) -> List[Disk]:
         """All logs that were ever written."""
-        found = []
+        found = list(self._gone)
         for node in self.nodes.values():
             found += node.old_disks + ([node.disk] if node.disk is not None else [])
         return found

@@ -9,6 +9,7 @@ from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement.meeting import Meeting
 from gspn_framework_package.execution.agreement.own_robot import Goal
 from gspn_framework_package.execution.agreement.pool import Own
+from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.firing import (
     Firing,
     firing_to_json,
@@ -47,11 +48,18 @@ class Conduct(Meeting):
             and not self.ledger.state.paused
             and not self.consensus.is_frozen()
             and all(o.item.private or o.suspect for o in self.pool.own)
+            and self._surely_a_member()
         )
+
+    def _surely_a_member(self) -> bool:
+        """Whether the others cannot have evicted us for our silence by now."""
+        limit = self.plan.timing.evict_after
+        members = self._member_names()
+        return limit <= 0 or is_quorum(self.peers.near(members, self.name, limit, self._now), members)
 
     def _move_alone(self, entry: log.Done, firing: Firing) -> None:
         origin = self._next_origin()
-        self._persist(
+        self.persist(
             {
                 "kind": "private",
                 "entry": log.to_json(entry),
@@ -99,14 +107,37 @@ class Conduct(Meeting):
     def _force_evict(self, order: io.ForceEvict) -> None:
         state = self.ledger.state.robots.get(order.robot)
         why = ""
-        if order.robot == self.name:
+        if self.ledger.state.ended is not None:
+            why = "the run is over: %s" % self.ledger.state.ended
+        elif order.robot == self.name:
             why = "%s cannot assert that it is off itself" % self.name
         elif state is None or state.phase in GONE:
             why = "there is no robot '%s' in the team" % order.robot
+        elif self.forgetful or (self.joining and not self.active):
+            why = "%s has no vote; ask a robot that is in the team" % self.name
+        elif self.peers.get(order.robot).heard is not None:
+            silence = self.peers.silence(order.robot, self._now)
+            if silence < 2 * self.pace.heartbeat:
+                why = "%s was heard %.1f s ago: it is not off; use evict, or switch it off" % (order.robot, silence)
         if why or state is None:
             self._put(io.OrderResult(order.order_id, False, why))
             return
-        self._note_forced(order.robot)
+        self._assert_off(order.robot, state.incarnation)
         self._consider_active()
         self.consensus.abandon()
         self._invoke(log.Evict(order.robot, state.incarnation, True), order.order_id)
+        warning = self._what_is_given_up()
+        if warning:
+            self._fault(warning)
+
+    def _what_is_given_up(self) -> str:
+        """What the assertions that some robots are off mean for what they know."""
+        members, off = self._member_names(), self.asserted_off()
+        left = [m for m in members if m not in off]
+        if not left or is_quorum(left, members):
+            return ""
+        return (
+            "%s could have decided without the others: what only they know is given up; they must stay off until "
+            "they are evicted, for which the word of all others is needed (%s)"
+            % (", ".join(m for m in members if m in off), ", ".join(left))
+        )

@@ -17,16 +17,21 @@ One slot is open at a time; batches carry the load.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Dict, List, Optional, Set, Tuple
+from typing import Any, Dict, List, Optional, Set, Tuple, Union
 
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement.host import Host
-from gspn_framework_package.execution.agreement.interface import Message
-from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
+from gspn_framework_package.execution.agreement.messages import (
+    Accept,
+    Accepted,
+    Batch,
+    Envelope,
+    Nack,
+    Prepare,
+    Promise,
+)
+from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.ledger import Item
-
-Batch = List[Any]
-"""A proposed value: items as JSON values."""
 
 LONGEST_ROUND_TRIP = 1.0
 """Seconds: an answer that took longer came from a robot that was away, not through a slow network."""
@@ -92,7 +97,7 @@ class Consensus:
             not self.partial
             and self._followers is not None
             and self.promised.robot == self.host.name
-            and is_quorum(self._followers, self.host.electorate())
+            and self.host.may_decide(self._followers)
         )
 
     def restore(self, record: Dict[str, Any], slot: int) -> None:
@@ -101,8 +106,10 @@ class Consensus:
         ballot = Ballot.from_json(record["ballot"])
         self._see(ballot)
         self.promised = max(self.promised, ballot)
-        if record["kind"] == "accepted" and record["slot"] == slot:
-            self.accepted = (ballot, record["batch"])
+        if record["kind"] == "accepted":
+            batch = [Item.from_json(item).to_json() for item in record["batch"]]
+            if record["slot"] == slot:
+                self.accepted = (ballot, batch)
 
     def next_slot(self, keep_lead: bool, returned: Set[str]) -> None:
         """The open slot was decided. ``keep_lead``: by our own attempt; ``returned``: robots that
@@ -139,7 +146,7 @@ class Consensus:
                 self.attempt = Attempt(slot, self.promised, False, now, now)
                 self._second_phase(batch)
             return
-        ballot = Ballot(self.highest.counter + 1, self.host.name)
+        ballot = Ballot(self.highest.counter + 1, self.host.name, self.host.log_id)
         self._followers = None
         self.attempt = attempt = Attempt(slot, ballot, frozen, now, now)
         if frozen:  # until the slot is decided, even if this attempt is beaten: its batch may still win
@@ -180,23 +187,22 @@ class Consensus:
             answered = self.attempt.answered
         else:
             answered = self._votes.get(self.attempt.ballot, set())
-        return [m for m in self.host.electorate() if m not in answered]
+        return [m for m in self.host.members() if m not in answered]
 
     def _send_attempt(self, attempt: Attempt, to: List[str]) -> None:
-        message: Message = {"slot": attempt.slot, "ballot": list(attempt.ballot)}
+        body: Union[Prepare, Accept]
         if attempt.batch is None:
-            message.update(kind="prepare", frozen=attempt.frozen)
+            body = Prepare(attempt.slot, attempt.ballot, attempt.frozen)
         else:
-            message.update(kind="accept", batch=attempt.batch)
-        self.host.send_all(to, message)
+            body = Accept(attempt.slot, attempt.ballot, attempt.batch)
+        self.host.send_all(to, body)
 
     def _first_phase_over(self) -> bool:
         """Go on to the second phase if enough have promised."""
         attempt = self.attempt
         if attempt is None or attempt.batch is not None:
             return False
-        electorate = self.host.electorate()
-        if not is_quorum(attempt.promises, electorate):
+        if not self.host.may_decide(attempt.promises):
             return False
         accepted = [a for a in attempt.promises.values() if a is not None]
         if accepted:
@@ -205,7 +211,7 @@ class Consensus:
             batch = self.host.batch(attempt.frozen)
             if self.partial:
                 evicted = {item.entry.robot for item in map(Item.from_json, batch) if isinstance(item.entry, log.Evict)}
-                if any(m not in attempt.answered and m not in evicted for m in electorate):
+                if any(m not in attempt.answered and m not in evicted for m in self.host.members()):
                     return False
         if not self.partial:
             self._followers = set(attempt.promises)
@@ -221,7 +227,7 @@ class Consensus:
         attempt.batch = batch
         assert self.promised == attempt.ballot  # a higher promise ends the first phase
         self.accepted = (attempt.ballot, batch)
-        alone = is_quorum([self.host.name], self.host.electorate())
+        alone = self.host.may_decide([self.host.name])
         if not alone:  # otherwise the record of the slot itself follows, before anything leaves
             self._persist_accepted(attempt.slot)
         self._votes.setdefault(attempt.ballot, set()).add(self.host.name)
@@ -236,134 +242,107 @@ class Consensus:
         if ballot > self.promised:
             self.promised = ballot
             slot = self.host.ledger.length
-            self.host.persist({"kind": "promised", "slot": slot, "ballot": list(ballot)})
+            self.host.persist({"kind": "promised", "slot": slot, "ballot": list(ballot)}, durable=True)
         if ballot.robot != self.host.name:
             self._followers = None
 
     def _persist_accepted(self, slot: int) -> None:
         assert self.accepted is not None
         ballot, batch = self.accepted
-        self.host.persist({"kind": "accepted", "slot": slot, "ballot": list(ballot), "batch": batch})
+        self.host.persist({"kind": "accepted", "slot": slot, "ballot": list(ballot), "batch": batch}, durable=True)
 
     def _see(self, ballot: Ballot) -> None:
         self.highest = max(self.highest, ballot)
 
-    def on_prepare(self, message: Message, now: float) -> None:
+    def on_prepare(self, message: Envelope, body: Prepare) -> None:
         """The first phase of another's attempt."""
-        ballot = Ballot.from_json(message["ballot"])
         if not self.host.is_open(message):
             return
-        if ballot < self.promised and self.host.may_vote():
-            self._refuse(message)
+        if body.ballot < self.promised and self.host.may_vote():
+            self._refuse(message, body.slot)
             return
-        if message.get("frozen"):
-            self.frozen_by = ballot
+        if body.frozen:
+            self.frozen_by = body.ballot
         if not self.host.may_vote():  # what we know counts as told, our vote does not count
-            self._answer_prepare(message, vote=False)
+            self._answer_prepare(message, body, vote=False)
             return
-        self._promise(ballot)
+        self._promise(body.ballot)
         attempt = self.attempt
-        if attempt is not None and attempt.batch is None and attempt.ballot < ballot:
+        if attempt is not None and attempt.batch is None and attempt.ballot < body.ballot:
             self.attempt = None
-        self._answer_prepare(message, vote=True)
+        self._answer_prepare(message, body, vote=True)
 
-    def _answer_prepare(self, message: Message, vote: bool) -> None:
-        accepted = self.accepted and [list(self.accepted[0]), self.accepted[1]]
-        self.host.answer(
-            message,
-            {
-                "kind": "promise",
-                "vote": vote,
-                "slot": message["slot"],
-                "ballot": message["ballot"],
-                "accepted": accepted,
-                "items": [i.to_json() for i in self.host.own_items()],
-            },
-        )
+    def _answer_prepare(self, message: Envelope, body: Prepare, vote: bool) -> None:
+        items = self.host.own_items()
+        self.host.answer(message, Promise(body.slot, body.ballot, vote, self.accepted, items))
 
-    def on_accept(self, message: Message, now: float) -> None:
+    def on_accept(self, message: Envelope, body: Accept) -> None:
         """The second phase of another's attempt. That it goes on to the next slot under the same
         ballot tells that what we accepted before was chosen."""
-        ballot = Ballot.from_json(message["ballot"])
+        ballot = body.ballot
         held = self.accepted
-        if held is not None and held[0] == ballot and message["slot"] == self.host.ledger.length + 1:
+        if held is not None and held[0] == ballot and body.slot == self.host.ledger.length + 1:
             self.host.decided(held[1], ballot, mine=False)
         if not self.host.is_open(message) or not self.host.may_vote():
             return
         if ballot < self.promised:
-            self._refuse(message)
+            self._refuse(message, body.slot)
             return
         self._see(ballot)
         if self.accepted is None or self.accepted[0] != ballot:
             self.promised = ballot
-            self.accepted = (ballot, message["batch"])
-            self._persist_accepted(message["slot"])
+            self.accepted = (ballot, body.batch)
+            self._persist_accepted(body.slot)
             if ballot.robot != self.host.name:
                 self._followers = None
             if self.attempt is not None and self.attempt.ballot < ballot:
                 self.attempt = None
         votes = self._votes.setdefault(ballot, set())
         votes |= {self.host.name, ballot.robot}
-        held_items = {tuple(origin) for _, origin, _ in message["batch"]}
-        vote: Message = {
-            "kind": "accepted",
-            "slot": message["slot"],
-            "ballot": message["ballot"],
-            "items": [i.to_json() for i in self.host.own_items() if i.origin not in held_items],
-        }
-        self.host.answer(message, vote)
+        held_items = {tuple(origin) for _, origin, _ in body.batch}
+        waiting = [i for i in self.host.own_items() if i.origin not in held_items]
+        self.host.answer(message, Accepted(body.slot, ballot, waiting))
         if not self.partial and self.host.is_small:  # those whose facts these are learn the outcome at first hand
-            origins = {origin[0] for _, origin, _ in message["batch"]}
-            known = {self.host.name, message["from"]}
-            copy = {k: v for k, v in vote.items() if k != "items"}
-            self.host.send_all([m for m in self.host.others() if m in origins and m not in known], copy)
+            origins = {origin[0] for _, origin, _ in body.batch}
+            known = {self.host.name, message.sender}
+            told = [m for m in self.host.others() if m in origins and m not in known]
+            self.host.send_all(told, Accepted(body.slot, ballot, []))
         self._decide_if_chosen(ballot)
 
-    def _refuse(self, message: Message) -> None:
-        self.host.answer(
-            message,
-            {"kind": "nack", "slot": message["slot"], "ballot": list(self.promised)},
-        )
+    def _refuse(self, message: Envelope, slot: int) -> None:
+        self.host.answer(message, Nack(slot, self.promised))
 
     # -- proposer and learner: the answers ---------------------------------------------------------
 
-    def on_promise(self, message: Message, now: float) -> None:
+    def on_promise(self, message: Envelope, body: Promise, now: float) -> None:
         """An answer to our first phase."""
-        self.host.add_foreign(message["items"])
+        self.host.add_foreign(body.items)
         attempt = self.attempt
-        if attempt is None or attempt.batch is not None or not self._answers(message, attempt):
+        if attempt is None or attempt.batch is not None or not self._answers(message, body, attempt):
             return
         self._measure(attempt, now)
-        attempt.answered.add(message["from"])
-        if message["vote"]:
-            accepted = message["accepted"]
-            attempt.promises[message["from"]] = accepted and (
-                Ballot.from_json(accepted[0]),
-                accepted[1],
-            )
+        attempt.answered.add(message.sender)
+        if body.vote:
+            attempt.promises[message.sender] = body.accepted
         if self._first_phase_over() and attempt.batch is not None:
             attempt.sent, attempt.began, attempt.tries = now, now, 0
 
-    def on_accepted(self, message: Message, now: float) -> None:
+    def on_accepted(self, message: Envelope, body: Accepted, now: float) -> None:
         """A vote for an attempt, ours or that of another."""
-        self.host.add_foreign(message.get("items", ()))
-        if message["slot"] != self.host.ledger.length:
+        self.host.add_foreign(body.items)
+        if body.slot != self.host.ledger.length or message.hash != self.host.ledger.hash:
             return
-        if message["hash"] != self.host.ledger.hash:
-            return
-        ballot = Ballot.from_json(message["ballot"])
         attempt = self.attempt
-        if attempt is not None and attempt.ballot == ballot:
+        if attempt is not None and attempt.ballot == body.ballot:
             self._measure(attempt, now)
-        self._votes.setdefault(ballot, set()).add(message["from"])
-        self._decide_if_chosen(ballot)
+        self._votes.setdefault(body.ballot, set()).add(message.sender)
+        self._decide_if_chosen(body.ballot)
 
-    def on_nack(self, message: Message, now: float) -> bool:
+    def on_nack(self, body: Nack) -> bool:
         """Somebody promised a higher ballot; whether that ended our attempt."""
-        ballot = Ballot.from_json(message["ballot"])
-        self._see(ballot)
+        self._see(body.ballot)
         attempt = self.attempt
-        if attempt is None or message["slot"] != attempt.slot or ballot <= attempt.ballot:
+        if attempt is None or body.slot != attempt.slot or body.ballot <= attempt.ballot:
             return False
         self.abandon()
         return True
@@ -374,11 +353,9 @@ class Consensus:
         took = min(now - attempt.began, LONGEST_ROUND_TRIP)
         self.round_trip += (took - self.round_trip) / (8 if self.round_trip else 1)
 
-    def _answers(self, message: Message, attempt: Attempt) -> bool:
+    def _answers(self, message: Envelope, body: Promise, attempt: Attempt) -> bool:
         return (
-            message["slot"] == attempt.slot
-            and message["hash"] == self.host.ledger.hash
-            and Ballot.from_json(message["ballot"]) == attempt.ballot
+            body.slot == attempt.slot and message.hash == self.host.ledger.hash and body.ballot == attempt.ballot
         )
 
     def on_chosen(self, ballot: Ballot) -> bool:
@@ -393,6 +370,6 @@ class Consensus:
         held = self.accepted
         if held is None or held[0] != ballot:
             return
-        if is_quorum(self._votes.get(ballot, ()), self.host.electorate()):
+        if self.host.may_decide(self._votes.get(ballot, ())):
             mine = self.attempt is not None and self.attempt.ballot == ballot
             self.host.decided(held[1], ballot, mine=mine)

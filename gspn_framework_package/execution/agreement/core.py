@@ -3,19 +3,21 @@ effects."""
 
 from __future__ import annotations
 
+import hashlib
 import math
 import random
-from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Any, Collection, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement.catch_up import History
 from gspn_framework_package.execution.agreement.consensus import Consensus
+from gspn_framework_package.execution.agreement.messages import Envelope
 from gspn_framework_package.execution.agreement.own_robot import OwnRobot, goal_record
 from gspn_framework_package.execution.agreement.peers import Peers
 from gspn_framework_package.execution.agreement.pool import Own, Pool
 from gspn_framework_package.execution.agreement.private import PrivateMoves
-from gspn_framework_package.execution.agreement.quorum import Ballot
+from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.draw import uniform
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.event_log import Record
@@ -65,6 +67,19 @@ class Pace(NamedTuple):
         )
 
 
+class Limits(NamedTuple):
+    """Sizes of the protocol. None matters for safety; tests make them small."""
+
+    batch: int = 256
+    """The most items that one slot takes."""
+    kept: int = 2000
+    """Slots that are kept in memory; who is further behind gets a snapshot."""
+    chunk: int = 200
+    """Slots sent at a time."""
+    snapshot_every: int = 1000
+    """Slots after which the log gets a snapshot, where a restart begins to read."""
+
+
 SMALL_TEAM = 8
 """Up to that many replicas, greetings are answered at once and the pace is the plain one."""
 
@@ -84,11 +99,21 @@ class Core:
         joining: bool = False,
         place: str = "",
         pace: Optional[Pace] = None,
+        limits: Optional[Limits] = None,
+        trusted: bool = True,
     ) -> None:
         self.plan = plan
         self.name = robot
         self.run = run
         self.log_id = log_id
+        self.limits = limits or Limits()
+        self._trusted = trusted
+        self.records = len(records)
+        """How many records our log has."""
+        self._durable = len(records)
+        """Up to which of them it outlives the power supply."""
+        self._begin_records = len(records)
+        """How many it had when this incarnation began."""
         size = len(plan.robots) + len(plan.witness)
         self.is_small = size <= SMALL_TEAM
         """Everybody may tell everybody something about each slot."""
@@ -110,15 +135,17 @@ class Core:
         self.ledger = Ledger(game)
         self.pool = Pool()
         self.peers = Peers()
-        self.history = History()
+        self.history = History(self.limits.kept, self.limits.chunk)
         team = [r.name for r in plan.robots] + list(plan.witness)
         self.joining = joining or robot not in team
         self.first = "" if self.joining or not team else team[0]
         self.consensus = Consensus(self, self.partial, self.first)
         moves = PrivateMoves(game, robot) if self.partial and not self.witness else None
         self.own = OwnRobot(robot, moves)
-        self.forced: Set[str] = set()
-        self.cast_out: Set[str] = set()
+        self.off: Dict[str, int] = {}
+        """Robots that an operator asserted to be off, with the incarnation that the assertion is about."""
+        self.astray: Dict[str, int] = {}
+        """Robots whose log differs from ours, with a slot before which it does."""
         self._environment = Environment(game, random.Random("%d|%s" % (plan.seed, robot)))
         self._tag = "%s|%s" % (run, plan.hash()[:12])
         self._number = 0
@@ -140,6 +167,12 @@ class Core:
         self._first_hash = ""
         self._members: Tuple[Optional[Ledger], int, List[str]] = (None, 0, [])
         self._strangers: Set[str] = set()
+        self._complaints: Set[Tuple[str, str]] = set()
+        self._listen_until = 0.0
+        self._superseded_at: Optional[float] = None
+        """When another log was let in under our name."""
+        self._rival_since: Optional[float] = None
+        """Since when we have heard another process of our name after that."""
         self._voteless: Set[str] = set()
         self._text = ""
         self._records = list(records)
@@ -161,16 +194,41 @@ class Core:
             known = self._members = (self.ledger, self.ledger.length, self.ledger.state.members())
         return known[2]
 
-    def electorate(self) -> List[str]:
+    def members(self) -> List[str]:
         """The members whose votes count in the open slot, in the order of the log."""
-        return [m for m in self._member_names() if m not in self.forced]
+        return self._member_names()
 
     def others(self) -> List[str]:
-        """The electorate without us."""
-        return [m for m in self.electorate() if m != self.name]
-
-    def _all_others(self) -> List[str]:
+        """The members without us."""
         return [m for m in self._member_names() if m != self.name]
+
+    def asserted_off(self) -> Set[str]:
+        """The members that an operator asserted to be off. An assertion is about one incarnation: it
+        ends when the robot joins again."""
+        robots = self.ledger.state.robots
+        return {
+            name
+            for name, incarnation in self.off.items()
+            if name in robots and robots[name].phase not in GONE and robots[name].incarnation == incarnation
+        }
+
+    def may_decide(self, voters: Collection[str]) -> bool:
+        """Whether these members may decide the open slot: a quorum; or, where robots that were
+        asserted to be off leave none, *all* the others. A quorum that does not consist of the
+        former alone has one of the others in it, whose word is then heard."""
+        members = self._member_names()
+        if is_quorum(voters, members):
+            return True
+        off = self.asserted_off()
+        if not off:
+            return False
+        left = [m for m in members if m not in off]
+        return bool(left) and not is_quorum(left, members) and all(m in voters for m in left)
+
+    def known_log(self, robot: str) -> str:
+        """The id of the log whose votes count for a robot: that with which it was let in, else the
+        first one that we heard of; "" for none."""
+        return self.ledger.logs.get(robot) or self.peers.known.get(robot, "")
 
     def is_member(self) -> bool:
         """Whether the log counts us in."""
@@ -178,7 +236,11 @@ class Core:
 
     def may_vote(self) -> bool:
         """Whether we are a member, and know what we promised before."""
-        return self.active and self.halted is None and self.is_member()
+        return self.active and self.halted is None and self.is_member() and self._is_our_name()
+
+    def _is_our_name(self) -> bool:
+        """Whether it is with our log that the robot was let in last, if it was."""
+        return self.ledger.logs.get(self.name) in (None, "", self.log_id)
 
     def is_settled(self) -> bool:
         """Whether the log knows this incarnation of our robot, so that it may act."""
@@ -187,7 +249,7 @@ class Core:
 
     # -- what the consensus needs of :class:`~gspn_framework_package.execution.agreement.growth.Growth` -----------
 
-    def is_open(self, message: io.Message) -> bool:
+    def is_open(self, message: Envelope) -> bool:
         """See :class:`~gspn_framework_package.execution.agreement.host.Host`."""
         raise NotImplementedError
 
@@ -204,32 +266,38 @@ class Core:
         out, self._out = self._out, []
         return out
 
-    def persist(self, record: Record) -> None:
-        """Write a record before anything else leaves the process."""
-        self._put(io.Persist(record))
+    def persist(self, record: Record, *, durable: bool = False) -> None:
+        """See :class:`~gspn_framework_package.execution.agreement.host.Host`."""
+        self.records += 1
+        if durable:
+            self._durable = self.records
+        self._put(io.Persist(record, durable))
 
-    _persist = persist
+    def _signed(self, body: Any) -> io.Message:
+        return Envelope(
+            self.name,
+            self._tag,
+            self.log_id,
+            self.incarnation,
+            self._durable,
+            self.ledger.length,
+            self.ledger.hash,
+            body,
+        ).to_json()
 
-    def _signed(self, message: io.Message) -> io.Message:
-        message["from"] = self.name
-        message["team"] = self._tag
-        message["length"] = self.ledger.length
-        message["hash"] = self.ledger.hash
-        return message
-
-    def send_all(self, to: List[str], message: io.Message) -> None:
+    def send_all(self, to: List[str], body: Any) -> None:
         """Send a message to each of these."""
-        signed = self._signed(message)
-        for robot in to:
-            self._put(io.Send(robot, signed))
+        if to:
+            signed = self._signed(body)
+            self._put(*(io.Send(robot, signed) for robot in to))
 
-    def answer(self, to: io.Message, message: io.Message) -> None:
+    def answer(self, to: Envelope, body: Any) -> None:
         """Answer a message: with the reply of a call, where it was one."""
         if self._request:
-            self._put(io.Reply(self._request, self._signed(message)))
+            self._put(io.Reply(self._request, self._signed(body)))
             self._request = ""
         else:
-            self.send_all([to["from"]], message)
+            self.send_all([to.sender], body)
 
     def _fault(self, message: str) -> None:
         self._put(Fault(self.name, message))
@@ -245,15 +313,39 @@ class Core:
         """What we want in the log ourselves."""
         return self.pool.own_items()
 
-    def add_foreign(self, items: Iterable[Any]) -> None:
-        """Keep what another wants in the log, items as JSON values."""
+    def add_foreign(self, items: Sequence[Item]) -> None:
+        """Keep what another wants in the log."""
         if items:
-            self.pool.add_foreign(map(Item.from_json, items), self.ledger.is_news)
+            self.pool.add_foreign(items, self.ledger.is_news)
 
     def batch(self, frozen: bool) -> List[Any]:
         """What should go into the open slot, items as JSON values."""
         frozen = frozen or not self.partial
-        return [i.to_json() for i in self.pool.batch(self._member_names(), frozen=frozen)]
+        items = self.pool.batch(self._member_names(), frozen=frozen)
+        return [i.to_json() for i in self._without_ghosts(items)[: self.limits.batch]]
+
+    def _without_ghosts(self, items: List[Item]) -> List[Item]:
+        """Leave robots out that want to join and are not heard themselves, or of which there are so
+        many that those who are heard would be no quorum with them: a team must not lose its quorum
+        to names that nobody answers to."""
+        members = self._member_names()
+        refused: Set[str] = set()
+        live = set(self.peers.near(members, self.name, 4 * self.pace.heartbeat, self._now))
+        now = list(members)
+        kept = []
+        for item in items:
+            entry = item.entry
+            name = item.origin.robot
+            if isinstance(entry, log.Join) and name not in now:
+                heard = self.peers.get(name).heard is not None and self.peers.get(name).log == entry.log
+                if name == self.name or (heard and is_quorum(live | {name}, [*now, name])):
+                    now.append(name)
+                    live.add(name)
+                else:
+                    refused.add(name)
+            if name not in refused:
+                kept.append(item)
+        return kept
 
     def _next_origin(self) -> Origin:
         self._number += 1
@@ -264,7 +356,7 @@ class Core:
         item = Item(entry, self._next_origin())
         if not suspect:  # a suspicion may be withdrawn, and is never taken up again
             origin = list(item.origin)
-            self._persist({"kind": "invoked", "entry": log.to_json(entry), "origin": origin})
+            self.persist({"kind": "invoked", "entry": log.to_json(entry), "origin": origin})
         self.pool.own.append(Own(item, order_id, suspect))
 
     # -- our robot, and its lives ---------------------------------------------------------------------
@@ -273,26 +365,36 @@ class Core:
         """We start again, or come back: a new incarnation, which the log must hear of."""
         self.incarnation = max(self.incarnation, self._known_incarnation()) + 1
         self._number = 0
-        record = {"kind": "life", "incarnation": self.incarnation, "joining": self.joining}
-        self._persist(record)
+        self._note_life()
         self.own.incarnation = self.incarnation
+
+    def _note_life(self) -> None:
+        self._begin_records = self.records
+        record = {"kind": "life", "incarnation": self.incarnation, "joining": self.joining}
+        self.persist(record, durable=True)
 
     def _become_active(self) -> None:
         self.active = True
         self.forgetful = False
-        self._persist({"kind": "active"})
+        self.persist({"kind": "active"}, durable=True)
+
+    def _renew_log_id(self) -> None:
+        """What our log says from here on is another memory: its votes must not be taken for those of
+        the one before."""
+        text = "%s|%s|%r|%d" % (self.log_id, self.name, self._now, self.records)
+        self.log_id = hashlib.sha256(text.encode()).hexdigest()[:32]
 
     def _act(self, delays: Dict[Tuple[int, int], float]) -> None:
         """Start and cancel actions as the log (and our private moves) say."""
         if not self.active or self.fenced or self.halted is not None:
             return
         for command in self.own.commands(self.ledger, delays):
-            self._persist(goal_record(command))
+            self.persist(goal_record(command))
             self._put(command)
 
     def _stop_acting(self) -> None:
         for command in self.own.stop():
-            self._persist(goal_record(command))
+            self.persist(goal_record(command))
             self._put(command)
 
     def _draw(self) -> float:

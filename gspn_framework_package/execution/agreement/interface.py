@@ -45,7 +45,7 @@ from gspn_framework_package.execution.firing import (
 )
 
 Message = Dict[str, Any]
-"""A protocol message: a JSON object with its ``kind`` and ``from`` (the sender's name)."""
+"""A protocol message as a JSON object (see :mod:`~gspn_framework_package.execution.agreement.messages`)."""
 
 SERVICE_OF_MESSAGE = {
     "prepare": "get_state",
@@ -105,9 +105,12 @@ class Order(NamedTuple):
 
 
 class ForceEvict(NamedTuple):
-    """The operator asserts that ``robot`` is switched off, so that the rest may go on without its
-    vote. If the assertion is wrong, or the robot alone knew of firings, what it knew is given up.
-    Answered by an :class:`OrderResult`."""
+    """The operator asserts that ``robot`` is switched off, and stays off until it has been evicted.
+
+    Where the others are a quorum, they evict it as they do a silent one. Where they are none, *all*
+    those that no assertion was made about have to agree, and what only the evicted ones knew is
+    given up. Refused where the robot was heard of late; taken back where it is heard before it was
+    evicted. Answered by an :class:`OrderResult`."""
 
     order_id: str
     robot: str
@@ -120,9 +123,16 @@ Input = Union[Tick, Received, ActionDone, ActionFailed, Order, ForceEvict]
 
 class Persist(NamedTuple):
     """Append this record to the robot's log before anything after it in the list is carried out
-    (see :mod:`~gspn_framework_package.execution.event_log`)."""
+    (see :mod:`~gspn_framework_package.execution.event_log`).
+
+    ``durable``: where the plan's ``fsync`` is on, the log has to be on the disk up to this record
+    before any other effect after it is carried out. Records in a row need to be waited for once.
+    Without a durable record after it a record may be lost with the power supply, and the replica
+    copes.
+    """
 
     record: Dict[str, Any]
+    durable: bool = False
 
 
 class Send(NamedTuple):

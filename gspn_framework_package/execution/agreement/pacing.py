@@ -6,6 +6,7 @@ from typing import List
 
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement.conduct import Conduct
+from gspn_framework_package.execution.agreement.messages import MOST_ITEMS, Event
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.firing import (
     Ended,
@@ -14,6 +15,10 @@ from gspn_framework_package.execution.team_state import POLICY
 
 FLUSH_AT = 100
 """Private moves that wait before they are brought into the log for their number alone."""
+
+RIVAL = 4
+"""Heartbeats for which a robot whose place another log has taken listens for a second process of
+its name, before it wants its place back."""
 
 LINGER = 20
 """Heartbeats for which a robot that leaves waits for a quorum of the others to hear of it."""
@@ -83,7 +88,7 @@ class Pacing(Conduct):
 
     def _ask_members(self) -> None:
         """We have no vote: have a member propose what we want."""
-        others = self._all_others()
+        others = self.others()
         heard = [m for m in others if self.peers.get(m).heard is not None] or others
         if not heard:
             return
@@ -94,16 +99,16 @@ class Pacing(Conduct):
         self._send_event([leader])
 
     def _send_event(self, to: List[str]) -> None:
-        items = [i.to_json() for i in self.own_items()]
+        items = self.own_items()
         foreign_news = tuple(self.pool.origins())
         told = (tuple(to), self.ledger.length, len(items), foreign_news)
         if told == self._told[:4] and self._now < self._told[4]:
             return
         self._told = (*told, self._now + self.pace.retry)
-        extra = self.pool.batch(self._member_names(), frozen=True)
-        known = {tuple(i[1]) for i in items}
-        items += [i.to_json() for i in extra if tuple(i.origin) not in known]
-        self.send_all(to, {"kind": "event", "items": items, "vote": self.may_vote()})
+        extra = self.pool.batch(self._member_names(), frozen=True, most=self.limits.batch)
+        known = {i.origin for i in items}
+        items = items + [i for i in extra if i.origin not in known]
+        self.send_all(to, Event(items[:MOST_ITEMS], self.may_vote()))
 
     def _patience(self) -> float:
         members = self._member_names()
@@ -174,13 +179,14 @@ class Pacing(Conduct):
 
     def has_quorum(self) -> bool:
         """Whether the members that were heard of late (ourselves included) could decide."""
-        electorate = self.electorate()
-        near = self.peers.near(electorate, self.name, 4 * self.pace.heartbeat, self._now)
-        return is_quorum(near, electorate)
+        return self.may_decide(self._near())
+
+    def _near(self) -> List[str]:
+        return self.peers.near(self.members(), self.name, 4 * self.pace.heartbeat, self._now)
 
     def _silent(self) -> List[str]:
-        near = self.peers.near(self.electorate(), self.name, 4 * self.pace.heartbeat, self._now)
-        return [m for m in self.electorate() if m not in near]
+        near = self._near()
+        return [m for m in self.members() if m not in near]
 
     # -- what must happen now and then ----------------------------------------------------------------
 
@@ -190,6 +196,10 @@ class Pacing(Conduct):
             return
         if (self.active and self.witness) or not (self.active or self.forgetful or self.joining):
             return
+        if self._superseded_at is not None:
+            if self._now < self._superseded_at + RIVAL * self.pace.heartbeat:
+                return  # is it somebody who runs, or a former life of ours?
+            self._superseded_at = None
         if self._known_incarnation() >= self.incarnation:
             self._new_life()
         if any(

@@ -3,7 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Dict, FrozenSet, List, Optional, Sequence, Set
+from typing import Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set
+
+from gspn_framework_package.execution.agreement.messages import Envelope, Seen
+
+MEMORY = 60.0
+"""Seconds after which half of a silence that a robot came back from is forgotten."""
+
+MARGIN = 1.5
+"""By how much a silence has to be longer than the longest that the robot came back from."""
+
+PATIENCE = 4.0
+"""How many times longer than the plan says we wait at most for a robot that is often silent."""
+
+
+class Life(NamedTuple):
+    """How many durable records the log of a robot had in one of its incarnations, as far as it
+    said."""
+
+    incarnation: int
+    records: int
 
 
 @dataclass
@@ -12,18 +31,35 @@ class Peer:
 
     heard: Optional[float] = None
     """When a message of it came in (s); None: never in this life of ours."""
+    gap: float = 0.0
+    """The longest silence that it came back from (s); older ones count less."""
     length: int = 0
     """How long its log was."""
     log: str = ""
-    """The id of its log."""
+    """The id of the log that it speaks for."""
     welcomes: str = ""
     """The id of the log of *ours* that it knows."""
     silent: FrozenSet[str] = frozenset()
     """Whom it does not hear."""
     active: bool = True
     """Whether it takes part, as far as it told: one that lost its log does not until it is let in."""
-    cast_out: FrozenSet[str] = frozenset()
-    """Whom it takes for evicted by force."""
+    met: bool = False
+    """It said hello before."""
+    life: Life = Life(-1, 0)
+    before: Life = Life(-1, 0)
+    """Its newest incarnation, and the one before, in that log."""
+    surprise: Optional[Seen] = None
+    """What it should hear of: that we know it under another log, or a longer one."""
+
+    def note_life(self, message: Envelope) -> None:
+        """Take in which log it speaks for, and how much there is of it."""
+        now = Life(message.incarnation, message.records)
+        if message.log != self.log:
+            self.log, self.life, self.before = message.log, now, Life(-1, 0)
+        elif now.incarnation > self.life.incarnation:
+            self.before, self.life = self.life, now
+        elif now.incarnation == self.life.incarnation:
+            self.life = max(self.life, now)
 
 
 @dataclass
@@ -48,6 +84,9 @@ class Peers:
     def hear(self, robot: str, now: float) -> Peer:
         """Note that a message of the robot came in."""
         peer = self.get(robot)
+        if peer.heard is not None:
+            silence = self.silence(robot, now)
+            peer.gap = max(silence, peer.gap * 0.5 ** (silence / MEMORY))
         peer.heard = now
         return peer
 
@@ -66,10 +105,15 @@ class Peers:
 
     def silent(self, members: Sequence[str], me: str, limit: float, now: float) -> Set[str]:
         """The members that were silent for longer than ``limit``; one that never came up, for three
-        times as long."""
-        return {
-            m for m in members if m != me and self.silence(m, now) > (3 * limit if self.get(m).heard is None else limit)
-        }
+        times as long; and one that came back from longer silences of late (a busy machine, a bad
+        link), for longer than these, though not for ever."""
+        return {m for m in members if m != me and self.silence(m, now) > self._limit(m, limit)}
+
+    def _limit(self, robot: str, limit: float) -> float:
+        peer = self.get(robot)
+        if peer.heard is None:
+            return 3 * limit
+        return min(PATIENCE * limit, max(limit, MARGIN * peer.gap))
 
     def accusers(self, robot: str) -> Set[str]:
         """Who says that the robot is silent."""

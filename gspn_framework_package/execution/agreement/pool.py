@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Callable, Dict, Iterable, List, NamedTuple, Sequence
+from typing import Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence
 
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.ledger import Item, Origin
-
-BATCH = 256
-"""The most items that one slot takes."""
 
 CONTROLS = (log.Pause, log.Resume, log.SetPlace, log.Stop)
 """Orders that private moves must not pass: partial synchronisation decides them while every robot
@@ -65,10 +62,10 @@ class Pool:
         """The robots that others told about."""
         return list(self._foreign)
 
-    def batch(self, order: Sequence[str], *, frozen: bool) -> List[Item]:
+    def batch(self, order: Sequence[str], *, frozen: bool, most: Optional[int] = None) -> List[Item]:
         """What goes into the next slot: of each robot, in the given order (others after those),
-        first its leading private moves, then
-        the rest. Not ``frozen``: without the orders that need it, and what comes after them.
+        first its leading private moves, then the rest; the first ``most`` of them. Not ``frozen``:
+        without the orders that need it, and what comes after them.
         """
         items: Dict[str, List[Item]] = {}
         for own in self.own:
@@ -86,7 +83,7 @@ class Pool:
                     break
                 leading = leading and item.private
                 (first if leading else rest).append(item)
-        return (first + rest)[:BATCH]
+        return (first + rest)[:most]
 
     def has_control(self) -> bool:
         """Whether an order waits that needs every robot to hold still."""

@@ -8,16 +8,23 @@ from typing import Any, Collection, NamedTuple, Sequence
 
 class Ballot(NamedTuple):
     """The number of an attempt to decide a slot; of two the larger one wins. No two attempts have
-    the same, since ``robot`` is part of it and counts its own up."""
+    the same: ``robot`` counts its own up, and ``log`` is the id of the log in which it does, since
+    one that lost its log begins to count anew."""
 
     counter: int
     robot: str
+    log: str = ""
 
     @classmethod
     def from_json(cls, data: Any) -> Ballot:
-        """The ballot of a JSON value ``[counter, robot]``."""
-        counter, robot = data
-        return cls(int(counter), str(robot))
+        """The ballot of a JSON value ``[counter, robot, log]`` (older logs: without the log).
+
+        :raises ValueError: not one.
+        """
+        counter, robot, *log_id = data
+        if type(counter) is not int or not isinstance(robot, str) or len(log_id) > 1:
+            raise ValueError("not a ballot: %.80r" % (data,))
+        return cls(counter, robot, *(str(x) for x in log_id))
 
 
 def is_quorum(voters: Collection[str], members: Sequence[str]) -> bool:

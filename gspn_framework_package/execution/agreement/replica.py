@@ -17,12 +17,13 @@ from __future__ import annotations
 from typing import Any, Dict, List
 
 from gspn_framework_package.execution.agreement import interface as io
-from gspn_framework_package.execution.agreement.core import Pace
+from gspn_framework_package.execution.agreement import messages
+from gspn_framework_package.execution.agreement.core import Limits, Pace
 from gspn_framework_package.execution.agreement.pacing import Pacing
-from gspn_framework_package.execution.agreement.quorum import Ballot
+from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.team_state import GONE, RobotState
 
-__all__ = ["Pace", "Replica"]
+__all__ = ["Limits", "Pace", "Replica"]
 
 
 class Replica(Pacing):
@@ -38,6 +39,10 @@ class Replica(Pacing):
     :param place: where we come in when we join for the first time; default: our place in the plan,
         else the first of ``spawn``.
     :param pace: times of the protocol, for a team of few.
+    :param limits: sizes of the protocol.
+    :param trusted: the end of our log is there. Where it may be lost (the machine was started anew,
+        and the log was not written through to the disk), what is left is not trusted, and the robot
+        joins as one that lost its log.
     :raises LogError: the records contradict each other or the plan.
     """
 
@@ -49,7 +54,8 @@ class Replica(Pacing):
         if self._records:
             self._resume(self._records)
         else:
-            self._persist({"kind": "life", "incarnation": 0, "joining": self.joining})
+            self._note_life()
+            self._listen_until = now + min(self.pace.greeting, self.pace.heartbeat)
             if not self.joining:
                 self._begin()
         self._records = []
@@ -95,6 +101,7 @@ class Replica(Pacing):
                     self.pace.heartbeat if self.active else min(self.pace.heartbeat, self.pace.greeting)
                 )
                 self._put(io.Send(io.EVERYBODY, self._signed(self._hello())))
+                self._consider_active()
                 self._watch()
                 self._tell_status()
             if self.leaving:
@@ -107,49 +114,68 @@ class Replica(Pacing):
 
     # -- messages -------------------------------------------------------------------------------------
 
-    def _receive(self, message: io.Message) -> None:
-        sender = message.get("from")
-        if not sender or not isinstance(sender, str):
+    def _receive(self, data: Any) -> None:
+        try:
+            message = messages.parse(data)
+        except messages.MessageError as error:
+            self._refuse_message(data, str(error))
             return
+        sender, body = message.sender, message.body
         if sender == self.name:
             self._hear_own_name(message)
             return
-        if message.get("team") != self._tag:
-            self._hear_stranger(sender, message)
+        if message.team != self._tag:
+            self._hear_stranger(message)
             return
         peer = self.peers.hear(sender, self._now)
-        peer.length = message["length"]
         if self.pool.own:
             self.pool.withdraw_suspicion([sender])
-        kind = message["kind"]
-        if sender in self.cast_out and kind not in ("hello", "pull", "event"):
-            return  # what it knows was given up, until it joins again
-        if kind == "hello":
-            self._on_hello(message)
-        elif kind == "pull":
+        if sender in self.off:
+            self._heard_though_off(sender)
+        counts = self._knows(message) and not self.ledger.is_cast_out(sender)
+        peer.length = message.length
+        if isinstance(body, messages.Hello):
+            self._on_hello(message, body)
+        elif isinstance(body, messages.Pull):
             self._on_pull(message)
-        elif kind == "learn":
-            self._on_learn(message)
-        elif kind == "event":
-            self.add_foreign(message["items"])
-            (self._voteless.discard if message["vote"] else self._voteless.add)(sender)
-            if message["length"] < self.ledger.length:
+        elif isinstance(body, messages.Event):
+            self.add_foreign(body.items)
+            (self._voteless.discard if body.vote else self._voteless.add)(sender)
+            if message.length < self.ledger.length:
                 self._help(message)
-        elif kind == "prepare":
-            self.consensus.on_prepare(message, self._now)
-            if self.consensus.promised == Ballot.from_json(message["ballot"]):
+        elif self.ledger.is_cast_out(sender):
+            return  # what it knows was given up, until it joins again
+        elif isinstance(body, messages.Learn):
+            self._on_learn(message, body)
+        elif counts or (isinstance(body, messages.Promise) and not body.vote):
+            self._on_vote(message)
+        if self.halted is None and peer.length > self.ledger.length and not self.ledger.is_cast_out(sender):
+            self._pull(sender)
+
+    def _on_vote(self, message: messages.Envelope) -> None:
+        """A message of the consensus, of a robot whose memory counts."""
+        body = message.body
+        if isinstance(body, messages.Prepare):
+            self.consensus.on_prepare(message, body)
+            if self.consensus.promised == body.ballot:
                 self._give_way()
-        elif kind == "accept":
-            self.consensus.on_accept(message, self._now)
-        elif kind == "promise":
-            self.consensus.on_promise(message, self._now)
-        elif kind == "accepted":
-            self.consensus.on_accepted(message, self._now)
-        elif kind == "nack" and self.consensus.on_nack(message, self._now):
+        elif isinstance(body, messages.Accept):
+            self.consensus.on_accept(message, body)
+        elif isinstance(body, messages.Promise):
+            self.consensus.on_promise(message, body, self._now)
+        elif isinstance(body, messages.Accepted):
+            self.consensus.on_accepted(message, body, self._now)
+        elif isinstance(body, messages.Nack) and self.consensus.on_nack(body):
             self._defeats += 1
             self._give_way()
-        if self.halted is None and peer.length > self.ledger.length:
-            self._pull(sender)
+
+    def _refuse_message(self, data: Any, why: str) -> None:
+        """Tell once of each sender that we do not understand it."""
+        sender = data.get("from") if isinstance(data, dict) else None
+        sender = sender[:100] if isinstance(sender, str) else "somebody"
+        if sender != self.name and len(self._complaints) < 100 and (sender, why) not in self._complaints:
+            self._complaints.add((sender, why))
+            self._fault("a message of %s is not understood: %s" % (sender, why))
 
     # -- telling --------------------------------------------------------------------------------------
 
@@ -168,27 +194,46 @@ class Replica(Pacing):
             return "waits for somebody of the team"
         if not self.active and not self.joining and not self.forgetful:
             missing = [
-                m for m in self._all_others() if m not in self.forced and self.peers.get(m).welcomes != self.log_id
+                m for m in self.others() if m not in self.off and self.peers.get(m).welcomes != self.log_id
             ]
             return "waits for %s to start" % ", ".join(missing)
         if self.ledger.state.ended is not None:
             return ""
         if not self.witness and not self.is_settled():
-            return "waits to be let into the team"
+            return "waits to be let into the team" + self._nobody_left()
         if self.fenced:
             return "stopped: no contact to a quorum"
+        if self.astray:
+            return "the log differs from that of %s; what differs does not count" % ", ".join(sorted(self.astray))
         attempt = self.consensus.attempt
         if attempt is not None and attempt.tries > 1:
             voteless = [m for m in self.others() if not self.peers.get(m).active]
             missing = [m for m in self.consensus.missing() if m not in voteless]
             if missing or not voteless:
                 return "waits for an answer of %s" % ", ".join(missing)
-            return "has no quorum; without a vote: %s" % ", ".join(voteless)
+            return "has no quorum; without a vote: %s" % ", ".join(voteless) + self._nobody_left()
         if not self.has_quorum():
             return "has no quorum; silent: %s" % ", ".join(self._silent())
         if self.partial and self._wants() and self._silent():  # whose attempt it is changes all the time
             return "waits for an answer of %s" % ", ".join(self._silent())
         return ""
+
+    def is_stuck(self) -> bool:
+        """Whether the team can never go on by itself: of too many members the logs, and with them
+        the votes, are lost."""
+        if self.ledger.length == 0 or self.ledger.state.ended is not None or self.joining:
+            return False
+        members = self.members()
+        here = [m for m in members if m == self.name or self.peers.get(m).heard is not None]
+        silent = [m for m in members if m not in here]
+        voters = [m for m in here if (self.active if m == self.name else self.peers.get(m).active)]
+        started = any(self.peers.get(m).length > 1 for m in here) or self.ledger.length > 1
+        return started and not is_quorum([*voters, *silent], members) and not self.may_decide(voters)
+
+    def _nobody_left(self) -> str:
+        if not self.is_stuck():
+            return ""
+        return ": too many lost their logs, and those who remember are no quorum; force_evict those who do not"
 
     def status(self) -> Dict[str, Any]:
         """Everything a person may ask, as a JSON object (ages in s)."""
@@ -223,6 +268,8 @@ class Replica(Pacing):
             "log_length": self.ledger.length,
             "hash": self.ledger.hash,
             "pending": len(self.pool.own),
+            "stuck": self.is_stuck(),
+            "astray": sorted(self.astray),
             "waits_for": self.waits_for(),
             "paused": state.paused,
             "ended": state.ended,

@@ -12,8 +12,9 @@ from gspn_framework_package.benchmark.team.world import Node, Weather, World
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement.private import PrivateMoves
-from gspn_framework_package.execution.agreement.quorum import is_quorum
-from gspn_framework_package.execution.agreement.replica import Replica
+from gspn_framework_package.execution.agreement.messages import Envelope, Hello, Learn
+from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
+from gspn_framework_package.execution.agreement.replica import Limits, Replica
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.firing import Ended, StartAction
 from gspn_framework_package.execution.history import verify
@@ -71,10 +72,11 @@ def test_any_two_quorums_share_a_member(size: int) -> None:
 @pytest.mark.parametrize("partial", [False, True])
 def test_one_robot_needs_no_messages(partial: bool) -> None:
     replica = Replica(make_plan(TOKENS, 1, partial, 0.0, 0.0, False), "r1", "run", "log")
-    effects = replica.start(0.0)
+    assert not [e for e in replica.start(0.0) if isinstance(e, StartAction)]  # somebody might know more
+    effects = replica.step(io.Tick(), 0.5)
     for result in ["t1", "t2", "t3", "t4"]:
         (goal,) = [e for e in effects if isinstance(e, StartAction)]
-        effects = replica.step(io.ActionDone(goal.incarnation, goal.visit, goal.attempt, result), 0.1)
+        effects = replica.step(io.ActionDone(goal.incarnation, goal.visit, goal.attempt, result), 0.6)
         assert not [e for e in effects if isinstance(e, io.Send) and e.to]
         assert [e.firing.transition for e in effects if isinstance(e, io.Fired) and e.publish] == [result]
 
@@ -196,8 +198,10 @@ def test_a_team_whose_quorum_lost_its_memory_says_so(partial: bool) -> None:
     world.nodes["r1"].start()
     world.run(4.0)
     length = world.length()
-    assert world.status("r1")["waits_for"] == "waits to be let into the team"
-    assert world.status("r2")["waits_for"] == "has no quorum; without a vote: r1"
+    assert world.status("r1")["waits_for"].startswith("waits to be let into the team: too many lost their logs")
+    assert world.status("r2")["waits_for"].startswith("has no quorum; without a vote: r1: too many lost their logs")
+    assert world.status("r1")["stuck"]
+    assert world.status("r2")["stuck"]
     world.run(8.0)
     assert world.length() == length
     world.check()
@@ -273,8 +277,9 @@ def test_another_plan_is_not_let_in() -> None:
     other = replace(world.plan, seed=7)
     stranger = Replica(other, "r2", "sim", "other log")
     stranger.start(0.0)
-    hello = {"kind": "hello", "from": "r1", "team": "sim|%s" % world.plan.hash()[:12]}
-    effects = stranger.step(io.Received(hello), 0.1)
+    hello = Hello(0, True, False, "", (), {}, {}, {})
+    message = Envelope("r1", "sim|%s" % world.plan.hash()[:12], "a log", 0, 0, 1, "", hello)
+    effects = stranger.step(io.Received(message.to_json()), 0.1)
     (halted,) = [e for e in effects if isinstance(e, io.Halted)]
     assert "r1 has another plan" in halted.reason
 
@@ -284,25 +289,20 @@ def test_messages_of_other_runs_are_ignored() -> None:
     world.run(0.3)
     replica = world.nodes["r1"].replica
     length = replica.ledger.length
-    message = {
-        "kind": "learn",
-        "from": "r2",
-        "team": "old|%s" % world.plan.hash()[:12],
-        "at": length,
-        "slots": [[[9, "r2"], [], replica.ledger.hash]],
-        "length": length + 1,
-        "hash": "",
-    }
-    effects = replica.step(io.Received(message), world.now)
+    learn = Learn(at=length, slots=((Ballot(9, "r2"), [], replica.ledger.hash),))
+    team = "old|%s" % world.plan.hash()[:12]
+    message = Envelope("r2", team, world.nodes["r2"].replica.log_id, 0, 0, length + 1, "", learn)
+    effects = replica.step(io.Received(message.to_json()), world.now)
     assert not [e for e in effects if isinstance(e, (io.Persist, io.Halted))]
     assert replica.ledger.length == length
 
 
-def test_a_joiner_far_behind_takes_a_snapshot(monkeypatch) -> None:
-    from gspn_framework_package.execution.agreement import catch_up
-
-    monkeypatch.setattr(catch_up, "KEPT", 5)
-    world = team(TOKENS, 2)
+def test_a_joiner_far_behind_takes_a_snapshot() -> None:
+    world = Team(make_plan(TOKENS, 2, False, 0.0, 0.0, False), 1)
+    world.mishaps = False
+    world.limits = Limits(kept=5)
+    for node in world.nodes.values():
+        node.start()
     world.run(1.0)
     assert world.length() > 10
     node = world.nodes["j0"] = Node(world, "j0")

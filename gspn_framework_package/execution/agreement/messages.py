@@ -1,0 +1,452 @@
+"""The messages of the protocol: one value for each, what it says, who sends it when, and what may
+follow.
+
+What a peer sends is input. :func:`parse` takes nothing over that has a wrong type, is out of bounds
+or comes from another version of the protocol, and says by name what was wrong; a replica drops such
+a message and goes on. A message is a JSON object: the fields of :class:`Envelope`, its ``kind``, and
+the fields of its body.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, NamedTuple, Optional, Tuple, Type, Union
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement.quorum import Ballot
+from gspn_framework_package.execution.ledger import Item
+from gspn_framework_package.model.errors import LogError
+
+VERSION = 2
+"""Of the protocol; replicas of different versions do not understand each other."""
+
+MOST_ITEMS = 10_000
+"""Items in a message. More than a batch, since what waits at a robot is sent whole."""
+
+MOST_SLOTS = 1_000
+"""Slots in a message."""
+
+MOST_ROBOTS = 10_000
+"""Robots named in a message."""
+
+LONGEST_NAME = 1_000
+"""Characters of a name, an id or a hash."""
+
+LARGEST = 2**53
+"""The largest number; whatever reads JSON reads it exactly."""
+
+Batch = List[Any]
+"""A proposed value: items as JSON values."""
+
+
+class MessageError(Exception):
+    """A message that is not one of this protocol; the text says why."""
+
+
+# -- fields ----------------------------------------------------------------------------------------
+
+
+def _field(data: Dict[str, Any], name: str) -> Any:
+    try:
+        return data[name]
+    except KeyError:
+        raise MessageError("it has no '%s'" % name) from None
+
+
+def _text(data: Dict[str, Any], name: str) -> str:
+    return _name_of(_field(data, name), name)
+
+
+def _name_of(value: Any, name: str) -> str:
+    if not isinstance(value, str) or len(value) > LONGEST_NAME:
+        raise MessageError("'%s' is not a text of at most %d characters" % (name, LONGEST_NAME))
+    return value
+
+
+def _number(data: Dict[str, Any], name: str) -> int:
+    return _number_of(_field(data, name), name)
+
+
+def _number_of(value: Any, name: str) -> int:
+    if type(value) is not int or not 0 <= value <= LARGEST:
+        raise MessageError("'%s' is not a whole number from 0 to 2^53" % name)
+    return value
+
+
+def _flag(data: Dict[str, Any], name: str) -> bool:
+    value = _field(data, name)
+    if not isinstance(value, bool):
+        raise MessageError("'%s' is neither true nor false" % name)
+    return value
+
+
+def _list(value: Any, name: str, most: int) -> List[Any]:
+    if not isinstance(value, list) or len(value) > most:
+        raise MessageError("'%s' is not a list of at most %d values" % (name, most))
+    return value
+
+
+def _names(data: Dict[str, Any], name: str) -> Tuple[str, ...]:
+    return tuple(_name_of(v, name) for v in _list(_field(data, name), name, MOST_ROBOTS))
+
+
+def _ballot(value: Any) -> Ballot:
+    if not isinstance(value, list) or len(value) != 3:
+        raise MessageError("'ballot' is not [number, robot, log]")
+    counter, robot, log_id = value
+    return Ballot(_number_of(counter, "ballot"), _name_of(robot, "ballot"), _name_of(log_id, "ballot"))
+
+
+def _items(value: Any, name: str, *, start: bool = False) -> List[Item]:
+    try:
+        items = [Item.from_json(i) for i in _list(value, name, MOST_ITEMS)]
+    except LogError as error:
+        raise MessageError("'%s' holds what is %s" % (name, error)) from None
+    for item in items:
+        origin = item.origin
+        if not 0 <= origin.incarnation <= LARGEST or not 0 <= origin.number <= LARGEST:
+            raise MessageError("'%s' holds an entry whose origin is out of bounds" % name)
+        if isinstance(item.entry, log.Start) and not start:
+            raise MessageError("'%s' holds another start of the run" % name)
+        if isinstance(item.entry, log.Join) and item.entry.robot != origin.robot:
+            raise MessageError("in '%s' %s joins for %s" % (name, origin.robot, item.entry.robot))
+    return items
+
+
+def _batch(value: Any, *, start: bool = False) -> Batch:
+    _items(value, "batch", start=start)
+    return list(value)
+
+
+# -- messages --------------------------------------------------------------------------------------
+
+
+class Seen(NamedTuple):
+    """What the sender of a hello remembers of the robot that it greets: under which log it knows it,
+    and how many records of that log there were in incarnation ``incarnation``."""
+
+    log: str
+    incarnation: int
+    records: int
+
+
+class Hello(NamedTuple):
+    """I am here. To everybody, every heartbeat; more often, and in answer to greetings, before I
+    take part.
+
+    ``begin``: how many records my log had when this incarnation began, which shows a log that was
+    cut. ``active``: whether I take part. ``joining``: I was not in the first team. ``first``: hash
+    of the first slot. ``silent``: whom I do not hear. ``off``: robot -> incarnation of those that
+    an operator asserted to be off. ``cast_out``: robot -> slot of its eviction by force, until it
+    joins again. ``greets``: what I know of those robots that wait for it, or would be surprised.
+    """
+
+    begin: int
+    active: bool
+    joining: bool
+    first: str
+    silent: Tuple[str, ...]
+    off: Dict[str, int]
+    cast_out: Dict[str, int]
+    greets: Dict[str, Seen]
+
+
+    def to_json(self) -> Dict[str, Any]:
+        """The fields as a JSON object."""
+        greets = {robot: list(seen) for robot, seen in self.greets.items()}
+        return {**self._asdict(), "silent": list(self.silent), "greets": greets}
+
+    @classmethod
+    def from_json(cls, data: Dict[str, Any]) -> Hello:
+        """The message of a JSON object. :raises MessageError: not one."""
+        greets = {}
+        for robot, seen in _object(data, "greets").items():
+            if len(_list(seen, "greets", 3)) != 3:
+                raise MessageError("'greets' does not hold [log, incarnation, records]")
+            greets[robot] = Seen(
+                _name_of(seen[0], "greets"), _number_of(seen[1], "greets"), _number_of(seen[2], "greets")
+            )
+        return cls(
+            _number(data, "begin"),
+            _flag(data, "active"),
+            _flag(data, "joining"),
+            _text(data, "first"),
+            _names(data, "silent"),
+            {r: _number_of(n, "off") for r, n in _object(data, "off").items()},
+            {r: _number_of(n, "cast_out") for r, n in _object(data, "cast_out").items()},
+            greets,
+        )
+
+
+def _object(data: Dict[str, Any], name: str) -> Dict[str, Any]:
+    value = _field(data, name)
+    if not isinstance(value, dict) or len(value) > MOST_ROBOTS:
+        raise MessageError("'%s' is not an object of at most %d values" % (name, MOST_ROBOTS))
+    for key in value:
+        _name_of(key, name)
+    return value
+
+
+class Event(NamedTuple):
+    """Facts that the sender wants in the log. To the leader (or, from a robot without a ``vote``, to
+    any member), again and again until they are in the log."""
+
+    items: List[Item]
+    vote: bool
+
+
+    def to_json(self) -> Dict[str, Any]:
+        """The fields as a JSON object."""
+        return {"items": [i.to_json() for i in self.items], "vote": self.vote}
+
+    @classmethod
+    def from_json(cls, data: Dict[str, Any]) -> Event:
+        """The message of a JSON object. :raises MessageError: not one."""
+        return cls(_items(_field(data, "items"), "items"), _flag(data, "vote"))
+
+
+class Prepare(NamedTuple):
+    """First phase, from a proposer to the members: promise to accept nothing below ``ballot`` from
+    ``slot`` on. ``frozen``: nobody moves on his own until the slot is decided. Answered by
+    :class:`Promise`, :class:`Nack`, or what the one who is behind needs."""
+
+    slot: int
+    ballot: Ballot
+    frozen: bool
+
+
+    def to_json(self) -> Dict[str, Any]:
+        """The fields as a JSON object."""
+        return {"slot": self.slot, "ballot": list(self.ballot), "frozen": self.frozen}
+
+    @classmethod
+    def from_json(cls, data: Dict[str, Any]) -> Prepare:
+        """The message of a JSON object. :raises MessageError: not one."""
+        return cls(_number(data, "slot"), _ballot(_field(data, "ballot")), _flag(data, "frozen"))
+
+
+class Promise(NamedTuple):
+    """The answer to :class:`Prepare`: ``accepted`` (ballot and batch) in that slot so far, and the
+    facts that wait here. Without a ``vote`` it only tells what is known."""
+
+    slot: int
+    ballot: Ballot
+    vote: bool
+    accepted: Optional[Tuple[Ballot, Batch]]
+    items: List[Item]
+
+
+    def to_json(self) -> Dict[str, Any]:
+        """The fields as a JSON object."""
+        return {
+            "slot": self.slot,
+            "ballot": list(self.ballot),
+            "vote": self.vote,
+            "accepted": self.accepted and [list(self.accepted[0]), self.accepted[1]],
+            "items": [i.to_json() for i in self.items],
+        }
+
+    @classmethod
+    def from_json(cls, data: Dict[str, Any]) -> Promise:
+        """The message of a JSON object. :raises MessageError: not one."""
+        accepted = _field(data, "accepted")
+        if accepted is not None:
+            if len(_list(accepted, "accepted", 2)) != 2:
+                raise MessageError("'accepted' is not [ballot, batch]")
+            accepted = (_ballot(accepted[0]), _batch(accepted[1]))
+        return cls(
+            _number(data, "slot"),
+            _ballot(_field(data, "ballot")),
+            _flag(data, "vote"),
+            accepted,
+            _items(_field(data, "items"), "items"),
+        )
+
+
+class Accept(NamedTuple):
+    """Second phase, from a proposer to the members: accept ``batch`` in ``slot``. From a leader it
+    also says that what it proposed before under the same ballot was chosen. Answered by
+    :class:`Accepted` or :class:`Nack`."""
+
+    slot: int
+    ballot: Ballot
+    batch: Batch
+
+
+    def to_json(self) -> Dict[str, Any]:
+        """The fields as a JSON object."""
+        return {"slot": self.slot, "ballot": list(self.ballot), "batch": self.batch}
+
+    @classmethod
+    def from_json(cls, data: Dict[str, Any]) -> Accept:
+        """The message of a JSON object. :raises MessageError: not one."""
+        return cls(_number(data, "slot"), _ballot(_field(data, "ballot")), _batch(_field(data, "batch")))
+
+
+class Accepted(NamedTuple):
+    """A vote, to the proposer, and in a small team to those whose facts are voted on. ``items``: what
+    waits here that the batch does not hold."""
+
+    slot: int
+    ballot: Ballot
+    items: List[Item]
+
+
+    def to_json(self) -> Dict[str, Any]:
+        """The fields as a JSON object."""
+        return {"slot": self.slot, "ballot": list(self.ballot), "items": [i.to_json() for i in self.items]}
+
+    @classmethod
+    def from_json(cls, data: Dict[str, Any]) -> Accepted:
+        """The message of a JSON object. :raises MessageError: not one."""
+        return cls(_number(data, "slot"), _ballot(_field(data, "ballot")), _items(_field(data, "items"), "items"))
+
+
+class Nack(NamedTuple):
+    """No: I promised ``ballot``, which is higher. The proposer gives way."""
+
+    slot: int
+    ballot: Ballot
+
+
+    def to_json(self) -> Dict[str, Any]:
+        """The fields as a JSON object."""
+        return {"slot": self.slot, "ballot": list(self.ballot)}
+
+    @classmethod
+    def from_json(cls, data: Dict[str, Any]) -> Nack:
+        """The message of a JSON object. :raises MessageError: not one."""
+        return cls(_number(data, "slot"), _ballot(_field(data, "ballot")))
+
+
+class Pull(NamedTuple):
+    """My log is shorter than yours. Answered by :class:`Learn`."""
+
+    def to_json(self) -> Dict[str, Any]:
+        """No fields."""
+        return {}
+
+    @classmethod
+    def from_json(cls, data: Dict[str, Any]) -> Pull:
+        """The message of a JSON object."""
+        return cls()
+
+
+class Chosen(NamedTuple):
+    """What was accepted under ``ballot`` is chosen in ``slot``."""
+
+    slot: int
+    ballot: Ballot
+
+
+class Learn(NamedTuple):
+    """What is decided: that a slot is ``chosen``, to the others once a proposer knows; or, to one that
+    is behind, ``slots`` from ``at`` on as (ballot, batch, hash before it); or, where these are not
+    kept any more, a ``snapshot``."""
+
+    chosen: Optional[Chosen] = None
+    at: int = 0
+    slots: Tuple[Tuple[Ballot, Batch, str], ...] = ()
+    snapshot: Optional[Dict[str, Any]] = None
+
+
+    def to_json(self) -> Dict[str, Any]:
+        """The fields as a JSON object."""
+        if self.chosen is not None:
+            return {"slot": self.chosen.slot, "ballot": list(self.chosen.ballot)}
+        if self.snapshot is not None:
+            return {"snapshot": self.snapshot}
+        return {"at": self.at, "slots": [[list(ballot), batch, before] for ballot, batch, before in self.slots]}
+
+    @classmethod
+    def from_json(cls, data: Dict[str, Any]) -> Learn:
+        """The message of a JSON object. :raises MessageError: not one."""
+        if "snapshot" in data:
+            snapshot = data["snapshot"]
+            if not isinstance(snapshot, dict):
+                raise MessageError("'snapshot' is not an object")
+            _number(snapshot, "slot")
+            return cls(snapshot=snapshot)
+        if "slots" in data:
+            slots = []
+            at = _number(data, "at")
+            for number, slot in enumerate(_list(data["slots"], "slots", MOST_SLOTS), at):
+                if len(_list(slot, "slots", 3)) != 3:
+                    raise MessageError("'slots' does not hold [ballot, batch, hash]")
+                batch = _batch(slot[1], start=number == 0)
+                slots.append((_ballot(slot[0]), batch, _name_of(slot[2], "slots")))
+            return cls(at=at, slots=tuple(slots))
+        return cls(Chosen(_number(data, "slot"), _ballot(_field(data, "ballot"))))
+
+
+Body = Union[Hello, Event, Prepare, Promise, Accept, Accepted, Nack, Pull, Learn]
+
+_KINDS: Dict[str, Type[Any]] = {
+    "hello": Hello,
+    "event": Event,
+    "prepare": Prepare,
+    "promise": Promise,
+    "accept": Accept,
+    "accepted": Accepted,
+    "nack": Nack,
+    "pull": Pull,
+    "learn": Learn,
+}
+_KIND_OF = {body: kind for kind, body in _KINDS.items()}
+
+
+class Envelope(NamedTuple):
+    """What every message says of its sender, and its body.
+
+    ``team``: run and plan. ``log``: id of the sender's log, and ``records`` how many it holds;
+    ``length`` and ``hash``: of the agreed log as far as the sender knows it.
+    """
+
+    sender: str
+    team: str
+    log: str
+    incarnation: int
+    records: int
+    length: int
+    hash: str
+    body: Any
+
+    def to_json(self) -> Dict[str, Any]:
+        """The message as a JSON object."""
+        return {
+            "version": VERSION,
+            "kind": _KIND_OF[type(self.body)],
+            "from": self.sender,
+            "team": self.team,
+            "log": self.log,
+            "incarnation": self.incarnation,
+            "records": self.records,
+            "length": self.length,
+            "hash": self.hash,
+            **self.body.to_json(),
+        }
+
+
+def parse(data: Any) -> Envelope:
+    """The message of a JSON object.
+
+    :raises MessageError: it is none of this version of the protocol.
+    """
+    if not isinstance(data, dict):
+        raise MessageError("it is not a JSON object")
+    version = data.get("version", 1)
+    if version != VERSION:
+        raise MessageError("it is of version %.20r of the protocol, this is %d" % (version, VERSION))
+    kind = data.get("kind")
+    body = _KINDS.get(kind) if isinstance(kind, str) else None
+    if body is None:
+        raise MessageError("there is no message '%.50s'" % (kind,))
+    return Envelope(
+        _text(data, "from"),
+        _text(data, "team"),
+        _text(data, "log"),
+        _number(data, "incarnation"),
+        _number(data, "records"),
+        _number(data, "length"),
+        _text(data, "hash"),
+        body.from_json(data),
+    )
