@@ -7,8 +7,8 @@ import json
 import os
 from typing import List
 
-from gspn_framework_package.execution.event_log import read_log
-from gspn_framework_package.execution.history import verify
+from gspn_framework_package.execution.event_log import DamagedLogError, read_log
+from gspn_framework_package.execution.history import Verdict, Violation, verify
 from gspn_framework_package.model.errors import LogError
 
 NAME = "verify"
@@ -34,8 +34,11 @@ def run(args: argparse.Namespace) -> int:
     """Check the logs and print the verdict."""
     files = _files(args.logs)
     sizes = [os.path.getsize(path) if os.path.exists(path) else None for path in files]
-    logs = [read_log(path, size) for path, size in zip(files, sizes)]
-    verdict = verify(logs, settled=args.settled, complete=not args.incomplete)
+    try:
+        logs = [read_log(path, size) for path, size in zip(files, sizes)]
+        verdict = verify(logs, settled=args.settled, complete=not args.incomplete)
+    except DamagedLogError as error:
+        verdict = Verdict(Violation(1, str(error)), 0, 0, 0, len(files), [])
     if args.json:
         print(json.dumps(verdict.to_json(), indent=2))
     else:

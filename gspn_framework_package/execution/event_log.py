@@ -12,10 +12,13 @@ one host). Kinds:
                 robot, incarnation, sequence number; empty in a local log), the ``firings`` that
                 followed, ``hash`` (of the chain), ``ballot`` where a team agreed on it
 ``snapshot``    the state after slot ``slot``, taken over from a peer or kept as a starting point:
-                ``state``, ``seen`` (origin -> newest entry), ``hash``; what was before is void
-``reset``       what is before does not count any more; the log is learnt anew
+                ``state``, ``seen`` (origin -> newest entry), ``logs`` (robot -> the log with which it
+                was let in), ``cast_out`` (robot -> slot of its eviction by force), ``hash``
+``reset``       what is before does not count any more (``why``); the log is learnt anew, and goes by
+                the id ``log`` from here on
 ``active``      this replica takes part from now on
-``life``        the node started: ``incarnation``; ``joining`` where it was not in the first team
+``life``        the node started: ``incarnation``; ``joining`` where it was not in the first team;
+                ``host`` as in the header, ``fsync``: whether the log is written through to the disk
 ``promised``    acceptor: no ballot below ``ballot`` will be accepted in ``slot`` or later
 ``accepted``    acceptor: accepted ``batch`` under ``ballot`` in ``slot``
 ``invoked``     a fact that this robot knows and wants in the log: ``entry``, ``origin``
@@ -25,12 +28,15 @@ one host). Kinds:
 ``goal``        the goal of an action goes out: ``place``, ``incarnation``, ``visit``, ``attempt``
 ``cancel``      the goals of visits up to ``visit`` are void
 ``peer``        first contact with a robot: ``robot``, ``log`` (the id of its log)
-``forced``      the operator asserts that ``robots`` are off, for ``slot``
+``forced``      the operator asserts that these ``robots`` (robot -> incarnation) are off
 ``ended``       the run is over: ``reason``, ``finished``
 ==============  ====================================================================================
 
 ``kill -9`` may cut the last line: nothing that depends on it has left the process, so a reader
 drops it, and a writer that takes the file up again removes it first.
+
+The last field of every line, ``sum``, is a running hash over all lines before it and the line
+itself, so that a line that was changed, dropped or put in is noticed. (Logs of version 1 have none.)
 """
 
 from __future__ import annotations
@@ -39,6 +45,7 @@ import hashlib
 import json
 import os
 import platform
+import re
 import time
 from typing import Any, BinaryIO, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
@@ -51,7 +58,9 @@ from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.plan import Plan
 
 FORMAT = "gspn event log"
-VERSION = 1
+VERSION = 2
+UNSUMMED = 1
+"""The version whose lines have no running hash; still read, and gone on with."""
 
 Record = Dict[str, Any]
 
@@ -100,13 +109,16 @@ class EventLogWriter:
     :param path: the file; its folder is made. A file that is there is taken up again: a line that
         was cut is removed, and the header must be of the same run, robot and plan.
     :param first: the header for a new file (see :func:`header`).
-    :param fsync: wait until the disk has it, so that it outlives the power supply too.
+    :param fsync: records that are to be durable are waited for until the disk has them, so that they
+        outlive the power supply too.
     :raises LogError: the file belongs to another run, robot or plan, or cannot be written.
     """
 
     def __init__(self, path: str, first: Record, *, fsync: bool = False) -> None:
         self.path = path
         self._fsync = fsync
+        self._sum: Optional[str] = ""
+        self._host = _host()
         try:
             os.makedirs(os.path.dirname(os.path.abspath(path)), exist_ok=True)
             known = _repair(path)
@@ -118,32 +130,93 @@ class EventLogWriter:
                             file=path,
                             hint="give the run another name, or move the file away",
                         )
+                self._sum = None if known["version"] == UNSUMMED else _last_sum(path)
             self._file: BinaryIO = open(path, "ab", buffering=0)  # noqa: SIM115
         except OSError as error:
             raise LogError("cannot be written (%s)" % error.strerror, file=path) from None
         if known is None:
             try:
-                self.append({**first, "host": first.get("host") or _host()})
+                self.append({**first, "host": first.get("host") or self._host}, durable=True)
+                if self._fsync:
+                    _sync_folder(path)
             except LogError:
                 self._file.close()
                 raise
 
-    def append(self, *records: Record) -> None:
-        """Write the records, each with the time of now."""
+    def append(self, *records: Record, durable: bool = True) -> None:
+        """Write the records, each with the time of now.
+
+        :param durable: where the log is written through, wait until the disk has them, and all
+            before them.
+        """
         clocks = {"wall": round(time.time(), 6), "mono": round(time.monotonic(), 6)}
-        lines = [json.dumps({**r, **clocks}, separators=(",", ":")) + "\n" for r in records]
-        data = "".join(lines).encode()
+        data = "".join(self._line({**r, **clocks}) for r in records).encode()
         try:
             while data:
                 data = data[self._file.write(data) :]
-            if self._fsync:
-                os.fsync(self._file.fileno())
+            if self._fsync and durable:
+                os.fdatasync(self._file.fileno())
         except OSError as error:
             raise LogError("cannot be written (%s)" % error.strerror, file=self.path) from None
+
+    def _line(self, record: Record) -> str:
+        if record["kind"] == "life":
+            record = {**record, "host": self._host, "fsync": self._fsync}
+        text = json.dumps(record, separators=(",", ":"))
+        if self._sum is not None:
+            self._sum = next_sum(self._sum, text.encode())
+            text = '%s,"sum":"%s"}' % (text[:-1], self._sum)
+        return text + "\n"
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def next_sum(previous: str, line: bytes) -> str:
+    """The running hash of a log after a line.
+
+    :param line: without its ``sum``.
+    """
+    return hashlib.sha256(previous.encode() + line).hexdigest()[:16]
+
+
+_SUM = re.compile(rb',"sum":"([0-9a-f]{16})"}\n?$')
+
+
+def _without_sum(line: bytes) -> Tuple[bytes, str]:
+    """A line without its running hash, and that."""
+    found = _SUM.search(line)
+    if found is None:
+        return line, ""
+    return line[: found.start()] + b"}", found.group(1).decode()
+
+
+def _last_sum(path: str) -> str:
+    """The running hash of the last line. :raises LogError: it has none."""
+    with open(path, "rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - 64))
+        found = _SUM.search(file.read())
+    if found is None:
+        raise LogError("the last line has no running hash", file=path, hint=DAMAGED)
+    return found.group(1).decode()
+
+
+def _sync_folder(path: str) -> None:
+    """Have the name of a new file outlive the power supply."""
+    folder = os.open(os.path.dirname(os.path.abspath(path)), os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def end_is_there(event_log: EventLog) -> bool:
+    """Whether the end of a log is sure to be there, whatever happened to the machine: it was written
+    through to the disk, or the machine has not been started anew since its last node began."""
+    newest = next((r for r in reversed(event_log.records) if r["kind"] == "life"), event_log.header)
+    return bool(newest.get("fsync")) or newest.get("host", event_log.header.get("host")) == _host()
 
 
 def _host() -> str:
@@ -236,6 +309,7 @@ def read_log(path: str, size: Optional[int] = None) -> EventLog:
             first = file.readline()
             cut = not first.endswith(b"\n")
             head = _header(first, path)
+            chain = "" if head["version"] == UNSUMMED else _follow("", first, path, 1)
             left = (size if size is not None else os.path.getsize(path)) - len(first)
             for number, line in enumerate(file, 2):
                 left -= len(line)
@@ -244,7 +318,10 @@ def read_log(path: str, size: Optional[int] = None) -> EventLog:
                 if not line.endswith(b"\n"):
                     cut = True
                     break
-                records.append(_record(line, path, number))
+                record = _record(line, path, number)
+                if chain:
+                    chain = _follow(chain, line, path, number)
+                records.append(record)
     except OSError as error:
         raise LogError("cannot be read (%s)" % error.strerror, file=path) from None
     return EventLog(path, head, records, cut)
@@ -303,6 +380,24 @@ class LogFile:
             raise LogError("cannot be read (%s)" % error.strerror, file=self.path) from None
 
 
+DAMAGED = (
+    "a line was changed, dropped or put in; a robot whose log is moved away learns it from the others, and joins again"
+)
+
+
+class DamagedLogError(LogError):
+    """A line of a log does not follow from the lines before it."""
+
+
+def _follow(chain: str, line: bytes, path: str, number: int) -> str:
+    """The running hash after a line. :raises DamagedLogError: the line says another one."""
+    text, told = _without_sum(line)
+    chain = next_sum(chain, text)
+    if told != chain:
+        raise DamagedLogError("does not follow from the lines before it", file=path, line=number, hint=DAMAGED)
+    return chain
+
+
 def _record(line: bytes, path: str, number: int) -> Record:
     try:
         record = json.loads(line.decode())
@@ -310,6 +405,7 @@ def _record(line: bytes, path: str, number: int) -> Record:
         raise LogError("is not JSON: %.80r" % line, file=path, line=number) from None
     if not isinstance(record, dict) or not isinstance(record.get("kind"), str):
         raise LogError("is not a record: %.80r" % line, file=path, line=number)
+    record.pop("sum", None)
     return record
 
 
@@ -323,11 +419,12 @@ def _header(line: bytes, path: str) -> Record:
         raise LogError("is not an event log", file=path, line=1, hint=hint) from None
     if not isinstance(head, dict) or head.get("format") != FORMAT:
         raise LogError("is not an event log", file=path, line=1, hint=hint)
-    if head.get("version") != VERSION:
+    if head.get("version") not in (UNSUMMED, VERSION):
         raise LogError(
-            "is of version %r; this program reads version %d" % (head.get("version"), VERSION),
+            "is of version %.20r; this program reads versions %d and %d" % (head.get("version"), UNSUMMED, VERSION),
             file=path,
             line=1,
+            hint="read it with the version of the package that wrote it",
         )
     for key in ("run", "robot", "log", "plan_hash", "plan"):
         if key not in head:
@@ -388,7 +485,7 @@ def replay(event_log: EventLog) -> Iterator[Replayed]:
     for number, record in enumerate(event_log.records, 2):
         try:
             step = replayer.take(record)
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             raise LogError("the record is damaged (%r)" % error, file=event_log.path, line=number) from None
         except LogError as error:
             raise error.located(file=event_log.path, line=number) from None

@@ -19,7 +19,7 @@ from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.actions import TEXT_LIMIT
 from gspn_framework_package.execution.agreement import interface as agreement
 from gspn_framework_package.execution.agreement.replica import Replica
-from gspn_framework_package.execution.event_log import EventLogWriter, Record, header, read_log
+from gspn_framework_package.execution.event_log import EventLogWriter, Record, end_is_there, header, read_log
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
 from gspn_framework_package.execution.team_state import GONE, Phase
 from gspn_framework_package.model.errors import GspnError, LogError
@@ -142,18 +142,20 @@ class ExecutionNode(Worker):
     def _open_log(self) -> None:
         path = self.options.log_file(self.robot)
         self._lock = lock_log(path)
-        log_id, records = uuid.uuid4().hex, []
+        log_id, records, whole = uuid.uuid4().hex, [], True
         if os.path.exists(path) and os.path.getsize(path):
             try:
                 known = read_log(path)
-                log_id, records = str(known.header["log"]), known.records
+                log_id, records, whole = str(known.header["log"]), known.records, end_is_there(known)
             except LogError:
                 with open(path, "rb") as file:
                     if b"\n" in file.readline():  # else: killed while it wrote the very first line
                         raise
         first = header(self.plan, self.options.run, self.robot, log_id)
         self._log = EventLogWriter(path, first, fsync=self.plan.fsync)
-        self._replica = Replica(self.plan, self.robot, self.options.run, log_id, records, place=self.options.place)
+        self._replica = Replica(
+            self.plan, self.robot, self.options.run, log_id, records, place=self.options.place, trusted=whole
+        )
 
     # -- from any thread ---------------------------------------------------------------------------
 
@@ -282,6 +284,7 @@ class ExecutionNode(Worker):
     def _carry_out(self, effects: List[agreement.Effect]) -> None:
         """In order; what is to be persisted is in the file before anything after it goes out."""
         records: List[Record] = []
+        durable = False
         sends: List[agreement.Send] = []
         for effect in effects:
             if isinstance(effect, agreement.Persist):
@@ -289,16 +292,17 @@ class ExecutionNode(Worker):
                     self._link.send(sends)
                     sends = []
                 records.append(effect.record)
+                durable = durable or effect.durable
                 continue
             if records:
-                self._log.append(*records)
-                records = []
+                self._log.append(*records, durable=durable)
+                records, durable = [], False
             if isinstance(effect, agreement.Send):
                 sends.append(effect)
             else:
                 self._effects[type(effect)](self, effect)
         if records:
-            self._log.append(*records)
+            self._log.append(*records, durable=durable)
         if sends:
             self._link.send(sends)
 

@@ -48,10 +48,10 @@ def die_when_told(*told_already: int) -> None:
     told: List[int] = list(told_already)
     append = EventLogWriter.append
 
-    def append_or_die(self: Any, *records: Record) -> None:
+    def append_or_die(self: Any, *records: Record, durable: bool = True) -> None:
         if told:
             self._file = DyingFile(self._file, told[0])
-        append(self, *records)
+        append(self, *records, durable=durable)
 
     setattr(EventLogWriter, "append", append_or_die)  # noqa: B010  (mypy lets no method be assigned)
     for number in (CUT, UNSENT):

@@ -83,8 +83,10 @@ class Meeting(Growth):
             self._forget("%s was evicted by force; what only it knew was given up" % self.name)
         self._consider_active()
         # in a large team answers to everybody's greetings would drown it: there the next hello will do
-        waits = not (met and hello.active) or peer.surprise is not None
-        if waits and (self.is_small or self._request):
+        waits = not hello.active or peer.surprise is not None
+        rested = self._now >= peer.answered + min(self.pace.greeting, self.pace.heartbeat)
+        if (not met or (waits and rested)) and (self.is_small or self._request):
+            peer.answered = self._now
             self.answer(message, self._hello())
         self._compare(message)
 

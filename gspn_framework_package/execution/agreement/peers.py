@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set
 
@@ -43,6 +44,8 @@ class Peer:
     """Whom it does not hear."""
     active: bool = True
     """Whether it takes part, as far as it told: one that lost its log does not until it is let in."""
+    answered: float = -math.inf
+    """When we answered a hello of it last (s); two that wait must not answer each other's answers."""
     met: bool = False
     """It said hello before."""
     life: Life = Life(-1, 0)

@@ -67,7 +67,7 @@ def verify(logs: Sequence[EventLog], *, settled: bool = False, complete: bool = 
         state.run()
     except BrokenRuleError as error:
         violation = Violation(error.rule, error.text)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError) as error:
         raise LogError("a record is damaged (%r)" % error) from None
     return Verdict(violation, state.length, state.firings, state.robots, len(logs), notes)
 
@@ -90,7 +90,7 @@ class _Check:
             self.notes.append("no log has slot %d: what is after it cannot be checked" % self.length)
         plan = self.logs[0].plan
         replay = Replay(plan, bool(self.logs[0].header.get("agents")))
-        situations, members = [], []
+        situations, members, markings = [], [], []
         ended_at: Optional[int] = None
         for slot in range(self.length):
             members.append(replay.members())
@@ -98,15 +98,19 @@ class _Check:
             replay.slot(record)
             self.firings += len(record["firings"])
             situations.append(replay.situations())
+            markings.append({place: n for place, n in replay.marking.items() if n})
             if ended_at is None and replay.ended is not None:
                 ended_at = slot
         self.robots = len(replay.robots)
         facts = Facts(merged, self.length)
-        check_votes(merged, members, self.complete)
+        if self.logs[0].robot:
+            check_votes(merged, members, situations, self.complete)
+            if self.complete:
+                self._check_presence(merged, replay)
         invoked: Dict[Any, float] = {}
         newest = {log.robot: i for i, log in enumerate(self.logs)}
         for i, log in enumerate(self.logs):
-            check = RobotCheck(log, merged, facts, situations, i, plan, ended_at, newest[log.robot] != i)
+            check = RobotCheck(log, merged, facts, situations, markings, i, plan, ended_at, newest[log.robot] != i)
             check.check()
             invoked.update(check.invoked)
             last = self.settled and newest[log.robot] == i and replay.ended is None
@@ -123,3 +127,17 @@ class _Check:
             check_real_time(merged, facts, invoked)
         if merged.void:
             self.notes.append("%d slots were given up by an eviction by force" % len(merged.void))
+
+    def _check_presence(self, merged: Merged, replay: Replay) -> None:
+        """The logs of all robots are here that did anything; those that were never switched on have
+        none. Rule 9."""
+        here = {log.robot for log in self.logs}
+        said = {
+            origin[0] for slot in range(1, self.length) for origin in merged.slots[slot]["origins"] if origin[0]
+        }
+        needed = {r.name for r in replay.robots.values() if r.here} | set(replay.witnesses) | said
+        missing = sorted(needed - here)
+        if missing:
+            raise BrokenRuleError(
+                9, "the log of %s is missing; where it is lost, say --incomplete" % ", ".join(missing)
+            )

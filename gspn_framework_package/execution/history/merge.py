@@ -54,6 +54,7 @@ class Merged:
                 slot = record["slot"]
                 if slot != length:
                     raise BrokenRuleError(1, "%s has slot %d where slot %d should be" % (log.robot, slot, length))
+                self._check_origins(log, record)
                 chain = _link(chain, record)
                 if chain != record["hash"]:
                     raise BrokenRuleError(1, "slot %d of %s breaks the hash chain" % (slot, log.robot))
@@ -81,6 +82,15 @@ class Merged:
                     self._source[slot] = log.robot
                 time = float(record.get("mono", 0.0))
                 self.heard[slot] = min(self.heard.get(slot, time), time)
+
+    @staticmethod
+    def _check_origins(log: EventLog, record: Record) -> None:
+        """Each entry of an agreed log says who put it in."""
+        entries, origins = record["entries"], record["origins"]
+        if log.robot and (len(entries) != len(origins) or any(len(o) != 4 for o in origins)):
+            raise BrokenRuleError(
+                1, "slot %s of %s does not say of each entry who put it in" % (record["slot"], log.robot)
+            )
 
     @property
     def length(self) -> int:

@@ -75,6 +75,7 @@ class RobotCheck:
     """One log from its own point of view; rules 4, 8 and 10.
 
     :param situations: for each slot where every robot is after it.
+    :param markings: for each slot the marking after it, without the empty places.
     :param ended_at: the slot in which the run ended, None if it did not.
     :param lost: the robot lost this log and kept another one later: private moves that only it knew
         may be void.
@@ -86,6 +87,7 @@ class RobotCheck:
         merged: Merged,
         facts: Facts,
         situations: Sequence[Dict[str, Situation]],
+        markings: Sequence[Dict[str, int]],
         number: int,
         plan: Plan,
         ended_at: Optional[int],
@@ -96,6 +98,7 @@ class RobotCheck:
         self.merged = merged
         self.facts = facts
         self.situations = situations
+        self.markings = markings
         self.number = number
         self.plan = plan
         self._ended_at = ended_at
@@ -210,7 +213,17 @@ class RobotCheck:
         if (entry["incarnation"], entry["visit"]) != at[1:3]:
             raise BrokenRuleError(10, "%s is of visit %d, the robot is at %d" % (what, entry["visit"], at[2]))
         self._is_private(what, at[0], firing)
+        if not self._jumped and not self._void and firing["marking"] != self._known_marking(firing["moves"][0][2]):
+            raise BrokenRuleError(10, "%s leads to another marking than it says" % what)
         self._ahead.append((origin, entry, firing))
+
+    def _known_marking(self, target: str) -> Dict[str, int]:
+        """The marking as this log knew it, with its own private moves, after one to ``target``."""
+        marking = dict(self.markings[self._length - 1])
+        place = self.situations[self._length - 1][self.robot].place
+        marking[place] -= 1
+        marking[target] = marking.get(target, 0) + 1
+        return {p: n for p, n in marking.items() if n}
 
     def _is_private(self, what: str, place: str, firing: Record) -> None:
         """The transition takes this robot from its place and touches nothing else."""

@@ -4,32 +4,48 @@ a quorum for every slot. They find a broken protocol even where luck kept the re
 from __future__ import annotations
 
 import json
-from typing import Any, Dict, List, Sequence, Set, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.execution.event_log import EventLog, Record
 from gspn_framework_package.execution.history.merge import Merged
 from gspn_framework_package.execution.history.replay import BrokenRuleError
+from gspn_framework_package.execution.history.team import Situation
 
-Vote = Tuple[Tuple[int, str], str]
+Ballot = Tuple[int, str, str]
+Vote = Tuple[Ballot, str]
 """A ballot, and the text of the batch."""
 
+Off = Tuple[str, Optional[int]]
+"""A robot that was asserted to be off, and in which incarnation (None: an old log does not say)."""
 
-def check_votes(merged: Merged, members: Sequence[Sequence[str]], complete: bool) -> None:
+
+def check_votes(
+    merged: Merged,
+    members: Sequence[Sequence[str]],
+    situations: Sequence[Mapping[str, Situation]],
+    complete: bool,
+) -> None:
     """Check the acceptors' records; rule 1.
 
     :param members: for each slot who votes in it.
+    :param situations: for each slot where every robot is after it.
     :param complete: no log is missing or lost a part, so that every vote is there.
     :raises BrokenRuleError: a promise was broken, a vote came from somebody who had none, or a slot
         was decided without a quorum.
     """
     votes: Dict[int, Dict[str, List[Vote]]] = {}
-    asserted: Set[str] = set()
+    voters: Dict[Tuple[int, str], Tuple[int, int]] = {}
+    asserted: Set[Off] = set()
     for number, log in enumerate(merged.logs):
-        for vote_slot, vote in _acceptor(number, log, merged):
+        for vote_slot, memory, vote in _acceptor(number, log, merged):
             votes.setdefault(vote_slot, {}).setdefault(log.robot, []).append(vote)
+            known = voters.setdefault((vote_slot, log.robot), (number, memory))
+            if known != (number, memory):
+                raise BrokenRuleError(1, "%s votes in slot %d out of two memories" % (log.robot, vote_slot))
         for record in log.records:
             if record["kind"] == "forced":
-                asserted |= set(record["robots"])
+                robots = record["robots"]
+                asserted |= {(r, robots[r] if isinstance(robots, dict) else None) for r in robots}
     for slot, by_robot in votes.items():
         _one_value_per_ballot(slot, by_robot)
         if slot < len(members):
@@ -37,14 +53,20 @@ def check_votes(merged: Merged, members: Sequence[Sequence[str]], complete: bool
                 if robot not in members[slot]:
                     raise BrokenRuleError(1, "%s votes in slot %d without being a member" % (robot, slot))
     for slot in range(1, len(members)):
-        _quorum(slot, merged, votes.get(slot, {}), members[slot], asserted, complete)
+        before = situations[slot - 1]
+        off = {
+            m
+            for m in members[slot]
+            if (m, None) in asserted or (m in before and (m, before[m].incarnation) in asserted)
+        }
+        _quorum(slot, merged, votes.get(slot, {}), members[slot], off, complete)
 
 
-def _acceptor(number: int, log: EventLog, merged: Merged) -> List[Tuple[int, Vote]]:
-    """The votes of one log, whose promises are kept."""
+def _acceptor(number: int, log: EventLog, merged: Merged) -> List[Tuple[int, int, Vote]]:
+    """The votes of one log, whose promises are kept, as (slot, how often it had forgotten, vote)."""
     promised: Any = None
     active = False
-    length = 0
+    length = resets = 0
     out = []
     for i, record in enumerate(log.records):
         kind = record["kind"]
@@ -52,10 +74,11 @@ def _acceptor(number: int, log: EventLog, merged: Merged) -> List[Tuple[int, Vot
             active = True
         elif kind == "reset":
             active, length = False, 0
+            resets += 1
         elif kind == "slot" or kind == "snapshot":
             length = record["slot"] + 1
         elif kind in ("promised", "accepted"):
-            ballot = (int(record["ballot"][0]), str(record["ballot"][1]))
+            ballot = _ballot(record["ballot"])
             slot = record["slot"]
             what = "%s %s ballot %s in slot %d" % (log.robot, kind, list(ballot), slot)
             if not active:
@@ -66,16 +89,23 @@ def _acceptor(number: int, log: EventLog, merged: Merged) -> List[Tuple[int, Vot
                 raise BrokenRuleError(1, "%s, but has promised %s" % (what, list(promised)))
             promised = ballot
             if kind == "accepted" and not _given_up(number, i, log, merged):
-                out.append((slot, (ballot, _text(record["batch"]))))
+                out.append((slot, resets, (ballot, _text(record["batch"]))))
     return out
 
 
+def _ballot(value: Any) -> Ballot:
+    counter, robot, *log_id = value
+    return int(counter), str(robot), str(log_id[0]) if log_id else ""
+
+
 def _given_up(number: int, at: int, log: EventLog, merged: Merged) -> bool:
-    return any(n == number and i <= at for n, i in merged.void)
+    """Whether the operator gave a vote up: the log went its own way before it, and did not start anew."""
+    anew = max((i for i in range(at) if log.records[i]["kind"] == "reset"), default=-1) if merged.void else -1
+    return any(n == number and anew < i <= at for n, i in merged.void)
 
 
 def _one_value_per_ballot(slot: int, by_robot: Dict[str, List[Vote]]) -> None:
-    batches: Dict[Tuple[int, str], str] = {}
+    batches: Dict[Ballot, str] = {}
     for votes in by_robot.values():
         for ballot, batch in votes:
             if batches.setdefault(ballot, batch) != batch:
@@ -87,24 +117,23 @@ def _quorum(
     merged: Merged,
     by_robot: Dict[str, List[Vote]],
     members: Sequence[str],
-    asserted: Set[str],
+    off: Set[str],
     complete: bool,
 ) -> None:
     record = merged.slots[slot]
     if "ballot" not in record:
-        return
+        raise BrokenRuleError(1, "slot %d does not say under which ballot it was decided" % slot)
     if not complete:
         return
-    electorate = [m for m in members if m not in asserted] or list(members)
     proposer = record["ballot"][1]
-    if _is_quorum({proposer}, electorate) or _is_quorum({proposer}, members):
+    if _may_decide({proposer}, members, off):
         return  # alone: the slot's record is the vote
     chosen = set()
     for ballot in {b for votes in by_robot.values() for b, _ in votes}:
         voters = {
             robot for robot, votes in by_robot.items() for b, batch in votes if b == ballot and _leads_to(batch, record)
         }
-        if _is_quorum(voters, members) or _is_quorum(voters, electorate):
+        if _may_decide(voters, members, off):
             chosen.add(ballot)
     if not chosen:
         raise BrokenRuleError(
@@ -129,6 +158,14 @@ def _leads_to(batch: str, record: Record) -> bool:
     wanted = [[e, o] for e, o in zip(record["entries"], record["origins"])]
     kept = [[entry, origin] for entry, origin, _ in items if origin in record["origins"]]
     return kept == wanted
+
+
+def _may_decide(voters: Set[str], members: Sequence[str], off: Set[str]) -> bool:
+    """A quorum, or all that are left where those who were asserted to be off leave none."""
+    left = set(members) - off
+    if _is_quorum(voters, members):
+        return True
+    return bool(off and left) and left <= voters and not _is_quorum(left, members)
 
 
 def _is_quorum(voters: Set[str], members: Sequence[str]) -> bool:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import re
 
 import pytest
 
 from gspn_framework_package.benchmark.team.plans import make_plan
 from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
+from gspn_framework_package.execution import event_log
+from gspn_framework_package.execution.event_log import EventLogWriter, end_is_there, header, read_log, replay
 from gspn_framework_package.execution.ledger import Item, Ledger, Origin
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import LogError
@@ -81,7 +83,7 @@ def test_a_log_of_another_run_is_not_taken_up(tmp_path) -> None:
         (lambda lines: [], "is empty"),
         (lambda lines: ["not json\n", *lines[1:]], "line|:1: is not an event log"),
         (lambda lines: ['{"format": "other"}\n'], "is not an event log"),
-        (lambda lines: [lines[0].replace('"version":1', '"version":9')], "version 9"),
+        (lambda lines: [lines[0].replace('"version":2', '"version":9')], "version 9"),
         (lambda lines: [*lines[:2], "garbage\n", *lines[2:]], ":3: is not JSON"),
         (lambda lines: [*lines[:2], "[1]\n", *lines[2:]], ":3: is not a record"),
     ],
@@ -95,9 +97,64 @@ def test_damage_is_told_with_the_line(tmp_path, damage, message) -> None:
         read_log(str(path))
 
 
+def unsummed(path) -> None:
+    """Make it a log of version 1, whose lines have no running hash."""
+    text = re.sub(r',"sum":"[0-9a-f]{16}"}', "}", path.read_text())
+    path.write_text(text.replace('"version":2', '"version":1', 1))
+
+
+def test_a_log_of_the_version_before_is_read_and_gone_on_with(tmp_path) -> None:
+    path = tmp_path / "r1.jsonl"
+    written(path)
+    unsummed(path)
+    assert "sum" not in path.read_text()
+    writer = EventLogWriter(str(path), header(PLAN, "run", "r1", "log2"))
+    writer.append({"kind": "life", "incarnation": 1})
+    writer.close()
+    read = read_log(str(path))
+    assert [r["kind"] for r in read.records] == ["slot", "slot", "slot", "slot", "life"]
+    assert len(list(replay(read))) == 4
+
+
+def test_a_line_that_was_changed_or_dropped_is_told(tmp_path) -> None:
+    path = tmp_path / "r1.jsonl"
+    written(path)
+    writer = EventLogWriter(str(path), header(PLAN, "run", "r1", "log2"))
+    writer.append({"kind": "life", "incarnation": 1})
+    writer.close()
+    assert len(read_log(str(path)).records) == 5
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(lines[:2] + lines[3:]))
+    with pytest.raises(LogError, match=":3: does not follow from the lines before it"):
+        read_log(str(path))
+
+
+def test_the_end_of_a_log_is_not_trusted_after_the_machine_was_started_anew(tmp_path, monkeypatch) -> None:
+    for fsync in (False, True):
+        path = tmp_path / ("%s.jsonl" % fsync)
+        writer = EventLogWriter(str(path), header(PLAN, "run", "r1", "log1"), fsync=fsync)
+        writer.append({"kind": "life", "incarnation": 0})
+        writer.close()
+        assert end_is_there(read_log(str(path)))
+        monkeypatch.setattr(event_log, "_host", lambda: "another boot")
+        assert end_is_there(read_log(str(path))) == fsync
+        monkeypatch.undo()
+
+
+def test_durable_records_are_waited_for_once_and_others_not(tmp_path, monkeypatch) -> None:
+    writer = EventLogWriter(str(tmp_path / "r1.jsonl"), header(PLAN, "run", "r1", "log1"), fsync=True)
+    synced = []
+    monkeypatch.setattr(os, "fdatasync", synced.append)
+    writer.append({"kind": "goal"}, {"kind": "cancel"}, durable=False)
+    assert not synced
+    writer.append({"kind": "promised"}, {"kind": "accepted"})
+    assert len(synced) == 1
+
+
 def test_a_log_that_does_not_follow_is_not_replayed(tmp_path) -> None:
     path = tmp_path / "r1.jsonl"
     written(path)
+    unsummed(path)
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(lines[:2] + lines[3:]))
     with pytest.raises(LogError, match="slot 2 follows where slot 1 should"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import json
 from typing import Any, Callable, List
@@ -11,7 +12,7 @@ import pytest
 from gspn_framework_package.benchmark.team.plans import make_plan
 from gspn_framework_package.benchmark.team.world import World
 from gspn_framework_package.cli.main import main
-from gspn_framework_package.execution.event_log import EventLog, next_hash
+from gspn_framework_package.execution.event_log import DamagedLogError, EventLog, next_hash, next_sum, read_log
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.model.errors import LogError
 
@@ -204,16 +205,97 @@ def test_logs_of_different_runs_are_refused() -> None:
         verify(logs)
 
 
+def no_ballot(logs: List[EventLog]) -> None:
+    for log in logs:
+        del slots(log)[-1]["ballot"]
+
+
+def no_origins(logs: List[EventLog]) -> None:
+    for log in logs:
+        next(r for r in slots(log) if r["slot"] and r["origins"])["origins"] = []
+    rechain(logs)
+
+
+def no_log(logs: List[EventLog]) -> None:
+    del logs[1]
+
+
+def two_memories(logs: List[EventLog]) -> None:
+    """A vote that was given again after the log was lost."""
+    records = logs[1].records
+    at = max(i for i, r in enumerate(records) if r["kind"] == "accepted")
+    vote = dict(records[at], ballot=[records[at]["ballot"][0] + 1, *records[at]["ballot"][1:]])
+    again = EventLog("again", dict(logs[1].header, log="again"), [*records[:at], vote], plan=logs[1].plan)
+    logs.append(again)
+
+
+@pytest.mark.parametrize(("lie", "rule"), [(no_ballot, 1), (no_origins, 1), (no_log, 9), (two_memories, 1)])
+def test_what_is_left_out_is_found(lie: Callable[[List[EventLog]], None], rule: int) -> None:
+    logs = story(TOKENS)
+    lie(logs)
+    violation = verify(logs).violation
+    assert violation is not None
+    assert violation.rule == rule, violation
+
+
+def test_a_private_move_that_leads_elsewhere_is_found() -> None:
+    logs = story(TOKENS, partial=True)
+    record = next(r for log in logs for r in log.records if r["kind"] == "private")
+    record["firing"]["marking"]["p1"] = 5
+    violation = verify(logs).violation
+    assert violation is not None
+    assert violation.rule == 10
+
+
+@pytest.mark.parametrize("nonsense", [7, "text", None, ["list"], {"entry": 5}, {"entry": "done", "robot": 3}])
+@pytest.mark.parametrize("field", ["entries", "origins", "firings"])
+def test_nonsense_in_a_record_is_no_internal_error(field: str, nonsense: Any) -> None:
+    logs = story(TOKENS)
+    for log in logs:
+        for record in [r for r in slots(log) if r["slot"] == 4]:
+            record[field][0:1] = [nonsense]
+    rechain(logs)
+    with contextlib.suppress(LogError):
+        assert verify(logs).violation is not None
+
+
+def as_files(logs: List[EventLog], folder: Any) -> None:
+    """Write logs as an event log's writer does, with the times that they have."""
+    for log in logs:
+        chain, lines = "", []
+        for record in [log.header, *log.records]:
+            text = json.dumps(record)
+            chain = next_sum(chain, text.encode())
+            lines.append('%s,"sum":"%s"}\n' % (text[:-1], chain))
+        (folder / ("%s.jsonl" % log.robot)).write_text("".join(lines))
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_every_line_that_is_dropped_changed_or_doubled_is_found(tmp_path, capsys, partial: bool) -> None:
+    as_files(story(TOKENS, partial), tmp_path)
+    path = tmp_path / "r2.jsonl"
+    lines = path.read_text().splitlines(keepends=True)
+    kinds = {json.loads(line)["kind"] for line in lines[:-1]}
+    assert {"header", "life", "peer", "active", "slot", "goal", "accepted", "invoked"} <= kinds
+    for number in range(1, len(lines) - 1):
+        changed = lines[number].replace('"mono"', '"Mono"', 1)
+        for lie in (lines[:number] + lines[number + 1 :],
+                    [*lines[:number], changed, *lines[number + 1 :]],
+                    [*lines[:number], lines[number], *lines[number:]]):  # fmt: skip
+            path.write_text("".join(lie))
+            with pytest.raises(DamagedLogError, match="does not follow from the lines before it"):
+                read_log(str(path))
+    assert main(["verify", str(tmp_path)]) == 1
+    assert "r2.jsonl:%d: does not follow" % len(lines) in capsys.readouterr().out
+
+
 def test_the_verb(tmp_path, capsys) -> None:
     logs = story(TOKENS, robots=2)
-    for log in logs:
-        lines = [json.dumps(r) for r in [log.header, *log.records]]
-        (tmp_path / ("%s.jsonl" % log.robot)).write_text("\n".join(lines) + "\n")
+    as_files(logs, tmp_path)
     assert main(["verify", str(tmp_path), "--settled"]) == 0
     assert capsys.readouterr().out.endswith("valid\n")
     broken_chain(logs)
-    lines = [json.dumps(r) for r in [logs[0].header, *logs[0].records]]
-    (tmp_path / "r1.jsonl").write_text("\n".join(lines) + "\n")
+    as_files(logs[:1], tmp_path)
     assert main(["verify", str(tmp_path), "--json"]) == 1
     answer = json.loads(capsys.readouterr().out)
     assert answer["violation"]["rule"] == 1

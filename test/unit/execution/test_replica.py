@@ -11,8 +11,8 @@ from gspn_framework_package.benchmark.team.plans import make_plan
 from gspn_framework_package.benchmark.team.world import Node, Weather, World
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement import interface as io
-from gspn_framework_package.execution.agreement.private import PrivateMoves
 from gspn_framework_package.execution.agreement.messages import Envelope, Hello, Learn
+from gspn_framework_package.execution.agreement.private import PrivateMoves
 from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.agreement.replica import Limits, Replica
 from gspn_framework_package.execution.event_log import EventLog
@@ -290,8 +290,8 @@ def test_messages_of_other_runs_are_ignored() -> None:
     replica = world.nodes["r1"].replica
     length = replica.ledger.length
     learn = Learn(at=length, slots=((Ballot(9, "r2"), [], replica.ledger.hash),))
-    team = "old|%s" % world.plan.hash()[:12]
-    message = Envelope("r2", team, world.nodes["r2"].replica.log_id, 0, 0, length + 1, "", learn)
+    other = "old|%s" % world.plan.hash()[:12]
+    message = Envelope("r2", other, world.nodes["r2"].replica.log_id, 0, 0, length + 1, "", learn)
     effects = replica.step(io.Received(message.to_json()), world.now)
     assert not [e for e in effects if isinstance(e, (io.Persist, io.Halted))]
     assert replica.ledger.length == length
