@@ -221,7 +221,7 @@ class Replica(Pacing):
     def is_stuck(self) -> bool:
         """Whether the team can never go on by itself: of too many members the logs, and with them
         the votes, are lost."""
-        if self.ledger.length == 0 or self.ledger.state.ended is not None or self.joining:
+        if self.ledger.length == 0 or self.ledger.state.ended is not None or (self.joining and not self.active):
             return False
         members = self.members()
         here = [m for m in members if m == self.name or self.peers.get(m).heard is not None]

@@ -1,0 +1,292 @@
+"""Evictions by force, lost logs, lost ends of logs, and a second process under one name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from gspn_framework_package.benchmark.team.plans import make_plan
+from gspn_framework_package.benchmark.team.world import Node, World
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement.replica import Limits
+from gspn_framework_package.execution.event_log import EventLog
+from gspn_framework_package.execution.history import verify
+
+TOUR, MEET, TOKENS, CROWD = range(4)
+
+
+class Team(World):
+    """A team whose replicas may halt without a violation."""
+
+    def on_halted(self, node: Node) -> None:
+        pass
+
+    def replica(self, name: str) -> Any:
+        return self.nodes[name].replica
+
+    def force(self, at: str, robot: str) -> None:
+        self.nodes[at].give(io.ForceEvict("force " + robot, robot))
+
+    def answer(self, at: str, robot: str) -> Any:
+        return self.nodes[at].results.get("force " + robot)
+
+    def cut_off(self, *names: str) -> None:
+        self.blocked |= {(a, b) for a in self.nodes for b in self.nodes if (a in names) != (b in names)}
+
+    def verify(self) -> None:
+        logs = [EventLog(str(d.header["log"]), d.header, d.records()) for d in self.logs()]
+        verdict = verify(logs)
+        assert verdict.violation is None, verdict.violation
+
+
+def team(kind: int, robots: int, partial: bool = False, *, joiners: int = 0, evict_after: float = 0.0) -> Team:
+    world = Team(make_plan(kind, robots, partial, evict_after, 0.0, False), 1)
+    world.mishaps = False
+    for node in world.nodes.values():
+        node.start()
+    world.run(0.5)
+    for i in range(joiners):
+        node = world.nodes["j%d" % i] = Node(world, "j%d" % i)
+        node.joins = True
+        node.start()
+    world.run(1.5)
+    return world
+
+
+def all_agree(world: Team) -> None:
+    world.acting = False
+    assert world.run(world.now + 6, world.has_settled), [
+        (n.key, n.halted or n.replica.waits_for()) for n in world.alive()
+    ]
+
+
+# -- evictions by force --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("partial", [False, True])
+@pytest.mark.parametrize("every", [3, 1000])
+def test_an_eviction_by_force_does_not_come_back_after_a_restart(partial: bool, every: int) -> None:
+    world = team(TOUR, 3, partial)
+    world.limits = Limits(snapshot_every=every)
+    world.nodes["r3"].crash()
+    world.run(world.now + 1)
+    world.force("r1", "r3")
+    world.run(world.now + 1)
+    assert world.answer("r1", "r3").ok
+    world.nodes["r3"].start()
+    world.run(world.now + 1)
+    assert world.replica("r1").members() == ["r1", "r2", "r3"]
+    world.nodes["r1"].crash()
+    world.nodes["r1"].start()
+    world.run(world.now + 1)
+    assert world.replica("r1").asserted_off() == set()
+    world.cut_off("r1")
+    world.run(world.now + 0.3)
+    length = world.replica("r1").ledger.length
+    world.run(world.now + 1)
+    assert world.replica("r1").ledger.length == length  # one of three decides nothing
+    world.blocked.clear()
+    world.run(world.now + 1)
+    world.nodes["r2"].give(io.Order("pause", log.Pause()))
+    all_agree(world)
+    world.verify()
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_who_was_cast_out_is_known_after_a_restart(partial: bool) -> None:
+    world = team(TOKENS, 2, partial)
+    world.cut_off("r1")
+    world.run(world.now + 1)  # r1 alone is a quorum, and goes on
+    world.nodes["r1"].crash()
+    world.given_up = True
+    world.force("r2", "r1")
+    world.run(world.now + 1)
+    assert world.answer("r2", "r1").ok
+    world.nodes["r2"].crash()
+    world.nodes["r2"].start()
+    world.blocked.clear()
+    world.nodes["r1"].start()
+    world.run(world.now + 2)
+    assert not world.nodes["r1"].halted
+    assert not world.nodes["r2"].halted
+    all_agree(world)
+    world.verify()
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_one_of_three_needs_the_word_of_the_other_that_is_left(partial: bool) -> None:
+    """r2 and r3 may have decided without r1: r1 must not decide without r2, though r3 is off."""
+    world = team(TOKENS, 3, partial)
+    world.cut_off("r1")
+    world.run(world.now + 1)
+    world.nodes["r3"].crash()
+    world.force("r1", "r3")
+    world.run(world.now + 2)
+    assert world.answer("r1", "r3") is None
+    world.blocked.clear()
+    world.run(world.now + 2)
+    assert world.answer("r1", "r3").ok
+    all_agree(world)
+    world.verify()
+
+
+def test_where_a_quorum_is_off_the_order_says_what_is_given_up_and_asks_all_the_others() -> None:
+    world = team(TOKENS, 5)
+    for name in ("r1", "r2", "r3"):
+        world.nodes[name].crash()
+    world.run(world.now + 1)
+    world.cut_off("r5")
+    for name in ("r1", "r2", "r3"):
+        world.force("r4", name)
+    world.run(world.now + 1)
+    assert any("r1, r2, r3 could have decided without the others" in f for f in world.nodes["r4"].faults)
+    assert world.answer("r4", "r1") is None  # r5 has to be asked
+    world.blocked.clear()
+    world.run(world.now + 2)
+    assert world.answer("r4", "r1").ok
+    assert world.replica("r5").members() == ["r4", "r5"]
+    world.verify()
+
+
+def test_a_robot_that_is_heard_is_not_evicted_by_force() -> None:
+    world = team(TOKENS, 3)
+    world.force("r1", "r2")
+    assert not world.answer("r1", "r2").ok
+    assert "it is not off" in world.answer("r1", "r2").text
+    world.cut_off("r2")
+    world.cut_off("r1")
+    world.run(world.now + 1)
+    world.force("r1", "r2")
+    world.run(world.now + 1)
+    assert world.answer("r1", "r2").text != "done"
+    world.blocked.clear()
+    world.run(world.now + 1)
+    assert world.replica("r1").asserted_off() == set()
+    assert "r2" in world.replica("r3").members()
+
+
+def test_a_robot_that_was_evicted_before_it_ever_started_joins_and_acts_once() -> None:
+    world = Team(make_plan(TOKENS, 3, False, 0.0, 0.0, False), 1)
+    world.mishaps = False
+    for name in ("r1", "r2"):
+        world.nodes[name].start()
+    world.run(0.5)
+    world.force("r1", "r3")
+    world.run(1.5)
+    assert world.answer("r1", "r3").ok
+    world.nodes["r3"].start()
+    world.run(4.0)
+    goals = [r for r in world.nodes["r3"].disk.records() if r["kind"] == "goal"]
+    assert goals
+    assert all(r["incarnation"] > 0 for r in goals)
+    assert "r3" in world.replica("r1").members()
+    all_agree(world)
+    world.verify()
+
+
+# -- memory ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_the_only_robot_of_the_first_team_learns_its_lost_log_from_those_who_joined(partial: bool) -> None:
+    world = team(TOKENS, 1, partial, joiners=2)
+    assert world.replica("r1").members() == ["r1", "j0", "j1"]
+    world.nodes["r1"].crash()
+    world.nodes["r1"].lose_log()
+    world.run(world.now + 0.2)
+    world.nodes["r1"].start()
+    world.run(world.now + 3)
+    assert world.replica("r1").is_settled()
+    all_agree(world)
+    world.verify()
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_a_team_that_can_never_go_on_says_so(partial: bool) -> None:
+    world = team(TOKENS, 2, partial, joiners=2)
+    for name in ("r1", "r2"):
+        world.nodes[name].crash()
+        world.nodes[name].lose_log()
+    world.run(world.now + 0.5)
+    for name in ("r1", "r2"):
+        world.nodes[name].start()
+    world.run(world.now + 3)
+    for name in ("r1", "j0"):
+        assert world.replica(name).status()["stuck"]
+        assert "too many lost their logs" in world.replica(name).waits_for()
+    assert not any(n.halted for n in world.nodes.values())
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_a_spare_takes_the_place_and_the_first_one_halts_when_it_is_back(partial: bool) -> None:
+    world = team(TOKENS, 3, partial)
+    spare = world.add_spare(world.nodes["r3"])
+    away = {(a, b) for a in world.nodes for b in world.nodes if a != b and "r3" in (a, b)}
+    world.blocked |= away
+    spare.start()
+    world.run(world.now + 2)
+    assert spare.replica.may_vote()
+    assert world.replica("r1").known_log("r3") == spare.replica.log_id
+    world.blocked.clear()
+    world.run(world.now + 1)
+    assert "another process runs as r3" in world.nodes["r3"].halted
+    assert not spare.halted
+    world.remove(world.nodes["r3"])
+    all_agree(world)
+    world.verify()
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_a_log_that_was_cut_is_noticed_and_its_robot_joins_anew(partial: bool) -> None:
+    world = team(TOKENS, 3, partial)
+    world.nodes["r2"].crash()
+    world.nodes["r2"].cut_log(12)
+    world.nodes["r2"].start()
+    world.run(world.now + 3)
+    assert any("it is shorter than" in f for f in world.nodes["r2"].faults)
+    assert world.replica("r2").is_settled()
+    all_agree(world)
+
+
+def test_a_log_whose_end_may_be_lost_is_not_trusted() -> None:
+    world = team(TOKENS, 3)
+    world.fsync = False
+    world.nodes["r2"].lose_power()
+    world.nodes["r2"].start()
+    world.run(world.now + 3)
+    assert [r["why"] for r in world.nodes["r2"].disk.records() if r["kind"] == "reset"] == [
+        "the machine was started anew, and the end of the log may not have reached the disk"
+    ]
+    assert world.replica("r2").is_settled()
+    all_agree(world)
+
+
+def test_no_ballot_is_used_twice_though_a_log_is_lost() -> None:
+    world = team(TOKENS, 3, True)
+    for _ in range(3):
+        world.nodes["r2"].crash()
+        world.nodes["r2"].lose_log()
+        world.nodes["r2"].start()
+        world.run(world.now + 1.5)
+    seen = {}
+    for disk in world.logs():
+        for record in disk.records():
+            if record["kind"] == "accepted":
+                key = (record["slot"], tuple(record["ballot"]))
+                assert seen.setdefault(key, record["batch"]) == record["batch"]
+    assert len({key[1][2] for key in seen if key[1][1] == "r2"}) > 1
+
+
+def test_a_robot_out_of_contact_soon_starts_no_more_private_actions() -> None:
+    world = team(TOUR, 3, True, evict_after=0.4)
+    world.action_time = (0.01, 0.02)
+    world.cut_off("r3")
+    begin = world.now
+    world.run(begin + 4)
+    goals = [r["mono"] for r in world.nodes["r3"].disk.records() if r["kind"] == "goal"]
+    assert not [t for t in goals if t > begin + 1.0]
+    world.blocked.clear()
+    world.run(world.now + 2)
+    assert [r for r in world.nodes["r3"].disk.records() if r["kind"] == "goal" and r["mono"] > begin + 4]
