@@ -28,7 +28,10 @@ TELL_EVERY = 30.0
 """Seconds between two lines of progress, where standard error is no terminal."""
 
 
-SHARES = {"": 40, "operator": 20, "power": 12, "spare": 5, "tight": 13, "amnesia": 6, "calm": 4}
+SHARES = {
+    "": 40, "operator": 20, "power": 12, "spare": 5, "tight": 10, "amnesia": 6, "calm": 3,
+    "link": 1, "sleep": 1, "leave": 2,
+}  # fmt: skip
 """Kinds of schedules, and how many of a hundred are of that kind."""
 
 

@@ -137,6 +137,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--window", type=float, default=10.0, metavar="S", help="seconds for each team (10)")
     parser.add_argument("--load", choices=LOADS, nargs="+", default=LOADS)
     parser.add_argument("--mode", choices=[m.value for m in Synchronisation], help="only this synchronisation")
+    parser.add_argument("--fsync", choices=["yes", "no"], help="wait for the disk, or not (default: as the plan says)")
     parser.add_argument("--verify", action="store_true", help="check the logs, too; exit code 1: a rule was broken")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
@@ -152,7 +153,10 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
                 if load == "private" and mode is Synchronisation.FULL:
                     continue
                 print("latency: %s, %s, %d robots ..." % (load, mode.value, robots), file=sys.stderr, flush=True)
-                measured = measure(master, plan_of(load, robots, mode), args.window, args.verify)
+                plan = plan_of(load, robots, mode)
+                if args.fsync:
+                    plan = replace(plan, fsync=args.fsync == "yes")
+                measured = measure(master, plan, args.window, args.verify)
                 rows.append({"load": load, "mode": mode.value, "robots": robots, **measured})
     except KeyboardInterrupt:
         print("latency: interrupted", file=sys.stderr)

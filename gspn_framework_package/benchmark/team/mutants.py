@@ -19,10 +19,12 @@ from gspn_framework_package.execution import turn
 from gspn_framework_package.execution.agreement import core as core_module
 from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement import pacing as pacing_module
+from gspn_framework_package.execution.agreement.catch_up import History
 from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.own_robot import OwnRobot
+from gspn_framework_package.execution.agreement.peers import Peers
 from gspn_framework_package.execution.agreement.private import PrivateMoves
-from gspn_framework_package.execution.agreement.quorum import Ballot
+from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.team_state import TeamState
@@ -41,6 +43,8 @@ class Mutant(NamedTuple):
     partial: Optional[bool] = None
     robots: int = 3
     """How many robots most of the teams have."""
+    kinds: Sequence[str] = ("",)
+    """Kinds of schedules in which it shows."""
 
 
 class Caught(NamedTuple):
@@ -60,7 +64,7 @@ def hunt(mutant: Mutant, limit: int, first_seed: int = 0, sizes: Sequence[int] =
             source = random.Random("mutants|%d" % seed)
             robots = source.choice([*sizes, mutant.robots, mutant.robots])
             partial = source.random() < 0.5 if mutant.partial is None else mutant.partial
-            schedule = Schedule(seed, robots, partial)
+            schedule = Schedule(seed, robots, partial, source.choice(list(mutant.kinds)))
             try:
                 run_schedule(schedule)
             except ViolationError as error:
@@ -330,6 +334,310 @@ def _wrong_results() -> ContextManager[Any]:
     return _wrap(Replica, "_invoke", make)
 
 
+# -- memory, operators, limits ---------------------------------------------------------------------------
+
+
+def _persists_no_promise() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def persist(self: Replica, record: Any, *, durable: bool = False) -> None:
+            if record["kind"] != "promised":
+                original(self, record, durable=durable)
+
+        return persist
+
+    return _wrap(Replica, "persist", make)
+
+
+def _keeps_returned() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def next_slot(self: Consensus, keep_lead: bool, returned: Any) -> None:
+            original(self, keep_lead, set())
+
+        return next_slot
+
+    return _wrap(Consensus, "next_slot", make)
+
+
+def _thaws_with_a_nack() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def on_nack(self: Consensus, body: Any) -> bool:
+            beaten = bool(original(self, body))
+            if beaten:
+                self.frozen_by = None
+            return beaten
+
+        return on_nack
+
+    return _wrap(Consensus, "on_nack", make)
+
+
+def _asks_again_without_freezing() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def resend(self: Consensus, now: float) -> None:
+            if self.attempt is not None:
+                self.attempt.frozen = False
+            original(self, now)
+
+        return resend
+
+    return _wrap(Consensus, "resend", make)
+
+
+def _same_origins() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def is_news(self: Ledger, origin: Any) -> bool:
+            known = self.seen.get(origin.robot)
+            return known is None or (origin.incarnation, origin.number) > known[:2]
+
+        return is_news
+
+    return _wrap(Ledger, "is_news", make)
+
+
+def _evicts_alone() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def accusers(self: Peers, robot: str) -> Any:
+            return set(self.all)
+
+        return accusers
+
+    return _wrap(Peers, "accusers", make)
+
+
+def _leaves_at_once() -> ContextManager[Any]:
+    return mock.patch.object(pacing_module, "LINGER", 0)
+
+
+def _counts_its_own_sleep() -> ContextManager[Any]:
+    return mock.patch.object(Peers, "listen_anew", lambda self, now: setattr(self, "since", min(self.since, now)))
+
+
+def _skips_a_slot_of_a_chunk() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def since(self: History, slot: int) -> Any:
+            slots = original(self, slot)
+            return slots[:-1] if slots is not None and len(slots) >= self._chunk else slots
+
+        return since
+
+    return _wrap(History, "since", make)
+
+
+def _newest_first() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def batch(self: Replica, frozen: bool) -> Any:
+            limits, self.limits = self.limits, self.limits._replace(batch=10**6)
+            try:
+                items = original(self, frozen)
+            finally:
+                self.limits = limits
+            return items[-limits.batch :]
+
+        return batch
+
+    return _wrap(Replica, "batch", make)
+
+
+def _off_for_ever() -> ContextManager[Any]:
+    def asserted_off(self: Replica) -> Any:
+        return {name for name in self.off if name in self.members()}
+
+    return _all(
+        mock.patch.object(Replica, "asserted_off", asserted_off),
+        mock.patch.object(Replica, "_heard_though_off", lambda self, robot: None),
+    )
+
+
+def _any_of_those_left() -> ContextManager[Any]:
+    """As it was: those who are left decide by a quorum of their own."""
+
+    def may_decide(self: Replica, voters: Any) -> bool:
+        off = self.asserted_off()
+        return is_quorum(voters, [m for m in self.members() if m not in off])
+
+    return mock.patch.object(Replica, "may_decide", may_decide)
+
+
+def _forgets_who_was_cast_out() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def resume(self: Replica, records: Any) -> None:
+            original(self, records)
+            self.ledger.cast_out.clear()
+
+        return resume
+
+    return _wrap(Replica, "_resume", make)
+
+
+def _counts_any_log() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def knows(self: Replica, message: Any) -> bool:
+            original(self, message)
+            self.peers.get(message.sender).surprise = None
+            return True
+
+        return knows
+
+    return _all(
+        _wrap(Replica, "_knows", make),
+        mock.patch.object(Replica, "_is_our_name", lambda self: True),
+    )
+
+
+def _ballots_without_log() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def propose(self: Consensus, now: float, frozen: bool = False) -> None:
+            log_id, self.host.log_id = self.host.log_id, ""
+            try:
+                original(self, now, frozen)
+            finally:
+                self.host.log_id = log_id
+
+        return propose
+
+    return _wrap(Consensus, "propose", make)
+
+
+def _trusts_every_end() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def init(self: Replica, *given: Any, **named: Any) -> None:
+            original(self, *given, **dict(named, trusted=True))
+
+        return init
+
+    return _wrap(Replica, "__init__", make)
+
+
+def _never_waits_for_the_disk() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def persist(self: Replica, record: Any, *, durable: bool = False) -> None:
+            original(self, record)
+
+        return persist
+
+    return _wrap(Replica, "persist", make)
+
+
+def _waits_for_votes_only_sometimes() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def persist(self: Replica, record: Any, *, durable: bool = False) -> None:
+            original(self, record, durable=durable and record["kind"] != "accepted")
+
+        return persist
+
+    return _wrap(Replica, "persist", make)
+
+
+def _keeps_its_log_id() -> ContextManager[Any]:
+    return mock.patch.object(Replica, "_renew_log_id", lambda self: None)
+
+
+def _acts_before_it_knows_more() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def consider(self: Replica) -> None:
+            lengths = {name: peer.length for name, peer in self.peers.all.items()}
+            for peer in self.peers.all.values():
+                peer.length = 0
+            original(self)
+            for name, length in lengths.items():
+                self.peers.get(name).length = length
+
+        return consider
+
+    return _wrap(Replica, "_consider_active", make)
+
+
+def _snapshot_without(field: str) -> Callable[[], ContextManager[Any]]:
+    def apply() -> ContextManager[Any]:
+        def make(original: Any) -> Any:
+            def snapshot(self: Ledger) -> Any:
+                return {**original(self), field: {}}
+
+            return snapshot
+
+        return _wrap(Ledger, "snapshot", make)
+
+    return apply
+
+
+def _keeps_promised_low() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def on_accept(self: Consensus, message: Any, body: Any) -> None:
+            promised = self.promised
+            original(self, message, body)
+            self.promised = promised
+
+        return on_accept
+
+    return _wrap(Consensus, "on_accept", make)
+
+
+def _learns_what_it_holds() -> ContextManager[Any]:
+    def on_chosen(self: Consensus, ballot: Ballot) -> bool:
+        if self.accepted is None:
+            return False
+        self.host.decided(self.accepted[1], self.accepted[0], mine=False)
+        return True
+
+    return mock.patch.object(Consensus, "on_chosen", on_chosen)
+
+
+def _moves_while_paused() -> ContextManager[Any]:
+    def may(self: Replica) -> bool:
+        return bool(self.partial and self.is_settled() and not self.consensus.is_frozen())
+
+    return mock.patch.object(Replica, "_may_move_alone", may)
+
+
+def _drops_the_first_fact() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def batch(self: Replica, frozen: bool) -> Any:
+            items = original(self, frozen)
+            return items[1:] if len(items) > 1 else items
+
+        return batch
+
+    return _wrap(Replica, "batch", make)
+
+
+def _reads_no_facts_back() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def resume(self: Replica, records: Any) -> None:
+            original(self, [r for r in records if r["kind"] != "private"])
+
+        return resume
+
+    return _wrap(Replica, "_resume", make)
+
+
+def _takes_its_former_incarnation() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def new_life(self: Replica) -> None:
+            before = self.incarnation
+            original(self)
+            if self._started and self.records > 1:
+                self.incarnation = self.own.incarnation = before
+
+        return new_life
+
+    return _wrap(Replica, "_new_life", make)
+
+
+def _pulls_without_looking() -> ContextManager[Any]:
+    """Slots that it learns are taken over whatever they stand on."""
+
+    def make(original: Any) -> Any:
+        def on_learn(self: Replica, message: Any, body: Any) -> None:
+            if body.slots:
+                slots = tuple((b, batch, self.ledger.hash) for b, batch, _ in body.slots[:1])
+                body = body._replace(at=self.ledger.length, slots=slots)
+            original(self, message, body)
+
+        return on_learn
+
+    return _wrap(Replica, "_on_learn", make)
+
+
 MUTANTS = [
     Mutant("bare half", "protocol", "exactly half of the members is a quorum", _bare_half),
     Mutant("promises", "protocol", "an acceptor does not keep its promises", _forgets_promises),
@@ -353,4 +661,55 @@ MUTANTS = [
     Mutant("two goals", "host", "a goal now and then goes out twice", _starts_goals_twice),
     Mutant("early goals", "host", "a restarted robot acts before the team knows", _acts_before_joining),
     Mutant("mixed results", "host", "a result is given for the wrong visit", _wrong_results),
+    Mutant("lost promises", "memory", "promises are not written down", _persists_no_promise),
+    Mutant("returned followers", "protocol", "a leader counts on promises of a lost memory", _keeps_returned, False,
+           kinds=("amnesia", "")),
+    Mutant("nack thaws", "partial", "a proposer that is beaten lets private moves go on", _thaws_with_a_nack, True,
+           kinds=("calm", "operator")),
+    Mutant("warm retry", "partial", "a first phase that is repeated does not freeze", _asks_again_without_freezing,
+           True, kinds=("calm", "operator")),
+    Mutant("same origins", "memory", "facts of two logs of a robot are not told apart", _same_origins,
+           kinds=("amnesia",)),
+    Mutant("no jury", "membership", "a robot is evicted though only one does not hear it", _evicts_alone,
+           kinds=("link",)),
+    Mutant("leaves at once", "membership", "a robot that leaves does not wait until others know", _leaves_at_once,
+           kinds=("leave",), robots=2),
+    Mutant("own sleep", "membership", "who was suspended takes the others to have been silent", _counts_its_own_sleep,
+           kinds=("sleep",)),
+    Mutant("short chunks", "limits", "the last slot of a full chunk is not sent", _skips_a_slot_of_a_chunk,
+           kinds=("tight",)),
+    Mutant("newest first", "limits", "a batch keeps the newest facts where it is full", _newest_first,
+           kinds=("tight",)),
+    Mutant("off for ever", "operator", "an assertion that a robot is off outlives its return", _off_for_ever,
+           kinds=("operator",)),
+    Mutant("rest decides", "operator", "a quorum of those who are left decides after an eviction by force",
+           _any_of_those_left, kinds=("operator",)),
+    Mutant("forgets cast out", "operator", "who was evicted by force is forgotten in a restart",
+           _forgets_who_was_cast_out, robots=2, kinds=("operator",)),
+    Mutant("any log", "memory", "votes count whatever log they are from", _counts_any_log, kinds=("spare", "amnesia")),
+    Mutant("plain ballots", "memory", "a robot that lost its log uses its ballots again", _ballots_without_log,
+           kinds=("amnesia", "")),
+    Mutant("trusts the end", "memory", "a log whose end is lost is trusted", _trusts_every_end, kinds=("power",)),
+    Mutant("no sync", "memory", "nothing is waited for until it is on the disk", _never_waits_for_the_disk,
+           kinds=("power",)),
+    Mutant("unsynced votes", "memory", "votes are told before they are on the disk", _waits_for_votes_only_sometimes,
+           kinds=("power",)),
+    Mutant("same id", "memory", "a robot that forgot its log goes by the same id", _keeps_its_log_id,
+           kinds=("power", "amnesia", "spare")),
+    Mutant("eager start", "membership", "a robot acts before it knows where the team is", _acts_before_it_knows_more),
+    Mutant("snapshot without seen", "limits", "a snapshot does not say whose facts are in it",
+           _snapshot_without("seen"), kinds=("tight",)),
+    Mutant("snapshot without logs", "limits", "a snapshot does not say whose logs count", _snapshot_without("logs"),
+           kinds=("tight", "amnesia")),
+    Mutant("low promise", "protocol", "to accept a ballot does not promise it", _keeps_promised_low),
+    Mutant("learns what it holds", "protocol", "that a slot is chosen confirms whatever was accepted",
+           _learns_what_it_holds),
+    Mutant("moves while paused", "partial", "private moves go on in a pause", _moves_while_paused, True,
+           kinds=("calm", "operator")),
+    Mutant("drops the first", "protocol", "of several facts the first is left out", _drops_the_first_fact),
+    Mutant("lost moves", "memory", "private moves are not read back after a restart", _reads_no_facts_back, True),
+    Mutant("same incarnation", "membership", "a robot that starts again keeps its incarnation",
+           _takes_its_former_incarnation),
+    Mutant("blind learning", "protocol", "slots are learnt whatever log they stand on", _pulls_without_looking,
+           kinds=("operator", "")),
 ]

@@ -38,6 +38,9 @@ KINDS = {
     "tight": "short histories, small chunks and batches, snapshots every few slots; long runs",
     "amnesia": "logs are lost wherever the others still are a quorum, and nothing else but crashes",
     "calm": "nothing fails, so that orders meet a team that moves fast",
+    "link": "one link is cut for longer than an eviction takes: nobody is evicted for that",
+    "sleep": "all robots are stopped for longer than an eviction takes: nobody is evicted for that",
+    "leave": "robots leave while messages are lost: the others know it, and go on",
 }
 """What goes wrong in a schedule."""
 
@@ -86,6 +89,8 @@ class _Run:
         self.kind = schedule.kind
         self.random = source = random.Random("%d|%d|%d|%s" % schedule)
         evict_after = source.choice([0.0, 0.35])
+        if self.kind in ("link", "sleep"):
+            evict_after = 0.35
         fence_after = source.choice([0.0, 0.25]) if evict_after else 0.0
         witness = schedule.robots == 2 and source.random() < 0.3
         plan = make_plan(
@@ -111,9 +116,11 @@ class _Run:
                 chunk=source.choice([1, 2, 3]),
                 snapshot_every=source.choice([2, 5]),
             )
+        if self.kind in ("link", "sleep", "leave"):
+            self.world.mishaps = False
         if self.kind == "power":
             self.world.fsync = source.random() < 0.8
-        self.faults_end = FAULTS_END * (2.5 if self.kind == "tight" else 1.0)
+        self.faults_end = FAULTS_END * (2.5 if self.kind in ("tight", "link", "sleep", "leave") else 1.0)
         self.faults: Dict[str, int] = {}
         self.lost_logs = False
         self.left: List[str] = []
@@ -275,13 +282,19 @@ class _Run:
         if node not in self._up():
             return
         for victim in victims:
-            node.give(io.ForceEvict("f%d" % next(self.world._count), victim.name))
+            replica = node.replica
+            if replica is None:
+                return
+            members = replica.members()
+            off = replica.asserted_off() | {victim.name}
+            before = self.world.given_up
+            if not is_quorum([m for m in members if m not in off], members):
+                self.world.given_up = True  # the operator took it on: what only those know does not count
+            number = "f%d" % next(self.world._count)
+            node.give(io.ForceEvict(number, victim.name))
             self._count("eviction by force")
-        replica = node.replica
-        if replica is not None and replica.off:
-            left = [m for m in replica.members() if m not in replica.asserted_off()]
-            if not is_quorum(left, replica.members()):
-                self.world.given_up = True  # the operator took it on: what only the others know does not count
+            if number in node.results and not node.results[number].ok:
+                self.world.given_up = before
 
     def _spare(self) -> None:
         """A robot gets out of reach; a spare is started under its name, and later the first one comes
@@ -301,6 +314,19 @@ class _Run:
         world.away = away
         self._later(0.0, 0.3, lambda: spare.start() if spare.replica is None else None)
         self._later(0.2, 1.2, world.come_back)
+
+    def _cut_a_link(self) -> None:
+        names = list(self.world.nodes)
+        if len(names) > 2:
+            a, b = self.random.sample(names, 2)
+            self.world.blocked |= {(a, b), (b, a)}
+            self._count("link")
+
+    def _sleep(self) -> None:
+        for node in self._up():
+            node.suspended = True
+            self._later(0.9, 0.91, node.resume)
+        self._count("sleep")
 
     def _leave(self) -> None:
         up = [n for n in self._up() if n.name not in self.world.plan.witness]
@@ -343,7 +369,16 @@ class _Run:
         world.on_crash = self.on_crash  # type: ignore[method-assign]
         for node in list(world.nodes.values()):
             world.at(0.1 * self.random.random() ** 2, node.start)
-        most = {"operator": 14, "tight": 10, "calm": 14}.get(self.kind, 7)
+        most = {"operator": 14, "tight": 10, "calm": 14, "link": 0, "sleep": 0, "leave": 0}.get(self.kind, 7)
+        if self.kind == "link":
+            world.weather = Weather()
+            world.at(0.3, self._cut_a_link)
+        elif self.kind == "sleep":
+            world.weather = Weather()
+            world.at(0.3, self._sleep)
+        elif self.kind == "leave":
+            world.weather = Weather(loss=0.4)
+            world.at(0.2 + 0.3 * self.random.random(), self._leave)
         for _ in range(self.random.randint(0, most)):
             world.at(0.05 + (self.faults_end - 0.1) * self.random.random(), self.inject)
         world.at(0.05, self._watch)
@@ -354,6 +389,8 @@ class _Run:
         for node in world.nodes.values():
             node.doomed = None
         settled = world.run(world.now + BOUND, world.has_settled)
+        if self.kind in ("link", "sleep"):
+            self._nobody_is_lost()
         blocked = False
         if not settled:
             blocked = self._is_blocked()
@@ -385,6 +422,13 @@ class _Run:
                 node.resume()
             self._restart(node)
 
+    def _nobody_is_lost(self) -> None:
+        for node in self.world.alive():
+            assert node.replica is not None
+            lost = [r.name for r in node.replica.ledger.state.robots.values() if r.incarnation > 0]
+            if lost:
+                raise ViolationError("%s was evicted, though it ran and was heard" % ", ".join(lost))
+
     def _is_blocked(self) -> bool:
         """Whether a lost log, or robots that left while cut off, keep the team from a quorum."""
         nodes = self.world.alive()
@@ -392,7 +436,8 @@ class _Run:
         voters = [n.name for n in nodes if n.replica is not None and n.replica.may_vote()]
         if not best.state.members():
             return True  # all left, or were evicted while the last one left
-        return bool(self.lost_logs or self.left) and not is_quorum(voters, best.state.members())
+        lost = self.lost_logs or (self.left and self.kind != "leave")
+        return bool(lost) and not is_quorum(voters, best.state.members())
 
     def _why(self) -> str:
         return "; ".join(

@@ -44,6 +44,8 @@ class Disk:
     lines: List[str] = field(default_factory=list)
     synced: int = 0
     """How many of them outlive the power supply."""
+    votes: Dict[Tuple[str, Tuple[Any, ...]], int] = field(default_factory=dict)
+    """In which line a promise or a vote stands."""
 
     def records(self) -> List[Record]:
         """The records, read back."""
@@ -179,6 +181,8 @@ class Node:
             if durable and self.world.fsync:
                 self.disk.synced = len(self.disk.lines)
                 durable = False
+            if isinstance(effect, (io.Send, io.Reply)) and effect.message.get("kind") in ("promise", "accepted"):
+                self._check_written(effect.message)
             if isinstance(effect, io.Send):
                 self.world.send(self.key, effect.to, effect.message)
             elif isinstance(effect, io.Reply):
@@ -218,7 +222,20 @@ class Node:
     def _write(self, record: Record) -> None:
         assert self.disk is not None
         self.disk.lines.append(json.dumps(dict(record, mono=self.world.now)))
+        if record["kind"] in ("promised", "accepted"):
+            self.disk.votes[record["kind"], tuple(record["ballot"])] = len(self.disk.lines)
         self.world.on_record(self, record)
+
+    def _check_written(self, message: io.Message) -> None:
+        """What a robot says that it promised or accepted is in its log, and on the disk."""
+        assert self.disk is not None
+        if not message.get("vote", True):
+            return
+        kind = "promised" if message["kind"] == "promise" else "accepted"
+        votes, ballot = self.disk.votes, tuple(message["ballot"])
+        line = votes.get((kind, ballot)) or votes.get(("accepted", ballot))
+        if line is None or line > (self.disk.synced if self.world.fsync else len(self.disk.lines)):
+            raise ViolationError("%s says %s of %s before it is on its disk" % (self.key, kind, message["ballot"]))
 
 
 class World:

@@ -74,6 +74,9 @@ class Conduct(Meeting):
     # -- the operator ---------------------------------------------------------------------------------
 
     def _order(self, order: io.Order) -> None:
+        if self._now < self._listen_until:
+            self._held.append(order)  # we are not in the team yet, but for as long as we listen only
+            return
         entry = order.entry
         if isinstance(entry, log.Evict) and entry.incarnation < 0:
             state = self.ledger.state.robots.get(entry.robot)

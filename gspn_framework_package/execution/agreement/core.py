@@ -169,6 +169,9 @@ class Core:
         self._strangers: Set[str] = set()
         self._complaints: Set[Tuple[str, str]] = set()
         self._listen_until = 0.0
+        """Before that a fresh robot does not take part: somebody may know its name."""
+        self._held: List[io.Order] = []
+        """Orders that came before that."""
         self._superseded_at: Optional[float] = None
         """When another log was let in under our name."""
         self._rival_since: Optional[float] = None

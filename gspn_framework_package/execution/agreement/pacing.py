@@ -128,6 +128,8 @@ class Pacing(Conduct):
 
     def _wake_at(self) -> float:
         times = [self._next_hello]
+        if self._listen_until:
+            times.append(self._listen_until)
         again = self.consensus.resend_at(self.pace.retry)
         if again is not None:
             times.append(again)

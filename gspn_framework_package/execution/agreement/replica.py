@@ -96,6 +96,12 @@ class Replica(Pacing):
     def _settle(self) -> None:
         """Do what is due, and say when to look again."""
         if self.halted is None:
+            if self._listen_until and self._now >= self._listen_until:
+                self._listen_until = 0.0
+                self._consider_active()
+                held, self._held = self._held, []
+                for order in held:
+                    self._order(order)
             if self._now >= self._next_hello:
                 self._next_hello = self._now + (
                     self.pace.heartbeat if self.active else min(self.pace.heartbeat, self.pace.greeting)
@@ -211,6 +217,9 @@ class Replica(Pacing):
             missing = [m for m in self.consensus.missing() if m not in voteless]
             if missing or not voteless:
                 return "waits for an answer of %s" % ", ".join(missing)
+            return "has no quorum; without a vote: %s" % ", ".join(voteless) + self._nobody_left()
+        if self.is_stuck():
+            voteless = [m for m in self.others() if not self.peers.get(m).active]
             return "has no quorum; without a vote: %s" % ", ".join(voteless) + self._nobody_left()
         if not self.has_quorum():
             return "has no quorum; silent: %s" % ", ".join(self._silent())

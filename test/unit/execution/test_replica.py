@@ -73,7 +73,10 @@ def test_any_two_quorums_share_a_member(size: int) -> None:
 def test_one_robot_needs_no_messages(partial: bool) -> None:
     replica = Replica(make_plan(TOKENS, 1, partial, 0.0, 0.0, False), "r1", "run", "log")
     assert not [e for e in replica.start(0.0) if isinstance(e, StartAction)]  # somebody might know more
+    assert not [e for e in replica.step(io.Order("o", log.Pause("r1")), 0.1) if isinstance(e, io.OrderResult)]
     effects = replica.step(io.Tick(), 0.5)
+    assert [e.ok for e in effects if isinstance(e, io.OrderResult)] == [True]
+    effects += replica.step(io.Order("o", log.Resume("r1")), 0.5)
     for result in ["t1", "t2", "t3", "t4"]:
         (goal,) = [e for e in effects if isinstance(e, StartAction)]
         effects = replica.step(io.ActionDone(goal.incarnation, goal.visit, goal.attempt, result), 0.6)
