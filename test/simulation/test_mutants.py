@@ -21,6 +21,22 @@ QUICK = (
     "enabling",
     "early goals",
     "mixed results",
+    "lost promises",
+    "no jury",
+    "leaves at once",
+    "own sleep",
+    "short chunks",
+    "newest first",
+    "off for ever",
+    "rest decides",
+    "any log",
+    "trusts the end",
+    "no sync",
+    "unsynced votes",
+    "moves while paused",
+    "drops the first",
+    "lost moves",
+    "same incarnation",
 )
 
 

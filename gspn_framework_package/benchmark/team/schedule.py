@@ -40,9 +40,14 @@ KINDS = {
     "calm": "nothing fails, so that orders meet a team that moves fast",
     "link": "one link is cut for longer than an eviction takes: nobody is evicted for that",
     "sleep": "all robots are stopped for longer than an eviction takes: nobody is evicted for that",
+    "freeze": "several operators pause and move a team whose moves are mostly private, at the same time",
     "leave": "robots leave while messages are lost: the others know it, and go on",
 }
 """What goes wrong in a schedule."""
+
+
+MOST_FAULTS = {"freeze": 20, "operator": 14, "tight": 10, "calm": 14, "link": 0, "sleep": 0, "leave": 0}
+"""How many faults are injected at most; seven where nothing is said."""
 
 
 class Schedule(NamedTuple):
@@ -94,7 +99,7 @@ class _Run:
         fence_after = source.choice([0.0, 0.25]) if evict_after else 0.0
         witness = schedule.robots == 2 and source.random() < 0.3
         plan = make_plan(
-            source.randrange(4),
+            source.randrange(4) if self.kind != "freeze" else 0,
             schedule.robots,
             schedule.partial,
             evict_after,
@@ -106,7 +111,7 @@ class _Run:
             duplication=source.choice([0.0, 0.1]),
             late=source.choice([0.0, 0.1]),
         )
-        fast = source.random() < (0.5 if self.kind in ("tight", "calm") else 0.2)
+        fast = source.random() < {"tight": 0.5, "calm": 0.5, "freeze": 0.8}.get(self.kind, 0.2)
         times = (0.0, 0.002) if fast else (0.01, 0.08)
         self.world = World(plan, source.getrandbits(48), weather, replica_type, times)
         if self.kind == "tight":
@@ -119,7 +124,7 @@ class _Run:
         if self.kind in ("link", "sleep", "leave"):
             self.world.mishaps = False
         if self.kind == "power":
-            self.world.fsync = source.random() < 0.8
+            self.world.fsync = source.random() < 0.5
         self.faults_end = FAULTS_END * (2.5 if self.kind in ("tight", "link", "sleep", "leave") else 1.0)
         self.faults: Dict[str, int] = {}
         self.lost_logs = False
@@ -140,6 +145,10 @@ class _Run:
     def inject(self) -> None:
         """One fault, drawn at random."""
         often = self.kind
+        if often == "freeze":
+            for _ in range(3):
+                self._order()
+            return
         kinds = [
             (0 if often == "calm" else 6, self._crash),
             (8 if often == "amnesia" else 0 if often == "calm" else 2, self._crash_without_log),
@@ -183,6 +192,16 @@ class _Run:
             return
         node = self.random.choice(up)
         if not self._can_lose(node):
+            return
+        if self.kind == "amnesia" and self.random.random() < 0.5:  # it says something in another life, first
+            node.crash()
+            node.start()
+            self._later(0.005, 0.1, lambda: self._lose(node))
+        else:
+            self._lose(node)
+
+    def _lose(self, node: Node) -> None:
+        if node.disk is None or node.name in self.left or not self._can_lose(node):
             return
         node.crash()
         node.lose_log()
@@ -295,6 +314,13 @@ class _Run:
             self._count("eviction by force")
             if number in node.results and not node.results[number].ok:
                 self.world.given_up = before
+        if self.world.given_up and self.random.random() < 0.6:
+            self._later(0.02, 0.2, lambda: self._crash_and_restart(node))
+
+    def _crash_and_restart(self, node: Node) -> None:
+        if node.replica is not None and node.name not in self.left:
+            node.crash()
+            node.start()
 
     def _spare(self) -> None:
         """A robot gets out of reach; a spare is started under its name, and later the first one comes
@@ -369,7 +395,7 @@ class _Run:
         world.on_crash = self.on_crash  # type: ignore[method-assign]
         for node in list(world.nodes.values()):
             world.at(0.1 * self.random.random() ** 2, node.start)
-        most = {"operator": 14, "tight": 10, "calm": 14, "link": 0, "sleep": 0, "leave": 0}.get(self.kind, 7)
+        most = MOST_FAULTS.get(self.kind, 7)
         if self.kind == "link":
             world.weather = Weather()
             world.at(0.3, self._cut_a_link)
