@@ -36,6 +36,9 @@ from gspn_framework_package.execution.ledger import Item
 LONGEST_ROUND_TRIP = 1.0
 """Seconds: an answer that took longer came from a robot that was away, not through a slow network."""
 
+MOST_BACKOFF = 20
+"""Times that the wait before a message is repeated grows by half; it is bounded long before."""
+
 
 @dataclass
 class Attempt:
@@ -77,6 +80,8 @@ class Consensus:
         self.attempt: Optional[Attempt] = None
         self.frozen_by: Optional[Ballot] = None
         self.round_trip = 0.0
+        self._backoff = 0
+        """How often we repeated ourselves since an answer that we know the time of."""
         self._followers: Optional[Set[str]] = None
         self._votes: Dict[Ballot, Set[str]] = {}
 
@@ -162,7 +167,7 @@ class Consensus:
         if self.attempt is None:
             return None
         patience = max(retry, 2 * self.round_trip)
-        return self.attempt.sent + min(patience * 1.5**self.attempt.tries, max(1.0, patience))
+        return self.attempt.sent + min(patience * 1.5**self._backoff, max(1.0, patience))
 
     def resend(self, now: float) -> None:
         """Ask those again who have not answered."""
@@ -171,6 +176,7 @@ class Consensus:
             return
         attempt.sent = now
         attempt.tries += 1
+        self._backoff = min(self._backoff + 1, MOST_BACKOFF)
         if attempt.batch is None:
             answered = set(attempt.promises)
             if self._first_phase_over():
@@ -178,6 +184,11 @@ class Consensus:
         else:
             answered = self._votes.get(attempt.ballot, set())
         self._send_attempt(attempt, [m for m in self.host.others() if m not in answered])
+
+    def ask_again(self, robot: str) -> None:
+        """A robot that was behind is sent what it lacks: what we asked it meanwhile it could not answer."""
+        if self.attempt is not None and robot in self.missing():
+            self._send_attempt(self.attempt, [robot])
 
     def missing(self) -> List[str]:
         """Whose answers the running attempt lacks."""
@@ -348,8 +359,11 @@ class Consensus:
         return True
 
     def _measure(self, attempt: Attempt, now: float) -> None:
-        """Take an answer into the mean round trip, as TCP does (RFC 6298); from the first time that was asked, for
-        one does not know which time is answered."""
+        """Take an answer into the mean round trip, as TCP does (RFC 6298). Where we asked more than once we do not
+        know which time is answered: then it says nothing, and the longer wait stays until one does (Karn)."""
+        if attempt.tries:
+            return
+        self._backoff = 0
         took = min(now - attempt.began, LONGEST_ROUND_TRIP)
         self.round_trip += (took - self.round_trip) / (8 if self.round_trip else 1)
 

@@ -43,10 +43,13 @@ class Growth(Core):
             attempt = self.consensus.attempt
             if attempt is not None and attempt.ballot == ballot:
                 return
-        # the others saw the batch, and those whose facts were in it each other's votes
+        # those whose facts were in the batch saw each other's votes
         voted = self.is_small and not self.partial and not alone
         told = [m for m in self.others() if not (voted and m in origins)]
-        self.send_all(told, Learn(Chosen(slot, ballot)))
+        if alone:  # nobody else has seen the batch
+            self.send_all(told, Learn(at=slot, slots=self.history.since(slot) or ()))
+        else:
+            self.send_all(told, Learn(Chosen(slot, ballot)))
 
     def _commit(self, batch: List[Any], ballot: Ballot, *, mine: bool, alone: bool = False) -> None:
         items = [Item.from_json(i) for i in batch]
@@ -193,6 +196,7 @@ class Growth(Core):
     def _on_pull(self, message: Envelope) -> None:
         if message.length < self.ledger.length:
             self._help(message)
+            self.consensus.ask_again(message.sender)
 
     def _on_learn(self, message: Envelope, body: Learn) -> None:
         if body.snapshot is not None:
