@@ -163,6 +163,9 @@ class _Reducer(Turn):
             return
         if isinstance(entry, log.Evict) and entry.incarnation != robot.incarnation:
             return
+        if self.state.members() == [robot.name]:
+            self._fault(robot, "stays: it is the last one of the team")  # else nobody could let anybody in again
+            return
         self._cancel(robot)
         self.state.remove_waiting(robot)
         robot.phase = Phase.LOST if isinstance(entry, log.Evict) else Phase.LEFT

@@ -460,8 +460,6 @@ class _Run:
         nodes = self.world.alive()
         best = max((n.replica.ledger for n in nodes if n.replica), key=lambda x: x.length)
         voters = [n.name for n in nodes if n.replica is not None and n.replica.may_vote()]
-        if not best.state.members():
-            return True  # all left, or were evicted while the last one left
         lost = self.lost_logs or (self.left and self.kind != "leave")
         return bool(lost) and not is_quorum(voters, best.state.members())
 

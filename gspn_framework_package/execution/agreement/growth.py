@@ -137,12 +137,16 @@ class Growth(Core):
         if not in_log:
             self._put(io.OrderResult(own.order_id, False, "was overtaken by a newer one"))
             return
-        faults = [
-            c.message
-            for c in (step.commands if step is not None else ())
-            if isinstance(c, Fault) and isinstance(own.item.entry, (log.SetPlace, log.Fire))
-        ]
-        self._put(io.OrderResult(own.order_id, not faults, "; ".join(faults) or "done, in slot %d of the log" % slot))
+        why = self._without_effect(own.item.entry, step)
+        self._put(io.OrderResult(own.order_id, not why, why or "done, in slot %d of the log" % slot))
+
+    def _without_effect(self, entry: log.Entry, step: Optional[Step]) -> str:
+        """Why an order that is in the log changed nothing; "" if it did."""
+        if isinstance(entry, (log.SetPlace, log.Fire)):
+            return "; ".join(c.message for c in (step.commands if step is not None else ()) if isinstance(c, Fault))
+        if isinstance(entry, (log.Leave, log.Evict)) and self._member_names() == [entry.robot]:
+            return "%s is the last one of the team, and stays; stop the run instead" % entry.robot
+        return ""
 
     def _follow(self) -> None:
         """Take over where the log says that our robot is; private moves that it rules out are

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import Any, List, Optional
 
@@ -375,3 +376,67 @@ def test_which_places_are_private() -> None:
     assert private_places(meeting) == frozenset()
     weights = line().exponential("two", inputs={"R": 2}, outputs={"P": 2})
     assert private_places(weights) == {"P", "Q"}
+
+
+def test_a_robot_that_waits_for_hours_still_waits() -> None:
+    world = team(TOKENS, 2)
+    world.run(0.5)
+    world.nodes["r1"].crash()
+    world.nodes["r2"].give(io.Order("o", log.Pause()))
+    world.run(4000.0)
+    assert world.status("r2")["waits_for"] == "waits for an answer of r1"
+    world.nodes["r1"].start()
+    settle(world)
+    assert world.nodes["r2"].results["o"].ok
+
+
+def test_lost_messages_are_not_taken_for_a_slow_network() -> None:
+    world = Team(make_plan(TOKENS, 2, True, 0.0, 0.0, False), 1, Weather(0.001, 0.001))
+    world.mishaps = False
+    for node in world.nodes.values():
+        node.start()
+    world.run(0.5)
+    carry = world._carry
+    asked = set()
+
+    def lose_the_first(sender: str, to: str, text: str, request: str) -> None:
+        message = json.loads(text)
+        if message["kind"] in ("prepare", "accept"):
+            key = (sender, to, message["kind"], message["slot"], tuple(message["ballot"]))
+            if key not in asked:
+                asked.add(key)
+                return
+        carry(sender, to, text, request)
+
+    world._carry = lose_the_first  # type: ignore[method-assign]
+    world.run(30.0)
+    assert len(asked) > 20
+    assert all(node.replica.consensus.round_trip < 0.01 for node in world.nodes.values())
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_robots_that_evict_each_other_do_not_empty_the_team(partial: bool) -> None:
+    world = team(TOUR, 3, partial)
+    nodes = world.nodes
+    nodes["r1"].give(io.Order("a", log.Evict("r3", -1)))
+    nodes["r1"].give(io.Order("b", log.Evict("r2", -1)))
+    nodes["r3"].give(io.Order("c", log.Evict("r1", -1)))
+    world.run(2.0)
+    settle(world)
+    assert sorted(world.status("r1")["members"]) == ["r1", "r2", "r3"]
+    results = [r for node in nodes.values() for r in node.results.values()]
+    assert sum(not r.ok for r in results) <= 1
+    world.check(settled=True)
+
+
+def test_the_last_one_of_a_team_stays() -> None:
+    world = team(TOUR, 2)
+    world.run(0.3)
+    for name in ("r1", "r2"):
+        world.nodes[name].give(io.Order("leave", log.Leave(name)))
+    world.run(3.0)
+    results = {name: world.nodes[name].results["leave"] for name in ("r1", "r2")}
+    (stays,) = [name for name, result in results.items() if not result.ok]
+    assert results[stays].text == "%s is the last one of the team, and stays; stop the run instead" % stays
+    assert world.status(stays)["members"] == [stays]
+    world.check()

@@ -398,6 +398,9 @@ def test_eviction_return_leave_and_set_place() -> None:
     assert CancelAction("a", 2) in run.commands
     run.feed(log.Leave("a"))
     assert run.marking() == {"P4": 1}
+    run.feed(log.Evict("b", 1), log.Leave("b"))  # somebody has to let the others in again
+    assert run.marking() == {"P4": 1}
+    assert run.state.members() == ["b"]
 
 
 def test_a_restarted_member_keeps_its_visit_and_starts_the_action_again() -> None:
