@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Set
 
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
@@ -11,6 +11,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 from gspn_framework_package.benchmark.team.plans import make_plan
 from gspn_framework_package.benchmark.team.world import Weather, World
 from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.history import verify
@@ -77,6 +78,13 @@ class Team(RuleBasedStateMachine):
             entry = log.Evict(victim, -1)
         self.world.operator(entry, self.node(i))
 
+    @rule(i=st.integers(0, 2), others=st.sets(st.integers(0, 2), min_size=1, max_size=2))
+    def force(self, i: int, others: Set[int]) -> None:
+        """The operator asserts that robots are off, be it true or not."""
+        self.world.given_up = True
+        for j in sorted(others):
+            self.node(i).give(io.ForceEvict("force %d" % self.world.steps, self.node(j).name))
+
     def teardown(self) -> None:
         if not hasattr(self, "world"):
             return
@@ -95,12 +103,12 @@ class Team(RuleBasedStateMachine):
             assert any(n.old_disks for n in world.nodes.values()), "not settled"
             assert not is_quorum(voters, best.state.members()), "not settled"
         logs = [EventLog(d.header["log"], d.header, d.records(), plan=world.plan) for d in world.logs()]
-        verdict = verify(logs, settled=settled)
+        verdict = verify(logs, settled=settled and not world.given_up)
         assert verdict.violation is None, verdict.violation
 
 
 Team.TestCase.settings = settings(
-    max_examples=60,
+    max_examples=100,
     stateful_step_count=25,
     deadline=None,
     suppress_health_check=list(HealthCheck),

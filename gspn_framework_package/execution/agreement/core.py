@@ -325,14 +325,28 @@ class Core:
         """What should go into the open slot, items as JSON values."""
         frozen = frozen or not self.partial
         items = self.pool.batch(self._member_names(), frozen=frozen)
-        return [i.to_json() for i in self._without_ghosts(items)[: self.limits.batch]]
+        items = self._with_one_who_stays(self._without_ghosts(items))
+        return [i.to_json() for i in items[: self.limits.batch]]
+
+    def _with_one_who_stays(self, items: List[Item]) -> List[Item]:
+        """Where nobody would be left, our own leave or eviction waits for a slot of its own, in which it
+        has no effect: the last one stays, and it has to be one who was asked for its private moves."""
+        members = self._member_names()
+        gone = {i.entry.robot for i in items if isinstance(i.entry, (log.Evict, log.Leave))}
+        if len(members) < 2 or not gone.issuperset(members):
+            return items
+        return [
+            i for i in items if not (isinstance(i.entry, (log.Evict, log.Leave)) and i.entry.robot == self.name)
+        ]
 
     def _without_ghosts(self, items: List[Item]) -> List[Item]:
         """Leave robots out that want to join and are not heard themselves, or of which there are so
         many that those who are heard would be no quorum with them: a team must not lose its quorum
-        to names that nobody answers to."""
+        to names that nobody answers to. Nor does a robot come back in the slot that evicts it by force: it
+        does not know of it."""
         members = self._member_names()
         refused: Set[str] = set()
+        cast_out = {i.entry.robot for i in items if isinstance(i.entry, log.Evict) and i.entry.forced}
         live = set(self.peers.near(members, self.name, 4 * self.pace.heartbeat, self._now))
         now = list(members)
         kept = []
@@ -346,6 +360,8 @@ class Core:
                     live.add(name)
                 else:
                     refused.add(name)
+            if isinstance(entry, log.Join) and name in cast_out:
+                refused.add(name)
             if name not in refused:
                 kept.append(item)
         return kept

@@ -106,6 +106,8 @@ class Growth(Core):
                     self._superseded_at, self._rival_since = self._now, None
                     self._forget("another log was let in as %s" % self.name)
                     return
+            elif isinstance(entry, log.Evict) and self.ledger.is_cast_out(entry.robot):
+                self.pool.forget(entry.robot)
 
     def _after_slot(
         self,
@@ -225,6 +227,9 @@ class Growth(Core):
             self._fault("a snapshot of %s is not taken over: %s" % (sender, error))
             return
         self.persist(self.ledger.snapshot())
+        for robot in self.ledger.cast_out:
+            if self.ledger.is_cast_out(robot):
+                self.pool.forget(robot)
         self.history.clear(self.ledger.length)
         self.consensus.next_slot(False, set())
         self._become_active_by_snapshot()

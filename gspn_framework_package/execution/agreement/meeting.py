@@ -3,7 +3,7 @@ belong here."""
 
 from __future__ import annotations
 
-from typing import Dict
+from typing import Dict, List, Optional
 
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement import interface as io
@@ -11,6 +11,7 @@ from gspn_framework_package.execution.agreement.growth import Growth
 from gspn_framework_package.execution.agreement.messages import MOST_ROBOTS, Envelope, Hello, Seen
 from gspn_framework_package.execution.agreement.peers import Life
 from gspn_framework_package.execution.agreement.pool import Own
+from gspn_framework_package.execution.ledger import Item
 from gspn_framework_package.execution.team_state import GONE
 
 
@@ -28,7 +29,7 @@ class Meeting(Growth):
             self._first_hash,
             tuple(sorted(silent)),
             {robot: self.off[robot] for robot in sorted(self.asserted_off())},
-            {r: slot for r, slot in self.ledger.cast_out.items() if self.ledger.is_cast_out(r)},
+            dict(self.ledger.cast_out),
             self._greetings(),
         )
 
@@ -78,9 +79,8 @@ class Meeting(Growth):
         seen = hello.greets.get(self.name)
         if seen is not None:
             self._hear_of_ourselves(sender, seen)
-        slot = hello.cast_out.get(self.name)
-        if slot is not None and slot < self.ledger.length and self.ledger.cast_out.get(self.name) != slot:
-            self._forget("%s was evicted by force; what only it knew was given up" % self.name)
+        if self._is_given_up(hello.cast_out):
+            self._forget("it was given up in an eviction by force, as %s knows" % sender)
         self._consider_active()
         # in a large team answers to everybody's greetings would drown it: there the next hello will do
         waits = not hello.active or peer.surprise is not None
@@ -89,6 +89,23 @@ class Meeting(Growth):
             peer.answered = self._now
             self.answer(message, self._hello())
         self._compare(message)
+
+    def _is_given_up(self, theirs: Dict[str, int]) -> bool:
+        """Whether our log was given up in an eviction by force, as another's log says.
+
+        Where two logs each say so of the other (operators contradicted each other), the one that evicts
+        fewer is kept, else the one that does not evict the first robot. A log that a quorum went on
+        with is always kept: the other evicts all of that quorum.
+        """
+        mine = self.ledger.cast_out
+        by_them = {robot for robot, slot in theirs.items() if slot > mine.get(robot, -1)}
+        by_us = {robot for robot, slot in mine.items() if slot > theirs.get(robot, -1)}
+        if not by_us:
+            return self.name in by_them and theirs[self.name] < self.ledger.length
+        if len(by_us) != len(by_them):
+            return len(by_us) > len(by_them) > 0
+        team = [r.name for r in self.plan.robots]
+        return min(by_us | by_them, key=lambda r: (team.index(r) if r in team else len(team), r)) in by_us
 
     def _hear_of_ourselves(self, sender: str, seen: Seen) -> None:
         """What another remembers of us."""
@@ -105,12 +122,28 @@ class Meeting(Growth):
         if theirs > ours or (theirs.incarnation < self.incarnation and theirs.records > self._begin_records):
             self._forget("it is shorter than %s remembers" % sender)
 
+    def _hash_at(self, length: int) -> Optional[str]:
+        """The hash of the first ``length`` slots, None where we do not know (any more)."""
+        return self.ledger.hash if length == self.ledger.length else self.history.hash_before(length)
+
+    def _not_given_up(self, message: Envelope, items: List[Item]) -> List[Item]:
+        """Leave out what a robot that was evicted by force wants, unless it is told by one who knows of
+        the eviction: what it said before was given up, even that it comes back."""
+        if not self.ledger.cast_out:
+            return items
+        same = self._hash_at(message.length) == message.hash
+        return [
+            i
+            for i in items
+            if not self.ledger.is_cast_out(i.origin.robot)
+            or (same and message.length > self.ledger.cast_out[i.origin.robot])
+        ]
+
     def _compare(self, message: Envelope) -> None:
         """Look whether the sender's log begins as ours does, or ours as its."""
         if message.length > self.ledger.length:
             return
-        same = message.length == self.ledger.length
-        known = self.ledger.hash if same else self.history.hash_before(message.length)
+        known = self._hash_at(message.length)
         if known is None:
             return
         if known != message.hash:

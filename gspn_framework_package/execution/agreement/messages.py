@@ -136,8 +136,8 @@ class Hello(NamedTuple):
     ``begin``: how many records my log had when this incarnation began, which shows a log that was
     cut. ``active``: whether I take part. ``joining``: I was not in the first team. ``first``: hash
     of the first slot. ``silent``: whom I do not hear. ``off``: robot -> incarnation of those that
-    an operator asserted to be off. ``cast_out``: robot -> slot of its eviction by force, until it
-    joins again. ``greets``: what I know of those robots that wait for it, or would be surprised.
+    an operator asserted to be off. ``cast_out``: robot -> slot of its last eviction by force.
+    ``greets``: what I know of those robots that wait for it, or would be surprised.
     """
 
     begin: int

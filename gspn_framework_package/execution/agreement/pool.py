@@ -36,6 +36,10 @@ class Pool:
             if is_news(item.origin):
                 self._foreign.setdefault(item.origin.robot, {})[item.origin] = item
 
+    def forget(self, robot: str) -> None:
+        """Forget what was told of a robot."""
+        self._foreign.pop(robot, None)
+
     def prune(self, is_news: IsNews) -> List[Own]:
         """Forget what is in the log; the own facts that are."""
         for robot in list(self._foreign):

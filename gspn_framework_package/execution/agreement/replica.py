@@ -145,7 +145,7 @@ class Replica(Pacing):
         elif isinstance(body, messages.Pull):
             self._on_pull(message)
         elif isinstance(body, messages.Event):
-            self.add_foreign(body.items)
+            self.add_foreign(self._not_given_up(message, body.items))
             (self._voteless.discard if body.vote else self._voteless.add)(sender)
             if message.length < self.ledger.length:
                 self._help(message)

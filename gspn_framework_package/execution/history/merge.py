@@ -5,12 +5,23 @@ from __future__ import annotations
 
 import hashlib
 import json
-from typing import Any, Dict, List, Sequence, Set, Tuple
+from typing import Any, Dict, List, NamedTuple, Sequence, Set, Tuple
 
 from gspn_framework_package.execution.event_log import EventLog, Record
 from gspn_framework_package.execution.history.replay import BrokenRuleError
 
 COMPARED = ("entries", "origins", "firings", "hash")
+
+
+class Memory(NamedTuple):
+    """Records ``begin`` to ``end`` of a log, between which its robot did not forget what it knew.
+    ``forgotten``: it did afterwards, or lost the log. ``time``: of the last of them (s)."""
+
+    number: int
+    begin: int
+    end: int
+    forgotten: bool
+    time: float
 
 
 class Merged:
@@ -28,24 +39,32 @@ class Merged:
         self.heard: Dict[int, float] = {}
         self.void: Set[Tuple[int, int]] = set()
         self._source: Dict[int, str] = {}
-        cast_out = _cast_out(logs)
-        order = sorted(range(len(logs)), key=lambda i: logs[i].robot in cast_out)
-        for i in order:
-            self._add(i, logs[i], logs[i].robot in cast_out)
+        evictions = _evictions_by_force(logs)
+        cast_out = {robot for robot, _ in evictions}
+        self._last_forced = max((slot for _, slot in evictions), default=-1)
+        memories = _memories(logs)
+        # first what is left in the end; of what robots know who were said to be off, the newest
+        memories.sort(key=lambda m: (m.forgotten, logs[m.number].robot in cast_out, -m.time if cast_out else 0.0))
+        for memory in memories:
+            self._add(memory, logs[memory.number], memory.forgotten or logs[memory.number].robot in cast_out)
 
-    def _add(self, number: int, log: EventLog, cast_out: bool) -> None:
-        """Compare a log with what is there; rule 1."""
-        plan_hash = str(log.header["plan_hash"])
-        length, chain = 0, plan_hash
+    def _add(self, memory: Memory, log: EventLog, may_differ: bool) -> None:
+        """Compare what a robot remembered with what is there; rule 1.
+
+        :param may_differ: from a slot on that an eviction by force came after, it may.
+        """
+        number = memory.number
+        length, chain = 0, str(log.header["plan_hash"])
         given_up = False
-        for i, record in enumerate(log.records):
+        for i in range(memory.begin, memory.end):
+            record = log.records[i]
             kind = record["kind"]
-            if kind == "reset":
-                length, chain, given_up = 0, plan_hash, False
-            elif kind == "snapshot":
+            if kind == "snapshot":
                 length, chain = record["slot"] + 1, record["hash"]
                 known = self.slots.get(record["slot"])
                 if known is not None and known["hash"] != chain:
+                    given_up = given_up or (may_differ and record["slot"] <= self._last_forced)
+                if known is not None and known["hash"] != chain and not given_up:
                     raise BrokenRuleError(
                         1,
                         "%s took a snapshot after slot %d that does not fit the log" % (log.robot, record["slot"]),
@@ -61,7 +80,7 @@ class Merged:
                 length += 1
                 known = self.slots.get(slot)
                 if known is not None and any(known[k] != record[k] for k in COMPARED):
-                    given_up = given_up or cast_out
+                    given_up = given_up or (may_differ and slot <= self._last_forced)
                     if not given_up:
                         raise BrokenRuleError(
                             1,
@@ -101,10 +120,22 @@ class Merged:
         return slot
 
 
-def _cast_out(logs: Sequence[EventLog]) -> Set[str]:
-    """Robots that were evicted by force."""
+def _memories(logs: Sequence[EventLog]) -> List[Memory]:
+    """What the robots remembered, from one time that they forgot what they knew to the next."""
+    newest = {log.robot: i for i, log in enumerate(logs)}
+    out = []
+    for number, log in enumerate(logs):
+        resets = [i for i, r in enumerate(log.records) if r["kind"] == "reset"]
+        for begin, end in zip([0, *resets], [*resets, len(log.records)]):
+            time = max((float(r.get("mono", 0.0)) for r in log.records[begin:end]), default=0.0)
+            out.append(Memory(number, begin, end, end < len(log.records) or newest[log.robot] != number, time))
+    return out
+
+
+def _evictions_by_force(logs: Sequence[EventLog]) -> Set[Tuple[str, int]]:
+    """The robots that were evicted by force, and the slots of it."""
     return {
-        str(e["robot"])
+        (str(e["robot"]), r["slot"])
         for log in logs
         for r in log.records
         if r["kind"] == "slot"

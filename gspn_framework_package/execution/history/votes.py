@@ -35,17 +35,14 @@ def check_votes(
     """
     votes: Dict[int, Dict[str, List[Vote]]] = {}
     voters: Dict[Tuple[int, str], Tuple[int, int]] = {}
-    asserted: Set[Off] = set()
+    asserted: List[Set[Off]] = []
     for number, log in enumerate(merged.logs):
         for vote_slot, memory, vote in _acceptor(number, log, merged):
             votes.setdefault(vote_slot, {}).setdefault(log.robot, []).append(vote)
             known = voters.setdefault((vote_slot, log.robot), (number, memory))
             if known != (number, memory):
                 raise BrokenRuleError(1, "%s votes in slot %d out of two memories" % (log.robot, vote_slot))
-        for record in log.records:
-            if record["kind"] == "forced":
-                robots = record["robots"]
-                asserted |= {(r, robots[r] if isinstance(robots, dict) else None) for r in robots}
+        asserted.append(_asserted(log))
     for slot, by_robot in votes.items():
         _one_value_per_ballot(slot, by_robot)
         if slot < len(members):
@@ -54,12 +51,22 @@ def check_votes(
                     raise BrokenRuleError(1, "%s votes in slot %d without being a member" % (robot, slot))
     for slot in range(1, len(members)):
         before = situations[slot - 1]
-        off = {
-            m
-            for m in members[slot]
-            if (m, None) in asserted or (m in before and (m, before[m].incarnation) in asserted)
-        }
+        off = [
+            {m for m in members[slot] if (m, None) in those or (m in before and (m, before[m].incarnation) in those)}
+            for those in asserted
+            if those
+        ]
         _quorum(slot, merged, votes.get(slot, {}), members[slot], off, complete)
+
+
+def _asserted(log: EventLog) -> Set[Off]:
+    """Which robots were asserted to be off, as this log knew; another may know of other assertions."""
+    asserted: Set[Off] = set()
+    for record in log.records:
+        if record["kind"] == "forced":
+            robots = record["robots"]
+            asserted |= {(r, robots[r] if isinstance(robots, dict) else None) for r in robots}
+    return asserted
 
 
 def _acceptor(number: int, log: EventLog, merged: Merged) -> List[Tuple[int, int, Vote]]:
@@ -117,7 +124,7 @@ def _quorum(
     merged: Merged,
     by_robot: Dict[str, List[Vote]],
     members: Sequence[str],
-    off: Set[str],
+    off: Sequence[Set[str]],
     complete: bool,
 ) -> None:
     record = merged.slots[slot]
@@ -160,12 +167,13 @@ def _leads_to(batch: str, record: Record) -> bool:
     return kept == wanted
 
 
-def _may_decide(voters: Set[str], members: Sequence[str], off: Set[str]) -> bool:
-    """A quorum, or all that are left where those who were asserted to be off leave none."""
-    left = set(members) - off
+def _may_decide(voters: Set[str], members: Sequence[str], off: Sequence[Set[str]]) -> bool:
+    """A quorum, or all that are left where those who were asserted to be off (to one of the robots) leave none."""
     if _is_quorum(voters, members):
         return True
-    return bool(off and left) and left <= voters and not _is_quorum(left, members)
+    return any(
+        left and left <= voters and not _is_quorum(left, members) for left in (set(members) - those for those in off)
+    )
 
 
 def _is_quorum(voters: Set[str], members: Sequence[str]) -> bool:

@@ -10,9 +10,11 @@ from gspn_framework_package.benchmark.team.plans import make_plan
 from gspn_framework_package.benchmark.team.world import Node, World
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement.messages import Event
 from gspn_framework_package.execution.agreement.replica import Limits
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.history import verify
+from gspn_framework_package.execution.ledger import Item, Origin
 
 TOUR, MEET, TOKENS, CROWD = range(4)
 
@@ -128,6 +130,54 @@ def test_one_of_three_needs_the_word_of_the_other_that_is_left(partial: bool) ->
     world.blocked.clear()
     world.run(world.now + 2)
     assert world.answer("r1", "r3").ok
+    all_agree(world)
+    world.verify()
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_a_robot_cast_out_wrongly_is_not_let_in_with_what_was_given_up(partial: bool) -> None:
+    world = team(TOKENS, 2, partial)
+    world.given_up = True
+    world.cut_off("r1")
+    world.run(world.now + 1)  # r1 alone is a quorum, and goes on
+    first = world.replica("r1")
+    join = Item(log.Join("r1", 1, "p1", first.log_id), Origin("r1", 1, 1, first.log_id[:8]))
+    late = first._signed(Event([join], False))  # said in a life of r1 that the others know nothing of
+    world.force("r2", "r1")
+    world.run(world.now + 1)
+    assert world.answer("r2", "r1").ok
+    world.nodes["r2"].give(io.Received(late))
+    world.run(world.now + 1)
+    assert world.replica("r2").members() == ["r2"]
+    world.blocked.clear()
+    world.run(world.now + 2)
+    assert world.replica("r1").is_settled()
+    all_agree(world)
+    world.verify()
+
+
+@pytest.mark.parametrize("partial", [False, True])
+@pytest.mark.parametrize("joiner_at", ["r1", "r3"])
+def test_after_operators_who_contradict_each_other_one_story_is_left(partial: bool, joiner_at: str) -> None:
+    world = team(TOKENS, 3, partial)
+    world.given_up = True
+    world.cut_off("r3")
+    node = world.nodes["j"] = Node(world, "j")
+    node.joins = True
+    away = {"r1", "r2", "r3"} - {joiner_at}
+    world.blocked |= {(a, b) for a in away for b in ("j",)} | {("j", b) for b in away}
+    world.run(world.now + 1)
+    world.force("r1", "r3")
+    world.force("r3", "r1")
+    world.force("r3", "r2")
+    world.run(world.now + 1)
+    node.start()
+    world.run(world.now + 1)
+    assert world.answer("r1", "r3").ok
+    assert world.answer("r3", "r1").ok
+    world.blocked.clear()
+    world.run(world.now + 3)
+    assert sorted(world.replica("r1").members()) == ["j", "r1", "r2", "r3"]
     all_agree(world)
     world.verify()
 

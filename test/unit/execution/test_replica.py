@@ -440,3 +440,16 @@ def test_the_last_one_of_a_team_stays() -> None:
     assert results[stays].text == "%s is the last one of the team, and stays; stop the run instead" % stays
     assert world.status(stays)["members"] == [stays]
     world.check()
+
+
+def test_a_robot_that_is_not_evicted_after_all_keeps_its_private_moves() -> None:
+    world = team(TOUR, 3, True)
+    world.run(0.5)
+    for who in ("r2", "r3", "r1"):  # the last of them stays
+        world.nodes["r2"].give(io.Order("evict " + who, log.Evict(who, -1)))
+    world.run(3.0)
+    results = world.nodes["r2"].results
+    assert [results["evict " + who].ok for who in ("r1", "r2", "r3")] == [True, False, True]
+    settle(world)
+    assert sorted(world.status("r1")["members"]) == ["r1", "r2", "r3"]
+    world.check(settled=True)
