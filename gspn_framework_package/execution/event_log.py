@@ -162,15 +162,21 @@ class EventLogWriter:
     def _line(self, record: Record) -> str:
         if record["kind"] == "life":
             record = {**record, "host": self._host, "fsync": self._fsync}
-        text = json.dumps(record, separators=(",", ":"))
-        if self._sum is not None:
-            self._sum = next_sum(self._sum, text.encode())
-            text = '%s,"sum":"%s"}' % (text[:-1], self._sum)
-        return text + "\n"
+        if self._sum is None:
+            return json.dumps(record, separators=(",", ":")) + "\n"
+        text, self._sum = line_of(record, self._sum)
+        return text
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def line_of(record: Record, previous: str) -> Tuple[str, str]:
+    """The line of a record, and the running hash after it; ``previous``: the one before it ("" at first)."""
+    text = json.dumps(record, separators=(",", ":"))
+    chain = next_sum(previous, text.encode())
+    return '%s,"sum":"%s"}\n' % (text[:-1], chain), chain
 
 
 def next_sum(previous: str, line: bytes) -> str:

@@ -15,7 +15,7 @@ from typing import Any, Dict, List, Optional
 import psutil
 
 from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution.event_log import Record, header
+from gspn_framework_package.execution.event_log import Record, header, line_of
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.token_game import TokenGame
@@ -36,9 +36,13 @@ def write_log(path: str, entries: int, plan_path: str = PLAN, seed: int = 1) -> 
     doing: Dict[str, StartAction] = {}
     with open(path, "w", encoding="utf-8") as file:
 
+        chain = ""
+
         def write(number: int, record: Record) -> None:
+            nonlocal chain
             clocks = {"wall": 1.7e9 + number * ENTRY_SECONDS, "mono": 1000 + number * ENTRY_SECONDS}
-            file.write(json.dumps({**record, **clocks}, separators=(",", ":")) + "\n")
+            line, chain = line_of({**record, **clocks}, chain)
+            file.write(line)
 
         write(0, header(plan, "long", "", "long", agents=True))
         batch: List[log.Entry] = [game.start_entry()]
