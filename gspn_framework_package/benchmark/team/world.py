@@ -166,6 +166,7 @@ class Node:
         """Carry effects out in order; a doomed process dies between two of them."""
         assert self.disk is not None
         durable = False
+        written: List[Record] = []
         for effect in effects:
             if self.doomed is not None:
                 self.doomed -= 1
@@ -176,11 +177,15 @@ class Node:
                     return
             if isinstance(effect, io.Persist):
                 self._write(effect.record)
+                written.append(effect.record)
                 durable = durable or effect.durable
                 continue
             if durable and self.world.fsync:
                 self.disk.synced = len(self.disk.lines)
                 durable = False
+            for record in written:  # until here nobody could know of it
+                self.world.on_record(self, record)
+            written = []
             if isinstance(effect, (io.Send, io.Reply)) and effect.message.get("kind") in ("promise", "accepted"):
                 self._check_written(effect.message)
             if isinstance(effect, io.Send):
@@ -224,7 +229,6 @@ class Node:
         self.disk.lines.append(json.dumps(dict(record, mono=self.world.now)))
         if record["kind"] in ("promised", "accepted"):
             self.disk.votes[record["kind"], tuple(record["ballot"])] = len(self.disk.lines)
-        self.world.on_record(self, record)
 
     def _check_written(self, message: io.Message) -> None:
         """What a robot says that it promised or accepted is in its log, and on the disk."""
@@ -380,7 +384,7 @@ class World:
     # -- what is watched while it goes on -----------------------------------------------------------
 
     def on_record(self, node: Node, record: Record) -> None:
-        """A record was written: no two replicas may put different things into one slot."""
+        """A record counts: no two replicas may put different things into one slot."""
         if record["kind"] == "slot" and not self.given_up:
             known = self._chain.setdefault(record["slot"], record["hash"])
             if known != record["hash"]:
