@@ -163,7 +163,7 @@ class _Reducer(Turn):
             return
         if isinstance(entry, log.Evict) and entry.incarnation != robot.incarnation:
             return
-        if self.state.members() == [robot.name]:
+        if self.state.members() == [robot.name] and not self.rules.agents:
             self._fault(robot, "stays: it is the last one of the team")  # else nobody could let anybody in again
             return
         self._cancel(robot)

@@ -269,8 +269,8 @@ class Team:
         robot = self.robots.get(entry.robot)
         if robot is None or not robot.here:
             return
-        if self.members() == [robot.name]:
-            return  # the last one stays
+        if self.members() == [robot.name] and not self.agents:
+            return  # the last one of a team stays
         if isinstance(entry, log.Leave):
             robot.phase = "left"
             self.marking[robot.place] -= 1
