@@ -18,12 +18,15 @@ class LogTail:
     def __init__(self, path: str) -> None:
         self.path = path
         self.records: List[Record] = []
-        self._at = 0
+        self._at = self._file = 0
 
     def read(self) -> LogTail:
         """Read what is new."""
         if os.path.exists(self.path):
             with open(self.path, "rb") as file:
+                number = os.fstat(file.fileno()).st_ino
+                if number != self._file:  # its robot has lost the one before
+                    self._file, self._at = number, 0
                 file.seek(self._at)
                 whole, newline, _ = file.read().rpartition(b"\n")
             self._at += len(whole) + len(newline)

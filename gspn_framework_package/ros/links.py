@@ -19,6 +19,7 @@ from gspn_framework_package.execution.agreement.interface import (
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.msg import Agreement
 from gspn_framework_package.ros.eager_publisher import eager_publisher
+from gspn_framework_package.ros.messages import json_object
 from gspn_framework_package.ros.service_calls import ServiceCalls
 from gspn_framework_package.srv import (
     GetPlace,
@@ -162,7 +163,7 @@ class Link:
         if news.sender != self.robot:
             self._peers[news.sender] = _Peer(news.namespace, news.service_uri)
             self._heard[news.sender] = time.monotonic()
-        message = parse_body(news.body)
+        message = json_object(news.body)
         if message is not None:
             self._received(message)
 
@@ -192,7 +193,7 @@ class Link:
         )
 
     def _answered(self, response: Any) -> None:
-        message = parse_body(response.agreement)
+        message = json_object(response.agreement)
         if message:
             self._received(message)
 
@@ -280,12 +281,3 @@ class ServiceLink(Link):
     def _replied(self, message: Message) -> None:
         if message:
             self._received(json.loads(json.dumps(message)))
-
-
-def parse_body(body: str) -> Any:
-    """The protocol message in a field of a ROS message; None where there is none."""
-    try:
-        message = json.loads(body) if body else None
-    except ValueError:
-        return None
-    return message if isinstance(message, dict) else None

@@ -46,11 +46,17 @@ _STATUS_FIELDS = {
 
 def read_status(message: str) -> Optional[Dict[str, Any]]:
     """What a node answered to the command ``status``; None where it is not such an answer."""
+    status = json_object(message)
+    return status if status is not None and _STATUS_FIELDS <= set(status) else None
+
+
+def json_object(text: str) -> Optional[Dict[str, Any]]:
+    """The JSON object in a field of a message that anybody may have sent; None where there is none."""
     try:
-        status = json.loads(message)
-    except ValueError:
+        value = json.loads(text) if text else None
+    except (ValueError, RecursionError):
         return None
-    return status if isinstance(status, dict) and _STATUS_FIELDS <= set(status) else None
+    return value if isinstance(value, dict) else None
 
 
 def marking_fields(marking: Marking, net: Net) -> Tuple[List[str], List[int]]:

@@ -11,8 +11,7 @@ import rospy
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement.interface import Message
 from gspn_framework_package.model.net import Marking, Net
-from gspn_framework_package.ros.links import parse_body
-from gspn_framework_package.ros.messages import marking_fields
+from gspn_framework_package.ros.messages import json_object, marking_fields
 from gspn_framework_package.srv import (
     Command,
     CommandResponse,
@@ -186,7 +185,7 @@ class NodeServices:
     # -- through the worker ------------------------------------------------------------------------
 
     def _protocol(self, body: str) -> str:
-        message = parse_body(body)
+        message = json_object(body)
         if message is None:
             return ""
         answers: queue.SimpleQueue[Message] = queue.SimpleQueue()

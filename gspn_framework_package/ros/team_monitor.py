@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections import Counter, deque
@@ -12,7 +11,9 @@ import rospy
 from std_msgs.msg import String
 
 from gspn_framework_package.msg import FiredTransition
-from gspn_framework_package.ros.messages import FIRED_TOPIC
+from gspn_framework_package.ros.messages import FIRED_TOPIC, json_object
+
+_ACTIVITY_FIELDS = {"run", "place", "state", "visit", "waits_for", "ended", "fault"}
 
 
 class Doing(NamedTuple):
@@ -72,7 +73,9 @@ class TeamMonitor:
                 self.doing[robot] = before._replace(place=place, waits_for="")
 
     def _on_activity(self, message: Any, name: str) -> None:
-        told = json.loads(message.data)
+        told = json_object(message.data)
+        if told is None or not _ACTIVITY_FIELDS <= set(told):
+            return  # somebody else's
         with self._lock:
             if told["run"] != self._run:
                 return

@@ -12,9 +12,8 @@ from collections import Counter
 from typing import Any, Callable, Dict, List, Optional
 
 from gspn_framework_package.benchmark.faults import dying_node
-from gspn_framework_package.benchmark.faults.team import Master, Team
+from gspn_framework_package.benchmark.faults.team import Master, Team, require
 from gspn_framework_package.execution.agreement.quorum import is_quorum
-from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.plan import Synchronisation
 
 EVICT_AFTER = 8.0
@@ -59,7 +58,7 @@ class EachInTurn:
     def run(self) -> None:
         """Inject every fault, then wait until the team rests. :raises ExecutionError: it did not go on as it must."""
         self.team.wait_until(self.team.is_complete, "the start")
-        self._wait_for_moves(self.team.first, MOVES)
+        self.team.wait_for_moves(self.team.first, MOVES)
         for fault, kill in (
             ("killed", self._anywhere), ("killed in a write", self._in_a_write),
             ("killed before a send", self._before_a_send),
@@ -107,13 +106,13 @@ class EachInTurn:
         goals = self.team.read(name).of("goal")
         began = time.monotonic()
         self.team.start(name)
-        self._wait_for_moves(self._present(), MOVES, began)
+        self.team.wait_for_moves(self.team.present(), MOVES, began)
         again = self.team.read(name).of("goal", began)[0]
         self.back.append(again["mono"] - began)
-        evicted = any(self._entries("evict", name, began))
-        self._require(again["incarnation"] > goals[-1]["incarnation"], "%s has its old incarnation" % name)
+        evicted = any(self.team.entries("evict", name, began))
+        require(again["incarnation"] > goals[-1]["incarnation"], "%s has its old incarnation" % name)
         resumed = again["visit"] - goals[-1]["visit"] in (0, 1)
-        self._require(evicted or resumed, "%s came back at visit %d after %d" % (
+        require(evicted or resumed, "%s came back at visit %d after %d" % (
             name, again["visit"], goals[-1]["visit"]))  # fmt: skip
         if evicted:
             self.injected["evicted before it was back"] += 1
@@ -121,21 +120,21 @@ class EachInTurn:
 
     def _stop_beyond_eviction(self, name: str) -> None:
         """SIGSTOP: the others evict it and go on, or wait where they are no quorum; then SIGCONT."""
-        others = [n for n in self._present() if n != name]
+        others = [n for n in self.team.present() if n != name]
         members = self.team.statuses()[others[0]]["members"]
         stopped, evicted = time.monotonic(), 0.0
         self.team.signal(name, signal.SIGSTOP)
         if is_quorum(others, members):
-            self.team.wait_until(lambda: any(self._entries("evict", name, stopped)), "the eviction of " + name)
+            self.team.wait_until(lambda: any(self.team.entries("evict", name, stopped)), "the eviction of " + name)
             evicted = time.monotonic()
-            self._wait_for_moves(others, MOVES, evicted)
+            self.team.wait_for_moves(others, MOVES, evicted)
             self.injected["stopped beyond its eviction"] += 1
             what = "evicted after %.1f s" % (evicted - stopped)
         else:
             time.sleep(EVICT_AFTER + HELD_UP)
             for other in others:
                 slots = [r["slot"] for r in self.team.read(other).of("slot", stopped + GRACE)]
-                self._require(not slots, "%s decided slots %s without a quorum" % (other, slots))
+                require(not slots, "%s decided slots %s without a quorum" % (other, slots))
             self.injected["stopped, the rest no quorum"] += 1
             what = "the rest waited"
         old = self.team.read(name).of("goal")[-1]["incarnation"]
@@ -147,18 +146,18 @@ class EachInTurn:
             return [goal for goal in later if goal["incarnation"] > old or not evicted]
 
         self.team.wait_until(lambda: len(goals()) >= MOVES, "%s to go on" % name)
-        self._wait_for_moves(others, MOVES, woken)
+        self.team.wait_for_moves(others, MOVES, woken)
         self.woken.append(goals()[0]["mono"] - woken)
         self._tell("%s stopped, %s; back after %.1f s" % (name, what, self.woken[-1]))
 
     def _restart_master(self) -> None:
-        self._wait_for_moves(self._present(), CONNECTED)
+        self.team.wait_for_moves(self.team.present(), CONNECTED)
         self._master.kill()
-        self._wait_for_moves(self._present(), MOVES)
+        self.team.wait_for_moves(self.team.present(), MOVES)
         self._master.start()
         self.injected["master killed"] += 1
         self.team.wait_until(self.team.is_complete, "all nodes to register with the new master")
-        self._wait_for_moves(self._present(), MOVES)
+        self.team.wait_for_moves(self.team.present(), MOVES)
         self._tell("the master killed, and started again")
 
     def _join(self, name: str) -> None:
@@ -168,7 +167,7 @@ class EachInTurn:
         self.injected["killed in its first write"] += 1
         began = time.monotonic()
         self.team.start(name, "p1")
-        self._wait_for_moves([*self.team.first, name], MOVES, began)
+        self.team.wait_for_moves([*self.team.first, name], MOVES, began)
         self.injected["joined"] += 1
         self._tell("%s killed in its very first write, then joined" % name)
 
@@ -177,30 +176,5 @@ class EachInTurn:
         self.team.wait_until(lambda: self.team.order("leave", name), "%s to leave" % name)
         self.team.await_death(name)
         self.injected["left"] += 1
-        self._wait_for_moves(self._present(), MOVES)
+        self.team.wait_for_moves(self.team.present(), MOVES)
         self._tell("%s has left" % name)
-
-    # -- what must hold ----------------------------------------------------------------------------
-
-    def _present(self) -> List[str]:
-        return [name for name in self.team.logs if name not in self.team.gone]
-
-    def _wait_for_moves(self, names: List[str], number: int, since: float = 0.0) -> None:
-        """Wait until each of these robots has moved so often after a time (0: from now on)."""
-        begin = since or time.monotonic()
-        for name in names:
-            self.team.wait_until(
-                lambda name=name: self.team.read(name).moves(begin) >= number,  # type: ignore[misc]
-                "%d moves of %s" % (number, name),
-            )
-
-    def _entries(self, kind: str, robot: str, since: float) -> List[Dict[str, Any]]:
-        """The entries of a kind about a robot that any log has got after a time."""
-        return [
-            entry for log in self._present() for entry in self.team.read(log).entries(kind, since)
-            if entry["robot"] == robot
-        ]  # fmt: skip
-
-    def _require(self, holds: bool, otherwise: str) -> None:
-        if not holds:
-            raise ExecutionError(otherwise)

@@ -1,8 +1,9 @@
 """The command: faults on teams of real nodes, and what the history checker says of their logs. Needs ROS.
 
 ``python3 -m gspn_framework_package.benchmark.faults --each-in-turn`` does everything of :mod:`.each_in_turn` to a team
-of each size in each mode; ``--minutes 30`` runs rounds of :mod:`.soak` with fresh teams until the time is over. The
-ROS master is the command's own. Each team ends paused, at rest, and verified.
+of each size in each mode, ``--operators ROUNDS`` everything of :mod:`.operators`, ``--hostile`` everything of
+:mod:`.hostile`; ``--minutes 30`` runs rounds of :mod:`.soak` with fresh teams until the time is over. The ROS master is
+the command's own. Each team ends paused, at rest, and verified.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from collections import Counter
 from typing import Any, Callable, Dict, List, Optional, Sequence
 
 from gspn_framework_package.benchmark.faults.each_in_turn import EachInTurn
+from gspn_framework_package.benchmark.faults.hostile import Hostile
+from gspn_framework_package.benchmark.faults.operators import Operators
 from gspn_framework_package.benchmark.faults.soak import Soak
 from gspn_framework_package.benchmark.faults.team import Master
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
@@ -35,8 +38,14 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         description="Kills, cuts off, stops and restarts the processes of robot teams, and verifies their logs.",
         epilog="Exit codes: 0 all valid, 1 a violation or a team that did not go on, 2 wrong usage or no ROS.",
     )
-    parser.add_argument("--each-in-turn", action="store_true", help="every fault to every robot, in each mode, once")
-    parser.add_argument("--minutes", type=float, default=30.0, metavar="M", help="of random faults (30)")
+    scenario = parser.add_mutually_exclusive_group()
+    scenario.add_argument("--each-in-turn", action="store_true", help="every fault to every robot, in each mode, once")
+    scenario.add_argument(
+        "--operators", type=int, metavar="ROUNDS",
+        help="evictions by force, returns with more log, lost logs, so many times each",
+    )  # fmt: skip
+    scenario.add_argument("--hostile", action="store_true", help="malformed, forged, replayed and flooding messages")
+    scenario.add_argument("--minutes", type=float, default=30.0, metavar="M", help="of random faults (30)")
     parser.add_argument("--round", type=float, default=45.0, metavar="S", help="seconds of random faults a team (45)")
     parser.add_argument("--robots", type=int, nargs="+", default=[2, 3, 5], metavar="N", help="sizes of the teams")
     parser.add_argument("--mode", choices=[m.value for m in Synchronisation], help="only this synchronisation")
@@ -46,6 +55,8 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     args = parser.parse_args(arguments)
     if min(args.robots) < 2:
         parser.error("--robots: a team has at least two")
+    if args.operators is not None and (args.operators < 1 or min(args.robots) < 3):
+        parser.error("--operators: at least one round, with teams of three and more")
     try:
         need_ros()
         return _report(args)
@@ -63,14 +74,16 @@ def _report(args: argparse.Namespace) -> int:
     master = Master()
     began = time.monotonic()
     rows: List[Row] = []
+    chosen = {"each in turn": args.each_in_turn, "operators": args.operators, "hostile": args.hostile}
+    name = next((scenario for scenario, asked in chosen.items() if asked), "soak")
     interrupted = False
     try:
         master.start()
-        if args.each_in_turn:
+        if name != "soak":
             for robots in args.robots:
                 for mode in modes:
-                    rows.append(_each_in_turn(master, robots, mode, source, args.keep))
-        while not args.each_in_turn and time.monotonic() - began < args.minutes * 60:
+                    rows.append(_scenario(master, robots, mode, source, args))
+        while name == "soak" and time.monotonic() - began < args.minutes * 60:
             rows.append(_soak(master, source.choice(args.robots), source.choice(modes), source, args.round, args.keep))
     except KeyboardInterrupt:
         _tell("interrupted; what was done until then:")
@@ -82,7 +95,7 @@ def _report(args: argparse.Namespace) -> int:
         injected.update(row["injected"])
     bad = [row for row in rows if row["fault"]]
     report = {
-        "machine": describe_machine(), "scenario": "each in turn" if args.each_in_turn else "soak", "seed": seed,
+        "machine": describe_machine(), "scenario": name, "seed": seed,
         "minutes": round((time.monotonic() - began) / 60, 1), "teams": len(rows), "injected": dict(injected),
         "firings": sum(r["firings"] for r in rows), "slots": sum(r["slots"] for r in rows),
         "bad": len(bad), "rows": rows,
@@ -100,12 +113,20 @@ def _soak(master: Master, robots: int, mode: Synchronisation, source: random.Ran
     return _told({"robots": robots, "mode": mode.value, "injected": dict(soak.injected), **row})
 
 
-def _each_in_turn(master: Master, robots: int, mode: Synchronisation, source: random.Random, keep: bool) -> Row:
+def _scenario(
+    master: Master, robots: int, mode: Synchronisation, source: random.Random, args: argparse.Namespace
+) -> Row:
     def tell(step: str) -> None:
         _tell("%d robots, %s: %s" % (robots, mode.value, step))
 
+    if args.hostile or args.operators:
+        chosen: Any = (
+            Hostile(robots, mode, tell) if args.hostile else Operators(robots, mode, args.operators, tell)
+        )
+        row = _run(chosen, chosen.run, args.keep)
+        return _told({"robots": robots, "mode": mode.value, "injected": dict(chosen.injected), **row})
     tour = EachInTurn(master, robots, mode, source, tell)
-    row = _run(tour, tour.run, keep)
+    row = _run(tour, tour.run, args.keep)
     return _told(
         {
             "robots": robots, "mode": mode.value, "injected": dict(tour.injected), "torn": dict(tour.torn),

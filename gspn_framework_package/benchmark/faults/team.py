@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from dataclasses import replace
-from typing import Any, Callable, Dict, List
+from typing import Any, Callable, Dict, Iterable, List
 
 from gspn_framework_package.benchmark.faults import dying_node
 from gspn_framework_package.benchmark.log_tail import LogTail
@@ -172,13 +172,17 @@ class Team:
 
     # -- questions and orders ----------------------------------------------------------------------
 
-    def order(self, command: str, robot: str) -> bool:
-        """Give the team an order; whether it was carried out."""
+    def order(self, command: str, robot: str, at: str = "") -> bool:
+        """Give the team an order; whether it was carried out.
+
+        :param at: the robot whose node is to take it; "" for any.
+        """
         from gspn_framework_package.ros.operator_client import OperatorClient
 
         try:
             with contextlib.closing(OperatorClient()) as client:
-                return client.order(command, robot, "")[0]
+                client.nodes = [node for node in client.nodes if at in ("", node.namespace.strip("/"))]
+                return client.order(command, robot, "", RUN)[0]
         except ExecutionError:
             return False
 
@@ -214,6 +218,26 @@ class Team:
             time.sleep(0.05)
         raise ExecutionError("waited %g s for %s" % (seconds, what), hint=last or None)
 
+    def present(self) -> List[str]:
+        """The robots that have a log and have not left."""
+        return [name for name in self.logs if name not in self.gone]
+
+    def wait_for_moves(self, names: Iterable[str], number: int, since: float = 0.0) -> None:
+        """Wait until each of these robots has moved so often after a time (0: from now on)."""
+        begin = since or time.monotonic()
+        for name in names:
+            self.wait_until(
+                lambda name=name: self.read(name).moves(begin) >= number,  # type: ignore[misc]
+                "%d moves of %s" % (number, name),
+            )
+
+    def entries(self, kind: str, robot: str, since: float) -> List[Dict[str, Any]]:
+        """The entries of a kind about a robot that any log has got after a time."""
+        return [
+            entry for log in self.present() for entry in self.read(log).entries(kind, since)
+            if entry["robot"] == robot
+        ]  # fmt: skip
+
     def rest(self) -> None:
         """Pause the team, and wait until nothing changes any more."""
         self.wait_until(lambda: self.order("pause", ""), "a pause of the team")
@@ -229,7 +253,22 @@ class Team:
 
         self.wait_until(quiet, "all replicas to rest at one position")
 
+    def tracebacks(self) -> List[str]:
+        """The robots whose nodes have printed one."""
+        found = []
+        for name in self.logs:
+            with open(os.path.join(self.folder, name + ".txt"), "rb") as file:
+                if b"Traceback" in file.read():
+                    found.append(name)
+        return found
+
     def verdict(self) -> Verdict:
         """What the history checker says of all logs, once the team has come to rest and its nodes have ended."""
         logs = [read_log(path) for path in sorted(glob.glob(os.path.join(self.folder, RUN, "*.jsonl")))]
         return verify(logs, settled=True)
+
+
+def require(holds: bool, otherwise: str) -> None:
+    """See that something holds. :raises ExecutionError: it does not."""
+    if not holds:
+        raise ExecutionError(otherwise)
