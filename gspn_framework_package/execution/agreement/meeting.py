@@ -70,6 +70,7 @@ class Meeting(Growth):
         peer.met = True
         peer.active = hello.active
         peer.silent = frozenset(hello.silent)
+        peer.evicted_at = hello.cast_out.get(sender, -1)
         if hello.first and self._first_hash and hello.first != self._first_hash:
             self._refuse_stranger(sender, "%s has another first team" % sender)
             return
@@ -121,6 +122,12 @@ class Meeting(Growth):
         theirs = Life(seen.incarnation, seen.records)
         if theirs > ours or (theirs.incarnation < self.incarnation and theirs.records > self._begin_records):
             self._forget("it is shorter than %s remembers" % sender)
+
+    def _can_teach(self, robot: str) -> bool:
+        """Whether the log of a robot may hold what we have still to learn. One that was evicted by force, as far as our
+        log goes, can where its own log has that eviction: we shall learn that it joined again."""
+        slot = self.ledger.cast_out.get(robot, -1) if self.ledger.is_cast_out(robot) else -1
+        return self.peers.get(robot).evicted_at >= slot
 
     def _hash_at(self, length: int) -> Optional[str]:
         """The hash of the first ``length`` slots, None where we do not know (any more)."""

@@ -48,6 +48,8 @@ class Peer:
     """When we answered a hello of it last (s); two that wait must not answer each other's answers."""
     met: bool = False
     """It said hello before."""
+    evicted_at: int = -1
+    """Slot of its own last eviction by force, as far as it knows."""
     life: Life = Life(-1, 0)
     before: Life = Life(-1, 0)
     """Its newest incarnation, and the one before, in that log."""

@@ -149,13 +149,14 @@ class Replica(Pacing):
             (self._voteless.discard if body.vote else self._voteless.add)(sender)
             if message.length < self.ledger.length:
                 self._help(message)
+        elif isinstance(body, messages.Learn):
+            if self._can_teach(sender):
+                self._on_learn(message, body)
         elif self.ledger.is_cast_out(sender):
             return  # what it knows was given up, until it joins again
-        elif isinstance(body, messages.Learn):
-            self._on_learn(message, body)
         elif counts or (isinstance(body, messages.Promise) and not body.vote):
             self._on_vote(message)
-        if self.halted is None and peer.length > self.ledger.length and not self.ledger.is_cast_out(sender):
+        if self.halted is None and peer.length > self.ledger.length and self._can_teach(sender):
             self._pull(sender)
 
     def _on_vote(self, message: messages.Envelope) -> None:

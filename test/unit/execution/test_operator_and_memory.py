@@ -270,6 +270,31 @@ def test_a_team_that_can_never_go_on_says_so(partial: bool) -> None:
 
 
 @pytest.mark.parametrize("partial", [False, True])
+def test_the_log_is_learned_from_the_only_one_that_has_it_though_it_was_once_evicted_by_force(partial: bool) -> None:
+    """Slot by slot, the learners go through a time in which that robot was out of the team."""
+    world = team(TOKENS, 3, partial)
+    world.limits = Limits(chunk=1)
+    world.nodes["r3"].crash()
+    world.run(world.now + 1)
+    world.force("r1", "r3")
+    world.run(world.now + 1)
+    assert world.answer("r1", "r3").ok
+    world.nodes["r3"].start()
+    world.run(world.now + 1)
+    assert world.replica("r3").is_settled()
+    world.acting = False
+    world.run(world.now + 1)
+    known = world.replica("r3").ledger.length
+    for name in ("r1", "r2"):
+        world.nodes[name].crash()
+        world.nodes[name].lose_log()
+        world.nodes[name].start()
+    world.run(world.now + 3)
+    assert [world.replica(name).ledger.length for name in ("r1", "r2", "r3")] == [known] * 3
+    assert not any(n.halted for n in world.nodes.values())
+
+
+@pytest.mark.parametrize("partial", [False, True])
 def test_a_spare_takes_the_place_and_the_first_one_halts_when_it_is_back(partial: bool) -> None:
     world = team(TOKENS, 3, partial)
     spare = world.add_spare(world.nodes["r3"])
