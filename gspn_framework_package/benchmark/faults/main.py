@@ -30,6 +30,9 @@ from gspn_framework_package.model.plan import Synchronisation
 Row = Dict[str, Any]
 """What came of one team."""
 
+MOST_COLUMNS = 12
+"""Kinds of faults that are told one by one in the table; --json has all of them."""
+
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
     """Run a scenario; 0: no violation, and every team came to rest, 1: not so, 2: wrong usage, or no ROS."""
@@ -169,10 +172,13 @@ def _tell(text: str) -> None:
 
 def _print(report: Row, bad: List[Row]) -> None:
     faults = sorted(report["injected"])
-    columns = ["robots", "mode", *faults, "firings", "logs", "verdict"]
+    if len(faults) > MOST_COLUMNS:  # messages of many kinds
+        faults = []
+    columns = ["robots", "mode", *(faults or ["kinds", "sent"]), "firings", "logs", "verdict"]
     lines = [
-        [r["robots"], r["mode"], *(r["injected"].get(f, 0) for f in faults), r["firings"], r["logs"],
-         "bad" if r["fault"] else "valid"]
+        [r["robots"], r["mode"],
+         *([r["injected"].get(f, 0) for f in faults] or [len(r["injected"]), sum(r["injected"].values())]),
+         r["firings"], r["logs"], "bad" if r["fault"] else "valid"]
         for r in report["rows"]
     ]  # fmt: skip
     print(table(columns, lines))
