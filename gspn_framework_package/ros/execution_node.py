@@ -462,10 +462,11 @@ class ExecutionNode(Worker):
         return "; ".join(filter(None, reasons))
 
     def _needs_operator(self) -> bool:
-        """Whether this robot does not go on by itself: it was evicted, has halted, or its action failed."""
+        """Whether this robot does not go on by itself: it was evicted, has halted, its action failed, or too many
+        logs of the team are lost."""
         state = self._replica.ledger.state
         robot = state.robots.get(self.robot)
-        if self._replica.halted is not None:
+        if self._replica.halted is not None or self._replica.is_stuck():
             return True
         return robot is not None and state.ended is None and robot.phase in (Phase.LOST, Phase.FAILED)
 

@@ -420,14 +420,12 @@ class RosWatch(Activity):
         if status["ended"]:
             self._show_end(status)
             return
-        self._set_status(
-            running=True,
-            paused=bool(status["paused"]),
-            ended=None,
-            stalled=""
-            if not stalled
-            else ", ".join("%s %s" % (r["robot"], r["waits_for"]) for r in waits[:3]),
-        )
+        why = ""
+        if status.get("stuck") or status.get("astray"):
+            why = "%s %s" % (status["robot"], status["waits_for"])
+        elif stalled:
+            why = ", ".join("%s %s" % (r["robot"], r["waits_for"]) for r in waits[:3])
+        self._set_status(running=True, paused=bool(status["paused"]), ended=None, stalled=why)
 
     # -- telling the hub ---------------------------------------------------------------------------
 

@@ -74,7 +74,7 @@ class Watched:
         self.watch.begin(self.hub)
         self.length = 0
 
-    def answer(self, place, run="monday", plan=None, ended=None):
+    def answer(self, place, run="monday", plan=None, ended=None, **more):
         """One robot of the first two says where it is."""
         self.length += 1
         robots = [
@@ -84,7 +84,7 @@ class Watched:
         status = {
             "robot": "robot_1", "run": run, "plan": plan or self.plan.hash(), "log_length": self.length,
             "robots": robots, "marking": {place: 2}, "paused": False, "ended": ended, "finished": False, "fault": False,
-            "synchronisation": "full", "active": True, "quorum": True, "waits_for": "",
+            "synchronisation": "full", "active": True, "quorum": True, "waits_for": "", **more,
         }  # fmt: skip
         self.watch._on_answers((False, self.watch._read_answer("/robot_1", json.dumps(status))))
 
@@ -124,7 +124,17 @@ def test_the_page_takes_a_run_that_goes_on_before_one_that_is_over(monkeypatch):
     assert sorted(note.split(" on ")[0] for note in page.notes()) == ["run 'old'", "run 'strange'"]
 
 
-@pytest.mark.parametrize("said", ["", "no JSON", "[]", "3", "null", "{}", '{"run": "monday"}'])
+@pytest.mark.parametrize("trouble", [{"stuck": True}, {"astray": ["robot_2"]}])
+def test_the_page_says_that_a_team_can_never_go_on_by_itself(monkeypatch, trouble):
+    page = Watched(monkeypatch)
+    place = page.plan.robots[0].place
+    page.answer(place, waits_for="has no quorum: too many lost their logs", **trouble)
+    assert page.hub.board().status["stalled"] == "robot_1 has no quorum: too many lost their logs"
+    page.answer(place, stuck=False, astray=[])
+    assert page.hub.board().status["stalled"] == ""
+
+
+@pytest.mark.parametrize("said", ["", "no JSON", "[" * 100_000, "[]", "3", "null", "{}", '{"run": "monday"}'])
 def test_an_answer_that_cannot_be_read_is_passed_over(monkeypatch, said):
     assert Watched(monkeypatch).watch._read_answer("/robot_1", said) == []
 
