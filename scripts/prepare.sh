@@ -30,6 +30,8 @@ SESSION="$(basename "$0").$$.$(date +%s)"
 export GSPN_SESSION="${GSPN_SESSION:-}/$SESSION"
 
 export LC_ALL=C.UTF-8
+# Hundreds of processes import the package: each would compile it anew, which takes longer than most of them run.
+unset PYTHONDONTWRITEBYTECODE
 
 say() { printf '%s: %s\n' "$(basename "$0")" "$*"; }
 die() { printf '%s: error: %s\n' "$(basename "$0")" "$*" >&2; exit 2; }
