@@ -19,7 +19,7 @@ CHROMIUM = next((p for p in map(shutil.which, ("chromium", "chromium-browser")) 
 FLAGS = ["--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--force-device-scale-factor=1"]
 ROOT = Path(__file__).resolve().parents[2]
 PICTURES = ROOT / ".workspace" / "screenshots"
-DEADLINE = 30_000  # ms that any condition may take
+DEADLINE = 90_000  # ms that any condition may take: other jobs of run_tests run beside these
 
 
 @pytest.fixture(scope="session", name="browser")

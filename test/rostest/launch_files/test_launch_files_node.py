@@ -121,7 +121,7 @@ class LaunchFilesTest(unittest.TestCase):
                 wait_for(lambda: self.state("/%s/robot_%d" % (run, number)).visit > 1, 40,  # noqa: B023
                          "a move of robot %d of %s" % (number, run))  # fmt: skip
                 self.assertEqual(self.status(run, number)["run"], run)
-            wait_for(lambda: self.board(ports[run])["status"]["running"], 40, "the page of " + run)  # noqa: B023
+            wait_for(lambda: self.shows_a_run(ports[run]), 60, "the page of " + run)  # noqa: B023
             self.assertEqual(self.board(ports[run])["status"]["run"], run)
 
         self.assertEqual(main(["stop", "--run", "stops"]), 0)
@@ -143,6 +143,12 @@ class LaunchFilesTest(unittest.TestCase):
     def status(self, run, number):
         name = "/%s/robot_%d/command" % (run, number)
         return json.loads(rospy.ServiceProxy(name, Command)("status", "", "", run).message)
+
+    def shows_a_run(self, port):
+        try:
+            return self.board(port)["status"]["running"]
+        except OSError:  # nobody serves the page yet
+            return False
 
     def board(self, port):
         with urllib.request.urlopen("http://127.0.0.1:%d/api/poll?id=live" % port, timeout=20) as answer:
