@@ -107,7 +107,8 @@ class NetDraft:
         line: Optional[int] = None,
     ) -> None:
         """Add a place; of ``identifier`` and ``name`` one may be missing."""
-        self._add(identifier, name, Place("", tokens, capacity, position), line)
+        identifier, name = one_line(identifier), one_line(name)
+        self._add(identifier, name, Place(name or identifier, tokens, capacity, position), line)
 
     def add_immediate(
         self,
@@ -119,7 +120,9 @@ class NetDraft:
         line: Optional[int] = None,
     ) -> None:
         """Add an immediate transition."""
-        self._add(identifier, name, Transition("", False, 1.0, weight, priority, 1, position), line)
+        identifier, name = one_line(identifier), one_line(name)
+        item = Transition(name or identifier, False, 1.0, weight, priority, 1, position)
+        self._add(identifier, name, item, line)
 
     def add_exponential(
         self,
@@ -131,7 +134,9 @@ class NetDraft:
         line: Optional[int] = None,
     ) -> None:
         """Add an exponential transition (``servers`` None: infinitely many)."""
-        self._add(identifier, name, Transition("", True, rate, 1.0, 1, servers, position), line)
+        identifier, name = one_line(identifier), one_line(name)
+        item = Transition(name or identifier, True, rate, 1.0, 1, servers, position)
+        self._add(identifier, name, item, line)
 
     def add_arc(
         self,
@@ -149,14 +154,7 @@ class NetDraft:
             self.fail("it has no %s" % ("target" if source else "source"), element, line)
         self._arcs.append(_ArcLine(identifier or "", source, target, weight, inhibitor, line))
 
-    def _add(
-        self,
-        identifier: Optional[str],
-        name: Optional[str],
-        item: Union[Place, Transition],
-        line: Optional[int],
-    ) -> None:
-        identifier, name = one_line(identifier), one_line(name)
+    def _add(self, identifier: str, name: str, item: Union[Place, Transition], line: Optional[int]) -> None:
         key = identifier or name
         if not key:
             kind = "place" if isinstance(item, Place) else "transition"
@@ -210,7 +208,9 @@ class NetDraft:
         places: List[Place] = []
         transitions: List[Transition] = []
         for identifier, node in self._nodes.items():
-            item = node.item._replace(name=names[identifier])
+            item = node.item
+            if item.name != names[identifier]:
+                item = item._replace(name=names[identifier])
             if isinstance(item, Place):
                 places.append(item)
             else:

@@ -16,7 +16,7 @@ is a rate) is in ``toolspecific tool="gspn_framework_package"``, which other too
 
 from __future__ import annotations
 
-from typing import Dict, List, NamedTuple, Optional, Tuple
+from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from lxml import etree
 
@@ -32,9 +32,10 @@ from gspn_framework_package.formats.xml_tree import (
     line_of,
     name_of,
     number_text,
-    position,
+    position_in,
     serialise,
     tag,
+    text_of,
     writing_names,
 )
 from gspn_framework_package.model.expression import shorten
@@ -62,6 +63,7 @@ _ARC = known(
     {"inscription": _LABEL, "type": _ARC_TYPE, "arctype": _LABEL},
     free="name graphics toolspecific",
 )
+_ENDS = frozenset(("id", "source", "target"))
 _PAGE = known("id", free="name graphics toolspecific text finalmarkings")
 _NET = known("id type name", free="name graphics toolspecific text finalmarkings")
 _ROOT = known("version", free="net name toolspecific")
@@ -168,16 +170,16 @@ class _Reader:
             "only place/transition nets are read; unfold it first",
         )
 
-    def _check(self, parent: etree._Element, known_of_it: vocabulary.Element, what: str) -> None:
+    def _check(self, parent: etree._Element, known_of_it: vocabulary.Element, what: str) -> vocabulary.Children:
         def fail(message: str, element: Optional[str], line: Optional[int], hint: Optional[str]) -> None:
             for node in parent:  # no vocabulary has these labels: where there is one, the check fails
                 if tag(node) in _COLOURED_LABELS:
                     self._refuse_colour(node, what)
             self.draft.fail(message, element, line, hint)
 
-        vocabulary.check(parent, known_of_it, what, fail)
+        return vocabulary.check(parent, known_of_it, what, fail)
 
-    def _own(self, data: List[etree._Element], what: str, line: int) -> Dict[str, str]:
+    def _own(self, data: Sequence[etree._Element], what: str, line: int) -> Dict[str, str]:
         """What this package wrote there, which a newer version may know more of."""
         own = dict(_properties(data, OWN))
         for key in own:
@@ -192,30 +194,23 @@ class _Reader:
 
     def _place(self, element: etree._Element) -> None:
         what, line = name_of(element, "place"), line_of(element)
-        self._check(element, _PLACE, what)
-        text = label(element, "initialMarking", "text")
+        parts = self._check(element, _PLACE, what)
+        text = _text(parts, "initialMarking")
         tokens = self.draft.count(text, "initial marking", what, line) if text else 0
-        text = self._own(all_of(element, "toolspecific"), what, line).get("capacity")
+        text = self._own(parts.get("toolspecific", ()), what, line).get("capacity")
         capacity = self.draft.count(text, "capacity", what, line) if text else None
-        self.draft.add_place(
-            element.get("id"),
-            label(element, "name", "text"),
-            tokens,
-            capacity,
-            position(element),
-            line,
-        )
+        self.draft.add_place(element.get("id"), _text(parts, "name"), tokens, capacity, _position(parts), line)
 
     def _transition(self, element: etree._Element) -> None:
         what, line = name_of(element, "transition"), line_of(element)
-        self._check(element, _TRANSITION, what)
-        identifier, name = element.get("id"), label(element, "name", "text")
-        tools = all_of(element, "toolspecific")
+        parts = self._check(element, _TRANSITION, what)
+        identifier, name = element.get("id"), _text(parts, "name")
+        tools = parts.get("toolspecific", ())
         data, own = dict(_properties(tools, STOCHASTIC)), self._own(tools, what, line)
         kind = data.get("distributionType", "").upper()
         if not kind and ("weight" in data or "priority" in data):
             kind = "IMMEDIATE"
-        if not kind and self._is_immediate_by_delay(element, what):
+        if not kind and "delay" in parts and self._is_immediate_by_delay(parts["delay"][0], what):
             kind = "IMMEDIATE"
         if kind == "IMMEDIATE":
             text = data.get("weight")
@@ -224,7 +219,7 @@ class _Reader:
                 weight = self.draft.number(text, "weight", what, line)
             text = data.get("priority")
             priority = self.draft.count(text, "priority", what, line) if text else 1
-            self.draft.add_immediate(identifier, name, weight, priority, position(element), line)
+            self.draft.add_immediate(identifier, name, weight, priority, _position(parts), line)
             return
         if kind not in ("", "EXPONENTIAL"):
             self.draft.fail(
@@ -246,15 +241,14 @@ class _Reader:
             name,
             self._rate(kind, data, own, what, line),
             servers,
-            position(element),
+            _position(parts),
             line,
         )
 
-    def _is_immediate_by_delay(self, element: etree._Element, what: str) -> bool:
+    def _is_immediate_by_delay(self, delay: etree._Element, what: str) -> bool:
         """Whether TINA's time interval says "at once"; one that says "any time" is like none."""
-        delay = child(element, "delay")
-        interval = child(delay, "interval") if delay is not None else None
-        if delay is None or interval is None:
+        interval = child(delay, "interval")
+        if interval is None:
             return False
         ends = [(node.text or "").strip() for node in interval]
         around = {"closed": "[%s]", "closed-open": "[%s[", "open-closed": "]%s]", "open": "]%s["}
@@ -311,6 +305,12 @@ class _Reader:
         return end
 
     def _arc(self, element: etree._Element) -> None:
+        said = {str(key): str(value) for key, value in element.items()}
+        if not len(element) and not element.text and _ENDS.issuperset(said):
+            # Most arcs say no more than where they go: there is nothing in them to check or to look for.
+            source, target = self._resolve(said.get("source")), self._resolve(said.get("target"))
+            self.draft.add_arc(said.get("id"), source, target, 1, False, line_of(element))
+            return
         what, line = name_of(element, "arc"), line_of(element)
         self._check(element, _ARC, what)
         kind = arc_kind(element)
@@ -330,7 +330,16 @@ class _Reader:
             self.draft.add_arc(identifier, target, source, weight, False, line)
 
 
-def _properties(nodes: List[etree._Element], tool: str) -> List[Tuple[str, str]]:
+def _text(parts: vocabulary.Children, name: str) -> Optional[str]:
+    """The text of the first label of that name."""
+    return text_of(parts[name][0], "text") if name in parts else None
+
+
+def _position(parts: vocabulary.Children) -> Optional[Position]:
+    return position_in(parts["graphics"][0]) if "graphics" in parts else None
+
+
+def _properties(nodes: Sequence[etree._Element], tool: str) -> List[Tuple[str, str]]:
     """The data of a tool in the ``toolspecific`` of an element: properties (``<property key="weight">2</property>``),
     or attributes."""
     found: List[Tuple[str, str]] = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import Any, Iterator, List, Optional, Sequence, cast
 
 from lxml import etree
@@ -64,7 +65,11 @@ def _entities(file: Optional[str]) -> InputError:
 
 def tag(element: etree._Element) -> str:
     """The tag of an element without its namespace."""
-    name = element.tag
+    return _local_name(element.tag)
+
+
+@lru_cache(maxsize=256)  # a large net has a million elements, of a dozen tags
+def _local_name(name: Any) -> str:
     if not isinstance(name, str):  # an entity reference that nothing declares
         return ""
     return name if name[:1] != "{" else name.rpartition("}")[2]
@@ -87,9 +92,15 @@ def all_of(element: etree._Element, name: str) -> List[etree._Element]:
 def label(element: etree._Element, name: str, part: str) -> Optional[str]:
     """The text of ``element/name/part`` without the space around it; None when missing or empty."""
     outer = child(element, name)
-    inner = child(outer, part) if outer is not None else None
-    text = inner.text if inner is not None else None
-    return (text or "").strip() or None
+    return None if outer is None else text_of(outer, part)
+
+
+def text_of(element: Optional[etree._Element], part: str) -> Optional[str]:
+    """The text of ``element/part`` without the space around it; None when missing or empty."""
+    for node in element if element is not None else ():
+        if tag(node) == part:
+            return (node.text or "").strip() or None
+    return None
 
 
 _ARC_KINDS = {"regular": "normal", "inhibition": "inhibitor"}
@@ -127,7 +138,12 @@ def name_of(element: etree._Element, kind: str) -> str:
 def position(element: etree._Element) -> Optional[Position]:
     """The position in ``graphics/position``, None when there is none to use."""
     graphics = child(element, "graphics")
-    where = child(graphics, "position") if graphics is not None else None
+    return position_in(graphics) if graphics is not None else None
+
+
+def position_in(graphics: etree._Element) -> Optional[Position]:
+    """The position in a ``graphics`` element, None when there is none to use."""
+    where = child(graphics, "position")
     return coordinates(where) if where is not None else None
 
 

@@ -145,63 +145,45 @@ class Net:
         inputs: List[Dict[int, int]] = [{} for _ in self.transitions]
         outputs: List[Dict[int, int]] = [{} for _ in self.transitions]
         inhibitors: List[Dict[int, int]] = [{} for _ in self.transitions]
+        place_of, transition_of = self.place_index.get, self.transition_index.get
         for arc in self.arcs:
-            if not isinstance(arc.weight, int) or isinstance(arc.weight, bool) or arc.weight < 1:
-                raise NetError(
-                    "weight %r is not a whole number of at least 1" % (arc.weight,),
-                    element=_arc_name(arc),
-                )
-            if arc.weight > MAX_COUNT:
-                _check_size(arc.weight, "weight", _arc_name(arc))
-            place, transition = (
-                self.place_index.get(arc.source),
-                self.transition_index.get(arc.target),
-            )
-            if place is not None and transition is not None:
-                if arc.inhibitor:
-                    known = inhibitors[transition].get(place, arc.weight)
-                    inhibitors[transition][place] = min(known, arc.weight)
+            source, target, weight, inhibitor = arc
+            _check_weight(arc)
+            place = place_of(source)
+            if place is not None:
+                transition = transition_of(target)
+                if transition is None:
+                    raise self._arc_error(arc)
+                if inhibitor:
+                    inhibitors[transition][place] = min(inhibitors[transition].get(place, weight), weight)
                 else:
-                    inputs[transition][place] = inputs[transition].get(place, 0) + arc.weight
+                    ends = inputs[transition]
+                    ends[place] = ends.get(place, 0) + weight
                 continue
-            transition, place = (
-                self.transition_index.get(arc.source),
-                self.place_index.get(arc.target),
-            )
-            if place is not None and transition is not None and not arc.inhibitor:
-                outputs[transition][place] = outputs[transition].get(place, 0) + arc.weight
-                continue
-            raise self._arc_error(arc)
+            transition, place = transition_of(source), place_of(target)
+            if place is None or transition is None or inhibitor:
+                raise self._arc_error(arc)
+            ends = outputs[transition]
+            ends[place] = ends.get(place, 0) + weight
         self.inputs: Tuple[WeightedPlaces, ...] = tuple(tuple(d.items()) for d in inputs)
         self.outputs: Tuple[WeightedPlaces, ...] = tuple(tuple(d.items()) for d in outputs)
         self.inhibitors: Tuple[WeightedPlaces, ...] = tuple(tuple(d.items()) for d in inhibitors)
         consumers: List[List[int]] = [[] for _ in self.places]
         producers: List[List[int]] = [[] for _ in self.places]
-        for t in range(len(self.transitions)):
-            for p, _ in self.inputs[t]:
+        for t, arcs in enumerate(self.inputs):
+            for p, _ in arcs:
                 consumers[p].append(t)
-            for p, _ in self.outputs[t]:
+        for t, arcs in enumerate(self.outputs):
+            for p, _ in arcs:
                 producers[p].append(t)
         self.consumers: Tuple[Tuple[int, ...], ...] = tuple(map(tuple, consumers))
         self.producers: Tuple[Tuple[int, ...], ...] = tuple(map(tuple, producers))
-        self._effects = tuple(self._effect(t) for t in range(len(self.transitions)))
-        self._capacities = tuple(
-            tuple(
-                (p, change, capacity)
-                for p, change in effect
-                for capacity in (self.places[p].capacity,)
-                if change > 0 and capacity is not None
-            )
+        self._effects = tuple(map(_effect, inputs, outputs))
+        capacity_of = {p: place.capacity for p, place in enumerate(self.places) if place.capacity is not None}
+        self._capacities: Tuple[Tuple[Tuple[int, int, int], ...], ...] = tuple(
+            tuple((p, change, capacity_of[p]) for p, change in effect if change > 0 and p in capacity_of)
             for effect in self._effects
-        )
-
-    def _effect(self, t: int) -> WeightedPlaces:
-        change: Dict[int, int] = {}
-        for p, weight in self.inputs[t]:
-            change[p] = change.get(p, 0) - weight
-        for p, weight in self.outputs[t]:
-            change[p] = change.get(p, 0) + weight
-        return tuple((p, c) for p, c in change.items() if c)
+        ) if capacity_of else ((),) * len(self.transitions)
 
     def _arc_error(self, arc: Arc) -> NetError:
         known = set(self.place_index) | set(self.transition_index)
@@ -443,55 +425,82 @@ def _arc_name(arc: Arc) -> str:
     )
 
 
-def _check_size(count: int, what: str, element: str) -> None:
-    if count > MAX_COUNT:
-        raise NetError("its %s is larger than 2**53 (%d)" % (what, MAX_COUNT), element=element)
+def _effect(taken: Mapping[int, int], put: Mapping[int, int]) -> WeightedPlaces:
+    """What a firing changes, of what it takes and what it puts."""
+    if taken.keys().isdisjoint(put):
+        return (*[(p, -weight) for p, weight in taken.items()], *put.items())
+    change = {p: put.get(p, 0) - weight for p, weight in taken.items()}
+    change.update((p, weight) for p, weight in put.items() if p not in taken)
+    return tuple((p, c) for p, c in change.items() if c)
+
+
+# A net has some 100,000 nodes and more arcs: what to call them is put together only where one is wrong.
+
+
+def _check_weight(arc: Arc) -> None:
+    weight = arc.weight
+    if not isinstance(weight, int) or isinstance(weight, bool) or weight < 1:
+        raise NetError("weight %r is not a whole number of at least 1" % (weight,), element=_arc_name(arc))
+    if weight > MAX_COUNT:
+        raise _too_large("weight", _arc_name(arc))
 
 
 def _check_place(place: Place) -> None:
-    element = "place '%s'" % place.name
     if not isinstance(place.tokens, int) or place.tokens < 0:
         raise NetError(
             "its initial marking %r is not a whole number of at least 0" % (place.tokens,),
-            element=element,
+            element=_place_name(place),
         )
-    _check_size(place.tokens, "initial marking", element)
+    if place.tokens > MAX_COUNT:
+        raise _too_large("initial marking", _place_name(place))
     if place.capacity is None:
         return
     if not isinstance(place.capacity, int) or place.capacity < 1:
         raise NetError(
             "its capacity %r is not a whole number of at least 1" % (place.capacity,),
-            element=element,
+            element=_place_name(place),
             hint="leave the capacity out for an unlimited place",
         )
-    _check_size(place.capacity, "capacity", element)
+    if place.capacity > MAX_COUNT:
+        raise _too_large("capacity", _place_name(place))
     if place.tokens > place.capacity:
         raise NetError(
             "its initial marking %d is above its capacity %d" % (place.tokens, place.capacity),
-            element=element,
+            element=_place_name(place),
         )
 
 
 def _check_transition(transition: Transition) -> None:
-    element = "transition '%s'" % transition.name
-    if transition.timed and not (math.isfinite(transition.rate) and transition.rate > 0):
-        raise NetError("its rate %r is not a number above 0" % (transition.rate,), element=element)
-    if not transition.timed and not (math.isfinite(transition.weight) and transition.weight >= 0):
+    _, timed, rate, weight, priority, servers, _ = transition
+    if timed and not (math.isfinite(rate) and rate > 0):
+        raise NetError("its rate %r is not a number above 0" % (rate,), element=_transition_name(transition))
+    if not timed and not (math.isfinite(weight) and weight >= 0):
+        raise NetError("its weight %r is not a number of at least 0" % (weight,), element=_transition_name(transition))
+    if not isinstance(priority, int) or priority < 0:
         raise NetError(
-            "its weight %r is not a number of at least 0" % (transition.weight,), element=element
+            "its priority %r is not a whole number of at least 0" % (priority,), element=_transition_name(transition)
         )
-    if not isinstance(transition.priority, int) or transition.priority < 0:
+    if priority > MAX_COUNT:
+        raise _too_large("priority", _transition_name(transition))
+    if servers is None:
+        return
+    if not isinstance(servers, int) or servers < 1:
         raise NetError(
-            "its priority %r is not a whole number of at least 0" % (transition.priority,),
-            element=element,
-        )
-    _check_size(transition.priority, "priority", element)
-    if transition.servers is not None and (
-        not isinstance(transition.servers, int) or transition.servers < 1
-    ):
-        raise NetError(
-            "its number of servers %r is not a whole number of at least 1" % (transition.servers,),
-            element=element,
+            "its number of servers %r is not a whole number of at least 1" % (servers,),
+            element=_transition_name(transition),
             hint="None stands for infinitely many",
         )
-    _check_size(transition.servers or 1, "number of servers", element)
+    if servers > MAX_COUNT:
+        raise _too_large("number of servers", _transition_name(transition))
+
+
+def _too_large(what: str, element: str) -> NetError:
+    return NetError("its %s is larger than 2**53 (%d)" % (what, MAX_COUNT), element=element)
+
+
+def _place_name(place: Place) -> str:
+    return "place '%s'" % place.name
+
+
+def _transition_name(transition: Transition) -> str:
+    return "transition '%s'" % transition.name
