@@ -190,19 +190,19 @@ class Analysis:
         if None in bounds.values():
             unbounded = self._unbounded_places()
         if unbounded is None:  # not decided: visit markings, and see
-            space = self._visit(self.net, self.limit) if self.limit > _BEGINNING else beginning
-            if space.complete or not counters:
-                return space
-            return self._without(counters)
+            fewer = self._visit(self.net.without_places(counters), self.limit) if counters else None
+            if fewer is None or fewer.complete:  # where even those are too many, the markings with counters are too
+                space = self._visit(self.net, self.limit) if self.limit > _BEGINNING else beginning
+                if fewer is None or space.complete:
+                    return space
+            self._known["left_out"] = tuple(counters)
+            return fewer
         if unbounded and set(unbounded) <= set(counters):
-            return self._without(counters)
+            self._known["left_out"] = tuple(counters)
+            return self._visit(self.net.without_places(counters), self.limit)
         if unbounded or self.limit <= _BEGINNING:
             return beginning
         return self._visit(self.net, self.limit)
-
-    def _without(self, counters: Sequence[str]) -> StateSpace:
-        self._known["left_out"] = tuple(counters)
-        return self._visit(self.net.without_places(counters), self.limit)
 
     def _visit(self, net: Net, limit: int) -> StateSpace:
         return explore(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from operator import le
 from typing import Deque, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 from gspn_framework_package.analysis.exploration import Cancel, Progress, Watch
@@ -121,7 +122,7 @@ class CoverabilityTree:
         while number >= 0:
             node = self.nodes[number]
             self._comparisons -= 1
-            if all(a <= b for a, b in zip(node.marking, counts)):
+            if all(map(le, node.marking, counts)):  # the longest loop there is, in nets of thousands of places
                 growing = [p for p, (a, b) in enumerate(zip(node.marking, counts)) if a < b < OMEGA]
                 if growing:
                     self._exact.require(growing, fired)
@@ -207,13 +208,13 @@ class _Near:
 
     def __init__(self, net: Net) -> None:
         self._net = net
-        self._looking: List[Set[int]] = [set() for _ in net.places]
-        for t in range(len(net.transitions)):
-            for p, _ in net.inputs[t] + net.inhibitors[t]:
+        self._looking: List[Set[int]] = [set(transitions) for transitions in net.consumers]
+        for t, arcs in enumerate(net.inhibitors):
+            for p, _ in arcs:
                 self._looking[p].add(t)
-            for p, change in net.effect(t):
-                if change > 0 and net.places[p].capacity is not None:
-                    self._looking[p].add(t)
+        for p, place in enumerate(net.places):
+            if place.capacity is not None:
+                self._looking[p].update(net.producers[p])
 
     def enabled(
         self, marking: Sequence[int], before: Sequence[int], with_concession: Sequence[int]

@@ -159,7 +159,7 @@ class _Atom:
 
     def __init__(self, item: int, column: Dict[int, int]) -> None:
         self.weights = {item: 1}
-        self.residual = dict(column)
+        self.residual = column
 
     @property
     def size(self) -> int:
@@ -188,7 +188,10 @@ class _Elimination:
         self._at: Dict[int, Tuple[Set[int], Set[int]]] = {}  # index -> atoms that lower it, that raise it
         for number, atom in self._atoms.items():
             for index, value in atom.residual.items():
-                self._at.setdefault(index, (set(), set()))[value > 0].add(number)
+                signs = self._at.get(index)
+                if signs is None:
+                    signs = self._at[index] = set(), set()
+                signs[value > 0].add(number)
         self._waiting: Deque[int] = deque(self._at)
         while self._waiting:
             self._look_at(self._waiting.popleft())
@@ -198,8 +201,9 @@ class _Elimination:
         self._effort.spend(1, _ROWS)
         lowering, raising = self._at[index]
         if not lowering or not raising:
-            for number in list(lowering or raising):
-                self._drop(number)
+            if lowering or raising:  # going through a set that was large takes as long when it is empty
+                for number in list(lowering or raising):
+                    self._drop(number)
         elif len(lowering) == len(raising) == 1:
             a, b = next(iter(lowering)), next(iter(raising))
             large, small = (a, b) if self._atoms[a].size >= self._atoms[b].size else (b, a)

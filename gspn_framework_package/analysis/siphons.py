@@ -13,6 +13,8 @@ traps found so far.
 
 from __future__ import annotations
 
+from collections import Counter
+from itertools import chain
 from typing import Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
@@ -134,7 +136,7 @@ def _trap_rules(net: Net) -> _Rules:
 
 
 def _sets(arcs: Sequence[Sequence[Tuple[int, int]]]) -> List[Tuple[int, ...]]:
-    return [tuple({p for p, _ in row}) for row in arcs]
+    return [tuple([p for p, _ in row]) for row in arcs]
 
 
 class _Inside:
@@ -153,13 +155,12 @@ class _Inside:
     def of(cls, rules: _Rules, places: Iterable[int], effort: Effort) -> _Inside:
         """The largest inside ``places``."""
         chosen = set(places)
-        left: Dict[int, int] = {}
-        for p in chosen:
-            for t in rules.asking[p]:
-                left[t] = left.get(t, 0) + 1
+        asking, feeding = rules.asking, rules.feeding
+        left = Counter(chain.from_iterable([asking[p] for p in chosen]))
         effort.spend(len(chosen) + len(left), _PLACES)
         found = cls(rules, chosen, left, effort)
-        found._settle([p for p in chosen if any(t not in left for t in rules.feeding[p])])
+        # map and not a comprehension: this is asked of every place of every part of the net
+        found._settle([p for p in chosen if not all(map(left.__contains__, feeding[p]))])
         return found
 
     def copy(self) -> _Inside:
@@ -247,13 +248,35 @@ class _Inside:
 _PLACES = "steps of siphons and traps"
 
 
+class _Found:
+    """The minimal sets that are known.
+
+    :ivar sets: they.
+    """
+
+    def __init__(self) -> None:
+        self.sets: Set[FrozenSet[int]] = set()
+        self._first: Set[int] = set()  # the lowest place of each
+
+    def add(self, places: FrozenSet[int]) -> None:
+        """One more."""
+        self.sets.add(places)
+        self._first.add(min(places))
+
+    def within(self, places: Set[int]) -> List[FrozenSet[int]]:
+        """Those inside a set of places. Where a net falls into thousands of parts, as a rule there is none."""
+        if self._first.isdisjoint(places):
+            return []
+        return [s for s in self.sets if s <= places]
+
+
 def _minimal_sets(rules: _Rules, count: int, effort: Effort) -> Set[FrozenSet[int]]:
     """All minimal sets."""
-    found: Set[FrozenSet[int]] = set()
+    found = _Found()
     waiting: List[Tuple[_Inside, int, FrozenSet[int]]] = [(_Inside.of(rules, range(count), effort), -1, frozenset())]
     while waiting:
         inside, without, required = waiting.pop()
-        effort.spend(1, _PLACES, "%d found" % len(found))
+        effort.spend(1, _PLACES, "%d found" % len(found.sets))
         if without >= 0:
             inside = inside.copy()
             inside.remove(without)
@@ -266,7 +289,7 @@ def _minimal_sets(rules: _Rules, count: int, effort: Effort) -> Set[FrozenSet[in
                     waiting.append((_Inside.of(rules, part, effort), -1, required))
             continue
         _branch(inside, required, effort, found, waiting)
-    return found
+    return found.sets
 
 
 def _is_one(rules: _Rules, part: Set[int], effort: Effort) -> bool:
@@ -280,7 +303,7 @@ def _branch(
     inside: _Inside,
     required: FrozenSet[int],
     effort: Effort,
-    found: Set[FrozenSet[int]],
+    found: _Found,
     waiting: List[Tuple[_Inside, int, FrozenSet[int]]],
 ) -> None:
     """Look for the minimal sets that are inside a strongly connected one and hold all of ``required``: put one into
@@ -289,8 +312,8 @@ def _branch(
     if not possible:
         return
     if not (closed and needed):
-        effort.spend(len(found) // 4, _PLACES)
-        known = [s for s in found if s <= inside.places]
+        effort.spend(len(found.sets) // 4, _PLACES)
+        known = found.within(inside.places)
         if known:
             pivot = min(known, key=lambda s: len(s - needed))
         else:
@@ -305,7 +328,7 @@ def _branch(
                 return
             if closed:
                 break
-    if closed and needed and frozenset(needed) not in found:  # what has all of them is that set, or larger
+    if closed and needed and frozenset(needed) not in found.sets:  # what has all of them is that set, or larger
         found.add(_shrunk(_Inside.of(inside.rules, needed, effort)))
 
 

@@ -18,6 +18,37 @@ def ring(n: int, tokens: int = 1) -> Net:
     return Net(places, transitions, arcs, "ring_%d" % n)
 
 
+def chain(n: int) -> Net:
+    """``n`` places one after the other, with a token that ends in the last."""
+    return ring(n).without_transition("t%d" % (n - 1))
+
+
+def grid(n: int) -> Net:
+    """A token that walks over ``n`` times ``n`` places, from each to the four beside it."""
+    places, transitions, arcs = [], [], []
+    for y in range(n):
+        for x in range(n):
+            here = "p%d_%d" % (x, y)
+            places.append(Place(here, int(x == y == 0)))
+            for name, i, j in (("right", x + 1, y), ("down", x, y + 1), ("left", x - 1, y), ("up", x, y - 1)):
+                if 0 <= i < n and 0 <= j < n:
+                    name = "%s%d_%d" % (name, x, y)
+                    transitions.append(Transition(name, timed=True))
+                    arcs += [Arc(here, name), Arc(name, "p%d_%d" % (i, j))]
+    return Net(places, transitions, arcs, "grid_%d" % n)
+
+
+def star(n: int, tokens: int = 1) -> Net:
+    """``n`` users of one pool, who take from it and give back: a place with ``n`` arcs each way."""
+    places, transitions, arcs = [Place("pool", tokens)], [], []
+    for i in range(n):
+        places.append(Place("busy%d" % i))
+        transitions += [Transition("take%d" % i, timed=True), Transition("give%d" % i, timed=True)]
+        arcs += [Arc("pool", "take%d" % i), Arc("take%d" % i, "busy%d" % i)]
+        arcs += [Arc("busy%d" % i, "give%d" % i), Arc("give%d" % i, "pool")]
+    return Net(places, transitions, arcs, "star_%d" % n)
+
+
 def scattered(places: int, transitions: int, tokens: int = 20, seed: int = 1) -> Net:
     """Transitions that take from two places and put into two, all drawn at random."""
     draw = random.Random(seed)
@@ -144,6 +175,9 @@ LARGE: Mapping[str, Callable[[], Net]] = {
     "ring 2000": lambda: ring(2_000),
     "ring 50000": lambda: ring(50_000),
     "ring 100000": lambda: ring(100_000),
+    "chain 50000": lambda: chain(50_000),
+    "grid 141": lambda: grid(141),
+    "star 33333": lambda: star(33_333),
     "scattered 50000": lambda: scattered(50_000, 50_000, tokens=50_000),
     "cells 30000": lambda: cells(30_000),
     "workflow 250": lambda: workflow(250),

@@ -14,10 +14,11 @@ from gspn_framework_package.analysis import sparse_engine
 from gspn_framework_package.analysis.exploration import Watch
 from gspn_framework_package.analysis.packing import PackedNet, starting_widths
 from gspn_framework_package.analysis.state_space import explore, numba_is_there
-from gspn_framework_package.benchmark.large_nets import ring
+from gspn_framework_package.benchmark.large_nets import ring, star
 from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.errors import CancelledError, UsageError
+from gspn_framework_package.model.errors import CancelledError, LimitError, UsageError
+from gspn_framework_package.model.net import MAX_COUNT, Arc, Net, Place, Transition
 
 ENGINES = ["numpy", "sparse", pytest.param("numba", marks=pytest.mark.skipif(not numba_is_there(), reason="numba is missing"))]
 relaxed = settings(deadline=None, suppress_health_check=list(HealthCheck))
@@ -60,12 +61,13 @@ def test_engines_number_the_states_alike(net):
         assert np.array_equal(getattr(one, array), getattr(other, array))
 
 
-@pytest.mark.parametrize("whole", [10**6, 0])
+@pytest.mark.parametrize(("whole", "many"), [(10**6, 64), (0, 64), (0, 1)])
 @relaxed
 @given(net=bounded_nets(), data=st.data())
-def test_sparse_markings_answer_as_packed_ones(whole, net, data):
+def test_sparse_markings_answer_as_packed_ones(whole, many, net, data):
     packed = explore(net, engine="numpy")
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sparse_engine, "_MANY", many)  # transitions that fire together, or one by one
         patch.setattr(sparse_engine, "_WHOLE", whole)  # told as they are, or as what differs from the initial one
         sparse = explore(net, engine="sparse")
     assert np.array_equal(packed.markings(), sparse.markings())
@@ -100,6 +102,25 @@ def test_nets_of_thousands_of_places_are_explored_by_what_changes():
     space = explore(ring(3_000))
     assert (space.engine, len(space), space.complete) == ("sparse", 3_000, True)
     assert space.path_to(2) == ["t0", "t1"] and space.named(2_999) == {"p2999": 1}
+
+
+def test_a_place_with_thousands_of_transitions(monkeypatch):
+    looked_at = []
+    is_enabled = sparse_engine._Rules._is_enabled
+    monkeypatch.setattr(sparse_engine._Rules, "_is_enabled", lambda *args: looked_at.append(1) or is_enabled(*args))
+    space = explore(star(2_000), engine="sparse")
+    assert (len(space), space.arcs, space.complete) == (2_001, 4_000, True)
+    assert len(looked_at) < 20_000  # not all of them in every marking
+
+
+@pytest.mark.parametrize("arcs", [600, 1_100])  # more than 2**62 tokens, and more than a machine word holds
+def test_a_count_that_is_too_large_is_told(arcs):
+    places = [Place("p%d" % i, 1) for i in range(100)]  # enough for their transitions to fire together
+    transitions = [Transition("t%d" % i, timed=True) for i in range(100)]
+    taking = [Arc("p%d" % i, "t%d" % i) for i in range(100)]
+    net = Net([*places, Place("much")], transitions, taking + [Arc("t3", "much", MAX_COUNT)] * arcs)
+    with pytest.raises(LimitError, match="a count of place 'much' exceeds"):
+        explore(net, engine="sparse")
 
 
 @pytest.mark.skipif(not numba_is_there(), reason="numba is missing")

@@ -191,6 +191,15 @@ def test_classes():
     assert not classify(loop).pure
 
 
+@relaxed
+@given(net=bounded_nets(max_places=5, max_transitions=8))
+def test_asymmetric_choice_by_definition(net):
+    leaving = [set(ts) for ts in net.consumers]
+    ordinary = all(w == 1 for arcs in net.inputs + net.outputs for _, w in arcs)
+    pairs = [(leaving[p], leaving[q]) for arcs in net.inputs for p, _ in arcs for q, _ in arcs]
+    assert classify(net).asymmetric_choice == (ordinary and all(a <= b or b <= a for a, b in pairs))
+
+
 def test_conflicts_through_inhibitor_arcs_and_priorities():
     net = (NetBuilder().place("a", tokens=1).place("b", tokens=1).place("c")
            .immediate("fills", inputs="a", outputs="c").immediate("shy", inputs="b", inhibitors="c")
