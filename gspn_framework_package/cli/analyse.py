@@ -16,7 +16,7 @@ from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.report import STRUCTURE, Questions, report, rows
 from gspn_framework_package.analysis.state_space import ENGINES
-from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, rare_collections, working
+from gspn_framework_package.cli.limits import add_limit_arguments, leave, limits_of, rare_collections, working
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.model.errors import UsageError
@@ -95,8 +95,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Analyse, and print the answers."""
-    with rare_collections():
-        return _run(args)
+    try:
+        with rare_collections():
+            return _run(args)
+    except KeyboardInterrupt:
+        leave()  # before Python takes millions of objects apart, which takes seconds
 
 
 def _run(args: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ import resource
 import sys
 import threading
 from contextlib import contextmanager
-from typing import Any, Callable, Iterator, List, TypeVar
+from typing import Any, Callable, Iterator, NoReturn, TypeVar
 
 from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.limits import (
@@ -22,6 +22,7 @@ from gspn_framework_package.analysis.limits import (
     TREE_LIMIT,
     Limits,
 )
+from gspn_framework_package.cli.interrupts import interruptible
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.model.errors import CancelledError, LimitError, UsageError
 
@@ -106,46 +107,28 @@ def working(work: Callable[[Progress, Cancel], Result], memory: float) -> Result
     :param memory: bytes that this process may take more than now.
     :raises LimitError: it took more.
     """
-    result: List[Result] = []
-    errors: List[BaseException] = []
-    cancelled, done = threading.Event(), threading.Event()
-
-    def run(progress: Progress) -> None:
-        try:
-            result.append(work(progress, cancelled.is_set))
-        except BaseException as error:
-            errors.append(error)
-        finally:
-            done.set()
-
-    before = _limit_memory(memory)
+    cancelled = threading.Event()
     try:
-        with ProgressLine() as progress:
-            thread = threading.Thread(target=run, args=(progress,), name="analysis", daemon=True)
-            try:
-                thread.start()
-                while not done.wait(1.0):  # not join: an interrupt there has a thread taken for ended (bpo-45274)
-                    pass
-            except KeyboardInterrupt:
+        with _memory(memory), ProgressLine() as progress:
+
+            def cancel(done: threading.Event) -> None:
                 cancelled.set()
                 if not done.wait(_PATIENCE):
                     progress.__exit__()
-                    _leave()
-                raise
-    finally:
-        resource.setrlimit(resource.RLIMIT_DATA, before)
-    if errors:
-        error = errors[0]
-        if isinstance(error, MemoryError):
-            raise LimitError("it takes more than %.3g GB of memory" % (memory / 1e9), hint="raise --limit-memory")
-        if isinstance(error, CancelledError):
-            raise KeyboardInterrupt
-        raise error
-    return result[0]
+                    leave()
+
+            return interruptible(lambda: work(progress, cancelled.is_set), cancel)
+    except MemoryError:
+        raise LimitError(
+            "it takes more than %.3g GB of memory" % (memory / 1e9), hint="raise --limit-memory"
+        ) from None
+    except CancelledError:
+        raise KeyboardInterrupt from None
 
 
-def _limit_memory(memory: float) -> Any:
-    """Let this process take so many bytes more; returns what it might take before."""
+@contextmanager
+def _memory(memory: float) -> Iterator[None]:
+    """Let this process take so many bytes more than now."""
     before = resource.getrlimit(resource.RLIMIT_DATA)
     used = 0
     try:
@@ -157,11 +140,14 @@ def _limit_memory(memory: float) -> Any:
     if before[1] != resource.RLIM_INFINITY:
         soft = min(soft, before[1])
     resource.setrlimit(resource.RLIMIT_DATA, (soft, before[1]))
-    return before
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, before)
 
 
-def _leave() -> None:
-    """End the process: compiled code goes on, and cannot be asked to stop."""
+def leave() -> NoReturn:
+    """End the process as interrupted, whatever it is doing: compiled code cannot be asked to stop."""
     sys.stdout.flush()
     print("gspn: interrupted", file=sys.stderr, flush=True)
     os._exit(130)

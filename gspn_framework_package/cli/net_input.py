@@ -7,6 +7,7 @@ import math
 import sys
 from typing import Dict, List, Tuple, Union
 
+from gspn_framework_package.cli.interrupts import interruptible
 from gspn_framework_package.formats import FORMATS, plan_file
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
@@ -63,13 +64,16 @@ def read_net_or_plan_argument(args: argparse.Namespace) -> Tuple[Union[Net, Plan
 
     :raises GspnError: it cannot be read, or the arguments make no sense.
     """
-    found = plan_file.read_net_or_plan(
-        args.net_file,
-        format=args.source_format,
-        net=args.net,
-        constants=_constants(args.const),
-        infinite_servers=None if args.servers is None else args.servers == "infinite",
-        missing_weight=0.0 if args.controllable else 1.0,
+    constants = _constants(args.const)
+    found = interruptible(
+        lambda: plan_file.read_net_or_plan(
+            args.net_file,
+            format=args.source_format,
+            net=args.net,
+            constants=constants,
+            infinite_servers=None if args.servers is None else args.servers == "infinite",
+            missing_weight=0.0 if args.controllable else 1.0,
+        )
     )
     return found.plan or found.net, list(found.notes)
 

@@ -213,6 +213,30 @@ def test_an_interrupt_does_not_wait_for_what_cannot_be_asked(tmp_path):
     assert process.returncode == 130 and err.strip() == "gspn: interrupted"
 
 
+def test_an_interrupt_does_not_wait_for_the_reading_of_a_file():
+    program = (
+        "import hashlib, sys\n"
+        "from gspn_framework_package.cli.main import main\n"
+        "from gspn_framework_package.formats import plan_file\n"
+        "def read(*_, **__):\n"
+        "    print('reading', flush=True)\n"
+        "    hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)\n"  # as a parser: compiled, and takes minutes
+        "plan_file.read_net_or_plan = read\n"
+        "sys.exit(main(['analyse', 'net']))\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )  # fmt: skip
+    try:
+        assert process.stdout.readline() == "reading\n"
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130 and err.strip() == "gspn: interrupted"
+
+
 def test_what_goes_wrong_in_the_work_is_told_here():
     def fail(progress, cancel):
         assert threading.current_thread() is not threading.main_thread()
