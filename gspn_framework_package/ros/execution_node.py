@@ -399,7 +399,7 @@ class ExecutionNode(Worker):
 
     def view(self) -> View:
         """See :class:`Worker`."""
-        ledger, own = self._replica.ledger, self._replica.own
+        ledger, own = self._replica.ledger, self._replica.state
         robot = ledger.state.robots.get(self.robot)
         place, visit, state = "", 0, state_name(ledger.state, robot)
         if robot is not None and own.position is not None:
@@ -415,7 +415,7 @@ class ExecutionNode(Worker):
             state,
             self._replica.incarnation,
             visit,
-            own.marking(ledger),
+            self._replica.marking(),
             self.plan.net,
             ledger.length,
             ledger.hash,

@@ -10,7 +10,7 @@ import pytest
 from gspn_framework_package.benchmark.agreement import draw_schedules
 from gspn_framework_package.benchmark.team.schedule import Schedule, run_schedule
 from gspn_framework_package.benchmark.team.world import ViolationError
-from gspn_framework_package.execution.agreement import core
+from gspn_framework_package.execution.agreement import config
 
 SCHEDULES = int(os.environ.get("GSPN_SCHEDULES", "2500"))
 SECONDS = float(os.environ.get("GSPN_SCHEDULE_SECONDS", "45"))
@@ -54,7 +54,7 @@ def test_fresh_seeds(capsys: pytest.CaptureFixture) -> None:
 def test_teams_that_keep_the_ways_of_large_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the agreement does otherwise with more than eight robots (rarer heartbeats, facts that are gathered, no
     votes for those who are not the leader), tested with few, which are faster."""
-    monkeypatch.setattr(core, "SMALL_TEAM", 2)
+    monkeypatch.setattr(config, "SMALL_TEAM", 2)
     first = time.time_ns() // 1000 % 10**12
     failures = []
     for schedule in draw_schedules(first, 60, [3, 5]):

@@ -16,16 +16,23 @@ from gspn_framework_package.benchmark.team.world import Node, ViolationError
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution import token_game as token_game_module
 from gspn_framework_package.execution import turn
-from gspn_framework_package.execution.agreement import core as core_module
+from gspn_framework_package.execution.agreement import electorate as electorate_module
 from gspn_framework_package.execution.agreement import interface as io
-from gspn_framework_package.execution.agreement import pacing as pacing_module
-from gspn_framework_package.execution.agreement.catch_up import History
+from gspn_framework_package.execution.agreement import membership as membership_module
 from gspn_framework_package.execution.agreement.consensus import Consensus
-from gspn_framework_package.execution.agreement.own_robot import OwnRobot
+from gspn_framework_package.execution.agreement.electorate import Electorate
+from gspn_framework_package.execution.agreement.local_robot import LocalRobot
+from gspn_framework_package.execution.agreement.local_transitions import LocalTransitions
+from gspn_framework_package.execution.agreement.membership import Membership
+from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.peers import Peers
-from gspn_framework_package.execution.agreement.private import PrivateMoves
+from gspn_framework_package.execution.agreement.proposals import Proposals
 from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
+from gspn_framework_package.execution.agreement.recent_slots import RecentSlots
+from gspn_framework_package.execution.agreement.recovery import Recovery
 from gspn_framework_package.execution.agreement.replica import Replica
+from gspn_framework_package.execution.agreement.replication import Replication
+from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
@@ -94,15 +101,15 @@ def _bare_half() -> ContextManager[Any]:
         return 2 * sum(1 for m in members if m in voters) >= len(members)
 
     return _all(
-        mock.patch.object(core_module, "is_quorum", half),
-        mock.patch.object(pacing_module, "is_quorum", half),
+        mock.patch.object(electorate_module, "is_quorum", half),
+        mock.patch.object(membership_module, "is_quorum", half),
     )
 
 
 def _forgets_promises() -> ContextManager[Any]:
     def make(original: Any) -> Any:
         def on_accept(self: Consensus, message: Any, body: Any) -> None:
-            self.promised = min(self.promised, body.ballot)
+            self.state.promised = min(self.state.promised, body.ballot)
             original(self, message, body)
 
         return on_accept
@@ -127,9 +134,10 @@ def _amnesia() -> ContextManager[Any]:
 def _counts_any_vote() -> ContextManager[Any]:
     def make(original: Any) -> Any:
         def on_accepted(self: Consensus, message: Any, body: Any, now: float) -> None:
-            if self.attempt is not None:
-                body = body._replace(ballot=self.attempt.ballot, slot=self.host.ledger.length)
-            original(self, message._replace(hash=self.host.ledger.hash), body, now)
+            ledger, attempt = self.state.ledger, self.state.attempt
+            if attempt is not None:
+                body = body._replace(ballot=attempt.ballot, slot=ledger.length)
+            original(self, message._replace(hash=ledger.hash), body, now)
 
         return on_accepted
 
@@ -139,10 +147,11 @@ def _counts_any_vote() -> ContextManager[Any]:
 def _keeps_leading() -> ContextManager[Any]:
     def make(original: Any) -> Any:
         def _promise(self: Consensus, ballot: Ballot) -> None:
-            followers, promised = self._followers, self.promised
+            state = self.state
+            followers, promised = state.followers, state.promised
             original(self, ballot)
-            if followers is not None and ballot.robot != self.host.name:
-                self._followers, self.promised = followers, promised
+            if followers is not None and ballot.robot != self.config.name:
+                state.followers, state.promised = followers, promised
 
         return _promise
 
@@ -152,8 +161,9 @@ def _keeps_leading() -> ContextManager[Any]:
 def _believes_any_next() -> ContextManager[Any]:
     def make(original: Any) -> Any:
         def on_accept(self: Consensus, message: Any, body: Any) -> None:
-            if self.accepted is not None and body.slot == self.host.ledger.length + 1:
-                self.host.decided(self.accepted[1], self.accepted[0], mine=False)
+            held = self.state.accepted
+            if held is not None and body.slot == self.state.ledger.length + 1:
+                self.log.decided(held[1], held[0], mine=False)
             original(self, message, body)
 
         return on_accept
@@ -163,14 +173,13 @@ def _believes_any_next() -> ContextManager[Any]:
 
 def _votes_without_memory() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def _consider_active(self: Replica) -> None:
-            if not self.active and not self.joining and self.ledger.length:
-                self.forgetful = False
-                self._become_active()
+        def consider_active(self: Membership) -> None:
+            if not self.state.active and not self.state.joining and self.state.ledger.length:
+                self.become_active()
 
-        return _consider_active
+        return consider_active
 
-    return _wrap(Replica, "_consider_active", make)
+    return _wrap(Membership, "consider_active", make)
 
 
 def _no_deduplication() -> ContextManager[Any]:
@@ -187,8 +196,8 @@ def _no_deduplication() -> ContextManager[Any]:
 def _asks_only_a_quorum() -> ContextManager[Any]:
     def make(original: Any) -> Any:
         def first_phase_over(self: Consensus) -> bool:
-            if self.attempt is not None:
-                self.attempt.answered |= set(self.host.members())
+            if self.state.attempt is not None:
+                self.state.attempt.answered |= set(self.electorate.members())
             return bool(original(self))
 
         return first_phase_over
@@ -197,12 +206,12 @@ def _asks_only_a_quorum() -> ContextManager[Any]:
 
 
 def _does_not_freeze() -> ContextManager[Any]:
-    return mock.patch.object(Consensus, "is_frozen", lambda self: False)
+    return mock.patch.object(ReplicaState, "is_frozen", lambda self: False)
 
 
 def _everything_private() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def init(self: PrivateMoves, game: TokenGame, robot: str) -> None:
+        def init(self: LocalTransitions, game: TokenGame, robot: str) -> None:
             original(self, game, robot)
             resources = game.plan.resource_places
             for t, ends in enumerate(game.net.outputs):
@@ -213,7 +222,7 @@ def _everything_private() -> ContextManager[Any]:
 
         return init
 
-    return _wrap(PrivateMoves, "__init__", make)
+    return _wrap(LocalTransitions, "__init__", make)
 
 
 def _drops_facts() -> ContextManager[Any]:
@@ -221,7 +230,7 @@ def _drops_facts() -> ContextManager[Any]:
         def on_nack(self: Consensus, body: Any) -> bool:
             beaten = bool(original(self, body))
             if beaten:
-                self.host.pool.own = []  # type: ignore[attr-defined]
+                self.state.own_proposals = []
             return beaten
 
         return on_nack
@@ -288,31 +297,31 @@ def _writes_late() -> ContextManager[Any]:
 
 def _starts_goals_twice() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def commands(self: OwnRobot, ledger: Ledger, delays: Any) -> Any:
-            out = original(self, ledger, delays)
-            if random.Random(ledger.length).random() < 0.05:
-                self.started = None
+        def commands(self: LocalRobot, delays: Any) -> Any:
+            out = original(self, delays)
+            if random.Random(self.state.ledger.length).random() < 0.05:
+                self.state.started = None
             return out
 
         return commands
 
-    return _wrap(OwnRobot, "commands", make)
+    return _wrap(LocalRobot, "_commands", make)
 
 
 def _acts_before_joining() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def commands(self: OwnRobot, ledger: Ledger, delays: Any) -> Any:
-            mine = self.incarnation
-            if self.position is not None:
-                self.incarnation = self.position.incarnation
+        def commands(self: LocalRobot, delays: Any) -> Any:
+            mine = self.state.incarnation
+            if self.state.position is not None:
+                self.state.incarnation = self.state.position.incarnation
             try:
-                return original(self, ledger, delays)
+                return original(self, delays)
             finally:
-                self.incarnation = mine
+                self.state.incarnation = mine
 
         return commands
 
-    return _wrap(OwnRobot, "commands", make)
+    return _wrap(LocalRobot, "_commands", make)
 
 
 def _wrong_results() -> ContextManager[Any]:
@@ -320,18 +329,18 @@ def _wrong_results() -> ContextManager[Any]:
     last: Dict[str, str] = {}
 
     def make(original: Any) -> Any:
-        def invoke(self: Replica, entry: log.Entry, order_id: str = "", suspect: str = "") -> None:
+        def propose(self: Proposals, entry: log.Entry, order_id: str = "", suspect: str = "") -> None:
             original(self, entry, order_id, suspect)
-            own = self.pool.own[-1]
+            name, own = self.config.name, self.state.own_proposals
             if isinstance(entry, log.Done):
-                before = last.get(self.name, entry.result)
-                last[self.name] = entry.result
-                item = own.item._replace(entry=entry._replace(result=before))
-                self.pool.own[-1] = own._replace(item=item)
+                before = last.get(name, entry.result)
+                last[name] = entry.result
+                item = own[-1].item._replace(entry=entry._replace(result=before))
+                own[-1] = own[-1]._replace(item=item)
 
-        return invoke
+        return propose
 
-    return _wrap(Replica, "_invoke", make)
+    return _wrap(Proposals, "propose", make)
 
 
 # -- memory, operators, limits ---------------------------------------------------------------------------
@@ -339,13 +348,13 @@ def _wrong_results() -> ContextManager[Any]:
 
 def _persists_no_promise() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def persist(self: Replica, record: Any, *, durable: bool = False) -> None:
+        def persist(self: Outbox, record: Any, *, durable: bool = False) -> None:
             if record["kind"] != "promised":
                 original(self, record, durable=durable)
 
         return persist
 
-    return _wrap(Replica, "persist", make)
+    return _wrap(Outbox, "persist", make)
 
 
 def _keeps_returned() -> ContextManager[Any]:
@@ -363,7 +372,7 @@ def _thaws_with_a_nack() -> ContextManager[Any]:
         def on_nack(self: Consensus, body: Any) -> bool:
             beaten = bool(original(self, body))
             if beaten:
-                self.frozen_by = None
+                self.state.frozen_by = None
             return beaten
 
         return on_nack
@@ -374,8 +383,8 @@ def _thaws_with_a_nack() -> ContextManager[Any]:
 def _asks_again_without_freezing() -> ContextManager[Any]:
     def make(original: Any) -> Any:
         def resend(self: Consensus, now: float) -> None:
-            if self.attempt is not None:
-                self.attempt.frozen = False
+            if self.state.attempt is not None:
+                self.state.attempt.frozen = False
             original(self, now)
 
         return resend
@@ -405,7 +414,7 @@ def _evicts_alone() -> ContextManager[Any]:
 
 
 def _leaves_at_once() -> ContextManager[Any]:
-    return mock.patch.object(pacing_module, "LINGER", 0)
+    return mock.patch.object(membership_module, "LINGER", 0)
 
 
 def _counts_its_own_sleep() -> ContextManager[Any]:
@@ -414,84 +423,85 @@ def _counts_its_own_sleep() -> ContextManager[Any]:
 
 def _skips_a_slot_of_a_chunk() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def since(self: History, slot: int) -> Any:
+        def since(self: RecentSlots, slot: int) -> Any:
             slots = original(self, slot)
             return slots[:-1] if slots is not None and len(slots) >= self._chunk else slots
 
         return since
 
-    return _wrap(History, "since", make)
+    return _wrap(RecentSlots, "since", make)
 
 
 def _newest_first() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def batch(self: Replica, frozen: bool) -> Any:
-            limits, self.limits = self.limits, self.limits._replace(batch=10**6)
+        def batch(self: Proposals, frozen: bool) -> Any:
+            limits = self.config.limits
+            self.config.limits = limits._replace(batch=10**6)
             try:
                 items = original(self, frozen)
             finally:
-                self.limits = limits
+                self.config.limits = limits
             return items[-limits.batch :]
 
         return batch
 
-    return _wrap(Replica, "batch", make)
+    return _wrap(Proposals, "batch", make)
 
 
 def _off_for_ever() -> ContextManager[Any]:
-    def asserted_off(self: Replica) -> Any:
-        return {name for name in self.off if name in self.members()}
+    def asserted_off(self: Electorate) -> Any:
+        return {name for name in self.state.off if name in self.members()}
 
     return _all(
-        mock.patch.object(Replica, "asserted_off", asserted_off),
-        mock.patch.object(Replica, "_heard_though_off", lambda self, robot: None),
+        mock.patch.object(Electorate, "asserted_off", asserted_off),
+        mock.patch.object(Membership, "_heard_though_off", lambda self, robot: None),
     )
 
 
 def _any_of_those_left() -> ContextManager[Any]:
     """As it was: those who are left decide by a quorum of their own."""
 
-    def may_decide(self: Replica, voters: Any) -> bool:
+    def may_decide(self: Electorate, voters: Any) -> bool:
         off = self.asserted_off()
         return is_quorum(voters, [m for m in self.members() if m not in off])
 
-    return mock.patch.object(Replica, "may_decide", may_decide)
+    return mock.patch.object(Electorate, "may_decide", may_decide)
 
 
 def _forgets_who_was_cast_out() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def resume(self: Replica, records: Any) -> None:
+        def resume(self: Recovery, records: Any) -> None:
             original(self, records)
-            self.ledger.cast_out.clear()
+            self.state.ledger.cast_out.clear()
 
         return resume
 
-    return _wrap(Replica, "_resume", make)
+    return _wrap(Recovery, "resume", make)
 
 
 def _counts_any_log() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def knows(self: Replica, message: Any) -> bool:
+        def knows(self: Membership, message: Any) -> bool:
             original(self, message)
-            self.peers.get(message.sender).surprise = None
+            self.state.peers.get(message.sender).surprise = None
             return True
 
         return knows
 
     return _all(
-        _wrap(Replica, "_knows", make),
-        mock.patch.object(Replica, "_is_our_name", lambda self: True),
+        _wrap(Membership, "_knows", make),
+        mock.patch.object(Electorate, "is_our_name", lambda self: True),
     )
 
 
 def _ballots_without_log() -> ContextManager[Any]:
     def make(original: Any) -> Any:
         def propose(self: Consensus, now: float, frozen: bool = False) -> None:
-            log_id, self.host.log_id = self.host.log_id, ""
+            log_id, self.state.log_id = self.state.log_id, ""
             try:
                 original(self, now, frozen)
             finally:
-                self.host.log_id = log_id
+                self.state.log_id = log_id
 
         return propose
 
@@ -510,41 +520,42 @@ def _trusts_every_end() -> ContextManager[Any]:
 
 def _never_waits_for_the_disk() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def persist(self: Replica, record: Any, *, durable: bool = False) -> None:
+        def persist(self: Outbox, record: Any, *, durable: bool = False) -> None:
             original(self, record)
 
         return persist
 
-    return _wrap(Replica, "persist", make)
+    return _wrap(Outbox, "persist", make)
 
 
 def _waits_for_votes_only_sometimes() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def persist(self: Replica, record: Any, *, durable: bool = False) -> None:
+        def persist(self: Outbox, record: Any, *, durable: bool = False) -> None:
             original(self, record, durable=durable and record["kind"] != "accepted")
 
         return persist
 
-    return _wrap(Replica, "persist", make)
+    return _wrap(Outbox, "persist", make)
 
 
 def _keeps_its_log_id() -> ContextManager[Any]:
-    return mock.patch.object(Replica, "_renew_log_id", lambda self: None)
+    return mock.patch.object(Membership, "_renew_log_id", lambda self: None)
 
 
 def _acts_before_it_knows_more() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def consider(self: Replica) -> None:
-            lengths = {name: peer.length for name, peer in self.peers.all.items()}
-            for peer in self.peers.all.values():
+        def consider(self: Membership) -> None:
+            peers = self.state.peers
+            lengths = {name: peer.length for name, peer in peers.all.items()}
+            for peer in peers.all.values():
                 peer.length = 0
             original(self)
             for name, length in lengths.items():
-                self.peers.get(name).length = length
+                peers.get(name).length = length
 
         return consider
 
-    return _wrap(Replica, "_consider_active", make)
+    return _wrap(Membership, "consider_active", make)
 
 
 def _snapshot_without(field: str) -> Callable[[], ContextManager[Any]]:
@@ -563,9 +574,9 @@ def _snapshot_without(field: str) -> Callable[[], ContextManager[Any]]:
 def _keeps_promised_low() -> ContextManager[Any]:
     def make(original: Any) -> Any:
         def on_accept(self: Consensus, message: Any, body: Any) -> None:
-            promised = self.promised
+            promised = self.state.promised
             original(self, message, body)
-            self.promised = promised
+            self.state.promised = promised
 
         return on_accept
 
@@ -574,68 +585,70 @@ def _keeps_promised_low() -> ContextManager[Any]:
 
 def _learns_what_it_holds() -> ContextManager[Any]:
     def on_chosen(self: Consensus, ballot: Ballot) -> bool:
-        if self.accepted is None:
+        held = self.state.accepted
+        if held is None:
             return False
-        self.host.decided(self.accepted[1], self.accepted[0], mine=False)
+        self.log.decided(held[1], held[0], mine=False)
         return True
 
     return mock.patch.object(Consensus, "on_chosen", on_chosen)
 
 
 def _moves_while_paused() -> ContextManager[Any]:
-    def may(self: Replica) -> bool:
-        return bool(self.partial and self.is_settled() and not self.consensus.is_frozen())
+    def may(self: LocalRobot) -> bool:
+        return self.config.partial and self.electorate.is_settled() and not self.state.is_frozen()
 
-    return mock.patch.object(Replica, "_may_move_alone", may)
+    return mock.patch.object(LocalRobot, "_may_move_alone", may)
 
 
 def _drops_the_first_fact() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def batch(self: Replica, frozen: bool) -> Any:
+        def batch(self: Proposals, frozen: bool) -> Any:
             items = original(self, frozen)
             return items[1:] if len(items) > 1 else items
 
         return batch
 
-    return _wrap(Replica, "batch", make)
+    return _wrap(Proposals, "batch", make)
 
 
 def _reads_no_facts_back() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def resume(self: Replica, records: Any) -> None:
+        def resume(self: Recovery, records: Any) -> None:
             original(self, [r for r in records if r["kind"] != "private"])
 
         return resume
 
-    return _wrap(Replica, "_resume", make)
+    return _wrap(Recovery, "resume", make)
 
 
 def _takes_its_former_incarnation() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def new_life(self: Replica) -> None:
-            before = self.incarnation
+        def new_life(self: Membership) -> None:
+            before = self.state.incarnation
             original(self)
-            if self._started and self.records > 1:
-                self.incarnation = self.own.incarnation = before
+            if self.state.records > 1:
+                self.state.incarnation = before
 
         return new_life
 
-    return _wrap(Replica, "_new_life", make)
+    return _wrap(Membership, "new_life", make)
 
 
 def _pulls_without_looking() -> ContextManager[Any]:
     """Slots that it learns are taken over whatever they stand on."""
 
     def make(original: Any) -> Any:
-        def on_learn(self: Replica, message: Any, body: Any) -> None:
+        def on_learn(self: Replication, message: Any, body: Any) -> None:
+            ledger = self.state.ledger
             if body.slots:
-                slots = tuple((b, batch, self.ledger.hash) for b, batch, _ in body.slots[:1])
-                body = body._replace(at=self.ledger.length, slots=slots)
+                slots = tuple((b, batch, ledger.hash) for b, batch, _ in body.slots[:1])
+                body = body._replace(at=ledger.length, slots=slots)
             original(self, message, body)
 
         return on_learn
 
-    return _wrap(Replica, "_on_learn", make)
+    return _wrap(Replication, "on_learn", make)
 
 
 MUTANTS = [
@@ -651,9 +664,9 @@ MUTANTS = [
     Mutant("dropped facts", "protocol", "a proposer that gives way forgets its facts", _drops_facts),
     Mutant("quorum only", "partial", "the first phase does not wait for every member", _asks_only_a_quorum, True,
            kinds=("freeze",)),
-    Mutant("no freeze", "partial", "private moves do not stop for orders", _does_not_freeze, True,
+    Mutant("no freeze", "partial", "local transitions do not stop for orders", _does_not_freeze, True,
            kinds=("freeze",)),
-    Mutant("all private", "partial", "moves that touch resources count as private", _everything_private, True),
+    Mutant("all private", "partial", "transitions that touch resources count as local", _everything_private, True),
     Mutant("visit check", "token game", "a Done of any visit counts for the present one", _no_visit_check),
     Mutant("order", "token game", "the robot done last moves first", _last_comes_first),
     Mutant("local dice", "token game", "draws are local randomness", _local_randomness),
@@ -666,7 +679,7 @@ MUTANTS = [
     Mutant("lost promises", "memory", "promises are not written down", _persists_no_promise),
     Mutant("returned followers", "protocol", "a leader counts on promises of a lost memory", _keeps_returned, False,
            kinds=("amnesia", "")),
-    Mutant("nack thaws", "partial", "a proposer that is beaten lets private moves go on", _thaws_with_a_nack, True,
+    Mutant("nack thaws", "partial", "a proposer that is beaten lets local transitions go on", _thaws_with_a_nack, True,
            kinds=("freeze",)),
     Mutant("warm retry", "partial", "a first phase that is repeated does not freeze", _asks_again_without_freezing,
            True, kinds=("freeze",)),
@@ -706,10 +719,10 @@ MUTANTS = [
     Mutant("low promise", "protocol", "to accept a ballot does not promise it", _keeps_promised_low),
     Mutant("learns what it holds", "protocol", "that a slot is chosen confirms whatever was accepted",
            _learns_what_it_holds),
-    Mutant("moves while paused", "partial", "private moves go on in a pause", _moves_while_paused, True,
+    Mutant("moves while paused", "partial", "local transitions go on in a pause", _moves_while_paused, True,
            kinds=("freeze",)),
     Mutant("drops the first", "protocol", "of several facts the first is left out", _drops_the_first_fact),
-    Mutant("lost moves", "memory", "private moves are not read back after a restart", _reads_no_facts_back, True),
+    Mutant("lost moves", "memory", "local transitions are not read back after a restart", _reads_no_facts_back, True),
     Mutant("same incarnation", "membership", "a robot that starts again keeps its incarnation",
            _takes_its_former_incarnation),
     Mutant("blind learning", "protocol", "slots are learnt whatever log they stand on", _pulls_without_looking,

@@ -470,9 +470,9 @@ class _Run:
                 n.key,
                 n.replica.ledger.length,
                 n.replica.waits_for() or "-",
-                len(n.replica.pool.own),
-                [o.item.entry for o in n.replica.pool.own[:2]],
-                n.replica.consensus.attempt,
+                len(n.replica.state.own_proposals),
+                [o.item.entry for o in n.replica.state.own_proposals[:2]],
+                n.replica.state.attempt,
             )
             for n in self.world.alive()
             if n.replica is not None

@@ -451,7 +451,7 @@ class World:
             ends.add((replica.ledger.length, replica.ledger.hash))
             if node.superseded:
                 return False  # until it has noticed
-            if any(not o.item.private for o in replica.pool.own):
+            if any(not o.item.private for o in replica.state.own_proposals):
                 return False
             if replica.ledger.state.ended is None and not (
                 replica.is_settled() or (replica.witness and replica.active)

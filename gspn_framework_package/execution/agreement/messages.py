@@ -187,7 +187,7 @@ def _object(data: Dict[str, Any], name: str) -> Dict[str, Any]:
 
 
 class Event(NamedTuple):
-    """Facts that the sender wants in the log. To the leader (or, from a robot without a ``vote``, to
+    """Proposals: what the sender wants in the log. To the leader (or, from a robot without a ``vote``, to
     any member), again and again until they are in the log."""
 
     items: List[Item]
@@ -226,7 +226,7 @@ class Prepare(NamedTuple):
 
 class Promise(NamedTuple):
     """The answer to :class:`Prepare`: ``accepted`` (ballot and batch) in that slot so far, and the
-    facts that wait here. Without a ``vote`` it only tells what is known."""
+    proposals that wait here. Without a ``vote`` it only tells what is known."""
 
     slot: int
     ballot: Ballot
@@ -283,7 +283,7 @@ class Accept(NamedTuple):
 
 
 class Accepted(NamedTuple):
-    """A vote, to the proposer, and in a small team to those whose facts are voted on. ``items``: what
+    """A vote, to the proposer, and in a small team to those whose proposals are voted on. ``items``: what
     waits here that the batch does not hold."""
 
     slot: int

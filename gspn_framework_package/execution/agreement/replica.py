@@ -1,32 +1,42 @@
 """The agreement core: one robot's replica of the log, as a pure step function.
 
 :class:`Replica` takes inputs and returns effects
-(:mod:`~gspn_framework_package.execution.agreement.interface`). It holds together
-
-- the *ledger*: the log so far, the state of the team, the hash chain;
-- the *pool*: facts that wait to get into the log;
-- the *consensus*: Paxos for the first open slot;
-- the *peers*: who was heard when, who seems lost;
-- the *own robot*: where it is and what it does, private moves included.
+(:mod:`~gspn_framework_package.execution.agreement.interface`). It only puts the parts together and
+gives each input to the part whose it is; what a replica remembers is in one
+:class:`~gspn_framework_package.execution.agreement.state.ReplicaState`, of which it owns ``now``.
 
 Protocol, assumptions and a sketch of the proof are in ``docs/agreement.md``.
 """
 
 from __future__ import annotations
 
-from typing import Any, Dict, List
+from typing import Any, Dict, List, Optional, Sequence, Set
 
 from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement import messages
-from gspn_framework_package.execution.agreement.core import Limits, Pace
-from gspn_framework_package.execution.agreement.pacing import Pacing
-from gspn_framework_package.execution.agreement.quorum import is_quorum
-from gspn_framework_package.execution.team_state import GONE, RobotState
+from gspn_framework_package.execution.agreement.config import Config, Limits, Pace
+from gspn_framework_package.execution.agreement.consensus import Consensus
+from gspn_framework_package.execution.agreement.electorate import Electorate
+from gspn_framework_package.execution.agreement.local_robot import LocalRobot
+from gspn_framework_package.execution.agreement.membership import Membership
+from gspn_framework_package.execution.agreement.orders import Orders
+from gspn_framework_package.execution.agreement.outbox import Outbox
+from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.proposer import Proposer
+from gspn_framework_package.execution.agreement.recent_slots import RecentSlots
+from gspn_framework_package.execution.agreement.recovery import Recovery
+from gspn_framework_package.execution.agreement.replication import Replication
+from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.agreement.status import Status
+from gspn_framework_package.execution.event_log import Record
+from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.model.net import Marking
+from gspn_framework_package.model.plan import Plan
 
 __all__ = ["Limits", "Pace", "Replica"]
 
 
-class Replica(Pacing):
+class Replica:
     """One robot's (or witness's) replica.
 
     :param plan: a validated plan; its robots and witnesses are the first team.
@@ -43,255 +53,241 @@ class Replica(Pacing):
     :param trusted: the end of our log is there. Where it may be lost (the machine was started anew,
         and the log was not written through to the disk), what is left is not trusted, and the robot
         joins as one that lost its log.
-    :raises LogError: the records contradict each other or the plan.
+
+    :ivar config: what it was told once.
+    :ivar state: what it remembers.
     """
 
+    def __init__(
+        self,
+        plan: Plan,
+        robot: str,
+        run: str,
+        log_id: str,
+        records: Sequence[Record] = (),
+        *,
+        joining: bool = False,
+        place: str = "",
+        pace: Optional[Pace] = None,
+        limits: Optional[Limits] = None,
+        trusted: bool = True,
+    ) -> None:
+        self.config = config = Config.make(
+            plan, robot, run, joining=joining, place=place, pace=pace, limits=limits, trusted=trusted
+        )
+        self.state = state = ReplicaState(
+            ledger=Ledger(config.game),
+            recent=RecentSlots(config.limits.kept, config.limits.chunk),
+            log_id=log_id,
+            joining=config.newcomer,
+            records=len(records),
+            durable=len(records),
+            begin_records=len(records),
+        )
+        self._records = list(records)
+        # each part knows those before it; two need the log, which comes after them
+        self.outbox = outbox = Outbox(config, state)
+        self.electorate = electorate = Electorate(config, state)
+        self.proposals = proposals = Proposals(config, state, outbox, electorate)
+        self.robot = local = LocalRobot(config, state, outbox, electorate, proposals)
+        self.consensus = consensus = Consensus(config, state, outbox, electorate, proposals)
+        self.proposer = proposer = Proposer(config, state, outbox, electorate, proposals, consensus)
+        self.membership = membership = Membership(config, state, outbox, electorate, proposals, proposer, local)
+        self.replication = replication = Replication(
+            config, state, outbox, electorate, proposals, proposer, membership, local
+        )
+        consensus.connect(replication)
+        membership.connect(replication)
+        self.recovery = Recovery(config, state, consensus, proposals, membership, replication)
+        self.orders = Orders(config, state, outbox, electorate, proposals, membership)
+        self.people = Status(config, state, outbox, electorate, consensus, proposer, local)
+
+    # -- one input after the other ----------------------------------------------------------------------
+
     def start(self, now: float) -> List[io.Effect]:
-        """Begin (once, before any :meth:`step`)."""
-        self._now = now
-        self._started = True
-        self.peers.listen_anew(now)
+        """Begin (once, before any :meth:`step`).
+
+        :raises LogError: the records contradict each other or the plan.
+        """
+        self.state.now = now
+        self.membership.listen_anew()
         if self._records:
-            self._resume(self._records)
+            self.recovery.resume(self._records)
         else:
-            self._note_life()
-            self._listen_until = now + min(self.pace.greeting, self.pace.heartbeat)
-            if not self.joining:
-                self._begin()
+            self.membership.begin_first_life()
+            if not self.state.joining:
+                self.replication.begin()
         self._records = []
-        self._consider_active()
+        self.membership.consider_active()
         self._settle()
-        return self._flush()
+        return self.outbox.flush()
 
     def step(self, given: io.Input, now: float) -> List[io.Effect]:
         """Take one input; the effects are to be carried out in order.
 
         :param now: monotonic clock, s.
         """
-        if now - self._now > 4 * self.pace.heartbeat:
-            self.peers.listen_anew(now)  # suspended, or starved: nobody's silence counts
-        self._now = now
+        state, before = self.state, self.state.now
+        state.now = now
+        if now - before > 4 * self.config.pace.heartbeat:
+            self.membership.listen_anew()  # suspended, or starved: nobody's silence counts
         if isinstance(given, io.Received):
-            self._request = given.request_id
-        if self.halted is None:
+            self.outbox.begin(given.request_id)
+        if state.halted is None:
             self._take(given)
             self._settle()
         elif isinstance(given, (io.Order, io.ForceEvict)):
-            self._put(io.OrderResult(given.order_id, False, self.halted))
-        if self._request:
-            self._put(io.Reply(self._request, {}))
-            self._request = ""
-        return self._flush()
+            self.outbox.order_result(given.order_id, False, state.halted)
+        self.outbox.end()
+        return self.outbox.flush()
 
     def _take(self, given: io.Input) -> None:
         if isinstance(given, io.Received):
             self._receive(given.message)
         elif isinstance(given, (io.ActionDone, io.ActionFailed)):
-            self._action_ended(given)
+            self.robot.action_ended(given)
         elif isinstance(given, io.Order):
-            self._order(given)
+            self.orders.order(given)
         elif isinstance(given, io.ForceEvict):
-            self._force_evict(given)
-
-    def _settle(self) -> None:
-        """Do what is due, and say when to look again."""
-        if self.halted is None:
-            if self._listen_until and self._now >= self._listen_until:
-                self._listen_until = 0.0
-                self._consider_active()
-                held, self._held = self._held, []
-                for order in held:
-                    self._order(order)
-            if self._now >= self._next_hello:
-                self._next_hello = self._now + (
-                    self.pace.heartbeat if self.active else min(self.pace.heartbeat, self.pace.greeting)
-                )
-                self._put(io.Send(io.EVERYBODY, self._signed(self._hello())))
-                self._consider_active()
-                self._watch()
-                self._tell_status()
-            if self.leaving:
-                self._part()
-            elif self.ledger.state.ended is None:
-                self._want_to_join()
-                self._want_environment()
-            self._drive()
-        self._put(io.WakeAt(self._wake_at()))
-
-    # -- messages -------------------------------------------------------------------------------------
+            self.orders.force_evict(given)
 
     def _receive(self, data: Any) -> None:
         try:
             message = messages.parse(data)
         except messages.MessageError as error:
-            self._refuse_message(data, str(error))
+            self.membership.refuse_message(data, str(error))
             return
-        sender, body = message.sender, message.body
-        if sender == self.name:
-            self._hear_own_name(message)
-            return
-        if message.team != self._tag:
-            self._hear_stranger(message)
-            return
-        peer = self.peers.hear(sender, self._now)
-        if self.pool.own:
-            self.pool.withdraw_suspicion([sender])
-        if sender in self.off:
-            self._heard_though_off(sender)
-        counts = self._knows(message) and not self.ledger.is_cast_out(sender)
-        peer.length = message.length
+        if message.sender == self.config.name:
+            self.membership.hear_own_name(message)
+        elif message.team != self.config.tag:
+            self.membership.hear_stranger(message)
+        else:
+            counts = self.membership.hear(message)
+            self._give(message, counts)
+            if self.state.halted is None and self.electorate.can_teach(message.sender):
+                self.replication.pull_if_behind(message)
+
+    def _give(self, message: messages.Envelope, counts: bool) -> None:
+        """Give a message of the team to the part that it is for.
+
+        :param counts: votes of the sender do.
+        """
+        body = message.body
         if isinstance(body, messages.Hello):
-            self._on_hello(message, body)
+            self.membership.on_hello(message, body)
         elif isinstance(body, messages.Pull):
-            self._on_pull(message)
+            self.replication.on_pull(message)
         elif isinstance(body, messages.Event):
-            self.add_foreign(self._not_given_up(message, body.items))
-            (self._voteless.discard if body.vote else self._voteless.add)(sender)
-            if message.length < self.ledger.length:
-                self._help(message)
+            self.proposer.on_event(message, body)
+            self.replication.help_if_behind(message)
         elif isinstance(body, messages.Learn):
-            if self._can_teach(sender):
-                self._on_learn(message, body)
-        elif self.ledger.is_cast_out(sender):
+            if self.electorate.can_teach(message.sender):
+                self.replication.on_learn(message, body)
+        elif self.state.ledger.is_cast_out(message.sender):
             return  # what it knows was given up, until it joins again
         elif counts or (isinstance(body, messages.Promise) and not body.vote):
-            self._on_vote(message)
-        if self.halted is None and peer.length > self.ledger.length and self._can_teach(sender):
-            self._pull(sender)
+            self.proposer.on_vote(message)
 
-    def _on_vote(self, message: messages.Envelope) -> None:
-        """A message of the consensus, of a robot whose memory counts."""
-        body = message.body
-        if isinstance(body, messages.Prepare):
-            self.consensus.on_prepare(message, body)
-            if self.consensus.promised == body.ballot:
-                self._give_way()
-        elif isinstance(body, messages.Accept):
-            self.consensus.on_accept(message, body)
-        elif isinstance(body, messages.Promise):
-            self.consensus.on_promise(message, body, self._now)
-        elif isinstance(body, messages.Accepted):
-            self.consensus.on_accepted(message, body, self._now)
-        elif isinstance(body, messages.Nack) and self.consensus.on_nack(body):
-            self._defeats += 1
-            self._give_way()
+    def _settle(self) -> None:
+        """Do what is due, and say when to look again."""
+        state = self.state
+        if state.halted is None:
+            if self.membership.listened():
+                self.membership.consider_active()
+                self.orders.take_up_held()
+            if state.now >= state.next_hello:
+                self.membership.greet()
+                self.membership.consider_active()
+                self.membership.watch()
+                self.people.tell()
+            if state.leaving:
+                self.membership.part()
+            elif state.ledger.state.ended is None:
+                self.membership.want_to_join()
+                self.robot.want_environment()
+            self.proposer.drive()
+        times = [*self.membership.wake_times(), *self.proposer.wake_times(), *self.robot.wake_times()]
+        self.outbox.put(io.WakeAt(max(state.now + 0.001, min(times))))
 
-    def _refuse_message(self, data: Any, why: str) -> None:
-        """Tell once of each sender that we do not understand it."""
-        sender = data.get("from") if isinstance(data, dict) else None
-        sender = sender[:100] if isinstance(sender, str) else "somebody"
-        if sender != self.name and len(self._complaints) < 100 and (sender, why) not in self._complaints:
-            self._complaints.add((sender, why))
-            self._fault("a message of %s is not understood: %s" % (sender, why))
+    # -- questions of the host ---------------------------------------------------------------------------
 
-    # -- telling --------------------------------------------------------------------------------------
+    @property
+    def ledger(self) -> Ledger:
+        """The agreed log so far."""
+        return self.state.ledger
 
-    def _tell_status(self) -> None:
-        text = self.waits_for()
-        if text != self._text:
-            self._text = text
-            if text:
-                self._put(io.StatusChanged(text))
+    @property
+    def incarnation(self) -> int:
+        """Which life of our robot this is."""
+        return self.state.incarnation
+
+    @property
+    def log_id(self) -> str:
+        """Id of our log; another one after we forgot it."""
+        return self.state.log_id
+
+    @property
+    def records(self) -> int:
+        """How many records our log has."""
+        return self.state.records
+
+    @property
+    def active(self) -> bool:
+        """Whether we take part."""
+        return self.state.active
+
+    @property
+    def fenced(self) -> bool:
+        """Whether our action was stopped, for we have no contact to a quorum."""
+        return self.state.fenced
+
+    @property
+    def halted(self) -> Optional[str]:
+        """Why we take no part any more; None while we do."""
+        return self.state.halted
+
+    @property
+    def witness(self) -> bool:
+        """Whether we vote and have no token."""
+        return self.config.witness
+
+    @property
+    def pace(self) -> Pace:
+        """The times of the protocol."""
+        return self.config.pace
+
+    def members(self) -> List[str]:
+        """See :class:`~gspn_framework_package.execution.agreement.electorate.Electorate`."""
+        return self.electorate.members()
+
+    def may_vote(self) -> bool:
+        """See :class:`~gspn_framework_package.execution.agreement.electorate.Electorate`."""
+        return self.electorate.may_vote()
+
+    def is_settled(self) -> bool:
+        """See :class:`~gspn_framework_package.execution.agreement.electorate.Electorate`."""
+        return self.electorate.is_settled()
+
+    def asserted_off(self) -> Set[str]:
+        """See :class:`~gspn_framework_package.execution.agreement.electorate.Electorate`."""
+        return self.electorate.asserted_off()
+
+    def known_log(self, robot: str) -> str:
+        """See :class:`~gspn_framework_package.execution.agreement.electorate.Electorate`."""
+        return self.electorate.known_log(robot)
+
+    def marking(self) -> Marking:
+        """The marking as this robot knows it: the log's, with its own local transitions."""
+        return self.robot.marking()
 
     def waits_for(self) -> str:
         """What this replica (not its action) waits for, for people; "" if for nothing."""
-        if self.halted is not None:
-            return "halted: " + self.halted
-        if self.ledger.length == 0:
-            return "waits for somebody of the team"
-        if not self.active and not self.joining and not self.forgetful:
-            missing = [
-                m for m in self.others() if m not in self.off and self.peers.get(m).welcomes != self.log_id
-            ]
-            return "waits for %s to start" % ", ".join(missing)
-        if self.ledger.state.ended is not None:
-            return ""
-        if not self.witness and not self.is_settled():
-            return "waits to be let into the team" + self._nobody_left()
-        if self.fenced:
-            return "stopped: no contact to a quorum"
-        if self.astray:
-            return "the log differs from that of %s; what differs does not count" % ", ".join(sorted(self.astray))
-        attempt = self.consensus.attempt
-        if attempt is not None and attempt.tries > 1:
-            voteless = [m for m in self.others() if not self.peers.get(m).active]
-            missing = [m for m in self.consensus.missing() if m not in voteless]
-            if missing or not voteless:
-                return "waits for an answer of %s" % ", ".join(missing)
-            return "has no quorum; without a vote: %s" % ", ".join(voteless) + self._nobody_left()
-        if self.is_stuck():
-            voteless = [m for m in self.others() if not self.peers.get(m).active]
-            return "has no quorum; without a vote: %s" % ", ".join(voteless) + self._nobody_left()
-        if not self.has_quorum():
-            return "has no quorum; silent: %s" % ", ".join(self._silent())
-        if self.partial and self._wants() and self._silent():  # whose attempt it is changes all the time
-            return "waits for an answer of %s" % ", ".join(self._silent())
-        return ""
+        return self.people.waits_for()
 
     def is_stuck(self) -> bool:
-        """Whether the team can never go on by itself: of too many members the logs, and with them
-        the votes, are lost."""
-        if self.ledger.length == 0 or self.ledger.state.ended is not None or (self.joining and not self.active):
-            return False
-        members = self.members()
-        here = [m for m in members if m == self.name or self.peers.get(m).heard is not None]
-        silent = [m for m in members if m not in here]
-        voters = [m for m in here if (self.active if m == self.name else self.peers.get(m).active)]
-        started = any(self.peers.get(m).length > 1 for m in here) or self.ledger.length > 1
-        return started and not is_quorum([*voters, *silent], members) and not self.may_decide(voters)
-
-    def _nobody_left(self) -> str:
-        if not self.is_stuck():
-            return ""
-        return ": too many lost their logs, and those who remember are no quorum; force_evict those who do not"
+        """Whether the team can never go on by itself: of too many members the logs are lost."""
+        return self.people.is_stuck()
 
     def status(self) -> Dict[str, Any]:
         """Everything a person may ask, as a JSON object (ages in s)."""
-        state = self.ledger.state
-        robots = []
-        for robot in state.robots.values():
-            mine = robot.name == self.name
-            at = self.own.position if mine else None
-            heard = self.peers.get(robot.name).heard
-            robots.append(
-                {
-                    "robot": robot.name,
-                    "place": self.plan.net.places[at.place if at else robot.place].name,
-                    "state": self._state_of(robot),
-                    "incarnation": robot.incarnation,
-                    "visit": at.visit if at else robot.visit,
-                    "attempt": at.attempt if at else robot.attempt,
-                    "log_length": self.ledger.length if mine else self.peers.get(robot.name).length,
-                    "last_contact": 0.0 if mine else (None if heard is None else round(self._now - heard, 3)),
-                    "waits_for": self.ledger.game.why_waiting(state, robot),
-                }
-            )
-        return {
-            "robot": self.name,
-            "run": self.run,
-            "incarnation": self.incarnation,
-            "synchronisation": self.plan.synchronisation.value,
-            "active": self.active,
-            "members": self._member_names(),
-            "quorum": self.has_quorum(),
-            "leader": "" if self.partial else self.consensus.leader,
-            "log_length": self.ledger.length,
-            "hash": self.ledger.hash,
-            "pending": len(self.pool.own),
-            "stuck": self.is_stuck(),
-            "astray": sorted(self.astray),
-            "waits_for": self.waits_for(),
-            "paused": state.paused,
-            "ended": state.ended,
-            "fenced": self.fenced,
-            "marking": self.plan.net.named(self.own.marking(self.ledger), zeros=False),
-            "robots": robots,
-        }
-
-    def _state_of(self, robot: RobotState) -> str:
-        """The words of the thesis (4.3.3) for what a robot is up to."""
-        if robot.phase in GONE:
-            return "Lost" if robot.phase.value == "lost" else "Left"
-        if robot.paused or self.ledger.state.paused:
-            return "Paused"
-        return {"doing": "Doing", "done": "Waiting", "failed": "Failed"}.get(robot.phase.value, "Inactive")
+        return self.people.as_json()

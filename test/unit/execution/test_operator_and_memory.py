@@ -142,7 +142,7 @@ def test_a_robot_cast_out_wrongly_is_not_let_in_with_what_was_given_up(partial: 
     world.run(world.now + 1)  # r1 alone is a quorum, and goes on
     first = world.replica("r1")
     join = Item(log.Join("r1", 1, "p1", first.log_id), Origin("r1", 1, 1, first.log_id[:8]))
-    late = first._signed(Event([join], False))  # said in a life of r1 that the others know nothing of
+    late = first.outbox.signed(Event([join], False))  # said in a life of r1 that the others know nothing of
     world.force("r2", "r1")
     world.run(world.now + 1)
     assert world.answer("r2", "r1").ok

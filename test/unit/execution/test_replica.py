@@ -12,8 +12,8 @@ from gspn_framework_package.benchmark.team.plans import make_plan
 from gspn_framework_package.benchmark.team.world import Node, Weather, World
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement.local_transitions import LocalTransitions
 from gspn_framework_package.execution.agreement.messages import Envelope, Hello, Learn
-from gspn_framework_package.execution.agreement.private import PrivateMoves
 from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.agreement.replica import Limits, Replica
 from gspn_framework_package.execution.event_log import EventLog
@@ -249,11 +249,11 @@ def test_a_fenced_robot_stops_its_action_and_starts_it_again() -> None:
     world.run(1.5)
     assert world.status("r3")["fenced"]
     assert "no contact to a quorum" in world.status("r3")["waits_for"]
-    assert world.nodes["r3"].replica.own.running is None
+    assert world.nodes["r3"].replica.state.running is None
     world.blocked.clear()
     world.run(3.0)
     assert not world.status("r3")["fenced"]
-    running = world.nodes["r3"].replica.own.running
+    running = world.nodes["r3"].replica.state.running
     assert running is not None
     assert running.attempt == 2
 
@@ -264,12 +264,12 @@ def test_a_restarted_robot_takes_its_visit_up_with_the_next_attempt(partial: boo
     world.run(0.5)
     world.action_time = (10.0, 10.0)
     world.run(1.0)
-    before = world.nodes["r2"].replica.own.position
+    before = world.nodes["r2"].replica.state.position
     world.nodes["r2"].crash()
     world.run(1.3)
     world.nodes["r2"].start()
     world.run(2.0)
-    after = world.nodes["r2"].replica.own.position
+    after = world.nodes["r2"].replica.state.position
     assert (after.place, after.visit) == (before.place, before.visit)
     assert (after.incarnation, after.attempt) == (before.incarnation + 1, before.attempt + 1)
     world.check()
@@ -358,7 +358,7 @@ def private_places(net: NetBuilder, resources=(), idle=(), **fields: Any) -> Any
         **fields,
     )
     plan = plan.with_robots([RobotSpec("a", built.places[0].name)])
-    return PrivateMoves(TokenGame(plan), "a").places
+    return LocalTransitions(TokenGame(plan), "a").places
 
 
 def test_which_places_are_private() -> None:
@@ -411,7 +411,7 @@ def test_lost_messages_are_not_taken_for_a_slow_network() -> None:
     world._carry = lose_the_first  # type: ignore[method-assign]
     world.run(30.0)
     assert len(asked) > 20
-    assert all(node.replica.consensus.round_trip < 0.01 for node in world.nodes.values())
+    assert all(node.replica.state.round_trip < 0.01 for node in world.nodes.values())
 
 
 @pytest.mark.parametrize("partial", [False, True])

@@ -1,10 +1,13 @@
-"""Private moves of partial synchronisation: those that concern one robot only.
+"""Local transitions of partial synchronisation: those that concern one robot only.
 
 Leaving a *private* place takes that robot and nothing else: its output transitions have it as their
 only input, with weight 1, and one action place as output, and touch no resource, inhibitor or
 capacity. Such a firing has one writer and commutes with every firing of the others (Best and
 Darondeau: a net is distributable where transitions at different locations share no input place), so
 that it needs no agreement about its order.
+
+Knows the plan alone: owns nothing that changes, calls nobody. In logs and messages such a transition
+is marked ``private``.
 """
 
 from __future__ import annotations
@@ -15,10 +18,10 @@ from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.condition import parse_condition
 
 
-class PrivateMoves:
+class LocalTransitions:
     """The private places of a plan, for one robot of it.
 
-    A move is not private where the run would notice it: if ``until`` looks at one of its places, if
+    A transition is not local where the run would notice it: if ``until`` looks at one of its places, if
     an inhibitor arc or a capacity does, if the robot would be done at once where it arrives (it
     would then ask for more within the same step), or if the policy could withhold an immediate
     transition.
@@ -63,9 +66,9 @@ class PrivateMoves:
         """The names of the private places."""
         return frozenset(self._net.places[p].name for p, _ in self._target)
 
-    def move(self, place: int, result: str) -> Optional[Tuple[int, int]]:
+    def find(self, place: int, result: str) -> Optional[Tuple[int, int]]:
         """The (transition, target) of a robot that is done in ``place`` with this result; None
-        where the move is not private, or the result is a fault."""
+        where the transition is not local, or the result is a fault."""
         if result in ("", "None"):
             t = self._only.get(place)
         else:

@@ -1,4 +1,7 @@
-"""The newest slots of the log, for those who are behind."""
+"""The newest slots of the log, for those who are behind: they get slots, not a snapshot.
+
+A collection that :mod:`~gspn_framework_package.execution.agreement.replication` keeps; calls nobody.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ Slot = Tuple[Ballot, List[Any], str]
 """The ballot under which a slot was decided, its batch, and the hash chain before it."""
 
 
-class History:
+class RecentSlots:
     """The newest slots, in order.
 
     :param kept: how many are kept; who is further behind gets a snapshot.

@@ -1,0 +1,194 @@
+"""Whose votes count: members, quorums, whose log stands for a robot, what may go into the log.
+
+Owns nothing and changes nothing: questions about the state that every part asks. Calls nobody.
+"""
+
+from __future__ import annotations
+
+from typing import Collection, List, Optional, Sequence, Set, Tuple
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement.config import Config
+from gspn_framework_package.execution.agreement.messages import Envelope
+from gspn_framework_package.execution.agreement.quorum import is_quorum
+from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.ledger import Item, Ledger
+from gspn_framework_package.execution.team_state import GONE, RobotState
+
+
+class Electorate:
+    """Answers from the log, from what was heard, and from what operators asserted."""
+
+    def __init__(self, config: Config, state: ReplicaState) -> None:
+        self.config = config
+        self.state = state
+        self._members: Tuple[Optional[Ledger], int, List[str]] = (None, 0, [])  # as long as the log stays
+
+    # -- the others -----------------------------------------------------------------------------------
+
+    def members(self) -> List[str]:
+        """The members whose votes count in the open slot, in the order of the log."""
+        ledger, known = self.state.ledger, self._members
+        if known[0] is not ledger or known[1] != ledger.length:
+            known = self._members = (ledger, ledger.length, ledger.state.members())
+        return known[2]
+
+    def others(self) -> List[str]:
+        """The members without us."""
+        return [m for m in self.members() if m != self.config.name]
+
+    def asserted_off(self) -> Set[str]:
+        """The members that an operator asserted to be off. An assertion is about one incarnation: it
+        ends when the robot joins again."""
+        robots = self.state.ledger.state.robots
+        return {
+            name
+            for name, incarnation in self.state.off.items()
+            if name in robots and robots[name].phase not in GONE and robots[name].incarnation == incarnation
+        }
+
+    def may_decide(self, voters: Collection[str]) -> bool:
+        """Whether these members may decide the open slot: a quorum; or, where robots that were
+        asserted to be off leave none, *all* the others. A quorum that does not consist of the
+        former alone has one of the others in it, whose word is then heard."""
+        members = self.members()
+        if is_quorum(voters, members):
+            return True
+        off = self.asserted_off()
+        if not off:
+            return False
+        left = [m for m in members if m not in off]
+        return bool(left) and not is_quorum(left, members) and all(m in voters for m in left)
+
+    def known_log(self, robot: str) -> str:
+        """The id of the log whose votes count for a robot: that with which it was let in, else the
+        first one that we heard of; "" for none."""
+        return self.state.ledger.logs.get(robot) or self.state.peers.known.get(robot, "")
+
+    def heard_within(self, seconds: float) -> List[str]:
+        """The members that were heard within that time, ourselves included."""
+        state = self.state
+        return state.peers.near(self.members(), self.config.name, seconds, state.now)
+
+    def heard_of_late(self) -> List[str]:
+        """The members that were heard within four heartbeats, ourselves included."""
+        return self.heard_within(4 * self.config.pace.heartbeat)
+
+    def has_quorum(self) -> bool:
+        """Whether the members that were heard of late could decide."""
+        return self.may_decide(self.heard_of_late())
+
+    def unheard(self) -> List[str]:
+        """The members that were not heard of late."""
+        near = self.heard_of_late()
+        return [m for m in self.members() if m not in near]
+
+    def silent(self, limit: float) -> Set[str]:
+        """The members that have been silent for so long (s) that they seem lost."""
+        state = self.state
+        return state.peers.silent(self.members(), self.config.name, limit, state.now)
+
+    # -- ourselves --------------------------------------------------------------------------------------
+
+    def own_robot(self) -> Optional[RobotState]:
+        """Our robot, as the log has it."""
+        return self.state.ledger.state.robots.get(self.config.name)
+
+    def known_incarnation(self) -> int:
+        """The newest incarnation of ours that the log has heard of, -1 for none."""
+        robot = self.own_robot()
+        seen = self.state.ledger.seen.get(self.config.name, (-1, 0, ""))[0]
+        return seen if robot is None else max(seen, robot.incarnation)
+
+    def is_member(self) -> bool:
+        """Whether the log counts us in."""
+        return self.config.name in self.members()
+
+    def may_vote(self) -> bool:
+        """Whether we are a member, and know what we promised before."""
+        return self.state.active and self.state.halted is None and self.is_member() and self.is_our_name()
+
+    def is_our_name(self) -> bool:
+        """Whether it is with our log that the robot was let in last, if it was."""
+        return self.state.ledger.logs.get(self.config.name) in (None, "", self.state.log_id)
+
+    def is_settled(self) -> bool:
+        """Whether the log knows this incarnation of our robot, so that it may act."""
+        if not self.state.active:
+            return False
+        robot = self.own_robot()
+        return robot is not None and robot.phase not in GONE and robot.incarnation == self.state.incarnation
+
+    def surely_a_member(self) -> bool:
+        """Whether the others cannot have evicted us for our silence by now."""
+        limit = self.config.plan.timing.evict_after
+        return limit <= 0 or is_quorum(self.heard_within(limit), self.members())
+
+    def spoken_for(self) -> bool:
+        """Whether the log holds something of ours that this life did not say, so that what it says
+        would not be news."""
+        state = self.state
+        incarnation, number, tag = state.ledger.seen.get(self.config.name, (-1, 0, ""))
+        if self.known_incarnation() > state.incarnation:
+            return True
+        return incarnation == state.incarnation and tag == state.log_id[:8] and number > state.number
+
+    # -- whose word counts ----------------------------------------------------------------------------
+
+    def can_teach(self, robot: str) -> bool:
+        """Whether the log of a robot may hold what we have still to learn. One that was evicted by force, as far as our
+        log goes, can where its own log has that eviction: we shall learn that it joined again."""
+        ledger = self.state.ledger
+        slot = ledger.cast_out.get(robot, -1) if ledger.is_cast_out(robot) else -1
+        return self.state.peers.get(robot).evicted_at >= slot
+
+    # -- what may go into the log -------------------------------------------------------------------------
+
+    def not_given_up(self, message: Envelope, items: List[Item]) -> List[Item]:
+        """Leave out what a robot that was evicted by force wants, unless it is told by one who knows of
+        the eviction: what it said before was given up, even that it comes back."""
+        ledger = self.state.ledger
+        if not ledger.cast_out:
+            return items
+        same = self.state.hash_at(message.length) == message.hash
+        return [
+            i
+            for i in items
+            if not ledger.is_cast_out(i.origin.robot) or (same and message.length > ledger.cast_out[i.origin.robot])
+        ]
+
+    def with_one_who_stays(self, items: List[Item]) -> List[Item]:
+        """Where nobody would be left, our own leave or eviction waits for a slot of its own, in which it
+        has no effect: the last one stays, and it has to be one who was asked for its local transitions."""
+        me, members = self.config.name, self.members()
+        gone = {i.entry.robot for i in items if isinstance(i.entry, (log.Evict, log.Leave))}
+        if len(members) < 2 or not gone.issuperset(members):
+            return items
+        return [i for i in items if not (isinstance(i.entry, (log.Evict, log.Leave)) and i.entry.robot == me)]
+
+    def without_ghosts(self, items: Sequence[Item]) -> List[Item]:
+        """Leave robots out that want to join and are not heard themselves, or of which there are so
+        many that those who are heard would be no quorum with them: a team must not lose its quorum
+        to names that nobody answers to. Nor does a robot come back in the slot that evicts it by force: it
+        does not know of it."""
+        me, peers = self.config.name, self.state.peers
+        now = list(self.members())
+        live = set(self.heard_of_late())
+        refused: Set[str] = set()
+        cast_out = {i.entry.robot for i in items if isinstance(i.entry, log.Evict) and i.entry.forced}
+        kept = []
+        for item in items:
+            entry = item.entry
+            name = item.origin.robot
+            if isinstance(entry, log.Join) and name not in now:
+                heard = peers.get(name).heard is not None and peers.get(name).log == entry.log
+                if name == me or (heard and is_quorum(live | {name}, [*now, name])):
+                    now.append(name)
+                    live.add(name)
+                else:
+                    refused.add(name)
+            if isinstance(entry, log.Join) and name in cast_out:
+                refused.add(name)
+            if name not in refused:
+                kept.append(item)
+        return kept

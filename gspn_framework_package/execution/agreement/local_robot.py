@@ -1,0 +1,241 @@
+"""What happens at this robot: where it is, its actions, its local transitions, the simulated
+environment.
+
+The robot follows the log, ahead of it by the local transitions that are not in it yet. Owns
+``position``, ``started``, ``running`` and ``reported``. Proposes what its actions bring about, asks the
+electorate whether it may make a transition without asking, puts goals into the outbox.
+"""
+
+from __future__ import annotations
+
+import random
+from typing import Any, Dict, List, Mapping, Optional, Tuple, Union
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement.config import Config
+from gspn_framework_package.execution.agreement.electorate import Electorate
+from gspn_framework_package.execution.agreement.local_transitions import LocalTransitions
+from gspn_framework_package.execution.agreement.outbox import Outbox
+from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.state import Goal, Position, Proposal, ReplicaState
+from gspn_framework_package.execution.environment import Environment
+from gspn_framework_package.execution.firing import CancelAction, Firing, Move, StartAction
+from gspn_framework_package.execution.team_state import GONE, Phase
+from gspn_framework_package.model.net import Marking
+
+Command = Union[StartAction, CancelAction]
+
+
+class LocalRobot:
+    """Turns what happens here into proposals or local transitions, and the log into goals."""
+
+    def __init__(
+        self, config: Config, state: ReplicaState, outbox: Outbox, electorate: Electorate, proposals: Proposals
+    ) -> None:
+        self.config = config
+        self.state = state
+        self.outbox = outbox
+        self.electorate = electorate
+        self.proposals = proposals
+        alone = config.partial and not config.witness
+        self._transitions = LocalTransitions(config.game, config.name) if alone else None
+        self._environment = Environment(config.game, random.Random("%d|%s" % (config.plan.seed, config.name)))
+
+    # -- the log and the position ---------------------------------------------------------------------
+
+    def follow(self) -> None:
+        """Take over where the log says that our robot is, and make our local transitions again on top
+        of it; those that it rules out are void."""
+        for own in self._follow():
+            self.proposals.void(own, "the log rules it out")
+
+    def _follow(self) -> List[Proposal]:
+        state, own_proposals = self.state, self.state.own_proposals
+        robot = self.electorate.own_robot()
+        if robot is None or robot.phase in GONE or state.ledger.state.ended is not None:
+            state.position = None
+            return [own for own in own_proposals if own.item.private]
+        state.position = Position(
+            robot.place, robot.incarnation, robot.visit, robot.attempt, robot.phase is Phase.DOING
+        )
+        void = []
+        for own in own_proposals:
+            if own.item.private:
+                entry = own.item.entry
+                assert isinstance(entry, log.Done)
+                if self._go(entry) is None:
+                    void.append(own)
+        return void
+
+    def _go(self, entry: log.Done) -> Optional[Tuple[int, int, int]]:
+        """Make a local transition: (transition, place left, place entered), None if it cannot be."""
+        at = self.state.position
+        if self._transitions is None or at is None or not at.doing:
+            return None
+        if (entry.incarnation, entry.visit) != (at.incarnation, at.visit):
+            return None
+        found = self._transitions.find(at.place, entry.result)
+        if found is None:
+            return None
+        transition, target = found
+        self.state.position = Position(target, at.incarnation, at.visit + 1, 1, True)
+        return transition, at.place, target
+
+    def marking(self) -> Marking:
+        """The marking as this robot knows it: the log's, with its own local transitions."""
+        team, at, shared = self.state.ledger.state, self.state.position, self.electorate.own_robot()
+        if shared is None or at is None or shared.place == at.place:
+            return team.marking
+        marking = list(team.marking)
+        marking[shared.place] -= 1
+        marking[at.place] += 1
+        return tuple(marking)
+
+    # -- actions that end -----------------------------------------------------------------------------
+
+    def action_ended(self, given: Union[io.ActionDone, io.ActionFailed]) -> None:
+        """An attempt at an action is over."""
+        goal = Goal(given.incarnation, given.visit, given.attempt)
+        if self.state.fenced or not self._report(goal):
+            return
+        entry: log.Entry
+        if isinstance(given, io.ActionFailed):
+            entry = log.Failed(self.config.name, *goal, given.reason, given.detail)
+        else:
+            result = given.result if given.result not in (None, "None") else ""
+            entry = log.Done(self.config.name, goal.incarnation, goal.visit, result)
+            if self._may_move_alone():
+                firing = self._make(entry)
+                if firing is not None:
+                    self.proposals.add_local_transition(entry, firing)
+                    self.outbox.put(io.Fired(firing, True, self.state.ledger.hash, True))
+                    self.act({})
+                    return
+        self.proposals.propose(entry)
+
+    def _report(self, goal: Goal) -> bool:
+        """Note the end of an attempt; False if it is of no interest any more."""
+        state = self.state
+        if state.position is None or goal != state.position.goal or not state.position.doing:
+            return False
+        if state.reported is not None and goal <= state.reported:
+            return False
+        state.reported = goal
+        state.running = None
+        return True
+
+    def _may_move_alone(self) -> bool:
+        """Whether a local transition may be made now, without asking."""
+        if not self.config.partial or not self.electorate.is_settled():
+            return False
+        state, robot = self.state, self.electorate.own_robot()
+        return (
+            robot is not None
+            and not robot.paused
+            and not state.ledger.state.paused
+            and not state.is_frozen()
+            and all(o.item.private or o.suspect for o in state.own_proposals)
+            and self.electorate.surely_a_member()
+        )
+
+    def _make(self, entry: log.Done) -> Optional[Firing]:
+        """Make the local transition of a ``Done``, if it is one."""
+        net = self.config.plan.net
+        before = self.marking()
+        made = self._go(entry)
+        if made is None:
+            return None
+        transition, source, target = made
+        name = self.config.name
+        step = Move(name, net.places[source].name, net.places[target].name, entry.visit + 1)
+        return Firing(
+            -1,
+            0,
+            net.transitions[transition].name,
+            name,
+            entry.incarnation,
+            entry.visit,
+            (step,),
+            net.fire(before, transition),
+        )
+
+    # -- goals ----------------------------------------------------------------------------------------
+
+    def act(self, delays: Mapping[Tuple[int, int], float]) -> None:
+        """Start and cancel actions as the log (and our local transitions) say.
+
+        :param delays: (visit, attempt) -> seconds to wait before it starts.
+        """
+        if not self.state.active or self.state.fenced or self.state.halted is not None:
+            return
+        for command in self._commands(delays):
+            self._put(command)
+
+    def stop_acting(self) -> None:
+        """Cancel what runs; it counts as not started."""
+        if self.state.running is not None:
+            cancelled = CancelAction(self.config.name, self.state.running.visit)
+            self.state.running = None
+            self._put(cancelled)
+
+    def _put(self, command: Command) -> None:
+        self.outbox.persist(_goal_record(command))
+        self.outbox.put(command)
+
+    def _commands(self, delays: Mapping[Tuple[int, int], float]) -> List[Command]:
+        """What to start and to cancel, so that the robot does what its position says."""
+        state, name = self.state, self.config.name
+        out: List[Command] = []
+        at = state.position
+        if at is not None and at.incarnation != state.incarnation:
+            at = None  # what the log says of another life is not for us to act on
+        if state.running is not None and (at is None or not at.doing or at.goal != state.running):
+            out.append(CancelAction(name, state.running.visit))
+            state.running = None
+        if at is None or not at.doing or (state.started is not None and at.goal <= state.started):
+            return out
+        place = self.config.plan.net.places[at.place].name
+        if self.config.plan.action(name, place) is not None:
+            state.started = state.running = at.goal
+            delay = delays.get((at.visit, at.attempt), 0.0)
+            out.append(StartAction(name, place, *at.goal, delay))
+        return out
+
+    # -- the simulated environment ----------------------------------------------------------------------
+
+    def want_environment(self) -> None:
+        """Where the plan simulates its environment, the first member that runs fires its
+        transitions."""
+        state = self.state
+        if not self.config.plan.simulate_environment or not self.electorate.may_vote():
+            return
+        if any(isinstance(o.item.entry, log.Fire) for o in state.own_proposals):
+            return
+        due = self._environment.next_time(state.ledger.state, state.now)
+        if due is None or state.now < due:
+            return
+        live = self.electorate.heard_within(3 * self.config.pace.heartbeat)
+        transition = self._environment.due(state.ledger.state, state.now)
+        if live[0] == self.config.name and transition is not None:
+            self.proposals.propose(log.Fire(transition))
+
+    def wake_times(self) -> List[float]:
+        """When to look again (s)."""
+        if self.config.plan.simulate_environment and self.electorate.may_vote():
+            due = self._environment.next_time(self.state.ledger.state, self.state.now)
+            return [due] if due is not None else []
+        return []
+
+
+def _goal_record(command: Command) -> Dict[str, Any]:
+    """The record of a command to the robot's actions."""
+    if isinstance(command, CancelAction):
+        return {"kind": "cancel", "visit": command.visit}
+    return {
+        "kind": "goal",
+        "place": command.place,
+        "incarnation": command.incarnation,
+        "visit": command.visit,
+        "attempt": command.attempt,
+    }

@@ -1,0 +1,570 @@
+"""Who takes part: how replicas get to know each other, join, leave, are evicted, and lose and regain
+the right to vote.
+
+Owns who we are (log id, incarnation, whether we are active, amnesic, fenced, leaving, halted) and what
+is known of the others (peers, who is off, astray or a stranger, and for how long a fresh robot
+listens): the fields of membership in
+:class:`~gspn_framework_package.execution.agreement.state.ReplicaState`. Proposes joins and evictions,
+has the proposer give its attempts up and the local robot stop or act, and has the log begin anew
+(:class:`Log`) when what we know does not count.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any, Dict, List, Protocol, Sequence
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement.config import Config
+from gspn_framework_package.execution.agreement.electorate import Electorate
+from gspn_framework_package.execution.agreement.local_robot import LocalRobot
+from gspn_framework_package.execution.agreement.messages import MOST_ROBOTS, Envelope, Hello, Seen
+from gspn_framework_package.execution.agreement.outbox import Outbox
+from gspn_framework_package.execution.agreement.peers import Life
+from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.proposer import Proposer
+from gspn_framework_package.execution.agreement.quorum import is_quorum
+from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.event_log import Record
+from gspn_framework_package.execution.firing import Ended
+from gspn_framework_package.execution.ledger import Item
+from gspn_framework_package.execution.team_state import GONE, Phase
+
+RIVAL = 4
+"""Heartbeats for which a robot whose place another log has taken listens for a second process of
+its name, before it wants its place back."""
+
+LINGER = 20
+"""Heartbeats for which a robot that leaves waits for a quorum of the others to hear of it."""
+
+
+class Log(Protocol):
+    """What membership needs of the replicated log."""
+
+    def begin_anew(self) -> None:
+        """Forget all slots."""
+
+
+class Membership:
+    """Says hello and hears it, and draws the conclusions."""
+
+    def __init__(
+        self,
+        config: Config,
+        state: ReplicaState,
+        outbox: Outbox,
+        electorate: Electorate,
+        proposals: Proposals,
+        proposer: Proposer,
+        robot: LocalRobot,
+    ) -> None:
+        self.config = config
+        self.state = state
+        self.outbox = outbox
+        self.electorate = electorate
+        self.proposals = proposals
+        self.proposer = proposer
+        self.robot = robot
+        self.log: Log
+
+    def connect(self, log: Log) -> None:
+        """Name the log that begins anew where what we know does not count."""
+        self.log = log
+
+    # -- lives and memory -----------------------------------------------------------------------------
+
+    def begin_first_life(self) -> None:
+        """Our log is new: listen before we take part, since somebody may know our name."""
+        state, pace = self.state, self.config.pace
+        self._note_life()
+        state.listen_until = state.now + min(pace.greeting, pace.heartbeat)
+
+    def new_life(self) -> None:
+        """We start again, or come back: a new incarnation, which the log must hear of."""
+        self.state.incarnation = max(self.state.incarnation, self.electorate.known_incarnation()) + 1
+        self.proposals.begin_life()
+        self._note_life()
+
+    def _note_life(self) -> None:
+        state = self.state
+        state.begin_records = state.records
+        record = {"kind": "life", "incarnation": state.incarnation, "joining": state.joining}
+        self.outbox.persist(record, durable=True)
+
+    def become_active(self) -> None:
+        """Take part from here on, with a vote where we are a member."""
+        self.state.active = True
+        self.state.amnesic = False
+        self.outbox.persist({"kind": "active"}, durable=True)
+
+    def forget(self, why: str) -> None:
+        """What we know does not count (any more): learn the log from the others, then join. Until
+        then we have no vote. From here on our log counts as another one, since the votes that it
+        gave before are forgotten."""
+        state = self.state
+        self._renew_log_id()
+        self.outbox.persist({"kind": "reset", "log": state.log_id, "why": why}, durable=True)
+        if state.active:
+            self.outbox.fault("forgets its log, and learns it anew: %s" % why)
+        self.robot.stop_acting()
+        state.active = False
+        state.amnesic = True
+        state.astray.clear()
+        state.off.clear()
+        self.log.begin_anew()
+        self.proposals.drop_all("%s forgot its log: %s" % (self.config.name, why))
+        self.proposer.begin_anew()
+        self.robot.follow()
+
+    def _renew_log_id(self) -> None:
+        """What our log says from here on is another memory: its votes must not be taken for those of
+        the one before."""
+        state = self.state
+        text = "%s|%s|%r|%d" % (state.log_id, self.config.name, state.now, state.records)
+        state.log_id = hashlib.sha256(text.encode()).hexdigest()[:32]
+
+    def _halt(self, reason: str) -> None:
+        self.state.halted = reason
+        self.robot.stop_acting()
+        self.outbox.put(io.Halted(reason))
+
+    def recall(self, record: Record) -> None:
+        """Take over a record of our own log."""
+        state, kind = self.state, record["kind"]
+        if kind == "life":
+            incarnation = record["incarnation"]
+            if type(incarnation) is not int or incarnation < 0:
+                raise ValueError("not a whole number: %.80r" % (incarnation,))
+            state.incarnation = incarnation
+            state.joining = bool(record.get("joining", state.joining))
+        elif kind == "active":
+            state.active = True
+            state.amnesic = False
+        elif kind == "reset":
+            state.active = False
+            state.amnesic = True
+            state.log_id = str(record.get("log", state.log_id))
+            state.off.clear()
+        elif kind == "peer":
+            state.peers.known[str(record["robot"])] = str(record["log"])
+        elif kind == "forced":
+            robots = record["robots"]
+            if isinstance(robots, dict):  # older ones do not say which incarnation they are about
+                state.off = {str(robot): int(incarnation) for robot, incarnation in robots.items()}
+
+    def recall_is_over(self) -> None:
+        """All records were read: begin the next life, where it has to be without memory."""
+        if not self.config.trusted:
+            self.forget("the machine was started anew, and the end of the log may not have reached the disk")
+        elif self.state.active and not self.electorate.is_our_name():
+            self.forget("another log was let in as %s" % self.config.name)
+        self.new_life()
+
+    # -- hello ----------------------------------------------------------------------------------------
+
+    def greet(self) -> None:
+        """Say hello, and when it is due again."""
+        state, pace = self.state, self.config.pace
+        state.next_hello = state.now + (pace.heartbeat if state.active else min(pace.heartbeat, pace.greeting))
+        self.outbox.broadcast(self._hello())
+
+    def _hello(self) -> Hello:
+        state = self.state
+        limit = self.config.plan.timing.evict_after
+        silent = self.electorate.silent(limit) if limit > 0 else set()
+        return Hello(
+            state.begin_records,
+            state.active,
+            state.joining,
+            state.first_hash,
+            tuple(sorted(silent)),
+            {robot: state.off[robot] for robot in sorted(self.electorate.asserted_off())},
+            dict(state.ledger.cast_out),
+            self._greetings(),
+        )
+
+    def _greetings(self) -> Dict[str, Seen]:
+        """What we know of those who wait to hear it: who does not take part yet, or would be
+        surprised. In a team at work there is nobody, so that a hello does not grow with the team."""
+        greets = {}
+        for robot, peer in self.state.peers.all.items():
+            if peer.surprise is not None:
+                greets[robot] = peer.surprise
+            elif not peer.active and peer.log and len(greets) < MOST_ROBOTS:
+                greets[robot] = Seen(self.electorate.known_log(robot), *peer.life)
+        return greets
+
+    def listen_anew(self) -> None:
+        """We were not listening: nobody's silence counts so far."""
+        self.state.peers.listen_anew(self.state.now)
+
+    def listened(self) -> bool:
+        """Whether the time is over just now for which a fresh robot only listens."""
+        state = self.state
+        if not state.listen_until or state.now < state.listen_until:
+            return False
+        state.listen_until = 0.0
+        return True
+
+    def wake_times(self) -> List[float]:
+        """When to look again (s)."""
+        state = self.state
+        return [state.next_hello, state.listen_until] if state.listen_until else [state.next_hello]
+
+    def hear(self, message: Envelope) -> bool:
+        """Note that a message of the team came in; whether votes of its sender count."""
+        state, sender = self.state, message.sender
+        peer = state.peers.hear(sender, state.now)
+        if state.own_proposals:
+            self.proposals.withdraw_suspicion([sender])
+        if sender in state.off:
+            self._heard_though_off(sender)
+        counts = self._knows(message) and not state.ledger.is_cast_out(sender)
+        peer.length = message.length
+        return counts
+
+    def _knows(self, message: Envelope) -> bool:
+        """Note whose log a message speaks for; whether it is the one whose votes count."""
+        sender, peers = message.sender, self.state.peers
+        peer = peers.get(sender)
+        known = self.electorate.known_log(sender)
+        if not known and len(peers.known) < MOST_ROBOTS:
+            known = peers.known[sender] = message.log
+            self.outbox.persist({"kind": "peer", "robot": sender, "log": message.log}, durable=True)
+        peer.note_life(message)
+        peer.surprise = None
+        if known and message.log != known:
+            peer.surprise = Seen(known, 0, 0)
+            return False
+        if Life(message.incarnation, message.records) < peer.life:
+            peer.surprise = Seen(known, *peer.life)
+        elif isinstance(message.body, Hello) and message.body.begin < peer.before.records:
+            peer.surprise = Seen(known, *peer.before)
+        return True
+
+    def on_hello(self, message: Envelope, hello: Hello) -> None:
+        """Another says that it is there."""
+        state, pace, sender = self.state, self.config.pace, message.sender
+        peer = state.peers.get(sender)
+        met = peer.met
+        peer.met = True
+        peer.active = hello.active
+        peer.silent = frozenset(hello.silent)
+        peer.evicted_at = hello.cast_out.get(sender, -1)
+        if hello.first and state.first_hash and hello.first != state.first_hash:
+            self._refuse_stranger(sender, "%s has another first team" % sender)
+            return
+        if not state.active:
+            for robot, incarnation in hello.off.items():
+                self._note_off(robot, incarnation)
+        seen = hello.greets.get(self.config.name)
+        if seen is not None:
+            self._hear_of_ourselves(sender, seen)
+        if self._is_given_up(hello.cast_out):
+            self.forget("it was given up in an eviction by force, as %s knows" % sender)
+        self.consider_active()
+        # in a large team answers to everybody's greetings would drown it: there the next hello will do
+        waits = not hello.active or peer.surprise is not None
+        rested = state.now >= peer.answered + min(pace.greeting, pace.heartbeat)
+        if (not met or (waits and rested)) and (self.config.is_small or self.outbox.owes_reply):
+            peer.answered = state.now
+            self.outbox.answer(message, self._hello())
+        self._compare(message)
+
+    def _is_given_up(self, theirs: Dict[str, int]) -> bool:
+        """Whether our log was given up in an eviction by force, as another's log says.
+
+        Where two logs each say so of the other (operators contradicted each other), the one that evicts
+        fewer is kept, else the one that does not evict the first robot. A log that a quorum went on
+        with is always kept: the other evicts all of that quorum.
+        """
+        me, ledger = self.config.name, self.state.ledger
+        mine = ledger.cast_out
+        by_them = {robot for robot, slot in theirs.items() if slot > mine.get(robot, -1)}
+        by_us = {robot for robot, slot in mine.items() if slot > theirs.get(robot, -1)}
+        if not by_us:
+            return me in by_them and theirs[me] < ledger.length
+        if len(by_us) != len(by_them):
+            return len(by_us) > len(by_them) > 0
+        team = [r.name for r in self.config.plan.robots]
+        return min(by_us | by_them, key=lambda r: (team.index(r) if r in team else len(team), r)) in by_us
+
+    def _hear_of_ourselves(self, sender: str, seen: Seen) -> None:
+        """What another remembers of us."""
+        state = self.state
+        state.peers.get(sender).welcomes = seen.log
+        if state.amnesic or (state.joining and not state.active):
+            return
+        if seen.log != state.log_id:
+            if state.ledger.logs.get(self.config.name) != state.log_id:
+                self.forget("%s knows an older one" % sender)
+            return
+        ours = Life(state.incarnation, state.records)
+        theirs = Life(seen.incarnation, seen.records)
+        if theirs > ours or (theirs.incarnation < state.incarnation and theirs.records > state.begin_records):
+            self.forget("it is shorter than %s remembers" % sender)
+
+    def consider_active(self) -> None:
+        """Become active once every other member of the first team knows our log as the first one
+        that we have, and nobody knows more than we do."""
+        state = self.state
+        if state.active or state.joining or state.amnesic or state.ledger.length < 1 or state.now < state.listen_until:
+            return
+        others = [m for m in self.electorate.others() if m not in state.off]
+        if any(state.peers.get(m).welcomes != state.log_id for m in others):
+            return
+        if any(peer.length > state.ledger.length and peer.heard is not None for peer in state.peers.all.values()):
+            return  # nor act before we know where the team is
+        self.become_active()
+        team = self.electorate.members()
+        fresh = state.incarnation == 0 and state.ledger.length == 1
+        if team and team[0] == self.config.name and fresh and not self.config.partial:
+            self.proposer.lead_from_the_start(set(team) - set(state.off))
+        self.robot.act({})
+
+    # -- logs that differ -------------------------------------------------------------------------------
+
+    def _compare(self, message: Envelope) -> None:
+        """Look whether the sender's log begins as ours does, or ours as its."""
+        if message.length > self.state.ledger.length:
+            return
+        known = self.state.hash_at(message.length)
+        if known is None:
+            return
+        if known != message.hash:
+            self.conflict(message.sender, message.length)
+        else:
+            self.state.astray.pop(message.sender, None)
+
+    def conflict(self, other: str, slot: int) -> None:
+        """Our log differs from another's before ``slot``."""
+        state = self.state
+        if state.ledger.is_cast_out(other) or other in self.electorate.asserted_off():
+            return  # the operator gave up what it knows
+        if not state.active:
+            self.forget("it differs from that of %s" % other)
+            return
+        if other not in state.astray:
+            state.astray[other] = slot
+            self.outbox.fault(
+                "the log of %s differs from ours before slot %d: one of them is broken, and what it says does not count"
+                % (other, slot)
+            )
+        members = self.electorate.members()
+        if is_quorum([m for m in members if m in state.astray], members):
+            self.forget("it differs from that of a quorum (%s)" % ", ".join(sorted(state.astray)))
+
+    # -- what the log says of us ------------------------------------------------------------------------
+
+    def note_members(self, items: Sequence[Item]) -> None:
+        """These are in the log now: somebody may have been let in, perhaps as us, or cast out."""
+        state, me = self.state, self.config.name
+        for item in items:
+            entry = item.entry
+            if isinstance(entry, log.Join):
+                robot = state.ledger.state.robots.get(entry.robot)
+                taken = robot is not None and robot.incarnation == entry.incarnation
+                mine = entry.robot == me and entry.log == state.log_id
+                if mine and not state.active and (taken or self.config.witness):
+                    self.become_active()
+                elif state.active and entry.robot == me and not self.electorate.is_our_name():
+                    # somebody was let in under our name: from here on its votes count, and ours do not
+                    state.superseded_at, state.rival_since = state.now, None
+                    self.forget("another log was let in as %s" % me)
+                    return
+            elif isinstance(entry, log.Evict) and state.ledger.is_cast_out(entry.robot):
+                self.proposals.drop_others(entry.robot)
+
+    def note_snapshot(self) -> None:
+        """A snapshot was taken over: it may hold evictions by force, and our own ``Join``."""
+        state = self.state
+        for name in state.ledger.cast_out:
+            if state.ledger.is_cast_out(name):
+                self.proposals.drop_others(name)
+        robot = self.electorate.own_robot()
+        if state.active or state.ledger.logs.get(self.config.name) != state.log_id:
+            return
+        if self.config.witness or (
+            robot is not None and robot.phase not in GONE and robot.incarnation <= state.incarnation
+        ):
+            self.become_active()
+
+    def note_own_fate(self) -> None:
+        """The log has grown: see whether it says that our robot left, or was evicted."""
+        state, robot = self.state, self.electorate.own_robot()
+        if robot is None or robot.phase not in GONE or state.ledger.state.ended is not None:
+            return
+        if robot.phase is Phase.LEFT and state.active and robot.incarnation == state.incarnation:
+            state.leaving = True
+        elif state.incarnation <= robot.incarnation:
+            self.proposals.keep_orders_only()
+            self.new_life()
+
+    # -- joining, leaving -------------------------------------------------------------------------------
+
+    def want_to_join(self) -> None:
+        """See that the log gets to know this incarnation of ours."""
+        state, config = self.state, self.config
+        if state.fenced or state.leaving or state.ledger.length == 0 or self.electorate.is_settled():
+            return
+        if (state.active and config.witness) or not (state.active or state.amnesic or state.joining):
+            return
+        if state.superseded_at is not None:
+            if state.now < state.superseded_at + RIVAL * config.pace.heartbeat:
+                return  # is it somebody who runs, or a former life of ours?
+            state.superseded_at = None
+        if self.electorate.known_incarnation() >= state.incarnation:
+            self.new_life()
+        if any(
+            isinstance(own.item.entry, log.Join) and own.item.origin.incarnation == state.incarnation
+            for own in state.own_proposals
+        ):
+            return
+        plan = config.plan
+        place = (
+            config.place
+            or next((r.place for r in plan.robots if r.name == config.name), "")
+            or (plan.spawn[0] if plan.spawn else "")
+        )
+        self.proposals.propose(log.Join(config.name, state.incarnation, place, state.log_id))
+
+    def part(self) -> None:
+        """We have left: end once a quorum of those who stay knows, or none can be reached."""
+        state = self.state
+        members = self.electorate.members()
+        know = [m for m in members if state.peers.get(m).length >= state.ledger.length]
+        if state.leaving_since is None:
+            state.leaving_since = state.now
+        lingered = state.now - state.leaving_since
+        if members and not is_quorum(know, members) and lingered < LINGER * self.config.pace.heartbeat:
+            return
+        state.halted = "%s has left the team" % self.config.name
+        self.outbox.put(Ended(state.halted, True))
+
+    # -- silence ----------------------------------------------------------------------------------------
+
+    def watch(self) -> None:
+        """Look for robots that seem lost, and whether we are out of contact ourselves."""
+        state, timing = self.state, self.config.plan.timing
+        members = self.electorate.members()
+        if not self.electorate.may_vote() or state.ledger.state.ended is not None:
+            state.fenced = False
+            return
+        if timing.fence_after > 0:
+            self._fence(not is_quorum(self.electorate.heard_within(timing.fence_after), members))
+        if timing.evict_after > 0:
+            silent = self.electorate.silent(timing.evict_after)
+            own = state.own_proposals
+            self.proposals.withdraw_suspicion(o.suspect for o in own if o.suspect and o.suspect not in silent)
+            accused = {o.suspect for o in state.own_proposals}
+            for robot in sorted(silent - accused):
+                known = state.ledger.state.robots.get(robot)
+                jury = state.peers.accusers(robot) | {self.config.name}
+                if known is not None and is_quorum(jury, members):
+                    self.proposals.propose(log.Evict(robot, known.incarnation), suspect=robot)
+
+    def _fence(self, fenced: bool) -> None:
+        if fenced == self.state.fenced or self.config.witness:
+            return
+        self.state.fenced = fenced
+        if fenced:
+            self.robot.stop_acting()
+            limit = self.config.plan.timing.fence_after
+            self.outbox.fault("has no contact to a quorum for %g s: stops" % limit)
+        elif self.electorate.is_settled():
+            self.new_life()  # what it was doing is started again
+
+    # -- robots that are off ----------------------------------------------------------------------------
+
+    def evict_by_force(self, robot: str, incarnation: int, order_id: str) -> None:
+        """An operator asserts that a robot is off: want it evicted."""
+        self._assert_off(robot, incarnation)
+        self.consider_active()
+        self.proposer.abandon()
+        self.proposals.propose(log.Evict(robot, incarnation, True), order_id)
+        warning = self._what_is_given_up()
+        if warning:
+            self.outbox.fault(warning)
+
+    def _what_is_given_up(self) -> str:
+        """What the assertions that some robots are off mean for what they know."""
+        members, off = self.electorate.members(), self.electorate.asserted_off()
+        left = [m for m in members if m not in off]
+        if not left or is_quorum(left, members):
+            return ""
+        return (
+            "%s could have decided without the others: what only they know is given up; they must stay off until "
+            "they are evicted, for which the word of all others is needed (%s)"
+            % (", ".join(m for m in members if m in off), ", ".join(left))
+        )
+
+    def _note_off(self, robot: str, incarnation: int) -> None:
+        """Note that an operator asserted elsewhere that a robot is off."""
+        state = self.state
+        known = state.ledger.state.robots.get(robot)
+        if robot == self.config.name or known is None or known.phase in GONE or known.incarnation != incarnation:
+            return
+        if state.off.get(robot) != incarnation and state.peers.get(robot).heard is None:
+            self._assert_off(robot, incarnation)
+
+    def _assert_off(self, robot: str, incarnation: int) -> None:
+        self.state.off[robot] = incarnation
+        self._persist_off()
+
+    def _persist_off(self) -> None:
+        state = self.state
+        record = {"kind": "forced", "slot": state.ledger.length, "robots": dict(state.off)}
+        self.outbox.persist(record, durable=True)
+
+    def _heard_though_off(self, robot: str) -> None:
+        """A robot that was asserted to be off is heard: the assertion was wrong, or is over."""
+        was = robot in self.electorate.asserted_off()
+        del self.state.off[robot]
+        self._persist_off()
+        if not was:
+            return
+        self.proposals.withdraw_forced_evictions(robot, "%s is not off: it was heard" % robot)
+        self.proposer.abandon()
+        self.outbox.fault("%s was said to be off, and is heard: it is not evicted" % robot)
+
+    # -- who does not belong here -----------------------------------------------------------------------
+
+    def hear_own_name(self, message: Envelope) -> None:
+        """Another process runs under our name, or our own message came back."""
+        state, body = self.state, message.body
+        if message.team != self.config.tag or not isinstance(body, Hello):
+            return
+        same = message.log == state.log_id
+        if message.incarnation > state.incarnation and (same or (body.active and state.active)):
+            self._halt("another process runs as %s, and started later" % self.config.name)
+        elif state.superseded_at is not None and not same:
+            if state.rival_since is None:
+                state.rival_since = state.now
+            elif state.now - state.rival_since > 1.5 * self.config.pace.heartbeat:  # a late message comes but once
+                self._halt("another process runs as %s, and was let in after it" % self.config.name)
+
+    def hear_stranger(self, message: Envelope) -> None:
+        """A message of another run, or of another plan."""
+        run, _, plan = message.team.rpartition("|")
+        if run == self.config.run and plan != self.config.plan.hash()[:12]:
+            self._refuse_stranger(message.sender, "%s has another plan" % message.sender)
+
+    def _refuse_stranger(self, sender: str, what: str) -> None:
+        if sender in self.state.strangers:
+            return
+        self.state.strangers.add(sender)
+        plan = self.config.plan
+        if not self.state.active and plan.robots and sender in [r.name for r in plan.robots]:
+            self._halt("%s (run '%s'); give all robots the same plan" % (what, self.config.run))
+        else:
+            self.outbox.fault("%s (run '%s'); it is not let in" % (what, self.config.run))
+
+    def refuse_message(self, data: Any, why: str) -> None:
+        """Tell once of each sender that we do not understand it."""
+        complaints = self.state.complaints
+        sender = data.get("from") if isinstance(data, dict) else None
+        sender = sender[:100] if isinstance(sender, str) else "somebody"
+        if sender != self.config.name and len(complaints) < 100 and (sender, why) not in complaints:
+            complaints.add((sender, why))
+            self.outbox.fault("a message of %s is not understood: %s" % (sender, why))

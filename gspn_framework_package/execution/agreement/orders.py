@@ -1,0 +1,110 @@
+"""What operators order at this robot: checked, held while we only listen, then proposed.
+
+Owns ``held_orders``. Asks the electorate and the log whether an order makes sense, hands it to the
+proposals (or, an eviction by force, to the membership), and answers at once where it is refused.
+"""
+
+from __future__ import annotations
+
+from typing import Optional
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement.config import Config
+from gspn_framework_package.execution.agreement.electorate import Electorate
+from gspn_framework_package.execution.agreement.membership import Membership
+from gspn_framework_package.execution.agreement.outbox import Outbox
+from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.team_state import GONE, RobotState
+
+
+class Orders:
+    """Takes orders."""
+
+    def __init__(
+        self,
+        config: Config,
+        state: ReplicaState,
+        outbox: Outbox,
+        electorate: Electorate,
+        proposals: Proposals,
+        membership: Membership,
+    ) -> None:
+        self.config = config
+        self.state = state
+        self.outbox = outbox
+        self.electorate = electorate
+        self.proposals = proposals
+        self.membership = membership
+
+    def order(self, order: io.Order) -> None:
+        """Propose what an operator orders, where it makes sense."""
+        if self.state.now < self.state.listen_until:
+            self.state.held_orders.append(order)  # we are not in the team yet, but for as long as we listen only
+            return
+        entry = order.entry
+        if isinstance(entry, log.Evict) and entry.incarnation < 0:
+            robot = self._robot(entry.robot)
+            entry = entry._replace(incarnation=robot.incarnation if robot else 0)
+        why = self._why_not(entry)
+        if why:
+            self.outbox.order_result(order.order_id, False, why)
+        else:
+            self.proposals.propose(entry, order.order_id)
+
+    def take_up_held(self) -> None:
+        """We have listened: take the orders that came meanwhile."""
+        held, self.state.held_orders = self.state.held_orders, []
+        for order in held:
+            self.order(order)
+
+    def force_evict(self, order: io.ForceEvict) -> None:
+        """Believe an operator that a robot is off, where nothing speaks against it."""
+        robot = self._robot(order.robot)
+        why = self._why_not_force(order.robot, robot)
+        if why or robot is None:
+            self.outbox.order_result(order.order_id, False, why)
+        else:
+            self.membership.evict_by_force(order.robot, robot.incarnation, order.order_id)
+
+    def _robot(self, name: str) -> Optional[RobotState]:
+        return self.state.ledger.state.robots.get(name)
+
+    def _why_not(self, entry: log.Entry) -> str:
+        """Why an order makes no sense as things stand; "" if it does."""
+        state, me, plan = self.state, self.config.name, self.config.plan
+        if state.ledger.state.ended is not None:
+            return "the run is over: %s" % state.ledger.state.ended
+        if not state.active or not (self.electorate.is_member() or self.config.witness):
+            return "%s is not in the team (yet)" % me
+        if isinstance(entry, log.Leave) and self.electorate.members() == [entry.robot]:
+            return "%s is the last one of the team; stop the run instead" % entry.robot
+        name = getattr(entry, "robot", "")
+        robot = self._robot(name)
+        if name and (robot is None or robot.phase in GONE):
+            return "there is no robot '%s' in the team" % name
+        if isinstance(entry, log.SetPlace) and entry.place not in plan.action_places:
+            return "'%s' is not an action place of the plan" % entry.place
+        if isinstance(entry, log.Fire) and entry.transition not in plan.net.transition_index:
+            return "the net has no transition '%s'" % entry.transition
+        if isinstance(entry, log.Retry) and robot is not None and robot.phase.value != "failed":
+            return "the action of %s did not fail" % name
+        return ""
+
+    def _why_not_force(self, name: str, robot: Optional[RobotState]) -> str:
+        """Why we do not believe that a robot is off; "" if we do."""
+        state, me = self.state, self.config.name
+        if state.ledger.state.ended is not None:
+            return "the run is over: %s" % state.ledger.state.ended
+        if name == me:
+            return "%s cannot assert that it is off itself" % me
+        if robot is None or robot.phase in GONE:
+            return "there is no robot '%s' in the team" % name
+        if state.amnesic or (state.joining and not state.active):
+            return "%s has no vote; ask a robot that is in the team" % me
+        if state.peers.get(name).heard is not None:
+            silence = state.peers.silence(name, state.now)
+            if silence < 2 * self.config.pace.heartbeat:
+                return "%s was heard %.1f s ago: it is not off; use evict, or switch it off" % (name, silence)
+        return ""

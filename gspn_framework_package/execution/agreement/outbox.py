@@ -1,0 +1,103 @@
+"""The effects of a step, in order: records, messages, answers, what people should hear.
+
+Owns ``records`` and ``durable``, the length of our own log. Calls nobody; every part puts its effects
+in here, and :class:`~gspn_framework_package.execution.agreement.replica.Replica` takes them out.
+"""
+
+from __future__ import annotations
+
+from typing import Any, List, Sequence
+
+from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement.config import Config
+from gspn_framework_package.execution.agreement.messages import Envelope
+from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.event_log import Record
+from gspn_framework_package.execution.firing import Fault
+
+
+class Outbox:
+    """Collects the effects of a step."""
+
+    def __init__(self, config: Config, state: ReplicaState) -> None:
+        self.config = config
+        self.state = state
+        self._effects: List[io.Effect] = []
+        self._request = ""
+
+    # -- a step begins and ends -----------------------------------------------------------------------
+
+    def begin(self, request_id: str) -> None:
+        """The step takes a message; ``request_id`` as in
+        :class:`~gspn_framework_package.execution.agreement.interface.Received`."""
+        self._request = request_id
+
+    def end(self) -> None:
+        """A call that nobody answered gets an empty reply."""
+        if self._request:
+            self.put(io.Reply(self._request, {}))
+            self._request = ""
+
+    def flush(self) -> List[io.Effect]:
+        """The effects so far."""
+        effects, self._effects = self._effects, []
+        return effects
+
+    @property
+    def owes_reply(self) -> bool:
+        """Whether the message that is being taken is a call that was not answered yet."""
+        return bool(self._request)
+
+    # -- effects --------------------------------------------------------------------------------------
+
+    def put(self, *effects: io.Effect) -> None:
+        """Have these carried out after all before them."""
+        self._effects += effects
+
+    def persist(self, record: Record, *, durable: bool = False) -> None:
+        """Write a record before anything else leaves the process; see
+        :class:`~gspn_framework_package.execution.agreement.interface.Persist`."""
+        self.state.records += 1
+        if durable:
+            self.state.durable = self.state.records
+        self.put(io.Persist(record, durable))
+
+    def send_all(self, to: Sequence[str], body: Any) -> None:
+        """Send a message to each of these."""
+        if to:
+            signed = self.signed(body)
+            self.put(*(io.Send(robot, signed) for robot in to))
+
+    def broadcast(self, body: Any) -> None:
+        """Send a message to everybody, whether in the team or not."""
+        self.put(io.Send(io.EVERYBODY, self.signed(body)))
+
+    def answer(self, to: Envelope, body: Any) -> None:
+        """Answer a message: with the reply of a call, where it was one."""
+        if self._request:
+            self.put(io.Reply(self._request, self.signed(body)))
+            self._request = ""
+        else:
+            self.send_all([to.sender], body)
+
+    def fault(self, message: str) -> None:
+        """Tell people of a fault of this robot."""
+        self.put(Fault(self.config.name, message))
+
+    def order_result(self, order_id: str, ok: bool, text: str) -> None:
+        """Tell who gave an order what became of it."""
+        self.put(io.OrderResult(order_id, ok, text))
+
+    def signed(self, body: Any) -> io.Message:
+        """A message as it leaves, with what every message says of its sender."""
+        state = self.state
+        return Envelope(
+            self.config.name,
+            self.config.tag,
+            state.log_id,
+            state.incarnation,
+            state.durable,
+            state.ledger.length,
+            state.ledger.hash,
+            body,
+        ).to_json()

@@ -1,0 +1,230 @@
+"""What waits to get into the log: what this robot proposes, and what others told it that they do.
+
+Owns ``own_proposals``, ``others_proposals`` and ``number``. Reads the electorate (what may go into the log),
+puts records and the answers to orders into the outbox.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, Iterable, List, Optional, Sequence, Set
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement.config import Config
+from gspn_framework_package.execution.agreement.electorate import Electorate
+from gspn_framework_package.execution.agreement.messages import Batch
+from gspn_framework_package.execution.agreement.outbox import Outbox
+from gspn_framework_package.execution.agreement.state import CONTROLS, Proposal, ReplicaState
+from gspn_framework_package.execution.event_log import Record
+from gspn_framework_package.execution.firing import Fault, Firing, firing_to_json
+from gspn_framework_package.execution.ledger import Item, Origin
+from gspn_framework_package.execution.token_game import Step
+
+
+class Proposals:
+    """The items on their way. Those of one origin stay in the order of their numbers."""
+
+    def __init__(self, config: Config, state: ReplicaState, outbox: Outbox, electorate: Electorate) -> None:
+        self.config = config
+        self.state = state
+        self.outbox = outbox
+        self.electorate = electorate
+        self._open: Dict[Origin, Item] = {}  # while our log is read back
+
+    # -- in -------------------------------------------------------------------------------------------
+
+    def propose(self, entry: log.Entry, order_id: str = "", suspect: str = "") -> None:
+        """Want an entry in the log."""
+        item = Item(entry, self._next_origin())
+        if not suspect:  # a suspicion may be withdrawn, and is never taken up again
+            origin = list(item.origin)
+            self.outbox.persist({"kind": "invoked", "entry": log.to_json(entry), "origin": origin})
+        self.state.own_proposals.append(Proposal(item, order_id, suspect))
+
+    def add_local_transition(self, entry: log.Done, firing: Firing) -> None:
+        """A local transition was made, and is to be in the log some time."""
+        origin = self._next_origin()
+        self.outbox.persist(
+            {
+                "kind": "private",
+                "entry": log.to_json(entry),
+                "origin": list(origin),
+                "firing": firing_to_json(firing, self.config.plan.net),
+            }
+        )
+        self.state.own_proposals.append(Proposal(Item(entry, origin, True)))
+
+    def add_others(self, items: Sequence[Item]) -> None:
+        """Keep what others want in the log."""
+        if not items:
+            return
+        is_news, others = self.state.ledger.is_news, self.state.others_proposals
+        for item in items:
+            if is_news(item.origin):
+                others.setdefault(item.origin.robot, {})[item.origin] = item
+
+    def drop_others(self, robot: str) -> None:
+        """Forget what was told of a robot."""
+        self.state.others_proposals.pop(robot, None)
+
+    def _next_origin(self) -> Origin:
+        state = self.state
+        state.number += 1
+        return Origin(self.config.name, state.incarnation, state.number, state.log_id[:8])
+
+    def begin_life(self) -> None:
+        """A new incarnation counts from 1."""
+        self.state.number = 0
+
+    # -- out ------------------------------------------------------------------------------------------
+
+    def take_out_decided(self, fresh: Set[Origin], step: Optional[Step]) -> None:
+        """Drop what is in the log, and answer those who ordered it.
+
+        :param fresh: origins of the slot that was just decided.
+        :param step: what it brought about.
+        """
+        state = self.state
+        is_news = state.ledger.is_news
+        for robot in list(state.others_proposals):
+            kept = {o: i for o, i in state.others_proposals[robot].items() if is_news(o)}
+            if kept:
+                state.others_proposals[robot] = kept
+            else:
+                del state.others_proposals[robot]
+        gone = [own for own in state.own_proposals if not is_news(own.item.origin)]
+        if gone:
+            state.own_proposals = [own for own in state.own_proposals if is_news(own.item.origin)]
+        for own in gone:
+            if own.order_id:
+                self._answer(own, own.item.origin in fresh, step)
+
+    def _answer(self, own: Proposal, in_log: bool, step: Optional[Step]) -> None:
+        slot = self.state.ledger.length - 1
+        if not in_log:
+            self.outbox.order_result(own.order_id, False, "was overtaken by a newer one")
+            return
+        why = self._without_effect(own.item.entry, step)
+        self.outbox.order_result(own.order_id, not why, why or "done, in slot %d of the log" % slot)
+
+    def _without_effect(self, entry: log.Entry, step: Optional[Step]) -> str:
+        """Why an order that is in the log changed nothing; "" if it did."""
+        if isinstance(entry, (log.SetPlace, log.Fire)):
+            return "; ".join(c.message for c in (step.commands if step is not None else ()) if isinstance(c, Fault))
+        if isinstance(entry, (log.Leave, log.Evict)) and self.electorate.members() == [entry.robot]:
+            return "%s is the last one of the team, and stays; stop the run instead" % entry.robot
+        return ""
+
+    def withdraw_suspicion(self, robots: Iterable[str]) -> None:
+        """Take back the Evicts for silence of robots that were heard again."""
+        heard = set(robots)
+        self.state.own_proposals = [
+            own for own in self.state.own_proposals if own.suspect not in heard or not own.suspect
+        ]
+
+    def withdraw_forced_evictions(self, robot: str, why: str) -> None:
+        """Take back the evictions by force of a robot that is not off."""
+        kept = []
+        for own in self.state.own_proposals:
+            entry = own.item.entry
+            if isinstance(entry, log.Evict) and entry.forced and entry.robot == robot:
+                self._persist_void(own, why)
+                if own.order_id:
+                    self.outbox.order_result(own.order_id, False, why)
+            else:
+                kept.append(own)
+        self.state.own_proposals = kept
+
+    def void(self, own: Proposal, why: str) -> None:
+        """A local transition does not hold."""
+        self.state.own_proposals.remove(own)
+        self._persist_void(own, why)
+
+    def _persist_void(self, own: Proposal, why: str) -> None:
+        self.outbox.persist({"kind": "void", "origin": list(own.item.origin), "why": why})
+
+    def keep_orders_only(self) -> None:
+        """Our robot is gone: what it did does not count, what operators want does."""
+        self.state.own_proposals = [o for o in self.state.own_proposals if o.order_id]
+
+    def drop_all(self, why: str) -> None:
+        """We forget our log, and all that was to get into it."""
+        for own in self.state.own_proposals:
+            if own.order_id:
+                self.outbox.order_result(own.order_id, False, why)
+        self.state.own_proposals = []
+        self.state.others_proposals = {}
+
+    # -- questions --------------------------------------------------------------------------------------
+
+    def own_items(self) -> List[Item]:
+        """What we want in the log ourselves."""
+        return [own.item for own in self.state.own_proposals]
+
+    def origins(self) -> List[str]:
+        """The robots that others told about."""
+        return list(self.state.others_proposals)
+
+    def has_control(self) -> bool:
+        """Whether an order waits that needs every robot to hold still."""
+        return any(isinstance(own.item.entry, CONTROLS) for own in self.state.own_proposals) or any(
+            isinstance(item.entry, CONTROLS)
+            for items in self.state.others_proposals.values()
+            for item in items.values()
+        )
+
+    def batch(self, frozen: bool) -> Batch:
+        """What should go into the open slot, items as JSON values.
+
+        :param frozen: nobody makes a local transition until it is decided.
+        """
+        items = self.in_order(frozen or not self.config.partial)
+        items = self.electorate.with_one_who_stays(self.electorate.without_ghosts(items))
+        return [i.to_json() for i in items[: self.config.limits.batch]]
+
+    def in_order(self, frozen: bool, most: Optional[int] = None) -> List[Item]:
+        """Of each robot, in the order of the members (others after those), first its leading local
+        transitions, then the rest; the first ``most`` of them. Not ``frozen``: without the orders
+        that need it, and what comes after them.
+        """
+        order = self.electorate.members()
+        items: Dict[str, List[Item]] = {}
+        for own in self.state.own_proposals:
+            items.setdefault(own.item.origin.robot, []).append(own.item)
+        for robot, others in self.state.others_proposals.items():
+            known = items.setdefault(robot, [])
+            held = {i.origin for i in known}
+            known += [i for o, i in others.items() if o not in held]
+        first: List[Item] = []
+        rest: List[Item] = []
+        for robot in sorted(items, key=lambda r: (_rank(order, r), r)):
+            leading = True
+            for item in sorted(items[robot], key=lambda i: i.origin):
+                if not frozen and isinstance(item.entry, CONTROLS):
+                    break
+                leading = leading and item.private
+                (first if leading else rest).append(item)
+        return (first + rest)[:most]
+
+    # -- our own log, read back ---------------------------------------------------------------------------
+
+    def recall(self, record: Record) -> None:
+        """Take over a record of our own log."""
+        kind = record["kind"]
+        if kind == "reset":
+            self._open.clear()
+        elif kind == "void":
+            self._open.pop(Origin(*record["origin"]), None)
+        else:
+            item = Item.from_json([record["entry"], record["origin"], kind == "private"])
+            self._open[item.origin] = item
+
+    def recall_is_over(self) -> None:
+        """All records were read: what is not in the log still waits."""
+        for item in self._open.values():
+            if self.state.ledger.is_news(item.origin):
+                self.state.own_proposals.append(Proposal(item))
+        self._open = {}
+
+
+def _rank(order: Sequence[str], robot: str) -> int:
+    return order.index(robot) if robot in order else len(order)

@@ -1,0 +1,253 @@
+"""When to propose: as leader, after waiting for the leader, by a member where we have no vote; when to
+ask again, and when to give way to another's attempt. Nothing in here matters for safety.
+
+Owns the timers of the open slot (the fields of proposer in
+:class:`~gspn_framework_package.execution.agreement.state.ReplicaState`) and drives the
+:class:`~gspn_framework_package.execution.agreement.consensus.Consensus`. Reads proposals and
+electorate, sends events through the outbox.
+"""
+
+from __future__ import annotations
+
+from typing import List, Set
+
+from gspn_framework_package.execution.agreement.config import Config
+from gspn_framework_package.execution.agreement.consensus import Consensus
+from gspn_framework_package.execution.agreement.electorate import Electorate
+from gspn_framework_package.execution.agreement.messages import (
+    MOST_ITEMS,
+    Accept,
+    Accepted,
+    Envelope,
+    Event,
+    Nack,
+    Prepare,
+    Promise,
+)
+from gspn_framework_package.execution.agreement.outbox import Outbox
+from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.quorum import Ballot
+from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.draw import uniform
+from gspn_framework_package.execution.team_state import POLICY
+
+FLUSH_AT = 100
+"""Local transitions that wait before they are brought into the log for their number alone."""
+
+
+class Proposer:
+    """Looks at the clock, and at what waits."""
+
+    def __init__(
+        self,
+        config: Config,
+        state: ReplicaState,
+        outbox: Outbox,
+        electorate: Electorate,
+        proposals: Proposals,
+        consensus: Consensus,
+    ) -> None:
+        self.config = config
+        self.state = state
+        self.outbox = outbox
+        self.electorate = electorate
+        self.proposals = proposals
+        self.consensus = consensus
+
+    # -- what came in ---------------------------------------------------------------------------------
+
+    def on_event(self, message: Envelope, body: Event) -> None:
+        """Another wants something in the log."""
+        self.proposals.add_others(self.electorate.not_given_up(message, body.items))
+        voteless = self.state.voteless
+        (voteless.discard if body.vote else voteless.add)(message.sender)
+
+    def on_vote(self, message: Envelope) -> None:
+        """A message of the consensus, of a robot whose memory counts."""
+        body, consensus, now = message.body, self.consensus, self.state.now
+        if isinstance(body, Prepare):
+            consensus.on_prepare(message, body)
+            if self.state.promised == body.ballot:
+                self._give_way()
+        elif isinstance(body, Accept):
+            consensus.on_accept(message, body)
+        elif isinstance(body, Promise):
+            consensus.on_promise(message, body, now)
+        elif isinstance(body, Accepted):
+            consensus.on_accepted(message, body, now)
+        elif isinstance(body, Nack) and consensus.on_nack(body):
+            self.state.defeats += 1
+            self._give_way()
+
+    def on_chosen(self, ballot: Ballot) -> bool:
+        """We hear that what was accepted under ``ballot`` is chosen in the open slot; False if we
+        do not hold it."""
+        return self.consensus.on_chosen(ballot)
+
+    def ask_again(self, robot: str) -> None:
+        """A robot that was behind is sent what it lacks: repeat to it what it could not answer."""
+        self.consensus.ask_again(robot)
+
+    # -- what became of the open slot -------------------------------------------------------------------
+
+    def next_slot(self, mine: bool, returned: Set[str]) -> None:
+        """The open slot was decided; see
+        :meth:`~gspn_framework_package.execution.agreement.consensus.Consensus.next_slot`."""
+        state = self.state
+        self.consensus.next_slot(mine, returned)
+        state.defeats = 0
+        state.frozen_since = None
+        state.wait_until = None
+        state.gave_way = False
+        if self.config.partial and not mine:  # several may want the next slot: not all at once
+            state.wait_until = state.now + max(self.config.pace.backoff, state.round_trip) * self._draw()
+
+    def begin_anew(self) -> None:
+        """Our log was replaced: what we wanted in its open slot does not count."""
+        self.consensus.next_slot(False, set())
+
+    def abandon(self) -> None:
+        """Give the running attempt and the lead up."""
+        self.consensus.abandon()
+
+    def lead_from_the_start(self, followers: Set[str]) -> None:
+        """We are the first of a team of which everybody is fresh."""
+        self.consensus.lead_from_the_start(followers)
+
+    def lead_on(self, ballot: Ballot) -> bool:
+        """Our attempt was chosen: propose the next batch under the same ballot at once, if one
+        waits, which tells the others too; whether it did."""
+        self.state.gathers_until = self.state.now + self.config.pace.gather
+        if self.config.partial or self.config.pace.gather > 0:
+            return False
+        self.consensus.propose(self.state.now)
+        attempt = self.state.attempt
+        return attempt is not None and attempt.ballot == ballot
+
+    # -- as time passes -------------------------------------------------------------------------------
+
+    def wants(self) -> bool:
+        """Whether something should get into the log now."""
+        state = self.state
+        if state.ledger.state.ended is not None:
+            return False
+        own = state.own_proposals
+        if any(not o.item.private for o in own):
+            return True
+        if own and (len(own) >= FLUSH_AT or self._somebody_asks_the_policy()):
+            return True
+        origins = self.proposals.origins()
+        if origins and self.consensus.leads():
+            return True
+        members = set(self.electorate.members())
+        if any(origin not in members or origin in state.voteless for origin in origins):
+            return True
+        if state.frozen_by is not None and state.frozen_since is not None:
+            return state.now >= state.frozen_since + 2 * self.config.pace.takeover
+        return False
+
+    def _somebody_asks_the_policy(self) -> bool:
+        team = self.state.ledger.state
+        return any(team.robots[name].request == POLICY for name in team.waiting)
+
+    def drive(self) -> None:
+        """Get on with what is wanted."""
+        state, consensus = self.state, self.consensus
+        again = consensus.resend_at(self.config.pace.retry)
+        if again is not None:
+            if state.now >= again:
+                consensus.resend(state.now)
+            return
+        if state.frozen_by is not None and state.frozen_since is None:
+            state.frozen_since = state.now
+        if not self.wants():
+            if not state.gave_way:  # else another's attempt is under way, which our next proposal must not defeat
+                state.wait_until = None
+            return
+        if not self.electorate.may_vote():
+            self._ask_members()
+        elif self.config.partial:
+            if state.wait_until is None or state.now >= state.wait_until:
+                state.wait_until = None
+                consensus.propose(state.now, state.is_frozen() or self.proposals.has_control())
+        elif consensus.leads():
+            if state.now >= state.gathers_until:
+                consensus.propose(state.now)
+        else:
+            self._follow_leader()
+
+    def _follow_leader(self) -> None:
+        state = self.state
+        leader = state.leader
+        if state.wait_until is None:
+            state.wait_until = state.now + self._patience()
+        if leader == self.config.name or leader not in self.electorate.others() or state.now >= state.wait_until:
+            state.wait_until = state.now + self._patience()
+            self.consensus.propose(state.now)
+            return
+        self._send_event([leader])
+
+    def _ask_members(self) -> None:
+        """We have no vote: have a member propose what we want."""
+        others = self.electorate.others()
+        heard = [m for m in others if self.state.peers.get(m).heard is not None] or others
+        if not heard:
+            return
+        leader = self.state.leader
+        if self.config.partial or leader not in heard:
+            turn = int(self.state.now / max(self.config.pace.takeover, 1e-9))
+            leader = heard[turn % len(heard)]
+        self._send_event([leader])
+
+    def _send_event(self, to: List[str]) -> None:
+        state = self.state
+        items = self.proposals.own_items()
+        told = (tuple(to), state.ledger.length, len(items), tuple(self.proposals.origins()))
+        if told == state.told[:4] and state.now < state.told[4]:
+            return
+        state.told = (*told, state.now + self.config.pace.retry)
+        extra = self.proposals.in_order(True, self.config.limits.batch)
+        known = {i.origin for i in items}
+        items = items + [i for i in extra if i.origin not in known]
+        self.outbox.send_all(to, Event(items[:MOST_ITEMS], self.electorate.may_vote()))
+
+    def _patience(self) -> float:
+        """For how long a proposal waits for the leader (s)."""
+        members, me = self.electorate.members(), self.config.name
+        rank = members.index(me) if me in members else len(members)
+        takeover = max(self.config.pace.takeover, 3 * self.state.round_trip)
+        return takeover * (1 + 0.25 * rank + 0.5 * self._draw())
+
+    def _give_way(self) -> None:
+        """Another's attempt goes first: wait for its outcome."""
+        state = self.state
+        if self.config.partial:
+            state.gave_way = True
+            needs = 2 * state.round_trip  # its two phases
+            wait = max(needs, self.config.pace.backoff * 2 ** min(state.defeats, 6)) * (1 + self._draw())
+        else:
+            wait = self._patience()
+        state.wait_until = state.now + wait
+
+    def _draw(self) -> float:
+        """A number in [0, 1) that differs from robot to robot and from time to time."""
+        state, seed = self.state, self.config.plan.seed
+        return uniform(seed, state.ledger.length, state.highest.counter, "wait of " + self.config.name)
+
+    def wake_times(self) -> List[float]:
+        """When to look again (s)."""
+        state = self.state
+        again = self.consensus.resend_at(self.config.pace.retry)
+        if again is not None:
+            return [again]
+        times = []
+        if self.wants():
+            if state.wait_until is not None:
+                times.append(state.wait_until)
+            if self.consensus.leads() and state.gathers_until > state.now:
+                times.append(state.gathers_until)
+            if state.told and not self.config.partial or not self.electorate.may_vote():
+                times.append(state.told[4] if state.told else state.now + self.config.pace.retry)
+        elif state.frozen_since is not None:
+            times.append(state.frozen_since + 2 * self.config.pace.takeover)
+        return times

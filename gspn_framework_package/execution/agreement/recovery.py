@@ -1,0 +1,90 @@
+"""A replica's own log, read back when it starts again.
+
+Owns nothing: gives each record to the part whose it is (membership, replication, proposals, consensus),
+in the order of the log, and has the membership begin the next life.
+"""
+
+from __future__ import annotations
+
+from typing import Sequence
+
+from gspn_framework_package.execution.agreement.config import Config
+from gspn_framework_package.execution.agreement.consensus import Consensus
+from gspn_framework_package.execution.agreement.membership import Membership
+from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.replication import Replication
+from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.event_log import Record
+from gspn_framework_package.model.errors import LogError
+
+OF_MEMBERSHIP = ("life", "active", "reset", "peer", "forced")
+OF_PROPOSALS = ("invoked", "private", "void", "reset")
+OF_REPLICATION = ("slot", "snapshot")
+OF_CONSENSUS = ("promised", "accepted")
+
+
+class Recovery:
+    """Hands records out."""
+
+    def __init__(
+        self,
+        config: Config,
+        state: ReplicaState,
+        consensus: Consensus,
+        proposals: Proposals,
+        membership: Membership,
+        replication: Replication,
+    ) -> None:
+        self.config = config
+        self.state = state
+        self.consensus = consensus
+        self.proposals = proposals
+        self.membership = membership
+        self.replication = replication
+
+    def resume(self, records: Sequence[Record]) -> None:
+        """Take our own log up again.
+
+        :raises LogError: the records contradict each other or the plan.
+        """
+        begin = max((i for i, r in enumerate(records) if r["kind"] in ("snapshot", "reset")), default=0)
+        for number, record in enumerate(records):
+            try:
+                self._recall(record, number >= begin)
+            except (KeyError, TypeError, ValueError, AttributeError) as error:
+                raise _damaged(record, number, error) from None
+        self._recall_votes(records)
+        self.proposals.recall_is_over()
+        self.replication.recall_is_over(records)
+        self.membership.recall_is_over()
+        if self.state.ledger.length == 0 and not (self.state.joining or self.state.amnesic):
+            self.replication.begin()
+
+    def _recall(self, record: Record, counts: bool) -> None:
+        """Take over one record. ``counts``: no snapshot or reset comes after it."""
+        kind = record["kind"]
+        if kind in OF_MEMBERSHIP:
+            self.membership.recall(record)
+        if kind in OF_PROPOSALS:
+            self.proposals.recall(record)
+        if kind == "reset":
+            self.replication.begin_anew()
+        elif counts and kind in OF_REPLICATION:
+            self.replication.recall(record)
+
+    def _recall_votes(self, records: Sequence[Record]) -> None:
+        """Take promises and votes up again; those before a reset are of another memory."""
+        last = max((i for i, r in enumerate(records) if r["kind"] == "reset"), default=-1)
+        for number, record in enumerate(records):
+            if record["kind"] in OF_CONSENSUS:
+                try:
+                    self.consensus.restore(record, self.state.ledger.length if number > last else -1)
+                except (KeyError, TypeError, ValueError, LogError) as error:
+                    raise _damaged(record, number, error) from None
+
+
+def _damaged(record: Record, number: int, error: Exception) -> LogError:
+    return LogError(
+        "record %d of our own log, '%s', is damaged (%r)" % (number + 1, record.get("kind"), error),
+        hint="move the file away: the robot then learns the log from the others, and joins again",
+    )

@@ -1,0 +1,244 @@
+"""The replicated log: slots that are decided, slots and snapshots that we catch up on, and the help for
+those who are behind.
+
+Owns ``ledger``, ``recent``, ``first_hash`` and ``asked_until``. When a slot is in the log it tells, in
+this order, the proposer (the open slot is another), the membership (who was let in, or cast out), the proposals
+(what waits no longer) and the local robot (where it is). It is the log that consensus and membership
+ask for.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, Optional, Sequence, Set, Tuple
+
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement.config import Config
+from gspn_framework_package.execution.agreement.electorate import Electorate
+from gspn_framework_package.execution.agreement.local_robot import LocalRobot
+from gspn_framework_package.execution.agreement.membership import Membership
+from gspn_framework_package.execution.agreement.messages import Batch, Chosen, Envelope, Learn, Pull
+from gspn_framework_package.execution.agreement.outbox import Outbox
+from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.proposer import Proposer
+from gspn_framework_package.execution.agreement.quorum import Ballot
+from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.event_log import Record
+from gspn_framework_package.execution.firing import Ended, Fault, Firing, StartAction
+from gspn_framework_package.execution.ledger import Item, Ledger, Origin
+from gspn_framework_package.execution.token_game import Step
+from gspn_framework_package.model.errors import LogError
+
+
+class Replication:
+    """Takes slots into the log, with all that follows from them."""
+
+    def __init__(
+        self,
+        config: Config,
+        state: ReplicaState,
+        outbox: Outbox,
+        electorate: Electorate,
+        proposals: Proposals,
+        proposer: Proposer,
+        membership: Membership,
+        robot: LocalRobot,
+    ) -> None:
+        self.config = config
+        self.state = state
+        self.outbox = outbox
+        self.electorate = electorate
+        self.proposals = proposals
+        self.proposer = proposer
+        self.membership = membership
+        self.robot = robot
+
+    # -- slots that are decided -----------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """The first slot is the same for all who have the plan: nothing to agree on."""
+        start = self.config.game.start_entry()
+        self._commit([Item(start, Origin("", 0, 0)).to_json()], Ballot(0, ""), mine=False)
+
+    def decided(self, batch: Batch, ballot: Ballot, *, mine: bool) -> None:
+        """The batch is chosen in the open slot; ``mine``: by our own attempt."""
+        slot = self.state.ledger.length
+        alone = mine and self.electorate.may_decide([self.config.name])
+        self._commit(batch, ballot, mine=mine, alone=alone)
+        if mine and self.state.halted is None and not self.proposer.lead_on(ballot):
+            self._tell_chosen(slot, ballot, {origin[0] for _, origin, _ in batch}, alone)
+
+    def _tell_chosen(self, slot: int, ballot: Ballot, origins: Set[str], alone: bool) -> None:
+        """Tell the others; but in a small team those whose proposals were in the batch saw each other's
+        votes."""
+        voted = self.config.is_small and not self.config.partial and not alone
+        told = [m for m in self.electorate.others() if not (voted and m in origins)]
+        if alone:  # nobody else has seen the batch
+            self.outbox.send_all(told, Learn(at=slot, slots=self.state.recent.since(slot) or ()))
+        else:
+            self.outbox.send_all(told, Learn(Chosen(slot, ballot)))
+
+    def _commit(self, batch: Batch, ballot: Ballot, *, mine: bool, alone: bool = False) -> None:
+        state = self.state
+        items = [Item.from_json(i) for i in batch]
+        before = state.ledger.hash
+        record, step = state.ledger.append(items, ballot)
+        slot = record["slot"]
+        fresh = {Origin(*o) for o in record["origins"]}
+        kept = [i for i in items if i.origin in fresh]
+        state.recent.add(slot, ballot, [i.to_json() for i in kept], before)
+        self.outbox.persist(record, durable=alone)  # then it is our vote as well
+        if slot == 0:
+            state.first_hash = state.ledger.hash
+        returned = {i.entry.robot for i in kept if isinstance(i.entry, log.Join)}
+        self.proposer.next_slot(mine, returned)
+        for firing in step.firings:
+            published = mine and not _was_local(firing, kept)
+            self.outbox.put(io.Fired(firing, published, state.ledger.hash))
+        self.outbox.put(*(c for c in step.commands if isinstance(c, (Fault, Ended))))
+        self.membership.note_members(kept)
+        delays = {
+            (c.visit, c.attempt): c.delay
+            for c in step.commands
+            if isinstance(c, StartAction) and c.robot == self.config.name and c.delay > 0
+        }
+        self._after_slot(fresh, delays, step)
+        if (
+            slot
+            and slot % self.config.limits.snapshot_every == 0
+            and state.halted is None
+            and state.ledger.length == slot + 1
+        ):
+            self.outbox.persist(state.ledger.snapshot())
+
+    def _after_slot(self, fresh: Set[Origin], delays: Dict[Tuple[int, int], float], step: Optional[Step]) -> None:
+        self.proposals.take_out_decided(fresh, step)
+        if self.state.active and self.electorate.spoken_for():
+            self.membership.new_life()  # a former life of ours, late, or somebody else in our name
+        self.robot.follow()
+        self.membership.note_own_fate()
+        self.robot.act(delays)
+
+    def begin_anew(self) -> None:
+        """Forget all slots."""
+        self.state.ledger = Ledger(self.config.game)
+        self.state.recent.clear(0)
+
+    # -- catching up, and helping others to ---------------------------------------------------------------
+
+    def is_open(self, message: Envelope) -> bool:
+        """Whether a message is about the open slot, on top of the same log; where it is not, the
+        one that is behind is helped."""
+        ledger, slot = self.state.ledger, message.body.slot
+        if slot < ledger.length:
+            self.help(message)
+            return False
+        if slot > ledger.length:
+            self.pull(message.sender)
+            return False
+        if message.length == ledger.length and message.hash != ledger.hash:
+            self.membership.conflict(message.sender, slot)
+            return False
+        return True
+
+    def pull(self, robot: str) -> None:
+        """Ask a robot that is ahead for what we lack, not too often."""
+        state = self.state
+        length, until = state.asked_until
+        if length == state.ledger.length and state.now < until:
+            return
+        state.asked_until = (state.ledger.length, state.now + self.config.pace.retry)
+        self.outbox.send_all([robot], Pull())
+
+    def help(self, message: Envelope) -> None:
+        """Send a robot that is behind what it lacks."""
+        slots = self.state.recent.since(message.length)
+        if slots is None:
+            self.outbox.answer(message, Learn(snapshot=self.state.ledger.snapshot()))
+        else:
+            self.outbox.answer(message, Learn(at=message.length, slots=slots))
+
+    def on_pull(self, message: Envelope) -> None:
+        """Another asks for what it lacks."""
+        if message.length < self.state.ledger.length:
+            self.help(message)
+            self.proposer.ask_again(message.sender)
+
+    def help_if_behind(self, message: Envelope) -> None:
+        """Send the sender what it lacks, if its log is shorter."""
+        if message.length < self.state.ledger.length:
+            self.help(message)
+
+    def pull_if_behind(self, message: Envelope) -> None:
+        """Ask the sender for what we lack, if its log is longer."""
+        if message.length > self.state.ledger.length:
+            self.pull(message.sender)
+
+    def on_learn(self, message: Envelope, body: Learn) -> None:
+        """Another tells what is decided."""
+        state = self.state
+        if body.snapshot is not None:
+            if body.snapshot["slot"] >= state.ledger.length:
+                self._take_snapshot(message.sender, body.snapshot)
+        elif body.chosen is not None:
+            if body.chosen.slot == state.ledger.length and not self.proposer.on_chosen(body.chosen.ballot):
+                self.pull(message.sender)
+        else:
+            for slot, (ballot, batch, before) in enumerate(body.slots, body.at):
+                if slot != state.ledger.length or state.halted is not None:
+                    continue
+                if before != state.ledger.hash:
+                    self.membership.conflict(message.sender, slot)
+                    return
+                self.decided(batch, ballot, mine=False)
+
+    def _take_snapshot(self, sender: str, record: Record) -> None:
+        state = self.state
+        try:
+            state.ledger.restore(record)
+        except LogError as error:
+            self.outbox.fault("a snapshot of %s is not taken over: %s" % (sender, error))
+            return
+        self.outbox.persist(state.ledger.snapshot())
+        state.recent.clear(state.ledger.length)
+        self.proposer.begin_anew()
+        self.membership.note_snapshot()
+        self._after_slot(set(), {}, None)
+
+    # -- our own log, read back ---------------------------------------------------------------------------
+
+    def recall(self, record: Record) -> None:
+        """Take over a slot or a snapshot of our own log."""
+        if record["kind"] == "snapshot":
+            self.state.ledger.restore(record)
+            self.state.recent.clear(self.state.ledger.length)
+        else:
+            self._replay(record)
+
+    def _replay(self, record: Record) -> None:
+        state = self.state
+        items = [Item(log.from_json(e), Origin(*o)) for e, o in zip(record["entries"], record["origins"])]
+        before = state.ledger.hash
+        again, _ = state.ledger.append(items)
+        if (again["slot"], again["hash"]) != (record["slot"], record["hash"]):
+            raise LogError(
+                "slot %s of our own log does not follow from what is before it" % record["slot"],
+                hint="the file was changed, or belongs to another version of the plan",
+            )
+        ballot = record.get("ballot", [0, ""])
+        state.recent.add(record["slot"], Ballot.from_json(ballot), [i.to_json() for i in items], before)
+
+    def recall_is_over(self, records: Sequence[Record]) -> None:
+        """All records were read."""
+        first = (r["hash"] for r in records if r["kind"] == "slot" and r["slot"] == 0)
+        self.state.first_hash = next(first, "")
+
+
+def _was_local(firing: Firing, items: Sequence[Item]) -> bool:
+    """Whether a firing is a local transition, published when it was made."""
+    return any(
+        i.private
+        and isinstance(i.entry, log.Done)
+        and (i.entry.robot, i.entry.incarnation, i.entry.visit) == (firing.robot, firing.incarnation, firing.visit)
+        for i in items
+    )

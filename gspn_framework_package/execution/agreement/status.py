@@ -1,0 +1,160 @@
+"""What people may ask of a replica, and what it says by itself when that changes.
+
+Owns ``told_status``. Reads the state and the electorate, and the local robot's marking; tells through
+the outbox.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List
+
+from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement.config import Config
+from gspn_framework_package.execution.agreement.consensus import Consensus
+from gspn_framework_package.execution.agreement.electorate import Electorate
+from gspn_framework_package.execution.agreement.local_robot import LocalRobot
+from gspn_framework_package.execution.agreement.outbox import Outbox
+from gspn_framework_package.execution.agreement.proposer import Proposer
+from gspn_framework_package.execution.agreement.quorum import is_quorum
+from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.team_state import GONE, RobotState
+
+
+class Status:
+    """Answers in words and as JSON."""
+
+    def __init__(
+        self,
+        config: Config,
+        state: ReplicaState,
+        outbox: Outbox,
+        electorate: Electorate,
+        consensus: Consensus,
+        proposer: Proposer,
+        robot: LocalRobot,
+    ) -> None:
+        self.config = config
+        self.state = state
+        self.outbox = outbox
+        self.electorate = electorate
+        self.consensus = consensus
+        self.proposer = proposer
+        self.robot = robot
+
+    def tell(self) -> None:
+        """Tell people what we wait for, if that has changed."""
+        text = self.waits_for()
+        if text != self.state.told_status:
+            self.state.told_status = text
+            if text:
+                self.outbox.put(io.StatusChanged(text))
+
+    def waits_for(self) -> str:
+        """What this replica (not its action) waits for, for people; "" if for nothing."""
+        state, electorate = self.state, self.electorate
+        if state.halted is not None:
+            return "halted: " + state.halted
+        if state.ledger.length == 0:
+            return "waits for somebody of the team"
+        if not state.active and not state.joining and not state.amnesic:
+            missing = [
+                m
+                for m in electorate.others()
+                if m not in state.off and state.peers.get(m).welcomes != state.log_id
+            ]
+            return "waits for %s to start" % ", ".join(missing)
+        if state.ledger.state.ended is not None:
+            return ""
+        if not self.config.witness and not electorate.is_settled():
+            return "waits to be let into the team" + self._nobody_left()
+        if state.fenced:
+            return "stopped: no contact to a quorum"
+        if state.astray:
+            return "the log differs from that of %s; what differs does not count" % ", ".join(sorted(state.astray))
+        if state.attempt is not None and state.attempt.tries > 1:
+            voteless = self._voteless()
+            missing = [m for m in self.consensus.missing() if m not in voteless]
+            if missing or not voteless:
+                return "waits for an answer of %s" % ", ".join(missing)
+            return "has no quorum; without a vote: %s" % ", ".join(voteless) + self._nobody_left()
+        if self.is_stuck():
+            return "has no quorum; without a vote: %s" % ", ".join(self._voteless()) + self._nobody_left()
+        unheard = electorate.unheard()
+        if not electorate.has_quorum():
+            return "has no quorum; silent: %s" % ", ".join(unheard)
+        if self.config.partial and unheard and self.proposer.wants():  # whose attempt it is changes all the time
+            return "waits for an answer of %s" % ", ".join(unheard)
+        return ""
+
+    def _voteless(self) -> List[str]:
+        """The others that have no vote at present, as they say."""
+        return [m for m in self.electorate.others() if not self.state.peers.get(m).active]
+
+    def is_stuck(self) -> bool:
+        """Whether the team can never go on by itself: of too many members the logs, and with them
+        the votes, are lost."""
+        state, me = self.state, self.config.name
+        if state.ledger.length == 0 or state.ledger.state.ended is not None or (state.joining and not state.active):
+            return False
+        members, peers = self.electorate.members(), state.peers
+        here = [m for m in members if m == me or peers.get(m).heard is not None]
+        silent = [m for m in members if m not in here]
+        voters = [m for m in here if (state.active if m == me else peers.get(m).active)]
+        started = any(peers.get(m).length > 1 for m in here) or state.ledger.length > 1
+        return started and not is_quorum([*voters, *silent], members) and not self.electorate.may_decide(voters)
+
+    def _nobody_left(self) -> str:
+        if not self.is_stuck():
+            return ""
+        return ": too many lost their logs, and those who remember are no quorum; force_evict those who do not"
+
+    def as_json(self) -> Dict[str, Any]:
+        """Everything a person may ask, as a JSON object (ages in s)."""
+        state, config = self.state, self.config
+        team = state.ledger.state
+        return {
+            "robot": config.name,
+            "run": config.run,
+            "incarnation": state.incarnation,
+            "synchronisation": config.plan.synchronisation.value,
+            "active": state.active,
+            "members": self.electorate.members(),
+            "quorum": self.electorate.has_quorum(),
+            "leader": "" if config.partial else state.leader,
+            "log_length": state.ledger.length,
+            "hash": state.ledger.hash,
+            "pending": len(state.own_proposals),
+            "stuck": self.is_stuck(),
+            "astray": sorted(state.astray),
+            "waits_for": self.waits_for(),
+            "paused": team.paused,
+            "ended": team.ended,
+            "fenced": state.fenced,
+            "marking": config.plan.net.named(self.robot.marking(), zeros=False),
+            "robots": [self._robot_as_json(robot) for robot in team.robots.values()],
+        }
+
+    def _robot_as_json(self, robot: RobotState) -> Dict[str, Any]:
+        state = self.state
+        mine = robot.name == self.config.name
+        at = state.position if mine else None
+        heard = state.peers.get(robot.name).heard
+        return {
+            "robot": robot.name,
+            "place": self.config.plan.net.places[at.place if at else robot.place].name,
+            "state": self._state_of(robot),
+            "incarnation": robot.incarnation,
+            "visit": at.visit if at else robot.visit,
+            "attempt": at.attempt if at else robot.attempt,
+            "log_length": state.ledger.length if mine else state.peers.get(robot.name).length,
+            "last_contact": 0.0 if mine else (None if heard is None else round(state.now - heard, 3)),
+            "waits_for": self.config.game.why_waiting(state.ledger.state, robot),
+        }
+
+    def _state_of(self, robot: RobotState) -> str:
+        """The words of the thesis (4.3.3) for what a robot is up to."""
+        if robot.phase in GONE:
+            return "Lost" if robot.phase.value == "lost" else "Left"
+        if robot.paused or self.state.ledger.state.paused:
+            return "Paused"
+        return {"doing": "Doing", "done": "Waiting", "failed": "Failed"}.get(robot.phase.value, "Inactive")
