@@ -15,6 +15,7 @@ sys.path.append(str(Path(__file__).parents[1] / "rostest" / "support"))  # "wait
 
 
 settings.register_profile("unit", deadline=None)  # no test times speed: the machine may be busy
+settings.register_profile("libraries", settings.get_profile("unit"), max_examples=30)  # for what has run with 100 before
 settings.load_profile("unit")
 
 

@@ -34,7 +34,7 @@ def report_without_faults(run):
     return report
 
 
-@pytest.mark.parametrize("count, seconds", [(1, 130), (4, 60), (8, 30)])
+@pytest.mark.parametrize("count, seconds", [(1, 100), (4, 60), (8, 30)])
 def test_a_team_patrols_by_the_rules(count, seconds):
     run = Patrol(ROOM, names(count), seed=count)
     run.run(seconds)
@@ -50,7 +50,7 @@ def test_a_team_patrols_rooms_with_a_corridor_and_with_doors(name):
     room = load_room(FOLDER / "rooms" / (name + ".yaml"))
     assert list(room.locations) == list(ROOM.locations)
     run = Patrol(room, names(4), seed=3)
-    run.run(90)
+    run.run(65)
     report = report_without_faults(run)
     # each into its first location, and some through the corridor or two doors into the next
     assert report["entries"] > 4
