@@ -174,21 +174,21 @@ class Electorate:
         me, peers = self.config.name, self.state.peers
         now = list(self.members())
         live = set(self.heard_of_late())
-        refused: Set[str] = set()
+        refused: Set[Tuple[str, str]] = set()
         cast_out = {i.entry.robot for i in items if isinstance(i.entry, log.Evict) and i.entry.forced}
         kept = []
         for item in items:
             entry = item.entry
-            name = item.origin.robot
+            name, source = item.origin.robot, (item.origin.robot, item.origin.log)
             if isinstance(entry, log.Join) and name not in now:
                 heard = peers.get(name).heard is not None and peers.get(name).log == entry.log
                 if name == me or (heard and is_quorum(live | {name}, [*now, name])):
                     now.append(name)
                     live.add(name)
                 else:
-                    refused.add(name)
+                    refused.add(source)
             if isinstance(entry, log.Join) and name in cast_out:
-                refused.add(name)
-            if name not in refused:
+                refused.add(source)
+            if source not in refused:
                 kept.append(item)
         return kept

@@ -164,6 +164,11 @@ class Proposals:
         """The robots that others told about."""
         return list(self.state.others_proposals)
 
+    def told_of(self, robots: Iterable[str]) -> List[Item]:
+        """What others told of these robots."""
+        others = self.state.others_proposals
+        return [item for robot in robots for item in sorted(others[robot].values(), key=lambda i: i.origin)]
+
     def has_control(self) -> bool:
         """Whether an order waits that needs every robot to hold still."""
         return any(isinstance(own.item.entry, CONTROLS) for own in self.state.own_proposals) or any(

@@ -140,7 +140,8 @@ class Proposer:
         if origins and self.consensus.leads():
             return True
         members = set(self.electorate.members())
-        if any(origin not in members or origin in state.voteless for origin in origins):
+        without_vote = [origin for origin in origins if origin not in members or origin in state.voteless]
+        if without_vote and self.electorate.without_ghosts(self.proposals.told_of(without_vote)):
             return True
         if state.frozen_by is not None and state.frozen_since is not None:
             return state.now >= state.frozen_since + 2 * self.config.pace.takeover

@@ -365,3 +365,20 @@ def test_a_robot_out_of_contact_soon_starts_no_more_private_actions() -> None:
     world.blocked.clear()
     world.run(world.now + 2)
     assert [r for r in world.nodes["r3"].disk.records() if r["kind"] == "goal" and r["mono"] > begin + 4]
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_a_name_without_a_robot_keeps_nobody_busy_and_nobody_out(partial: bool) -> None:
+    world = team(TOKENS, 3, partial)
+    world.acting = False
+    world.run(world.now + 1)
+    for name in ("r1", "r2", "r3"):
+        world.replica(name).proposals.add_others([Item(log.Join("j", 0, "p1", "lost"), Origin("j", 0, 1, "lost"))])
+    before = [len(node.disk.lines) for node in world.nodes.values()]
+    world.run(world.now + 3)
+    assert [len(node.disk.lines) for node in world.nodes.values()] == before
+    node = world.nodes["j"] = Node(world, "j")  # which lost its log after it had asked to be let in
+    node.joins = True
+    node.start()
+    world.run(world.now + 2)
+    assert "j" in world.replica("r1").members()
