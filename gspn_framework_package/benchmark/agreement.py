@@ -29,8 +29,8 @@ TELL_EVERY = 30.0
 
 
 SHARES = {
-    "": 39, "operator": 20, "power": 12, "spare": 5, "tight": 10, "amnesia": 6, "calm": 2,
-    "freeze": 2, "link": 1, "sleep": 1, "leave": 2,
+    "": 33, "operator": 20, "power": 12, "spare": 5, "tight": 10, "amnesia": 6, "calm": 2,
+    "freeze": 2, "link": 1, "sleep": 1, "leave": 2, "rivals": 2, "late": 1, "archive": 3,
 }  # fmt: skip
 """Kinds of schedules, and how many of a hundred are of that kind."""
 

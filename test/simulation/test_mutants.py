@@ -37,6 +37,14 @@ QUICK = (
     "drops the first",
     "lost moves",
     "same incarnation",
+    "quorum only",
+    "no freeze",
+    "returned followers",
+    "numbers only",
+    "eager start",
+    "snapshot without logs",
+    "low promise",
+    "learns what it holds",
 )
 
 

@@ -13,7 +13,7 @@ from gspn_framework_package.benchmark.team.world import ViolationError
 from gspn_framework_package.execution.agreement import config
 
 SCHEDULES = int(os.environ.get("GSPN_SCHEDULES", "2500"))
-SECONDS = float(os.environ.get("GSPN_SCHEDULE_SECONDS", "45"))
+SECONDS = float(os.environ.get("GSPN_SCHEDULE_SECONDS", "35"))
 FAILED = os.path.join(os.path.dirname(__file__), "failed_seeds.txt")
 
 

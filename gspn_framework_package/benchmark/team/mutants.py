@@ -392,11 +392,11 @@ def _asks_again_without_freezing() -> ContextManager[Any]:
     return _wrap(Consensus, "resend", make)
 
 
-def _same_origins() -> ContextManager[Any]:
+def _numbers_only() -> ContextManager[Any]:
     def make(original: Any) -> Any:
         def is_news(self: Ledger, origin: Any) -> bool:
             known = self.seen.get(origin.robot)
-            return known is None or (origin.incarnation, origin.number) > known[:2]
+            return known is None or origin.number > known[1]
 
         return is_news
 
@@ -678,13 +678,12 @@ MUTANTS = [
     Mutant("mixed results", "host", "a result is given for the wrong visit", _wrong_results),
     Mutant("lost promises", "memory", "promises are not written down", _persists_no_promise),
     Mutant("returned followers", "protocol", "a leader counts on promises of a lost memory", _keeps_returned, False,
-           kinds=("amnesia", "")),
+           kinds=("archive",)),
     Mutant("nack thaws", "partial", "a proposer that is beaten lets local transitions go on", _thaws_with_a_nack, True,
-           kinds=("freeze",)),
+           robots=5, kinds=("freeze",)),
     Mutant("warm retry", "partial", "a first phase that is repeated does not freeze", _asks_again_without_freezing,
            True, kinds=("freeze",)),
-    Mutant("same origins", "memory", "facts of two logs of a robot are not told apart", _same_origins,
-           kinds=("amnesia",)),
+    Mutant("numbers only", "memory", "facts count by their number, whatever life they are of", _numbers_only),
     Mutant("no jury", "membership", "a robot is evicted though only one does not hear it", _evicts_alone,
            kinds=("link",)),
     Mutant("leaves at once", "membership", "a robot that leaves does not wait until others know", _leaves_at_once,
@@ -711,14 +710,16 @@ MUTANTS = [
            kinds=("power",)),
     Mutant("same id", "memory", "a robot that forgot its log goes by the same id", _keeps_its_log_id,
            kinds=("power", "amnesia", "spare")),
-    Mutant("eager start", "membership", "a robot acts before it knows where the team is", _acts_before_it_knows_more),
+    Mutant("eager start", "membership", "a robot acts before it knows where the team is", _acts_before_it_knows_more,
+           kinds=("late",)),
     Mutant("snapshot without seen", "limits", "a snapshot does not say whose facts are in it",
            _snapshot_without("seen"), kinds=("tight",)),
     Mutant("snapshot without logs", "limits", "a snapshot does not say whose logs count", _snapshot_without("logs"),
-           kinds=("tight", "amnesia")),
-    Mutant("low promise", "protocol", "to accept a ballot does not promise it", _keeps_promised_low),
+           kinds=("archive",)),
+    Mutant("low promise", "protocol", "to accept a ballot does not promise it", _keeps_promised_low, False, robots=5,
+           kinds=("rivals",)),
     Mutant("learns what it holds", "protocol", "that a slot is chosen confirms whatever was accepted",
-           _learns_what_it_holds),
+           _learns_what_it_holds, False, kinds=("rivals",)),
     Mutant("moves while paused", "partial", "local transitions go on in a pause", _moves_while_paused, True,
            kinds=("freeze",)),
     Mutant("drops the first", "protocol", "of several facts the first is left out", _drops_the_first_fact),

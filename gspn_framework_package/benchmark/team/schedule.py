@@ -8,6 +8,7 @@ from typing import Callable, Dict, List, NamedTuple, Type
 
 from gspn_framework_package.benchmark.team.plans import make_plan
 from gspn_framework_package.benchmark.team.world import (
+    PACE,
     Disk,
     Node,
     ViolationError,
@@ -42,12 +43,19 @@ KINDS = {
     "sleep": "all robots are stopped for longer than an eviction takes: nobody is evicted for that",
     "freeze": "several operators pause and move a team whose moves are mostly private, at the same time",
     "leave": "robots leave while messages are lost: the others know it, and go on",
+    "rivals": "robots pass the leader over at once, messages are lost and late: many attempts at a slot",
+    "late": "a robot is evicted by force before it ever started",
+    "archive": "logs are lost, and snapshots taken every few slots; long runs",
 }
 """What goes wrong in a schedule."""
 
 
-MOST_FAULTS = {"freeze": 20, "operator": 14, "tight": 10, "calm": 14, "link": 0, "sleep": 0, "leave": 0}
+MOST_FAULTS = {"freeze": 20, "operator": 14, "tight": 10, "calm": 14, "link": 0, "sleep": 0, "leave": 0, "late": 3}
 """How many faults are injected at most; seven where nothing is said."""
+
+
+FORGETFUL = ("amnesia", "archive")
+"""Kinds of schedules in which logs are lost most of all."""
 
 
 class Schedule(NamedTuple):
@@ -121,11 +129,18 @@ class _Run:
                 chunk=source.choice([1, 2, 3]),
                 snapshot_every=source.choice([2, 5]),
             )
+        elif self.kind == "archive":
+            self.world.limits = Limits(snapshot_every=2, kept=source.choice([1, 3]))
+        elif self.kind == "rivals":
+            self.world.pace = PACE._replace(takeover=0.004, retry=0.015)
+            self.world.weather = Weather(loss=0.15, late=0.3)
+        elif self.kind == "freeze":
+            self.world.pace = PACE._replace(backoff=0.001, takeover=0.01)
         if self.kind in ("link", "sleep", "leave"):
             self.world.mishaps = False
         if self.kind == "power":
             self.world.fsync = source.random() < 0.5
-        self.faults_end = FAULTS_END * (2.5 if self.kind in ("tight", "link", "sleep", "leave") else 1.0)
+        self.faults_end = FAULTS_END * (2.5 if self.kind in ("tight", "archive", "link", "sleep", "leave") else 1.0)
         self.faults: Dict[str, int] = {}
         self.lost_logs = False
         self.left: List[str] = []
@@ -151,10 +166,10 @@ class _Run:
             return
         kinds = [
             (0 if often == "calm" else 6, self._crash),
-            (8 if often == "amnesia" else 0 if often == "calm" else 2, self._crash_without_log),
-            (0 if often in ("amnesia", "calm") else 3, self._suspend),
-            (0 if often in ("amnesia", "calm") else 4, self._partition),
-            (0 if often == "amnesia" else 1, self._leave),
+            (8 if often in FORGETFUL else 0 if often == "calm" else 2, self._crash_without_log),
+            (0 if often in (*FORGETFUL, "calm") else 3, self._suspend),
+            (0 if often in (*FORGETFUL, "calm") else 4, self._partition),
+            (0 if often in FORGETFUL else 1, self._leave),
             (2, self._join),
             (12 if often in ("operator", "calm") else 3, self._order),
             (4 if often == "operator" else 1, self._evict),
@@ -354,6 +369,24 @@ class _Run:
             self._later(0.9, 0.91, node.resume)
         self._count("sleep")
 
+    def _start_late(self) -> None:
+        """A robot is not switched on until the others have been told that it is off."""
+        nodes = list(self.world.nodes.values())
+        late = self.random.choice(nodes)
+        start = late.start
+        late.start = lambda: None  # type: ignore[method-assign]
+
+        def begin() -> None:
+            late.start = start  # type: ignore[method-assign]
+            start()
+
+        others = [n for n in nodes if n is not late]
+        if others:
+            asked = self.random.choice(others)
+            self._later(0.2, 0.3, lambda: self._assert_off(asked, [late]))
+        self._later(0.35, 0.55, begin)
+        self._count("late start")
+
     def _leave(self) -> None:
         up = [n for n in self._up() if n.name not in self.world.plan.witness]
         if len(up) > 1:
@@ -393,6 +426,8 @@ class _Run:
     def run(self) -> Outcome:
         world = self.world
         world.on_crash = self.on_crash  # type: ignore[method-assign]
+        if self.kind == "late":
+            self._start_late()
         for node in list(world.nodes.values()):
             world.at(0.1 * self.random.random() ** 2, node.start)
         most = MOST_FAULTS.get(self.kind, 7)

@@ -90,6 +90,10 @@ class Node:
         self.halted = ""
         self.ended = False
         self.results: Dict[str, io.OrderResult] = {}
+        self.log_id = ""
+        """What its log goes by at present."""
+        self.holds = -1
+        """The slot until whose decision its robot has said that it makes no move on its own."""
 
     # -- life ------------------------------------------------------------------------------------
 
@@ -101,6 +105,7 @@ class Node:
         self.doomed = None
         self.backlog = []
         self.halted = ""
+        self.holds = -1
         if self.disk is None:
             log_id = "%s-log%d" % (self.key, len(self.old_disks))
             self.disk = Disk(dict(_header(world.plan), robot=self.name, log=log_id))
@@ -111,11 +116,13 @@ class Node:
             self.disk.header["log"],
             self.disk.records(),
             joining=self.joins,
-            pace=PACE,
+            pace=world.pace,
             limits=world.limits,
             trusted=self.trusted,
         )
         self.trusted = True
+        resets = [r for r in self.disk.records() if r["kind"] == "reset"]
+        self.log_id = str((resets or [self.disk.header])[-1]["log"])
         self.carry_out(self.replica.start(world.now))
 
     def crash(self) -> None:
@@ -188,6 +195,8 @@ class Node:
             written = []
             if isinstance(effect, (io.Send, io.Reply)) and effect.message.get("kind") in ("promise", "accepted"):
                 self._check_written(effect.message)
+            if isinstance(effect, (io.Send, io.Reply)) and effect.message:
+                self.world.on_message(self, effect.message)
             if isinstance(effect, io.Send):
                 self.world.send(self.key, effect.to, effect.message)
             elif isinstance(effect, io.Reply):
@@ -229,6 +238,11 @@ class Node:
         self.disk.lines.append(json.dumps(dict(record, mono=self.world.now)))
         if record["kind"] in ("promised", "accepted"):
             self.disk.votes[record["kind"], tuple(record["ballot"])] = len(self.disk.lines)
+            self.world.promised.add((self.log_id, tuple(record["ballot"])))
+        elif record["kind"] == "reset":
+            self.log_id = record["log"]
+        elif record["kind"] == "private" and self.replica and self.holds == self.replica.ledger.length:
+            raise ViolationError("%s moves on its own, though it said that it holds still" % self.key)
 
     def _check_written(self, message: io.Message) -> None:
         """What a robot says that it promised or accepted is in its log, and on the disk."""
@@ -271,6 +285,11 @@ class World:
         self.protocol_messages = 0
         """Messages but ``hello``."""
         self.limits = Limits()
+        self.pace = PACE
+        self.promised: Set[Tuple[str, Tuple[Any, ...]]] = set()
+        """Which log has promised or accepted under which ballot."""
+        self._frozen: Set[Tuple[int, Tuple[Any, ...]]] = set()
+        """Attempts (slot, ballot) that asked everybody to hold still."""
         self.fsync = True
         """Whether what has to outlive the power supply is written through to the disk."""
         self.given_up = False
@@ -364,6 +383,11 @@ class World:
         """An action runs, and ends with something that its place allows."""
         low, high = self.action_time
         life = node.life
+        replica = node.replica
+        if replica is not None and replica.ledger.length == goal.visit == 1:  # the first action that it ever starts
+            ahead = [name for name, p in replica.state.peers.all.items() if p.heard is not None and p.length > 1]
+            if ahead:
+                raise ViolationError("%s acts, though %s is further" % (node.key, ", ".join(ahead)))
         time = goal.delay + low + (high - low) * self.random.random()
         failed = self.mishaps and self.random.random() < 0.02
         result = random_result(self.plan, goal.place, self.random, nonsense=self.mishaps)
@@ -389,6 +413,22 @@ class World:
             known = self._chain.setdefault(record["slot"], record["hash"])
             if known != record["hash"]:
                 raise ViolationError("%s has another slot %d than somebody else" % (node.name, record["slot"]))
+
+    def on_message(self, node: Node, message: io.Message) -> None:
+        """A message goes out: who says that he holds still has to, and who proposes has promises that count."""
+        if message["kind"] not in ("prepare", "promise", "accept"):
+            return
+        slot, ballot = message["slot"], tuple(message["ballot"])
+        if message.get("frozen"):
+            self._frozen.add((slot, ballot))
+        if message["kind"] != "accept":
+            if (slot, ballot) in self._frozen:
+                node.holds = slot
+        elif not self.partial and node.replica is not None:
+            logs = node.replica.ledger.logs
+            for name in node.replica.state.followers or ():
+                if logs.get(name) and (logs[name], ballot) not in self.promised:
+                    raise ViolationError("%s counts on a promise that %s does not remember" % (node.key, name))
 
     def on_fired(self, node: Node, fired: io.Fired) -> None:
         """A firing was told."""
