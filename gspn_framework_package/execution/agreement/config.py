@@ -31,6 +31,8 @@ class Pace(NamedTuple):
     """For which the leader lets proposals come in between two slots."""
     backoff: float = 0.02
     """For which a proposer gives way after its first defeat; doubled at each one in a row."""
+    spread: float = 1.0
+    """Over how many round trips those who want the next slot of partial synchronisation begin."""
 
     def for_team(self, size: int, timing: Timing) -> Pace:
         """The pace for a team of that size. Broadcasts are less frequent in large teams, so that the
@@ -50,6 +52,7 @@ class Pace(NamedTuple):
             retry=self.retry * slower,
             takeover=self.takeover * slower,
             gather=self.gather + 0.001 * max(0, size - SMALL_TEAM),
+            spread=self.spread + max(0, size - SMALL_TEAM) / 3,
         )
 
 

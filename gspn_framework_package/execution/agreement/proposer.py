@@ -100,7 +100,7 @@ class Proposer:
         state.wait_until = None
         state.gave_way = False
         if self.config.partial and not mine:  # several may want the next slot: not all at once
-            state.wait_until = state.now + max(self.config.pace.backoff, state.round_trip) * self._draw()
+            state.wait_until = state.now + max(self.config.pace.backoff, state.round_trip) * self._spread()
 
     def begin_anew(self) -> None:
         """Our log was replaced: what we wanted in its open slot does not count."""
@@ -225,10 +225,14 @@ class Proposer:
         if self.config.partial:
             state.gave_way = True
             needs = 2 * state.round_trip  # its two phases
-            wait = max(needs, self.config.pace.backoff * 2 ** min(state.defeats, 6)) * (1 + self._draw())
+            wait = max(needs, self.config.pace.backoff * 2 ** min(state.defeats, 6)) * (1 + self._spread())
         else:
             wait = self._patience()
         state.wait_until = state.now + wait
+
+    def _spread(self) -> float:
+        """A part of the time over which those who want a slot begin: in a large team more want it at a time."""
+        return self.config.pace.spread * self._draw()
 
     def _draw(self) -> float:
         """A number in [0, 1) that differs from robot to robot and from time to time."""

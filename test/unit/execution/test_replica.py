@@ -15,7 +15,7 @@ from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement.local_transitions import LocalTransitions
 from gspn_framework_package.execution.agreement.messages import Envelope, Hello, Learn
 from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
-from gspn_framework_package.execution.agreement.replica import Limits, Replica
+from gspn_framework_package.execution.agreement.replica import Limits, Pace, Replica
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.firing import Ended, StartAction
 from gspn_framework_package.execution.history import verify
@@ -453,3 +453,15 @@ def test_a_robot_that_is_not_evicted_after_all_keeps_its_private_moves() -> None
     settle(world)
     assert sorted(world.status("r1")["members"]) == ["r1", "r2", "r3"]
     world.check(settled=True)
+
+
+def test_many_robots_that_want_the_next_slot_do_not_defeat_each_other() -> None:
+    world = Team(make_plan(TOKENS, 24, True, 0.0, 0.0, False), 1, Weather(0.003, 0.008), action_time=(0.05, 0.1))
+    world.pace = Pace()
+    world.mishaps = False
+    for node in world.nodes.values():
+        node.start()
+    world.run(1.5)
+    messages, firings = world.protocol_messages, len(world.published)
+    world.run(2.2)
+    assert world.protocol_messages - messages < 18 * (len(world.published) - firings)
