@@ -26,12 +26,12 @@ import statistics
 import sys
 import time
 from dataclasses import replace
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
 from gspn_framework_package.benchmark.plans import ring_plan, tokens_plan
 from gspn_framework_package.benchmark.team_run import Master, TeamRun, need_ros
-from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution.event_log import EventLog, read_log
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.plan import FunctionAction, Plan, Synchronisation
@@ -85,11 +85,21 @@ def measure(master: Master, plan: Plan, window: float, check: bool = False) -> D
     violation = verify(logs).violation if check else None
     return {
         **({"verdict": "rule %d: %s" % violation if violation else "valid"} if check else {}),
+        "evictions": len(evictions(logs)),
         "firings_per_s": round(moves / window, 1),
         "messages_per_firing": round(sent / (ended - began) * window / moves, 2) if moves else None,
         **_summary("private", private),
         **_summary("coordinated", coordinated),
     }
+
+
+def evictions(logs: Sequence[EventLog]) -> Set[Tuple[int, str]]:
+    """The evictions in these logs: (slot, robot)."""
+    return {
+        (record["slot"], entry["robot"])
+        for log in logs for record in log.records if record["kind"] == "slot"
+        for entry in record["entries"] if entry["entry"] == "evict"
+    }  # fmt: skip
 
 
 def messages_sent() -> int:
@@ -126,7 +136,7 @@ COLUMNS = (
     ("messages_per_firing", "messages/firing"),
     ("private_median_ms", "private median [ms]"), ("private_p99_ms", "p99 [ms]"),
     ("coordinated_median_ms", "coordinated median [ms]"), ("coordinated_p99_ms", "p99 [ms]"),
-    ("verdict", "logs"),
+    ("evictions", "evictions"), ("verdict", "logs"),
 )  # fmt: skip
 
 
@@ -138,6 +148,10 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--load", choices=LOADS, nargs="+", default=LOADS)
     parser.add_argument("--mode", choices=[m.value for m in Synchronisation], help="only this synchronisation")
     parser.add_argument("--fsync", choices=["yes", "no"], help="wait for the disk, or not (default: as the plan says)")
+    parser.add_argument(
+        "--evict-after", type=float, metavar="S",
+        help="seconds of silence after which a robot is evicted (as the plan says)",
+    )  # fmt: skip
     parser.add_argument("--verify", action="store_true", help="check the logs, too; exit code 1: a rule was broken")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
@@ -156,6 +170,8 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
                 plan = plan_of(load, robots, mode)
                 if args.fsync:
                     plan = replace(plan, fsync=args.fsync == "yes")
+                if args.evict_after is not None:
+                    plan = replace(plan, timing=plan.timing._replace(evict_after=args.evict_after))
                 measured = measure(master, plan, args.window, args.verify)
                 rows.append({"load": load, "mode": mode.value, "robots": robots, **measured})
     except KeyboardInterrupt:
