@@ -177,12 +177,11 @@ class Hostile:
     def _bytes(self) -> int:
         """To the ports of each node: its XML-RPC server, and that of its topics and services."""
         import rosgraph
-        import rosservice
 
         master = rosgraph.Master("/gspn_hostile")
         sent = 0
         for name in self.team.first:
-            addresses = [master.lookupNode("/%s/executor" % name), rosservice.get_service_uri("/%s/command" % name)]
+            addresses = [master.lookupNode("/%s/executor" % name), master.lookupService("/%s/command" % name)]
             for address in addresses:
                 found = urlparse(address)
                 for data in (b"\xff\xff\xff\xff", b"\x05\x00\x00\x00hello", b"GET / HTTP/1.1\r\n\r\n", b"\0" * 10_000):

@@ -148,8 +148,10 @@ class VisualizerTest(RobotTestCase):
         self.assertNotEqual(other["robot_2"].state().state, "Paused")
         page.order("resume", robot="robot_2")
         page.order("set_place", robot="robot_2", place="p2:Alarm_L1")
+        ours["robot_2"].signal(signal.SIGSTOP)  # while it runs, it joins again at once
         page.order("evict", robot="robot_2")
-        wait_for(lambda: page.phases().get("robot_2") == "lost", 30, "the eviction on the page")
+        wait_for(lambda: page.phases().get("robot_2") == "lost", 60, "the eviction on the page")
+        ours["robot_2"].signal(signal.SIGCONT)
         page.order("stop", reason="enough of this")
         self.assertEqual(ours["robot_1"].exit_code(30), 1)
         wait_for(lambda: page.board()["status"]["ended"] == "enough of this", 30, "the end on the page")
