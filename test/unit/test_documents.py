@@ -37,6 +37,7 @@ SET_UP = (
     r"rosdep install --from-paths src --ignore-src -y",
     r"catkin_make( install)?( -DPYTHON_EXECUTABLE=/usr/bin/python3)?",
     r"pip3? install .+",
+    r"python3 -m coverage report -m",
     r"python3 -m venv ~/gspn",
     r"~/gspn/bin/(pip install \.|gspn --help)",
     # programs of others
@@ -100,6 +101,9 @@ def _try(command: Command, sandbox: Path) -> None:
         words = ["python3", "-m", PACKAGE] + words[1:]
     if words[:3] == ["python3", "-m", PACKAGE]:
         _try_gspn(command, words[3:], sandbox)
+    elif words[:4] == ["python3", "-m", "coverage", "run"]:
+        at = words.index("-m", 4)
+        _options_exist(command, [sys.executable, *words[at : at + 2]], words[at + 2 :])
     elif words[:2] == ["python3", "-m"] and words[2].startswith(PACKAGE + ".benchmark."):
         _options_exist(command, [sys.executable] + words[1:3], words[3:])
     elif words[0] in ("./run_demo", "./run_tests"):
