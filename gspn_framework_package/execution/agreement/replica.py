@@ -111,7 +111,7 @@ class Replica:
         """
         self.state.now = now
         self.membership.listen_anew()
-        if self._records:
+        if self._records or not self.config.trusted:  # nothing is left of a log that was not empty
             self.recovery.resume(self._records)
         else:
             self.membership.begin_first_life()

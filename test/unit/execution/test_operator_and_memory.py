@@ -338,6 +338,21 @@ def test_a_log_whose_end_may_be_lost_is_not_trusted() -> None:
     all_agree(world)
 
 
+def test_a_log_of_which_only_the_header_is_left_is_not_taken_for_a_new_one() -> None:
+    """Its robot would say something else under the numbers that it used before."""
+    world = team(TOKENS, 3)
+    world.fsync = False
+    world.nodes["r2"].lose_power()
+    del world.nodes["r2"].disk.lines[:]
+    world.nodes["r2"].start()
+    assert [r["kind"] for r in world.nodes["r2"].disk.records()][:2] == ["reset", "life"]
+    world.run(world.now + 3)
+    assert world.replica("r2").is_settled()
+    assert world.replica("r2").incarnation > 0
+    all_agree(world)
+    world.verify()
+
+
 def test_no_ballot_is_used_twice_though_a_log_is_lost() -> None:
     world = team(TOKENS, 3, True)
     for _ in range(3):
