@@ -137,7 +137,8 @@ def test_after_a_reset_the_time_line_begins_anew_and_the_reset_is_taken_back(sho
     page.wait_for_function("() => window.gspn.page.tools.running")
     page.keyboard.press(" ")
     page.wait_for_function("() => !window.gspn.page.tools.running")
-    assert page.locator("#log li.fire:not(.past)").count() == 7
+    page.wait_for_function("() => document.querySelectorAll('#log li.fire.past').length === 7")
+    assert [bool(e.get("restart")) for e in site.session("net").hub.events(11, 10**6)].count(True) == 1
 
 
 class Dense(Activity):
