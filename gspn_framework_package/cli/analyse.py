@@ -16,7 +16,8 @@ from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.report import STRUCTURE, Questions, report, rows
 from gspn_framework_package.analysis.state_space import ENGINES
-from gspn_framework_package.cli.limits import add_limit_arguments, leave, limits_of, rare_collections, working
+from gspn_framework_package.cli.interrupts import leave
+from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, rare_collections, working
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.model.errors import UsageError

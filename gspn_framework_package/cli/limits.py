@@ -5,12 +5,10 @@ from __future__ import annotations
 import argparse
 import gc
 import math
-import os
 import resource
-import sys
 import threading
 from contextlib import contextmanager
-from typing import Any, Callable, Iterator, NoReturn, TypeVar
+from typing import Any, Callable, Iterator, TypeVar
 
 from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.limits import (
@@ -22,7 +20,7 @@ from gspn_framework_package.analysis.limits import (
     TREE_LIMIT,
     Limits,
 )
-from gspn_framework_package.cli.interrupts import interruptible
+from gspn_framework_package.cli.interrupts import interruptible, leave
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.model.errors import CancelledError, LimitError, UsageError
 
@@ -144,10 +142,3 @@ def _memory(memory: float) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, before)
-
-
-def leave() -> NoReturn:
-    """End the process as interrupted, whatever it is doing: compiled code cannot be asked to stop."""
-    sys.stdout.flush()
-    print("gspn: interrupted", file=sys.stderr, flush=True)
-    os._exit(130)

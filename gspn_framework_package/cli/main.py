@@ -14,18 +14,16 @@ import argparse
 import importlib
 import io
 import os
-import signal
 import sys
-import threading
 import traceback
-from typing import Any, Dict, NoReturn, Optional, Sequence, Tuple
+from typing import Dict, NoReturn, Optional, Sequence, Tuple
 
 from gspn_framework_package import __version__
+from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED, INTERRUPTED, Interrupts
 from gspn_framework_package.model.errors import GspnError, missing_library
 
 EXIT_USAGE = 2
 EXIT_INTERNAL = 70  # EX_SOFTWARE of sysexits.h
-EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 EXIT_BROKEN_PIPE = 141  # 128 + SIGPIPE
 
 #: Verb -> (its module in this package, its HELP: one line, repeated here so that ``--help`` need
@@ -66,7 +64,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper) and hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")  # a file's name may have bytes that are no text
     debug = "--debug" in words or bool(os.environ.get("GSPN_DEBUG"))
-    interrupts = _Interrupts()
+    interrupts = Interrupts()
     try:
         with interrupts:
             code = _run(words, interrupts)
@@ -88,45 +86,12 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         return code
 
 
-class _Interrupts:
-    """What an interrupt (SIGINT) does: it ends the program on the spot until a verb begins, then it is an exception.
-
-    A compiled module that is interrupted while it imports another prints the KeyboardInterrupt and raises an
-    ImportError in its place ("numpy.core.multiarray failed to import"). So while the modules of the verb are imported,
-    and there is nothing to tidy up yet, no exception is raised; later, ``seen`` tells what an ImportError means.
-    """
-
-    def __init__(self) -> None:
-        self.seen = False
-        self.verb_has_begun = False
-        self._on = False
-
-    def __enter__(self) -> _Interrupts:
-        # else: interrupts are ignored, or belong to a program that calls main()
-        ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        if ours and threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, self._on_interrupt)
-            self._on = True
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        if self._on:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-
-    def _on_interrupt(self, *_: Any) -> None:
-        if not self.verb_has_begun:
-            os.write(2, b"gspn: interrupted\n")
-            os._exit(EXIT_INTERRUPTED)
-        self.seen = True
-        raise KeyboardInterrupt
-
-
 def _interrupted() -> int:
-    print("gspn: interrupted", file=sys.stderr)
+    print(INTERRUPTED, file=sys.stderr)
     return EXIT_INTERRUPTED
 
 
-def _run(words: Sequence[str], interrupts: _Interrupts) -> int:
+def _run(words: Sequence[str], interrupts: Interrupts) -> int:
     try:
         args, unknown = _parser(words).parse_known_args(words)
         if unknown:

@@ -4,7 +4,6 @@ many robots lose their logs that no quorum remembers."""
 
 from __future__ import annotations
 
-import os
 import signal
 import time
 from collections import Counter
@@ -107,8 +106,7 @@ class Operators:
             team.kill(name)
         known = max(team.read(name).length for name in names)
         for name in forgetful:
-            log = team.log_file(name)
-            os.replace(log, "%s.%d.jsonl" % (log[: -len(".jsonl")], time.monotonic_ns()))
+            team.lose_log(name)
         for name in forgetful:
             team.start(name)
         team.wait_until(

@@ -3,7 +3,6 @@ stopped for a moment or beyond its eviction, the ROS master is killed and restar
 
 from __future__ import annotations
 
-import os
 import random
 import signal
 import time
@@ -92,9 +91,7 @@ class Soak:
         if not all(status["active"] for status in told.values()) or not is_quorum(others, members):
             return False
         self.team.kill(name)
-        log = self.team.log_file(name)
-        if os.path.exists(log):
-            os.replace(log, "%s.%d.jsonl" % (log[: -len(".jsonl")], time.monotonic_ns()))
+        self.team.lose_log(name)
         self.team.start(name)
         return True
 

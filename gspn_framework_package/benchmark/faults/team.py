@@ -146,6 +146,12 @@ class Team:
         """Where a robot's log is."""
         return os.path.join(self.folder, RUN, name + ".jsonl")
 
+    def lose_log(self, name: str) -> None:
+        """The log of a robot that does not run is gone; it is kept beside, for the history checker."""
+        log = self.log_file(name)
+        if os.path.exists(log):
+            os.replace(log, "%s.%d.jsonl" % (log[: -len(".jsonl")], time.monotonic_ns()))
+
     def last_written(self, name: str) -> str:
         """The kind of the record at the end of a robot's log, which may be cut."""
         with open(self.log_file(name), "rb") as file:

@@ -149,7 +149,6 @@ class Hello(NamedTuple):
     cast_out: Dict[str, int]
     greets: Dict[str, Seen]
 
-
     def to_json(self) -> Dict[str, Any]:
         """The fields as a JSON object."""
         greets = {robot: list(seen) for robot, seen in self.greets.items()}
@@ -193,7 +192,6 @@ class Event(NamedTuple):
     items: List[Item]
     vote: bool
 
-
     def to_json(self) -> Dict[str, Any]:
         """The fields as a JSON object."""
         return {"items": [i.to_json() for i in self.items], "vote": self.vote}
@@ -212,7 +210,6 @@ class Prepare(NamedTuple):
     slot: int
     ballot: Ballot
     frozen: bool
-
 
     def to_json(self) -> Dict[str, Any]:
         """The fields as a JSON object."""
@@ -233,7 +230,6 @@ class Promise(NamedTuple):
     vote: bool
     accepted: Optional[Tuple[Ballot, Batch]]
     items: List[Item]
-
 
     def to_json(self) -> Dict[str, Any]:
         """The fields as a JSON object."""
@@ -271,7 +267,6 @@ class Accept(NamedTuple):
     ballot: Ballot
     batch: Batch
 
-
     def to_json(self) -> Dict[str, Any]:
         """The fields as a JSON object."""
         return {"slot": self.slot, "ballot": list(self.ballot), "batch": self.batch}
@@ -290,7 +285,6 @@ class Accepted(NamedTuple):
     ballot: Ballot
     items: List[Item]
 
-
     def to_json(self) -> Dict[str, Any]:
         """The fields as a JSON object."""
         return {"slot": self.slot, "ballot": list(self.ballot), "items": [i.to_json() for i in self.items]}
@@ -306,7 +300,6 @@ class Nack(NamedTuple):
 
     slot: int
     ballot: Ballot
-
 
     def to_json(self) -> Dict[str, Any]:
         """The fields as a JSON object."""
@@ -347,7 +340,6 @@ class Learn(NamedTuple):
     at: int = 0
     slots: Tuple[Tuple[Ballot, Batch, str], ...] = ()
     snapshot: Optional[Dict[str, Any]] = None
-
 
     def to_json(self) -> Dict[str, Any]:
         """The fields as a JSON object."""

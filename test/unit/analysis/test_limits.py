@@ -191,6 +191,21 @@ def _threads(pid):
         return next(int(line.split()[1]) for line in file if line.startswith("Threads:"))
 
 
+def _is_ended_by_an_interrupt(program, line):
+    """See that an interrupt ends a program that has printed a line, and does not end by itself."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )  # fmt: skip
+    try:
+        assert process.stdout.readline() == line + "\n"
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130 and err.strip() == "gspn: interrupted"
+
+
 def test_an_interrupt_does_not_wait_for_what_cannot_be_asked(tmp_path):
     program = (
         "import time\n"
@@ -200,17 +215,7 @@ def test_an_interrupt_does_not_wait_for_what_cannot_be_asked(tmp_path):
         "    time.sleep(600)\n"
         "working(work, 1 << 30)\n"
     )
-    process = subprocess.Popen(
-        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-    )  # fmt: skip
-    try:
-        assert process.stdout.readline() == "working\n"
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
-    finally:
-        process.kill()
-    assert process.returncode == 130 and err.strip() == "gspn: interrupted"
+    _is_ended_by_an_interrupt(program, "working")
 
 
 def test_an_interrupt_does_not_wait_for_the_reading_of_a_file():
@@ -224,17 +229,7 @@ def test_an_interrupt_does_not_wait_for_the_reading_of_a_file():
         "plan_file.read_net_or_plan = read\n"
         "sys.exit(main(['analyse', 'net']))\n"
     )
-    process = subprocess.Popen(
-        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-    )  # fmt: skip
-    try:
-        assert process.stdout.readline() == "reading\n"
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
-    finally:
-        process.kill()
-    assert process.returncode == 130 and err.strip() == "gspn: interrupted"
+    _is_ended_by_an_interrupt(program, "reading")
 
 
 def test_what_goes_wrong_in_the_work_is_told_here():
