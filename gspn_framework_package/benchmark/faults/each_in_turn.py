@@ -9,7 +9,7 @@ import signal
 import statistics
 import time
 from collections import Counter
-from typing import Any, Callable, Dict, List, Optional
+from typing import Any, Callable, Dict, List
 
 from gspn_framework_package.benchmark.faults import dying_node
 from gspn_framework_package.benchmark.faults.team import Master, Team, require
@@ -73,9 +73,11 @@ class EachInTurn:
         self._tell("pause")
         self.team.rest()
 
-    def times(self) -> Dict[str, Optional[float]]:
-        """How long robots were away, in seconds."""
+    def details(self) -> Dict[str, Any]:
+        """What was cut or not sent, and how long robots were away, in seconds."""
         return {
+            "torn": dict(self.torn),
+            "unsent": dict(self.unsent),
             "back_median_s": round(statistics.median(self.back), 1) if self.back else None,
             "back_max_s": round(max(self.back), 1) if self.back else None,
             "woken_median_s": round(statistics.median(self.woken), 1) if self.woken else None,

@@ -15,7 +15,7 @@ import signal
 import sys
 import time
 from collections import Counter
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, List, Optional, Sequence, Union
 
 from gspn_framework_package.benchmark.faults.each_in_turn import EachInTurn
 from gspn_framework_package.benchmark.faults.hostile import Hostile
@@ -122,20 +122,16 @@ def _scenario(
     def tell(step: str) -> None:
         _tell("%d robots, %s: %s" % (robots, mode.value, step))
 
-    if args.hostile or args.operators:
-        chosen: Any = (
-            Hostile(robots, mode, tell) if args.hostile else Operators(robots, mode, args.operators, tell)
-        )
-        row = _run(chosen, chosen.run, args.keep)
-        return _told({"robots": robots, "mode": mode.value, "injected": dict(chosen.injected), **row})
-    tour = EachInTurn(master, robots, mode, source, tell)
-    row = _run(tour, tour.run, args.keep)
-    return _told(
-        {
-            "robots": robots, "mode": mode.value, "injected": dict(tour.injected), "torn": dict(tour.torn),
-            "unsent": dict(tour.unsent), **tour.times(), **row,
-        }
-    )  # fmt: skip
+    scenario: Union[EachInTurn, Operators, Hostile]
+    if args.operators:
+        scenario = Operators(robots, mode, args.operators, tell)
+    elif args.hostile:
+        scenario = Hostile(robots, mode, tell)
+    else:
+        scenario = EachInTurn(master, robots, mode, source, tell)
+    row = _run(scenario, scenario.run, args.keep)
+    details = scenario.details() if isinstance(scenario, EachInTurn) else {}
+    return _told({"robots": robots, "mode": mode.value, "injected": dict(scenario.injected), **details, **row})
 
 
 def _run(scenario: Any, run: Callable[[], None], keep: bool) -> Row:
