@@ -187,18 +187,26 @@ session_processes() {
     done
 }
 
+# The same, found by a second look where the first one finds none: a process that is just starting a program bears no mark.
+remaining_processes() {
+    local ids
+    ids=$(session_processes)
+    [ -n "$ids" ] || { sleep 0.2; ids=$(session_processes); }
+    printf '%s' "$ids"
+}
+
 GRACE=5  # seconds that processes are given to end by themselves after each signal
 
 end_session() {
     local signal deadline ids
     for signal in INT TERM KILL; do
         deadline=$((SECONDS + GRACE))
-        ids=$(session_processes)
+        ids=$(remaining_processes)
         # shellcheck disable=SC2086  # a list of words
         [ -z "$ids" ] || kill -s $signal $ids 2>/dev/null
         while [ -n "$ids" ] && [ $SECONDS -lt $deadline ]; do
             sleep 0.1
-            ids=$(session_processes)
+            ids=$(remaining_processes)
         done
         [ -n "$ids" ] || return 0
     done

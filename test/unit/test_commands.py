@@ -96,6 +96,22 @@ def test_the_end_reaches_what_has_moved_to_a_session_of_its_own(prepared, ignore
     assert left == "left:\n"
 
 
+def test_the_end_looks_again_for_a_process_that_is_just_starting_a_program(prepared, tmp_path):
+    """Its environment, and with it the mark, is not there for a moment."""
+    shown = prepared(
+        """
+        GRACE=1
+        setsid sleep 60 >/dev/null 2>&1 & disown
+        until [ -n "$(session_processes)" ]; do :; done
+        eval "really_$(declare -f session_processes)"
+        session_processes() {{ mkdir '{}' 2>/dev/null || really_session_processes; }}
+        end_session
+        echo left: $(really_session_processes)
+        """.format(tmp_path / "looked")
+    )
+    assert shown.stdout == "left:\n"
+
+
 def test_the_end_spares_what_this_run_has_not_started(prepared):
     with subprocess.Popen(["sleep", "60"]) as other:
         assert prepared("end_session; echo ended").stdout == "ended\n"
