@@ -3,7 +3,7 @@
 SETTLED = """() => {
   const { page, model } = window.gspn;
   return model.board && page.view.travel.inFlight.size === 0 && page.view.travel.waiting.length === 0
-    && !page.view.frame && !page.view.dirty.places.size && !page.view.pending.size;
+    && !page.view.frame && !page.view.dirty.places.size && !page.view.pending.size && !page.view.labels.timer;
 }"""
 
 DOTS = """() => [...document.querySelectorAll("#net .place")].map((g) => {
@@ -21,6 +21,13 @@ def settle(page, n=None):
     if n is not None:
         page.wait_for_function("(n) => window.gspn.model.board && window.gspn.model.board.n >= n", arg=n)
     page.wait_for_function(SETTLED)
+
+
+def resize(page, width, height):
+    """Give the page a size, and wait until it has taken note: its observers of sizes are called between two frames."""
+    page.set_viewport_size({"width": width, "height": height})
+    page.wait_for_function("([width, height]) => innerWidth === width && innerHeight === height", arg=[width, height])
+    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(null))))")
 
 
 def dots(page):

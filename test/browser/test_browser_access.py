@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from page_reading import boxes, overlaps, settle
+from page_reading import boxes, overlaps, resize, settle
 
 from gspn_framework_package.formats.plan_file import read_plan
 
@@ -32,8 +32,7 @@ def _axe():
 
     def check(page, state, panel=None):
         for (width, height), theme, rules in LOOKS:
-            page.set_viewport_size({"width": width, "height": height})
-            page.wait_for_function("(width) => innerWidth === width", arg=width)
+            resize(page, width, height)
             if panel is not None:
                 page.wait_for_selector("body[data-form='%s']" % ("narrow" if width < 640 else "wide"))
             page.evaluate("(theme) => { document.documentElement.dataset.theme = theme; }", theme)
@@ -58,12 +57,12 @@ def test_axe_finds_nothing_in_any_mode(serve_folder, open_page, axe, tmp_path):
     settle(page, 10)
     axe(page, "SIMULATE, the time line", "bottom")
     axe(page, "SIMULATE, the list", "left")
-    page.set_viewport_size({"width": 1280, "height": 720})
+    resize(page, 1280, 720)
     page.click("#list li[data-key='t0']")
     page.wait_for_selector("#inspector h2:has-text('t1')")
     axe(page, "SIMULATE, the inspector", "right")
     for key in ("#help", "#start", "#probabilities"):
-        page.set_viewport_size({"width": 1280, "height": 720})
+        resize(page, 1280, 720)
         page.click(key)
         page.wait_for_selector("dialog[open]")
         axe(page, "the dialog of " + key)
@@ -75,14 +74,14 @@ def test_axe_finds_nothing_in_any_mode(serve_folder, open_page, axe, tmp_path):
     page.evaluate("() => document.querySelectorAll('#analysis details').forEach((d) => { d.open = true; })")
     axe(page, "SIMULATE, the analysis", "right")
 
-    page.set_viewport_size({"width": 1280, "height": 720})
+    resize(page, 1280, 720)
     page.click("#start")
     page.click("dialog button.primary")
     page.wait_for_selector("body[data-mode='LIVE'] #robots .robot-card >> nth=3")
     page.wait_for_function("() => window.gspn.model.board.n > 10")
     axe(page, "LIVE, the robots", "right")
     axe(page, "LIVE, the log", "bottom")
-    page.set_viewport_size({"width": 1280, "height": 720})
+    resize(page, 1280, 720)
     page.click("#stop")
     axe(page, "the dialog of #stop")
     page.click("dialog button.danger")
@@ -128,8 +127,8 @@ def test_everything_is_reached_at_every_width(serve_folder, open_page, picture):
     address = serve_folder().address + "#file-patrol%2Fplan.json"
     page = open_page(address)
     for width, height in FORMS.items():
-        page.set_viewport_size({"width": width, "height": height})
-        page.wait_for_function("(width) => window.gspn.page.view.camera.now && innerWidth === width", arg=width)
+        resize(page, width, height)
+        page.wait_for_function("() => window.gspn.page.view.camera.now")
         page.wait_for_selector("body[data-form='%s']" % ("narrow" if width < 640 else "medium" if width < 1000 else "wide"))
         page.wait_for_function("() => document.querySelectorAll('.label').length > 0")
         settle(page)
@@ -141,7 +140,7 @@ def test_everything_is_reached_at_every_width(serve_folder, open_page, picture):
         assert size(page, "#net")[1] >= 0.5 * height, width
         picture(page, "width_%d" % width)
     for width, form in ((390, "narrow"), (800, "medium")):  # every panel can be had there, and leaves room for the net
-        page.set_viewport_size({"width": width, "height": FORMS[width]})
+        resize(page, width, FORMS[width])
         page.wait_for_selector("body[data-form='%s']" % form)
         for panel in ("left", "right", "bottom"):
             if page.get_attribute("#fold-" + panel, "aria-expanded") == "false":
@@ -203,8 +202,8 @@ def test_panels_are_folded_and_resized_and_stay_so(show_net, open_page):
     page.focus("#tab-analysis")
     page.keyboard.press("w")
     assert size(page, "#right")[0] >= 700
-    page.set_viewport_size({"width": 1010, "height": 500})
-    page.wait_for_function("() => document.body.dataset.form === 'wide' && innerWidth === 1010")
+    resize(page, 1010, 500)
+    page.wait_for_selector("body[data-form='wide']")
     assert not off_the_page(page)
     page.evaluate(
         '() => localStorage.setItem(\'gspn-panels\', \'{"wide": {"open": [7, "left", "right"], "sizes": {"left": "x", "right": 1e9}}}\')'

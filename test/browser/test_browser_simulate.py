@@ -1,7 +1,7 @@
 """SIMULATE in a browser: every tool, every key, two viewers, and what is drawn is what is so."""
 
 import pytest
-from page_reading import boxes, dots, enabled, marking, overlaps, settle
+from page_reading import boxes, dots, enabled, marking, overlaps, resize, settle
 
 from gspn_framework_package.benchmark.page.feed import workshop
 from gspn_framework_package.formats.plan_file import read_plan
@@ -169,13 +169,9 @@ def test_every_node_has_its_name_and_nothing_overlaps(show_net, open_page, folde
     page = open_page(show_net(net).address)
     count = len(net.places) + len(net.transitions)
     for width, height in ((1440, 900), (1280, 720)):
-        page.set_viewport_size({"width": width, "height": height})
-        page.wait_for_function(
-            "([width, n]) => innerWidth === width && document.querySelectorAll('.label').length === n",
-            arg=[width, count],
-        )
+        resize(page, width, height)
         settle(page)
-        page.wait_for_function("() => !window.gspn.page.view.labels.timer")
+        page.wait_for_function("(n) => document.querySelectorAll('.label').length === n", arg=count)
         nodes = boxes(page, "#net .place > circle, #net .transition > rect.body")
         assert len(nodes) == count
         assert not overlaps(nodes + boxes(page, ".label"), slack=2.5)
@@ -183,24 +179,33 @@ def test_every_node_has_its_name_and_nothing_overlaps(show_net, open_page, folde
         for transition in ("1", "21"):
             page.click("#list li[data-key='t%s']" % transition)
             page.wait_for_selector("[data-transition='%s'].selected > .label" % transition, state="attached")
-            page.wait_for_function("() => !window.gspn.page.view.labels.timer")
+            settle(page)
             assert page.locator("[data-transition='%s'].selected > .label" % transition).count() == 1
 
 
 def test_a_large_net_has_the_names_that_there_is_room_for(show_net, open_page):
-    page = open_page(show_net(workshop(600)).address)
+    site = show_net(workshop(600))
+    page = open_page(site.address)
     page.wait_for_function("() => document.querySelectorAll('.label').length > 20")
     named = """() => { const { view } = window.gspn.page;
       return [view.nodes.filter((n) => n.label).length, view.nodes.filter((n) => n.label && !(n.count > 0 || n.enabled)).length, view.camera.now.k]; }"""
     few, idle, zoom = page.evaluate(named)
     assert zoom < 0.28 and idle == 0  # from afar only what holds tokens or is enabled
+    named_now = "() => window.gspn.page.view.nodes.filter((n) => n.label).map((n) => n.name)"
+    before = page.evaluate(named_now)
+    page.fill("#n-steps", "300")
+    page.click("#steps")
+    settle(page, 300)
+    assert page.evaluate(named_now) != before  # the names go with the tokens
+    assert page.evaluate(named)[1] == 0
+    few = page.evaluate(named)[0]
     page.evaluate("() => window.gspn.page.choose({ kind: 'place', index: 3 })")
     page.wait_for_selector("[data-place='3'] > .label", state="attached")
     page.keyboard.press("+")
     page.keyboard.press("+")
     page.wait_for_function("(few) => document.querySelectorAll('.label').length > 2 * few", arg=few)
+    settle(page)
     nodes = boxes(page, "#net .place > circle, #net .transition > rect.body")
-    page.wait_for_function("() => !window.gspn.page.view.labels.timer")
     assert not overlaps(boxes(page, ".label"), slack=1)
     assert len(nodes) >= 590
 

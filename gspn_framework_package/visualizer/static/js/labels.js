@@ -12,6 +12,7 @@ const SMALLEST = 9.5; // px
 const CROWDED = 0.28; // below this zoom only a few names, of what matters most
 const TINY = 0.1; // and below this one none but of what is selected
 const FEW = 120;
+const FOLLOW = 400; // ms between two times that names follow the tokens
 const DRAWN = 700; // at most
 const CELL = 64;
 const ARCS = 1500; // names keep clear of arcs in nets with up to this many
@@ -74,6 +75,7 @@ class Boxes {
 export class Labels {
   constructor(view) {
     this.view = view;
+    this.few = false; // whether only what holds tokens or is enabled is named
     this.ruler = document.createElement("canvas").getContext("2d");
     this.ruler.font = `100px ${FAMILY}`;
   }
@@ -90,6 +92,11 @@ export class Labels {
   later() {
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.place(), this.drawn ? 110 : 0);
+  }
+
+  /** Tokens have moved: where only what holds them is named, the names go with them, now and then. */
+  follow() {
+    if (this.few && !this.timer) this.timer = setTimeout(() => this.place(), FOLLOW);
   }
 
   /** How much a name matters: 0 of what is selected, 1 beside it, 2 of what holds tokens or is enabled, 3 the rest. */
@@ -118,7 +125,7 @@ export class Labels {
 
     this.chosen = view.selection && view.nodeOf(view.selection);
     this.beside = new Set(this.chosen ? view.arcs.all.flatMap(({ from, to }) => (from === this.chosen ? [to] : to === this.chosen ? [from] : [])) : []);
-    const crowded = k < CROWDED;
+    const crowded = (this.few = k < CROWDED);
     const least = k < TINY ? 1 : crowded ? 2 : 3; // rank of what is named at this zoom
     const order = [];
     for (const item of seen) {

@@ -26,6 +26,7 @@ export class NetView extends EventTarget {
     this.pending = new Map(); // place -> tokens that are still on their way there
     this.pendingRobots = new Map();
     this.selection = null;
+    this.renamed = false; // whether the whole board has changed since it was drawn
     this.kept = new KeptPositions(this.scene.hash);
     this.nodes = [];
     this.put(this.scene.layout);
@@ -99,7 +100,7 @@ export class NetView extends EventTarget {
     this.pendingRobots.clear();
     for (let p = 0; p < this.places.length; p++) this.dirty.places.add(p);
     for (let t = 0; t < this.transitions.length; t++) this.dirty.transitions.add(t);
-    this.labels.later();
+    this.renamed = true;
     this.request();
   }
 
@@ -148,6 +149,7 @@ export class NetView extends EventTarget {
       this.labels.later();
     }
     if (!board) return;
+    const changed = this.dirty.places.size + this.dirty.transitions.size > 0;
     if (this.dirty.places.size) {
       const { here, lost } = this.robotsByPlace(board);
       for (const p of this.dirty.places) {
@@ -158,6 +160,10 @@ export class NetView extends EventTarget {
     }
     for (const t of this.dirty.transitions) drawEnabled(this.transitions[t], board.enabled.has(t));
     this.dirty.transitions.clear();
+    // Which names matter depends on what has just been drawn: asked for any earlier, they could be placed before it.
+    if (this.renamed) this.labels.later();
+    else if (changed) this.labels.follow();
+    this.renamed = false;
     this.travel.begin();
     this.dispatchEvent(new CustomEvent("frame", { detail: { n: board.n } }));
   }
