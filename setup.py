@@ -1,4 +1,5 @@
-"""How the Python package is installed: by catkin_make into a workspace, and by pip where there is no ROS."""
+"""How the Python package is installed: by catkin_make into a workspace, and by pip where there is
+no ROS."""
 
 import os
 import xml.etree.ElementTree as ElementTree
@@ -34,8 +35,8 @@ def data_files():
 
 
 def for_pip(manifest):
-    """Return what pip wants to know beyond what catkin does. ROS itself does not come from pip, and is not needed for
-    what the package does without it."""
+    """Return what pip wants to know beyond what catkin does. ROS itself does not come from pip, and
+    is not needed for what the package does without it."""
     named = [element.text for element in manifest.findall("exec_depend")]
     return {
         "python_requires": ">=3.8",
@@ -46,7 +47,8 @@ def for_pip(manifest):
 
 
 manifest = ElementTree.parse("package.xml").getroot()
-# catkin asks this file what there is by running it under another name, and tells where it installs to
+# catkin asks this file what there is by running it under another name, and tells where it installs
+# to
 by_catkin = __name__ != "__main__" or "CATKIN_BINARY_DIR" in os.environ
 setup(
     name=PACKAGE,
@@ -58,5 +60,5 @@ setup(
     packages=find_packages(include=[PACKAGE, PACKAGE + ".*"]),
     package_dir={"": "."},
     package_data={PACKAGE: data_files()},
-    **({} if by_catkin else for_pip(manifest))
+    **({} if by_catkin else for_pip(manifest)),
 )

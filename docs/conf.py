@@ -31,17 +31,40 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 # Pages are built without ROS, PyBullet and a browser too.
 autodoc_mock_imports = [
-    "actionlib", "actionlib_msgs", "diagnostic_msgs", "genpy", "geometry_msgs", "nav_msgs", "numba", "pybullet",
-    "pybullet_utils", "rosbag", "rosgraph", "rosgraph_msgs", "roslaunch", "roslib", "rosnode", "rospkg",
-    "rospy", "rosservice", "rostopic", "sensor_msgs", "std_msgs", "std_srvs", "tf2_msgs", "tf2_ros",
-    "gspn_framework_package.msg", "gspn_framework_package.srv",
-]  # fmt: skip
+    "actionlib",
+    "actionlib_msgs",
+    "diagnostic_msgs",
+    "genpy",
+    "geometry_msgs",
+    "nav_msgs",
+    "numba",
+    "pybullet",
+    "pybullet_utils",
+    "rosbag",
+    "rosgraph",
+    "rosgraph_msgs",
+    "roslaunch",
+    "roslib",
+    "rosnode",
+    "rospkg",
+    "rospy",
+    "rosservice",
+    "rostopic",
+    "sensor_msgs",
+    "std_msgs",
+    "std_srvs",
+    "tf2_msgs",
+    "tf2_ros",
+    "gspn_framework_package.msg",
+    "gspn_framework_package.srv",
+]
 
 LAYERS = {
     "model": "Nets, markings, policies, plans, errors. Immutable; no input or output, no ROS.",
     "formats": "Readers and writers: each file format to and from the model.",
     "analysis": "Structure, state spaces, Markov chains: model in, result objects out.",
-    "execution": "The token game, the event log, the agreement among robots, the standalone executor.",
+    "execution": "The token game, the event log, the agreement among robots, the standalone "
+    "executor.",
     "ros": "Thin adapters between the core and ROS.",
     "visualizer": "The page.",
     "world": "The simulated room.",

@@ -1,1 +1,2 @@
-"""Analysis: structure, state space, Markov chains, simulation. Model in, result objects out; no ROS, no files."""
+"""Analysis: structure, state space, Markov chains, simulation. Model in, result objects out; no
+ROS, no files."""

@@ -1,4 +1,5 @@
-"""All analyses of one net or plan behind one object; each part is computed when it is asked for first.
+"""All analyses of one net or plan behind one object; each part is computed when it is asked for
+first.
 
 >>> from gspn_framework_package.model.builder import NetBuilder
 >>> net = (NetBuilder("machine").place("up", tokens=1).place("down")
@@ -15,7 +16,19 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from typing import Any, Callable, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    FrozenSet,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    Union,
+)
 
 import numpy as np
 
@@ -41,8 +54,9 @@ _SEARCHED = 100_000
 """Markings among which one is looked for in a net that has infinitely many."""
 
 _BEGINNING = 20_000
-"""Markings that are visited before anybody asks whether there are infinitely many: most nets have fewer. Of a net that
-is known to have infinitely many no more are visited: there will be questions left anyway."""
+"""Markings that are visited before anybody asks whether there are infinitely many: most nets have
+fewer. Of a net that is known to have infinitely many no more are visited: there will be questions
+left anyway."""
 
 _FIRST_TREE = 5_000
 """Nodes of the first coverability tree that is tried, before more markings are visited."""
@@ -52,8 +66,8 @@ _FIRST_TREE_SHARE = 32
 
 
 class Reachability(NamedTuple):
-    """Whether a condition can come to hold: ``reachable`` (None: not decided), in what ``number`` of the markings
-    that were visited, and a shortest way to one of them."""
+    """Whether a condition can come to hold: ``reachable`` (None: not decided), in what ``number``
+    of the markings that were visited, and a shortest way to one of them."""
 
     reachable: Optional[bool]
     number: int
@@ -61,7 +75,8 @@ class Reachability(NamedTuple):
 
 
 class Boundedness(NamedTuple):
-    """Whether the net is bounded (None: not decided), and the bound of each place (None: there is none)."""
+    """Whether the net is bounded (None: not decided), and the bound of each place (None: there is
+    none)."""
 
     bounded: Optional[bool]
     bounds: Dict[str, Optional[int]]
@@ -74,14 +89,14 @@ class Analysis:
     :param subject: a net or a validated plan.
     :param limit: markings to visit at most, short for ``limits`` with so many states.
     :param limits: how far each part may go.
-    :param structure: whether P-invariants may be asked for bounds. Without them, the coverability tree alone says
-        what grows without bound.
+    :param structure: whether P-invariants may be asked for bounds. Without them, the coverability
+        tree alone says what grows without bound.
     :param engine: see :func:`~gspn_framework_package.analysis.state_space.explore`.
     :param progress: told how far long work is.
     :param cancel: asked now and then whether to stop.
 
-    Every part raises LimitError where it was not decided within the limit, and RefusedError where the net has no
-    such thing, as a Markov chain where nobody decides a choice.
+    Every part raises LimitError where it was not decided within the limit, and RefusedError where
+    the net has no such thing, as a Markov chain where nobody decides a choice.
     """
 
     def __init__(
@@ -107,23 +122,25 @@ class Analysis:
         self._progress, self._cancel = progress, cancel
         self._known: Dict[str, Any] = {}
 
-    # -- structure and state space ----------------------------------------------------------------------
+    # -- structure and state space -----------------------------------------------------------------
 
     @property
     def structure(self) -> Structure:
         """What the structure of the net alone says."""
-        return self._once("structure", lambda: Structure(self.net, limit=self.limits.structure, watch=self._watch))
+        return self._once(
+            "structure", lambda: Structure(self.net, limit=self.limits.structure, watch=self._watch)
+        )
 
     @property
     def space(self) -> StateSpace:
-        """The markings that were visited: of a plan, those its policy allows; without the places ``left_out``.
-        Not complete where the limit was met."""
+        """The markings that were visited: of a plan, those its policy allows; without the places
+        ``left_out``. Not complete where the limit was met."""
         return self._once("space", self._explore)
 
     @property
     def left_out(self) -> Tuple[str, ...]:
-        """Places that nothing reads and that may grow without bound: they were left out of the state space, since
-        they cannot change what happens."""
+        """Places that nothing reads and that may grow without bound: they were left out of the
+        state space, since they cannot change what happens."""
         if isinstance(self.space, PlanSpace):
             return self.space.counters
         left_out: Tuple[str, ...] = self._known.get("left_out", ())
@@ -163,8 +180,8 @@ class Analysis:
 
     @property
     def reversible(self) -> bool:
-        """Whether the initial marking can always be reached again. Not where a counter that was left out can get
-        tokens, since nothing takes them."""
+        """Whether the initial marking can always be reached again. Not where a counter that was
+        left out can get tokens, since nothing takes them."""
         if any(self._counts_up(place) != self.net.place(place).tokens for place in self.left_out):
             return False
         return self.properties.reversible
@@ -185,13 +202,16 @@ class Analysis:
         if beginning.complete or len(beginning) <= min(self.limit, _BEGINNING):
             return beginning  # that is all, or it is time or memory that there is too little of
         bounds = self._invariant_bounds
-        counters = [name for name, bound in bounds.items() if bound is None and self._is_counter(name)]
+        counters = [
+            name for name, bound in bounds.items() if bound is None and self._is_counter(name)
+        ]
         unbounded: Optional[List[str]] = []
         if None in bounds.values():
             unbounded = self._unbounded_places()
         if unbounded is None:  # not decided: visit markings, and see
             fewer = self._visit(self.net.without_places(counters), self.limit) if counters else None
-            if fewer is None or fewer.complete:  # where even those are too many, the markings with counters are too
+            # where even those are too many, the markings with counters are too
+            if fewer is None or fewer.complete:
                 space = self._visit(self.net, self.limit) if self.limit > _BEGINNING else beginning
                 if fewer is None or space.complete:
                     return space
@@ -236,7 +256,9 @@ class Analysis:
             except LimitError:
                 found = []
             number = self.net.place_index
-            rows = [[(number[name], w) for name, w in invariant.weights.items()] for invariant in found]
+            rows = [
+                [(number[name], w) for name, w in invariant.weights.items()] for invariant in found
+            ]
             return dict(zip(number, bounds_of(self.net, rows, self.net.initial_marking)))
 
         return self._once("invariant_bounds", compute)
@@ -244,7 +266,9 @@ class Analysis:
     def _unbounded_places(self) -> Optional[List[str]]:
         """The places that grow without bound, by a small coverability tree; None: not decided."""
         try:
-            tree = self._tree(min(_FIRST_TREE, self.limits.tree), self.limits.memory // _FIRST_TREE_SHARE)
+            tree = self._tree(
+                min(_FIRST_TREE, self.limits.tree), self.limits.memory // _FIRST_TREE_SHARE
+            )
         except LimitError as error:
             self._known["growth_reason"] = str(error)
             return None
@@ -253,7 +277,8 @@ class Analysis:
 
     @property
     def _is_unbounded(self) -> bool:
-        """Whether the first tree says that there are infinitely many markings, so that no limit would do."""
+        """Whether the first tree says that there are infinitely many markings, so that no limit
+        would do."""
         if self.plan is not None or self.space.complete or "tree" not in self._known:
             return False
         return not self._known["tree"].bounded
@@ -277,7 +302,9 @@ class Analysis:
 
     @property
     def _inhibiting(self) -> FrozenSet[int]:
-        return self._once("inhibiting", lambda: frozenset(p for arcs in self.net.inhibitors for p, _ in arcs))
+        return self._once(
+            "inhibiting", lambda: frozenset(p for arcs in self.net.inhibitors for p, _ in arcs)
+        )
 
     def _boundedness(self) -> Boundedness:
         space = self.space
@@ -288,12 +315,16 @@ class Analysis:
         if not space.complete:
             if None not in bounds.values():
                 return Boundedness(
-                    True, bounds, "the bounds are those of the P-invariants, within %s" % space.extent
+                    True,
+                    bounds,
+                    "the bounds are those of the P-invariants, within %s" % space.extent,
                 )
             return Boundedness(
                 None,
                 bounds,
-                self._known.get("growth_reason", "not decided within %s (%s)" % (space.extent, space.hint)),
+                self._known.get(
+                    "growth_reason", "not decided within %s (%s)" % (space.extent, space.hint)
+                ),
             )
         bounds = dict(self.properties.bounds)
         grows: List[bool] = []
@@ -306,14 +337,17 @@ class Analysis:
 
     def _counts_up(self, place: str) -> Optional[int]:
         """The most tokens of a counter that was left out; None where it grows without bound."""
-        feeding = {self.net.transitions[t].name for t in self.net.producers[self.net.place_number(place)]}
+        feeding = {
+            self.net.transitions[t].name for t in self.net.producers[self.net.place_number(place)]
+        }
         liveness = self.properties.liveness
         if any(liveness[t] >= Liveness.L3 for t in feeding):
             return None
         return self.net.place(place).tokens + self._most_gained(place)
 
     def _most_gained(self, place: str) -> int:
-        """The most tokens that a firing sequence can put into a counter that is fed only outside cycles."""
+        """The most tokens that a firing sequence can put into a counter that is fed only outside
+        cycles."""
         space = self.space
         gain = np.zeros(len(self.net.transitions) + 1, dtype=np.int64)
         p = self.net.place_number(place)
@@ -326,7 +360,8 @@ class Analysis:
         sources, targets, gains = sources[across], targets[across], gains[across]
         most = np.zeros(found.number, dtype=np.int64)
         watch = self._watch()
-        for rounds in itertools.count():  # longest ways in an acyclic graph, by as many rounds as the longest has arcs
+        # longest ways in an acyclic graph, by as many rounds as the longest has arcs
+        for rounds in itertools.count():
             watch.step("rounds", rounds)
             better = most.copy()
             np.maximum.at(better, targets, most[sources] + gains)
@@ -335,7 +370,7 @@ class Analysis:
             most = better
         raise AssertionError("a longest way has an end")
 
-    # -- conditions -------------------------------------------------------------------------------------
+    # -- conditions --------------------------------------------------------------------------------
 
     def reach(self, condition: str) -> Reachability:
         """Whether a condition can come to hold.
@@ -386,11 +421,12 @@ class Analysis:
         parsed = parse_condition(condition, [p.name for p in self.net.places], ["deadlock"])
         return bool(set(parsed.places) & set(self.left_out))
 
-    # -- time -------------------------------------------------------------------------------------------
+    # -- time --------------------------------------------------------------------------------------
 
     @property
     def chain(self) -> Chain:
-        """The Markov chain. :raises RefusedError: nobody decides a choice, or there is a timeless trap."""
+        """The Markov chain. :raises RefusedError: nobody decides a choice, or there is a timeless
+        trap."""
         self._refuse_if_unbounded("its Markov chain")
         return self._once("chain", lambda: Chain.of(self.space))
 
@@ -415,7 +451,8 @@ class Analysis:
         """When a condition holds for the first time; the probabilities within ``times`` (s).
 
         :raises ExpressionError: the condition cannot be read, or names an unknown place.
-        :raises LimitError: there are too many markings before it holds, or a linear system was not solved.
+        :raises LimitError: there are too many markings before it holds, or a linear system was not
+          solved.
         """
         space: StateSpace
         if self._looks_at_counters(condition) or self._is_unbounded:
@@ -430,18 +467,28 @@ class Analysis:
         return {"progress": self._progress, "cancel": self._cancel, "seconds": self.limits.seconds}
 
     def _until(self, condition: str) -> PlanSpace:
-        """The markings up to where a condition on counters holds: with the counters, and yet not without end."""
+        """The markings up to where a condition on counters holds: with the counters, and yet not
+        without end."""
         plan = self.plan
         if plan is None:  # a plan without robots follows the rules of its net
-            plan = Plan(net=self.net, resource_places=frozenset(p.name for p in self.net.places), until=condition)
+            plan = Plan(
+                net=self.net,
+                resource_places=frozenset(p.name for p in self.net.places),
+                until=condition,
+            )
         else:
-            plan = replace(plan, until="(%s) or (%s)" % (plan.until, condition) if plan.until else condition)
+            plan = replace(
+                plan, until="(%s) or (%s)" % (plan.until, condition) if plan.until else condition
+            )
         limit = min(self.limit, _SEARCHED) if self._is_unbounded else self.limit
         return self._visit_plan(plan, limit)
 
     def time_to_steady_state(self, tolerance: float = 1e-3) -> float:
-        """The time (s) from which on the distribution stays within ``tolerance`` of the steady state."""
-        return time_to_steady_state(self.chain, tolerance, steady=self.steady, **self._while_working)
+        """The time (s) from which on the distribution stays within ``tolerance`` of the steady
+        state."""
+        return time_to_steady_state(
+            self.chain, tolerance, steady=self.steady, **self._while_working
+        )
 
     def _once(self, key: str, compute: Callable[[], Any]) -> Any:
         if key not in self._known:

@@ -1,8 +1,8 @@
 """Anderson acceleration of a fixed-point iteration ``x = G(x)``.
 
-Instead of going to ``G(x)``, the next point is the combination of the last few ``G(x)`` whose changes ``G(x) - x``
-cancel out best (Anderson 1965). For a linear ``G`` that is GMRES in other words (Walker and Ni 2011), with no need of
-the matrix of ``G``.
+Instead of going to ``G(x)``, the next point is the combination of the last few ``G(x)`` whose
+changes ``G(x) - x`` cancel out best (Anderson 1965). For a linear ``G`` that is GMRES in other
+words (Walker and Ni 2011), with no need of the matrix of ``G``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ DEPTH = 5
 """Earlier steps that are combined."""
 
 _DEPENDENT = 1e-12
-"""Changes whose directions are as dependent as this are not told apart: it would only amplify rounding."""
+"""Changes whose directions are as dependent as this are not told apart: it would only amplify
+rounding."""
 
 
 class Anderson:

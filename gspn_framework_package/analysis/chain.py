@@ -1,4 +1,5 @@
-"""The continuous-time Markov chain of a net: its tangible states, the rates between them, where it starts."""
+"""The continuous-time Markov chain of a net: its tangible states, the rates between them, where it
+starts."""
 
 from __future__ import annotations
 
@@ -26,8 +27,8 @@ class Chain:
     """
 
     def __init__(self, graph: RatedGraph, absorbing: Optional[Any] = None) -> None:
-        """:param absorbing: boolean array over the states of the graph: states that are not left any more, vanishing
-        ones included.
+        """:param absorbing: boolean array over the states of the graph: states that are not left
+        any more, vanishing ones included.
 
         :raises RefusedError: there is a timeless trap.
         """
@@ -48,14 +49,22 @@ class Chain:
     def _as_it_is(self, absorbing: Optional[Any]) -> Tuple[Any, Any]:
         """Rates and initial distribution where no state is vanishing."""
         graph = self.graph
-        values = graph.values if absorbing is None else np.where(absorbing[graph.sources], 0.0, graph.values)
+        values = (
+            graph.values
+            if absorbing is None
+            else np.where(absorbing[graph.sources], 0.0, graph.values)
+        )
         offsets = np.searchsorted(graph.sources, np.arange(len(graph) + 1))
-        rates = sparse.csr_matrix((values, graph.targets, offsets), shape=(len(graph), len(graph)), copy=True)
+        rates = sparse.csr_matrix(
+            (values, graph.targets, offsets), shape=(len(graph), len(graph)), copy=True
+        )
         initial = np.zeros(len(graph))
         initial[0] = 1.0
         return rates, initial
 
-    def _without_vanishing(self, kept: Any, elimination: Elimination, absorbing: Optional[Any]) -> Tuple[Any, Any]:
+    def _without_vanishing(
+        self, kept: Any, elimination: Elimination, absorbing: Optional[Any]
+    ) -> Tuple[Any, Any]:
         graph = self.graph
         leaving = kept[graph.sources]
         if absorbing is not None:
@@ -71,7 +80,8 @@ class Chain:
 
     @classmethod
     def of(cls, space: StateSpace) -> Chain:
-        """The chain of a net's or a plan's state space. :raises GspnError: see :func:`~.rated_graph.rate`."""
+        """The chain of a net's or a plan's state space. :raises GspnError: see
+        :func:`~.rated_graph.rate`."""
         return cls(space.rated() if isinstance(space, PlanSpace) else rate(space))
 
     def __len__(self) -> int:
@@ -103,7 +113,11 @@ class Chain:
         return sorted(classes, key=lambda states: int(states[0]))
 
     def __repr__(self) -> str:
-        return "<Chain of %s: %d states, %d rates>" % (self.graph.net.name or "a net", len(self), self.rates.nnz)
+        return "<Chain of %s: %d states, %d rates>" % (
+            self.graph.net.name or "a net",
+            len(self),
+            self.rates.nnz,
+        )
 
 
 def _without_loops(rates: Any) -> Any:
@@ -117,8 +131,8 @@ def _without_loops(rates: Any) -> Any:
 
 
 class Component(NamedTuple):
-    """A recurrent class of a chain: its ``states`` (int array), the probability to end up in it, and the
-    stationary distribution over ``states``."""
+    """A recurrent class of a chain: its ``states`` (int array), the probability to end up in it,
+    and the stationary distribution over ``states``."""
 
     states: Any
     probability: float

@@ -18,15 +18,16 @@ def explicit_chain(analysis: Analysis, labels: Mapping[str, str] = {}) -> Explic
 
     :param labels: label -> the condition on markings that it stands for.
     :raises LimitError: the state space is larger than the limit.
-    :raises RefusedError: there is no chain, or it starts in one of several states by chance, which the formats
-        cannot say.
+    :raises RefusedError: there is no chain, or it starts in one of several states by chance, which
+        the formats cannot say.
     :raises ExpressionError: a condition cannot be read.
     """
     chain = analysis.chain
     starts = np.flatnonzero(chain.initial > _ROUNDING)
     if len(starts) != 1:
         raise RefusedError(
-            "the chain starts in one of %d states by chance, which model checkers' files cannot say" % len(starts),
+            "the chain starts in one of %d states by chance, which model checkers' files cannot say"
+            % len(starts),
             hint="begin in a marking that enables no immediate transition",
         )
     rates = chain.rates.tocoo()

@@ -1,5 +1,5 @@
-"""Compiling with numba so that the machine code is kept for the next process, where there is a place to keep it; the
-import fails where numba is not installed."""
+"""Compiling with numba so that the machine code is kept for the next process, where there is a
+place to keep it; the import fails where numba is not installed."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ Function = Callable[..., Any]
 def compiled(function: Function) -> Any:
     """``function``, compiled by numba at its first call.
 
-    Its machine code is kept beside its file, or in the user's cache. Where neither can be written (an installation that
-    is read-only, a user without a home) every process compiles for itself.
+    Its machine code is kept beside its file, or in the user's cache. Where neither can be written
+    (an installation that is read-only, a user without a home) every process compiles for itself.
     """
     try:
         return njit(cache=True, nogil=True)(function)

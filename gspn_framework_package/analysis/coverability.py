@@ -1,9 +1,9 @@
-"""The coverability tree and graph of Karp and Miller (1969): what an unbounded net can reach, with ``OMEGA`` for
-"as many as you like".
+"""The coverability tree and graph of Karp and Miller (1969): what an unbounded net can reach, with
+``OMEGA`` for "as many as you like".
 
-It is exact for nets without inhibitor arcs, capacities and priorities. For the others a growing sequence is only
-believed where what grows cannot disturb it; otherwise the answer is "not decided", since the question has no
-general answer with inhibitor arcs.
+It is exact for nets without inhibitor arcs, capacities and priorities. For the others a growing
+sequence is only believed where what grows cannot disturb it; otherwise the answer is "not decided",
+since the question has no general answer with inhibitor arcs.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _NODE_BYTES = 400
 
 
 class Node(NamedTuple):
-    """A node of the tree: its ``marking`` (counts, or OMEGA), the number of its ``parent`` and of the transition
-    that leads here from it (-1 at the root), and of the first node with the same marking (``same``; itself, where
-    it is the first: only that one has children)."""
+    """A node of the tree: its ``marking`` (counts, or OMEGA), the number of its ``parent`` and of
+    the transition that leads here from it (-1 at the root), and of the first node with the same
+    marking (``same``; itself, where it is the first: only that one has children)."""
 
     marking: Tuple[int, ...]
     parent: int
@@ -76,7 +76,8 @@ class CoverabilityTree:
         first: Dict[Tuple[int, ...], int] = {self.net.initial_marking: 0}
         self.nodes.append(Node(self.net.initial_marking, -1, -1, 0))
         with_concession = self.net.enabled(self.net.initial_marking, by_priority=False)
-        waiting: Deque[Tuple[int, Tuple[int, ...]]] = deque([(0, with_concession)])  # and what the parent enabled
+        # and what the parent enabled
+        waiting: Deque[Tuple[int, Tuple[int, ...]]] = deque([(0, with_concession)])
         while waiting:
             number, with_concession = waiting.popleft()
             node = self.nodes[number]
@@ -96,7 +97,8 @@ class CoverabilityTree:
                     raise LimitError(
                         "the coverability tree has more than %d nodes" % limit
                         if self._comparisons >= 0
-                        else "the coverability tree is too deep: %d nodes took too long" % len(self.nodes),
+                        else "the coverability tree is too deep: %d nodes took too long"
+                        % len(self.nodes),
                         hint="raise --limit-tree",
                     )
                 if len(self.nodes) > self._most:
@@ -116,13 +118,15 @@ class CoverabilityTree:
         return [t for t in immediate if transitions[t].priority == top]
 
     def _accelerate(self, number: int, t: int, after: Tuple[int, ...]) -> Tuple[int, ...]:
-        """``after`` with OMEGA where the way from an ancestor to here can be gone again and again."""
+        """``after`` with OMEGA where the way from an ancestor to here can be gone again and
+        again."""
         fired = {t}
         counts = list(after)
         while number >= 0:
             node = self.nodes[number]
             self._comparisons -= 1
-            if all(map(le, node.marking, counts)):  # the longest loop there is, in nets of thousands of places
+            # the longest loop there is, in nets of thousands of places
+            if all(map(le, node.marking, counts)):
                 growing = [p for p, (a, b) in enumerate(zip(node.marking, counts)) if a < b < OMEGA]
                 if growing:
                     self._exact.require(growing, fired)
@@ -132,7 +136,7 @@ class CoverabilityTree:
             number = node.parent
         return tuple(counts)
 
-    # -- answers ----------------------------------------------------------------------------------------
+    # -- answers -----------------------------------------------------------------------------------
 
     @property
     def bounded(self) -> bool:
@@ -156,7 +160,10 @@ class CoverabilityTree:
     @property
     def bounds(self) -> Dict[str, Optional[int]]:
         """The most tokens that each place can hold; None where there is no bound."""
-        return {place.name: None if n == OMEGA else n for place, n in zip(self.net.places, self._largest)}
+        return {
+            place.name: None if n == OMEGA else n
+            for place, n in zip(self.net.places, self._largest)
+        }
 
     @property
     def dead_transitions(self) -> List[str]:
@@ -165,9 +172,10 @@ class CoverabilityTree:
         return [t.name for i, t in enumerate(self.net.transitions) if i not in fired]
 
     def covers(self, marking: Union[Sequence[int], Mapping[str, int]]) -> Optional[List[str]]:
-        """The transitions on the way to a node that covers ``marking`` (at least as many tokens everywhere; places
-        that a map leaves out: any number), or None: it cannot be covered. Where the node has OMEGA the way tells
-        the order of things, and its loops must be gone often enough."""
+        """The transitions on the way to a node that covers ``marking`` (at least as many tokens
+        everywhere; places that a map leaves out: any number), or None: it cannot be covered. Where
+        the node has OMEGA the way tells the order of things, and its loops must be gone often
+        enough."""
         wanted = self.net.marking(marking) if isinstance(marking, Mapping) else tuple(marking)
         for number, node in enumerate(self.nodes):
             if all(n <= have for n, have in zip(wanted, node.marking)):
@@ -183,7 +191,8 @@ class CoverabilityTree:
         return names[::-1]
 
     def graph(self) -> Tuple[List[Tuple[int, ...]], List[Tuple[int, int, int]]]:
-        """The coverability graph: its markings, and its arcs (from, transition, to; numbers of markings)."""
+        """The coverability graph: its markings, and its arcs (from, transition, to; numbers of
+        markings)."""
         index: Dict[int, int] = {}
         for number, node in enumerate(self.nodes):
             if node.same == number:
@@ -197,14 +206,19 @@ class CoverabilityTree:
         return markings, arcs
 
     def text(self, marking: Sequence[int]) -> str:
-        """A marking for people: ``2 a, w b`` with the Greek letter for OMEGA, without the empty places."""
-        parts = ["%s %s" % ("ω" if n == OMEGA else n, place.name) for place, n in zip(self.net.places, marking) if n]
+        """A marking for people: ``2 a, w b`` with the Greek letter for OMEGA, without the empty
+        places."""
+        parts = [
+            "%s %s" % ("ω" if n == OMEGA else n, place.name)
+            for place, n in zip(self.net.places, marking)
+            if n
+        ]
         return ", ".join(parts) or "empty"
 
 
 class _Near:
-    """Finds what a marking enables from what the marking before enabled: only the transitions around the places that
-    have changed are looked at."""
+    """Finds what a marking enables from what the marking before enabled: only the transitions
+    around the places that have changed are looked at."""
 
     def __init__(self, net: Net) -> None:
         self._net = net
@@ -219,7 +233,8 @@ class _Near:
     def enabled(
         self, marking: Sequence[int], before: Sequence[int], with_concession: Sequence[int]
     ) -> Tuple[int, ...]:
-        """What has concession in ``marking``, which came from ``before``, where ``with_concession`` had."""
+        """What has concession in ``marking``, which came from ``before``, where ``with_concession``
+        had."""
         near: Set[int] = set()
         for p, count in enumerate(marking):
             if count != before[p]:
@@ -239,7 +254,9 @@ class _Monotone:
         inhibiting = {p for arcs in net.inhibitors for p, _ in arcs}
         limited = {p for p, place in enumerate(net.places) if place.capacity is not None}
         self._disturbing: Set[int] = inhibiting | limited
-        self._urgency = [0 if untimed else (t.priority + 1 if not t.timed else 0) for t in net.transitions]
+        self._urgency = [
+            0 if untimed else (t.priority + 1 if not t.timed else 0) for t in net.transitions
+        ]
 
     def require(self, growing: Sequence[int], fired: Set[int]) -> None:
         """:raises LimitError: tokens on ``growing`` might prevent the transitions ``fired``."""
@@ -247,7 +264,11 @@ class _Monotone:
         for p in growing:
             urgent = any(self._urgency[t] > lowest for t in self._net.consumers[p])
             if p in self._disturbing or urgent:
-                why = "an immediate transition of higher priority" if urgent else "an inhibitor arc or a capacity"
+                why = (
+                    "an immediate transition of higher priority"
+                    if urgent
+                    else "an inhibitor arc or a capacity"
+                )
                 raise LimitError(
                     "whether place '%s' grows without bound depends on %s, which the coverability "
                     "tree cannot judge" % (self._net.places[p].name, why)

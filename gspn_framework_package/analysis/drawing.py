@@ -1,4 +1,5 @@
-"""Coverability trees and Markov chains as graphs for Graphviz ("draw other models such as a CTMC", thesis ch. 4)."""
+"""Coverability trees and Markov chains as graphs for Graphviz ("draw other models such as a CTMC",
+thesis ch. 4)."""
 
 from __future__ import annotations
 
@@ -12,17 +13,22 @@ from gspn_framework_package.formats.dot import Attribute, Graph
 from gspn_framework_package.model.net import Net
 
 _MAX_LAYERED = 60
-"""Most states of a chain that are drawn in layers, with their rates: more make long rows of nodes with all arcs between
-them, and numbers that nobody can tell the arc of."""
+"""Most states of a chain that are drawn in layers, with their rates: more make long rows of nodes
+with all arcs between them, and numbers that nobody can tell the arc of."""
 
-_LAYERED: Mapping[str, Attribute] = {"rankdir": "TB", "layout": "dot", "nodesep": 0.4, "ranksep": 0.6}
+_LAYERED: Mapping[str, Attribute] = {
+    "rankdir": "TB",
+    "layout": "dot",
+    "nodesep": 0.4,
+    "ranksep": 0.6,
+}
 
 _MERGED = 1e-12  # probabilities below this are the rounding of an elimination
 
 
 def tree_graph(tree: CoverabilityTree) -> Graph:
-    """The coverability tree: a node a marking, an arc a firing. The root is bold; a marking that the tree has
-    already is dashed and has no children; one that enables nothing is red."""
+    """The coverability tree: a node a marking, an arc a firing. The root is bold; a marking that
+    the tree has already is dashed and has no children; one that enables nothing is red."""
     net = tree.net
     graph = _graph(net.name)
     inner = {node.parent for node in tree.nodes}
@@ -41,8 +47,8 @@ def tree_graph(tree: CoverabilityTree) -> Graph:
 
 
 def chain_graph(chain: Chain, note: str = "") -> Graph:
-    """The Markov chain: a node a tangible marking, an arc a rate (1/s). States where it can start are bold, with their
-    probability where there are several; states that are never left are red.
+    """The Markov chain: a node a tangible marking, an arc a rate (1/s). States where it can start
+    are bold, with their probability where there are several; states that are never left are red.
 
     :param note: a line to write below the drawing, which then has no rates.
     """
@@ -61,24 +67,33 @@ def chain_graph(chain: Chain, note: str = "") -> Graph:
             looks["color"] = "red"
         graph.node(str(number), label=label, **looks)
     rates = chain.rates.tocoo()
-    for source, target, rate in sorted(zip(rates.row.tolist(), rates.col.tolist(), rates.data.tolist())):
-        shown: Dict[str, Attribute] = {} if note else {"label": " %.4g " % rate}  # else two labels read as one number
+    for source, target, rate in sorted(
+        zip(rates.row.tolist(), rates.col.tolist(), rates.data.tolist())
+    ):
+        # else two labels read as one number
+        shown: Dict[str, Attribute] = {} if note else {"label": " %.4g " % rate}
         graph.edge(str(source), str(target), **shown)
     return graph
 
 
 def note_of_rates_left_out(chain: Chain) -> str:
-    """What to tell of a chain that is too large for rates in its picture; empty for a smaller one."""
+    """What to tell of a chain that is too large for rates in its picture; empty for a smaller
+    one."""
     if len(chain) <= _MAX_LAYERED:
         return ""
-    return "%d states; the rates of the %d arcs are left out; gspn convert --to drn has them, and -o OUT.dot" % (
-        len(chain),
-        chain.rates.nnz,
+    return (
+        "%d states; the rates of the %d arcs are left out; gspn convert --to drn has them, and -o "
+        "OUT.dot"
+        % (
+            len(chain),
+            chain.rates.nnz,
+        )
     )
 
 
 def _graph(name: str, attributes: Mapping[str, Attribute] = {}, large: bool = False) -> Graph:
-    # Nodes are drawn over the arcs, and are white: an arc that passes behind one does not cross its text.
+    # Nodes are drawn over the arcs, and are white: an arc that passes behind one does not cross its
+    # text.
     graph = Graph(
         name,
         fontname="Helvetica",
@@ -87,7 +102,13 @@ def _graph(name: str, attributes: Mapping[str, Attribute] = {}, large: bool = Fa
         **attributes,
     )
     graph.defaults(
-        "node", fontname="Helvetica", fontsize=10, shape="box", style="rounded,filled", fillcolor="white", height=0.3
+        "node",
+        fontname="Helvetica",
+        fontsize=10,
+        shape="box",
+        style="rounded,filled",
+        fillcolor="white",
+        height=0.3,
     )
     graph.defaults("edge", fontname="Helvetica", fontsize=9, arrowsize=0.7)
     return graph

@@ -1,7 +1,7 @@
 """What the exploration engines share: their result, progress and cancelling, growing arrays.
 
-An engine is a function ``explore(packed, limit, watch) -> RawGraph``. There are two: ``numpy_engine`` (always
-there) and ``numba_engine`` (where numba is installed).
+An engine is a function ``explore(packed, limit, watch) -> RawGraph``. There are two:
+``numpy_engine`` (always there) and ``numba_engine`` (where numba is installed).
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ import numpy as np
 from gspn_framework_package.model.errors import CancelledError, LimitError
 
 Progress = Callable[[str, int, float], None]
-"""Called with what is counted (``"states"``), how many there are, and the seconds since the start."""
+"""Called with what is counted (``"states"``), how many there are, and the seconds since the
+start."""
 
 Cancel = Callable[[], bool]
 """Asked now and then; true stops the work with a CancelledError."""
 
 
 class RawGraph(NamedTuple):
-    """What an engine found: ``states`` (uint64, shape ``(n, words)``, the initial one first); the arcs of state
-    ``s`` at ``offsets[s]:offsets[s + 1]`` of ``targets`` (state numbers) and ``labels`` (transitions in engine
-    order); the successors of the first ``explored`` states are known, of all of them when the limit was not
-    met and there was room enough."""
+    """What an engine found: ``states`` (uint64, shape ``(n, words)``, the initial one first); the
+    arcs of state ``s`` at ``offsets[s]:offsets[s + 1]`` of ``targets`` (state numbers) and
+    ``labels`` (transitions in engine order); the successors of the first ``explored`` states are
+    known, of all of them when the limit was not met and there was room enough."""
 
     states: Any
     offsets: Any
@@ -35,7 +36,8 @@ class RawGraph(NamedTuple):
 
 
 class Room(NamedTuple):
-    """What an exploration may use: ``memory`` in bytes, and the time ``until`` when (of the monotonic clock)."""
+    """What an exploration may use: ``memory`` in bytes, and the time ``until`` when (of the
+    monotonic clock)."""
 
     memory: float = math.inf
     until: float = math.inf
@@ -58,8 +60,8 @@ class FieldOverflowError(Exception):
 
 
 class Watch:
-    """Tells progress at most every ``interval`` seconds, and stops the work when it is cancelled or has taken longer
-    than ``seconds``."""
+    """Tells progress at most every ``interval`` seconds, and stops the work when it is cancelled or
+    has taken longer than ``seconds``."""
 
     def __init__(
         self,
@@ -106,7 +108,8 @@ class Growing:
         """Have room for ``count`` rows in all."""
         capacity = len(self.array)
         if count > capacity:
-            self._resize(max(count, capacity + (capacity >> 2)))  # more room would be filled with zeros, and counts
+            # more room would be filled with zeros, and counts
+            self._resize(max(count, capacity + (capacity >> 2)))
 
     def extend(self, rows: Any) -> None:
         """Append ``rows``."""
@@ -120,7 +123,8 @@ class Growing:
         return self.array
 
     def _resize(self, capacity: int) -> None:
-        # In place: the allocator moves pages instead of copying, so that there is never a second copy.
+        # In place: the allocator moves pages instead of copying, so that there is never a second
+        # copy.
         shape = (capacity, self._columns) if self._columns else (capacity,)
         self.array.resize(shape, refcheck=False)
 

@@ -10,8 +10,8 @@ from scipy.sparse import csgraph
 
 
 class Components(NamedTuple):
-    """Strongly connected components: ``number`` of them; ``of`` (int array: the component of each node); ``bottom``
-    (boolean array: no arc leaves the component)."""
+    """Strongly connected components: ``number`` of them; ``of`` (int array: the component of each
+    node); ``bottom`` (boolean array: no arc leaves the component)."""
 
     number: int
     of: Any
@@ -30,7 +30,8 @@ def components(nodes: int, sources: Any, targets: Any) -> Components:
 
 
 def components_of(matrix: Any) -> Components:
-    """The strongly connected components of the graph that has an arc for every entry of a sparse matrix (CSR)."""
+    """The strongly connected components of the graph that has an arc for every entry of a sparse
+    matrix (CSR)."""
     count, of = csgraph.connected_components(matrix, connection="strong")
     bottom = np.ones(count, dtype=bool)
     if count > 1:
@@ -40,14 +41,16 @@ def components_of(matrix: Any) -> Components:
 
 
 def reachable_from(nodes: int, sources: Any, targets: Any, start: Any) -> Any:
-    """Boolean array: which nodes can be reached from those of ``start`` (numbers, or a boolean array), themselves
-    included."""
+    """Boolean array: which nodes can be reached from those of ``start`` (numbers, or a boolean
+    array), themselves included."""
     seen = np.zeros(nodes, dtype=bool)
     seen[start] = True
     frontier = np.flatnonzero(seen)
     if not len(frontier):
         return seen
-    matrix = sparse.csr_matrix((np.ones(len(targets), dtype=bool), (sources, targets)), shape=(nodes, nodes))
+    matrix = sparse.csr_matrix(
+        (np.ones(len(targets), dtype=bool), (sources, targets)), shape=(nodes, nodes)
+    )
     while len(frontier):
         reached = matrix.indices[flat_ranges(matrix.indptr[frontier], matrix.indptr[frontier + 1])]
         reached = np.unique(reached[~seen[reached]])
@@ -64,7 +67,9 @@ def can_reach(nodes: int, sources: Any, targets: Any, goal: Any) -> Any:
 class ShortestWays:
     """Shortest ways from node 0 along the arcs that are ``allowed``; arcs are sorted by source."""
 
-    def __init__(self, nodes: int, sources: Any, targets: Any, allowed: Optional[Any] = None) -> None:
+    def __init__(
+        self, nodes: int, sources: Any, targets: Any, allowed: Optional[Any] = None
+    ) -> None:
         arcs = np.arange(len(targets)) if allowed is None else np.flatnonzero(allowed)
         self._sources, self._targets = sources, targets
         self._parent = np.full(nodes, -1, dtype=np.int64)
@@ -107,18 +112,22 @@ def flat_ranges(begins: Any, ends: Any) -> Any:
 
 
 def longest_levels(nodes: int, sources: Any, targets: Any) -> Tuple[Any, bool]:
-    """For an acyclic graph the length of the longest way from each node, and True; with a cycle, False."""
+    """For an acyclic graph the length of the longest way from each node, and True; with a cycle,
+    False."""
     waiting = np.bincount(sources, minlength=nodes)
     level = np.zeros(nodes, dtype=np.int64)
     backward = sparse.csr_matrix(
-        (np.ones(len(sources), np.int8), (targets, np.arange(len(sources)))), shape=(nodes, max(len(sources), 1))
+        (np.ones(len(sources), np.int8), (targets, np.arange(len(sources)))),
+        shape=(nodes, max(len(sources), 1)),
     )
     frontier = np.flatnonzero(waiting == 0)
     done = len(frontier)
     depth = 0
     while len(frontier):
         depth += 1
-        arcs = backward.indices[flat_ranges(backward.indptr[frontier], backward.indptr[frontier + 1])]
+        arcs = backward.indices[
+            flat_ranges(backward.indptr[frontier], backward.indptr[frontier + 1])
+        ]
         before = sources[arcs]
         np.subtract.at(waiting, before, 1)
         frontier = np.unique(before[waiting[before] == 0])

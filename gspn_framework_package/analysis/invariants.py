@@ -1,8 +1,10 @@
-"""P-invariants and T-invariants: the minimal non-negative ones (semiflows), and what follows from them.
+"""P-invariants and T-invariants: the minimal non-negative ones (semiflows), and what follows from
+them.
 
-The algorithm is that of Farkas with the support test of Colom and Silva (1991). Before it come the columns that one row
-alone can cancel, or two rows with each other: they ask for no test and make no more rows, and in most large nets they
-are nearly all. There can be exponentially many minimal invariants; the work stops at a limit and says so.
+The algorithm is that of Farkas with the support test of Colom and Silva (1991). Before it come the
+columns that one row alone can cancel, or two rows with each other: they ask for no test and make no
+more rows, and in most large nets they are nearly all. There can be exponentially many minimal
+invariants; the work stops at a limit and says so.
 """
 
 from __future__ import annotations
@@ -30,8 +32,8 @@ class Invariant(NamedTuple):
     """A weighted sum over places (or transitions) that firing (or a cycle) leaves as it is.
 
     :ivar weights: name -> positive whole number; the names that are left out have weight 0.
-    :ivar value: of a P-invariant, the sum in the initial marking, which all reachable markings share; None of a
-        T-invariant.
+    :ivar value: of a P-invariant, the sum in the initial marking, which all reachable markings
+        share; None of a T-invariant.
     """
 
     weights: Dict[str, int]
@@ -42,7 +44,9 @@ class Invariant(NamedTuple):
         return " + ".join(terms) + ("" if self.value is None else " = %d" % self.value)
 
 
-def place_invariants(net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None) -> List[Invariant]:
+def place_invariants(
+    net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
+) -> List[Invariant]:
     """The minimal-support P-invariants.
 
     :raises LimitError: the search took more than ``limit`` steps.
@@ -54,17 +58,25 @@ def place_invariants(net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Wat
     ]
 
 
-def transition_invariants(net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None) -> List[Invariant]:
-    """The minimal-support T-invariants: how often each transition fires on a way back to the same marking.
+def transition_invariants(
+    net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
+) -> List[Invariant]:
+    """The minimal-support T-invariants: how often each transition fires on a way back to the same
+    marking.
 
     :raises LimitError: the search took more than ``limit`` steps.
     """
     names = [t.name for t in net.transitions]
     columns: List[Dict[int, int]] = [dict(net.effect(t)) for t in range(len(names))]
-    return [Invariant({names[t]: w for t, w in row}) for row in _semiflows(columns, Effort(limit, watch))]
+    return [
+        Invariant({names[t]: w for t, w in row})
+        for row in _semiflows(columns, Effort(limit, watch))
+    ]
 
 
-def transition_surpluses(net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None) -> List[Dict[str, int]]:
+def transition_surpluses(
+    net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
+) -> List[Dict[str, int]]:
     """The minimal firing counts (transition -> times) that lose no token, and may win some.
 
     :raises LimitError: the search took more than ``limit`` steps.
@@ -79,8 +91,8 @@ def transition_surpluses(net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional
 def invariant_bounds(
     net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
 ) -> Tuple[Optional[int], ...]:
-    """For each place the bound that the P-invariants and its capacity give, or None. When there are too many
-    invariants the capacities alone speak."""
+    """For each place the bound that the P-invariants and its capacity give, or None. When there are
+    too many invariants the capacities alone speak."""
     try:
         rows = _place_semiflows(net, Effort(limit, watch))
     except LimitError:
@@ -88,7 +100,9 @@ def invariant_bounds(
     return bounds_of(net, rows, net.initial_marking)
 
 
-def bounds_of(net: Net, rows: Sequence[Sequence[Tuple[int, int]]], marking: Marking) -> Tuple[Optional[int], ...]:
+def bounds_of(
+    net: Net, rows: Sequence[Sequence[Tuple[int, int]]], marking: Marking
+) -> Tuple[Optional[int], ...]:
     """The bounds that these invariants (pairs of place number and weight) give from ``marking``."""
     bounds: List[Optional[int]] = [place.capacity for place in net.places]
     for row in rows:
@@ -107,7 +121,9 @@ def uncovered_place(net: Net) -> Optional[str]:
 
 def uncovered_transition(net: Net) -> Optional[str]:
     """A transition that is in no T-invariant, where that shows at once (None says nothing)."""
-    lost = _Elimination([dict(net.effect(t)) for t in range(len(net.transitions))], Effort(_ALL)).lost
+    lost = _Elimination(
+        [dict(net.effect(t)) for t in range(len(net.transitions))], Effort(_ALL)
+    ).lost
     return net.transitions[min(lost)].name if lost else None
 
 
@@ -152,8 +168,8 @@ def _gcd_all(values: Iterable[int]) -> int:
 
 
 class _Atom:
-    """A positive combination of columns that share no item with any other: ``weights`` of the columns, and the
-    ``residual`` that is not yet cancelled."""
+    """A positive combination of columns that share no item with any other: ``weights`` of the
+    columns, and the ``residual`` that is not yet cancelled."""
 
     __slots__ = ("weights", "residual")
 
@@ -174,8 +190,9 @@ class _Atom:
 class _Elimination:
     """Cancels what can be cancelled without a choice.
 
-    An index that all columns change one way loses those columns; one that a single column raises and a single one
-    lowers joins the two. The smaller column is merged into the larger one, so a ring costs no more than its arcs.
+    An index that all columns change one way loses those columns; one that a single column raises
+    and a single one lowers joins the two. The smaller column is merged into the larger one, so a
+    ring costs no more than its arcs.
 
     :ivar rows: what remains.
     :ivar lost: the numbers of columns that are in no combination that gives zero.
@@ -185,7 +202,8 @@ class _Elimination:
         self.lost: Set[int] = set()
         self._effort = effort
         self._atoms: Dict[int, _Atom] = {i: _Atom(i, column) for i, column in enumerate(columns)}
-        self._at: Dict[int, Tuple[Set[int], Set[int]]] = {}  # index -> atoms that lower it, that raise it
+        # index -> atoms that lower it, that raise it
+        self._at: Dict[int, Tuple[Set[int], Set[int]]] = {}
         for number, atom in self._atoms.items():
             for index, value in atom.residual.items():
                 signs = self._at.get(index)
@@ -201,7 +219,8 @@ class _Elimination:
         self._effort.spend(1, _ROWS)
         lowering, raising = self._at[index]
         if not lowering or not raising:
-            if lowering or raising:  # going through a set that was large takes as long when it is empty
+            # going through a set that was large takes as long when it is empty
+            if lowering or raising:
                 for number in list(lowering or raising):
                     self._drop(number)
         elif len(lowering) == len(raising) == 1:
@@ -242,8 +261,6 @@ class _Elimination:
             self._waiting.append(i)
 
 
-
-
 class _Row(NamedTuple):
     support: int  # bit set of the atoms
     weights: Dict[int, int]
@@ -253,7 +270,9 @@ class _Row(NamedTuple):
 def _combined(residuals: Sequence[Dict[int, int]], effort: Effort) -> List[Dict[int, int]]:
     """The minimal-support non-negative integer combinations of ``residuals`` that give zero."""
     effort.spend(len(residuals) ** 2 >> 10, _ROWS)  # for the bits of their supports
-    rows: Dict[int, _Row] = {i: _Row(1 << i, {i: 1}, dict(column)) for i, column in enumerate(residuals)}
+    rows: Dict[int, _Row] = {
+        i: _Row(1 << i, {i: 1}, dict(column)) for i, column in enumerate(residuals)
+    }
     at: Dict[int, Tuple[Set[int], Set[int]]] = {}
     by_lowest: Dict[int, Dict[int, int]] = {}  # lowest item of a support -> row -> that support
     for number, row in rows.items():
@@ -273,7 +292,11 @@ def _combined(residuals: Sequence[Dict[int, int]], effort: Effort) -> List[Dict[
         for a in sorted(positive):
             for b in sorted(negative):
                 fresh.append(_combine(rows[a], rows[b], index))
-                effort.spend(8 + len(rows[a].residual) + len(rows[a].weights), _ROWS, "%d candidates" % len(rows))
+                effort.spend(
+                    8 + len(rows[a].residual) + len(rows[a].weights),
+                    _ROWS,
+                    "%d candidates" % len(rows),
+                )
         changed: Set[int] = set()
         for number in positive | negative:
             row = rows.pop(number)
@@ -282,7 +305,8 @@ def _combined(residuals: Sequence[Dict[int, int]], effort: Effort) -> List[Dict[
                 if i != index:
                     at[i][value > 0].discard(number)
                     changed.add(i)
-        # The rows that stay were minimal before, and the fresh ones are sums of rows: only those can be too large.
+        # The rows that stay were minimal before, and the fresh ones are sums of rows: only those
+        # can be too large.
         for row in sorted(fresh, key=lambda r: bin(r.support).count("1")):
             if _holds_another(row.support, by_lowest, effort):
                 continue

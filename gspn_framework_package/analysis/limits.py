@@ -1,4 +1,5 @@
-"""How far an analysis may go, and who counts: no search runs without an end, and where one stops it says so."""
+"""How far an analysis may go, and who counts: no search runs without an end, and where one stops it
+says so."""
 
 from __future__ import annotations
 
@@ -11,13 +12,15 @@ STATE_LIMIT = 2_000_000
 """Markings that are visited when nothing else is said."""
 
 LARGE_NET = 10_000
-"""Places and transitions from which on fewer markings are visited when nothing else is said: each takes longer."""
+"""Places and transitions from which on fewer markings are visited when nothing else is said: each
+takes longer."""
 
 TREE_LIMIT = 50_000
 """Nodes that a coverability tree may have when nothing else is said."""
 
 STRUCTURE_LIMIT = 2_000_000
-"""Elementary steps of each search for invariants, siphons or traps when nothing else is said: a second or two."""
+"""Elementary steps of each search for invariants, siphons or traps when nothing else is said: a
+second or two."""
 
 SECONDS = 300.0
 """Longest time (s) of each part of an analysis when nothing else is said."""
@@ -44,7 +47,8 @@ class Limits(NamedTuple):
 
 
 def states_of(nodes: int) -> int:
-    """The markings to visit at most in a net of so many places and transitions, when nothing else is said."""
+    """The markings to visit at most in a net of so many places and transitions, when nothing else
+    is said."""
     return STATE_LIMIT if nodes <= LARGE_NET else max(STATE_LIMIT * LARGE_NET // nodes, 20_000)
 
 
@@ -54,12 +58,9 @@ class Effort:
     :param limit: how many there may be.
     :param watch: asked now and then whether to stop.
 
-    >>> effort = Effort(100)
-    >>> effort.spend(60, "rows")
-    >>> effort.spend(60, "rows")
-    Traceback (most recent call last):
-    ...
-    gspn_framework_package.model.errors.LimitError: too much work: more than 100 steps (raise --limit-structure)
+    >>> effort = Effort(100) >>> effort.spend(60, "rows") >>> effort.spend(60, "rows") Traceback
+    (most recent call last): ... gspn_framework_package.model.errors.LimitError: too much work: more
+    than 100 steps (raise --limit-structure)
     """
 
     def __init__(self, limit: int, watch: Optional[Watch] = None) -> None:
@@ -79,7 +80,8 @@ class Effort:
         self.steps += steps
         if self.steps > self._limit:
             raise LimitError(
-                "too much work: more than %s steps%s" % (format(self._limit, ","), found and "; " + found),
+                "too much work: more than %s steps%s"
+                % (format(self._limit, ","), found and "; " + found),
                 hint="raise --limit-structure",
             )
         if self.steps - self._asked >= 10_000:

@@ -1,8 +1,8 @@
 """The linear systems of Markov chains, ``x = (b + M x) / d``, and who solves them.
 
-Small systems go to a sparse LU decomposition, large ones to Gauss-Seidel sweeps (compiled by numba where it is
-there, else a triangular solve per sweep), which Anderson acceleration puts to better use. Nobody is believed: the
-residual of the answer decides.
+Small systems go to a sparse LU decomposition, large ones to Gauss-Seidel sweeps (compiled by numba
+where it is there, else a triangular solve per sweep), which Anderson acceleration puts to better
+use. Nobody is believed: the residual of the answer decides.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ ACCEPTED = 1e-9
 """Residual above which a steady state is not given."""
 
 ACCEPTED_TIMES = 1e-4
-"""Residual above which mean times and the like are not given. It is a bound of their relative error, which is far
-less as a rule; only where a time is 10^11 times a sojourn does rounding alone come near."""
+"""Residual above which mean times and the like are not given. It is a bound of their relative
+error, which is far less as a rule; only where a time is 10^11 times a sojourn does rounding alone
+come near."""
 
 DIRECT_SIZE = 2_000
 """Up to this many unknowns LU goes first."""
@@ -44,21 +45,24 @@ _STRIDE = 2
 """Sweeps between two accelerations, which cost about as much as one sweep."""
 
 _CHECKED = 8
-"""The residual is computed after at most this many strides, and sooner where the changes have become small."""
+"""The residual is computed after at most this many strides, and sooner where the changes have
+become small."""
 
 _ROUNDING = 1e-14
 """Imbalance, relative to the largest term, that rounding alone may cause."""
 
 _WORTH_LOADING = 1_000_000
-"""Entries of a matrix from which on compiled sweeps save more time than it takes to load numba, half a second."""
+"""Entries of a matrix from which on compiled sweeps save more time than it takes to load numba,
+half a second."""
 
 _PATIENCE = 100
-"""Strides without a residual half as large after which an answer that is acceptable is taken: the rest is rounding."""
+"""Strides without a residual half as large after which an answer that is acceptable is taken: the
+rest is rounding."""
 
 
 class Solution(NamedTuple):
-    """``values``; ``residual``: see :func:`residual`; ``method``: ``LU`` or ``Gauss-Seidel``; ``sweeps``: how many were
-    done."""
+    """``values``; ``residual``: see :func:`residual`; ``method``: ``LU`` or ``Gauss-Seidel``;
+    ``sweeps``: how many were done."""
 
     values: Any
     residual: float
@@ -82,9 +86,11 @@ def solve(
     :param diagonal: float array, above 0.
     :param rhs: float array; None for 0: then ``x`` is the solution that sums to 1.
     :param order: the order in which to sweep, as positions of unknowns; None: as they are numbered.
-    :param backward: sweep from the last unknown to the first: better where information flows against the order.
+    :param backward: sweep from the last unknown to the first: better where information flows
+      against the order.
     :param start: a first guess.
-    :raises LimitError: no method came to a residual of :data:`ACCEPTED`, or :data:`ACCEPTED_TIMES` with a ``rhs``.
+    :raises LimitError: no method came to a residual of :data:`ACCEPTED`, or :data:`ACCEPTED_TIMES`
+      with a ``rhs``.
     :raises CancelledError: the watch said so.
     """
     matrix = sparse.csr_matrix(matrix)
@@ -94,7 +100,9 @@ def solve(
     if size <= DIRECT_SIZE:
         best = _direct(matrix, diagonal, rhs)
     if best is None or not best.residual <= accepted:
-        best = _better(best, _swept_in_order(matrix, diagonal, rhs, backward, order, watch or Watch(), start))
+        best = _better(
+            best, _swept_in_order(matrix, diagonal, rhs, backward, order, watch or Watch(), start)
+        )
     if not best.residual <= accepted and DIRECT_SIZE < size <= FALLBACK_SIZE:
         best = _better(best, _direct(matrix, diagonal, rhs))
     if not best.residual <= accepted:
@@ -106,10 +114,12 @@ def solve(
 
 
 def residual(matrix: Any, diagonal: Any, rhs: Optional[Any], values: Any) -> float:
-    """The largest imbalance of an equation, relative to the largest term ``d x``, or to the largest of ``rhs``.
+    """The largest imbalance of an equation, relative to the largest term ``d x``, or to the largest
+    of ``rhs``.
 
-    With a ``rhs`` of ones (mean times) the latter bounds the relative error of every unknown: the inverse of the
-    system has no negative entry, so the error is at most the imbalance times what a ``rhs`` of ones gives.
+    With a ``rhs`` of ones (mean times) the latter bounds the relative error of every unknown: the
+    inverse of the system has no negative entry, so the error is at most the imbalance times what a
+    ``rhs`` of ones gives.
     """
     terms = diagonal * values
     scale = float(np.abs(terms if rhs is None else rhs).max(initial=0.0))
@@ -134,7 +144,8 @@ def _direct(matrix: Any, diagonal: Any, rhs: Optional[Any]) -> Solution:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", linalg.MatrixRankWarning)
             if rhs is None:
-                # The column sums vanish, so the reduced matrix is a non-singular M-matrix: LU is stable on it.
+                # The column sums vanish, so the reduced matrix is a non-singular M-matrix: LU is
+                # stable on it.
                 tail = linalg.splu(system[1:, 1:]).solve(-system[1:, 0].toarray().reshape(-1))
                 values = np.concatenate([[1.0], np.maximum(tail, 0.0)])
                 values /= values.sum()
@@ -149,9 +160,14 @@ def _direct(matrix: Any, diagonal: Any, rhs: Optional[Any]) -> Solution:
 
 
 def _swept_in_order(
-    matrix: Any, diagonal: Any, rhs: Optional[Any], backward: bool, order: Optional[Any], watch: Watch,
+    matrix: Any,
+    diagonal: Any,
+    rhs: Optional[Any],
+    backward: bool,
+    order: Optional[Any],
+    watch: Watch,
     start: Optional[Any],
-) -> Solution:  # fmt: skip
+) -> Solution:
     if order is None:
         return _swept(matrix, diagonal, rhs, backward, watch, start)
     place = np.empty(len(order), dtype=matrix.indices.dtype)
@@ -160,14 +176,23 @@ def _swept_in_order(
     sorted_matrix.indices = place[sorted_matrix.indices]
     sorted_matrix.has_sorted_indices = False
     found = _swept(
-        sorted_matrix, diagonal[order], None if rhs is None else rhs[order], backward, watch,
+        sorted_matrix,
+        diagonal[order],
+        None if rhs is None else rhs[order],
+        backward,
+        watch,
         None if start is None else start[order],
-    )  # fmt: skip
+    )
     return found._replace(values=found.values[place])
 
 
 def _swept(
-    matrix: Any, diagonal: Any, rhs: Optional[Any], backward: bool, watch: Watch, start: Optional[Any]
+    matrix: Any,
+    diagonal: Any,
+    rhs: Optional[Any],
+    backward: bool,
+    watch: Watch,
+    start: Optional[Any],
 ) -> Solution:
     size = len(diagonal)
     constant = np.zeros(size) if rhs is None else np.asarray(rhs, dtype=np.float64)
@@ -231,12 +256,17 @@ def _sweeper(matrix: Any, diagonal: Any, constant: Any, backward: bool) -> Calla
     return compiled
 
 
-def _scipy_sweeper(matrix: Any, diagonal: Any, constant: Any, backward: bool) -> Callable[[Any], Any]:
+def _scipy_sweeper(
+    matrix: Any, diagonal: Any, constant: Any, backward: bool
+) -> Callable[[Any], Any]:
     own = sparse.diags(diagonal, format="csr")
     lower, upper = sparse.tril(matrix, -1, format="csr"), sparse.triu(matrix, 1, format="csr")
     solved, known = (own - upper, lower) if backward else (own - lower, upper)
-    # With the natural order and no pivoting the decomposition of a triangular matrix is that matrix.
-    factor = linalg.splu(solved.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    # With the natural order and no pivoting the decomposition of a triangular matrix is that
+    # matrix.
+    factor = linalg.splu(
+        solved.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    )
 
     def triangular(values: Any) -> Any:
         return factor.solve(known @ values + constant)

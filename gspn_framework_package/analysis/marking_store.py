@@ -1,7 +1,8 @@
 """The markings of a state space, kept in one of two ways with the same questions to ask.
 
-:class:`PackedStore` has machine words, a field for each place. In nets of thousands of places nearly all of them would
-say "as at the start": :class:`SparseStore` has only the places that differ from one base marking.
+:class:`PackedStore` has machine words, a field for each place. In nets of thousands of places
+nearly all of them would say "as at the start": :class:`SparseStore` has only the places that differ
+from one base marking.
 """
 
 from __future__ import annotations
@@ -34,11 +35,13 @@ class PackedStore:
         return int(self._words.nbytes)
 
     def rows(self, states: Any = None) -> Any:
-        """Markings as an int64 array, one row a state: all, or those numbered, sliced or masked by ``states``."""
+        """Markings as an int64 array, one row a state: all, or those numbered, sliced or masked by
+        ``states``."""
         return self.packing.unpack(self._words if states is None else self._words[states])
 
     def column(self, place: int, states: Any = None) -> Any:
-        """The token counts of place number ``place`` as an int64 array, in all states or in ``states``."""
+        """The token counts of place number ``place`` as an int64 array, in all states or in
+        ``states``."""
         return self.packing.column(self._words if states is None else self._words[states], place)
 
     def find(self, counts: Sequence[int]) -> Any:
@@ -56,7 +59,8 @@ class PackedStore:
         return [float(weights @ self.column(p)[states]) for p in range(len(self.packing.widths))]
 
     def distributions(self, states: Any, weights: Any) -> List[Dict[int, float]]:
-        """For each place: count -> the weights of those of ``states`` that have it; without those of weight 0."""
+        """For each place: count -> the weights of those of ``states`` that have it; without those
+        of weight 0."""
         found = []
         for p in range(len(self.packing.widths)):
             totals = np.bincount(self.column(p)[states], weights=weights)
@@ -84,14 +88,18 @@ class SparseStore:
     @property
     def nbytes(self) -> int:
         """Bytes that it takes."""
-        return int(self._offsets.nbytes + self._places.nbytes + self._counts.nbytes + self._base.nbytes)
+        return int(
+            self._offsets.nbytes + self._places.nbytes + self._counts.nbytes + self._base.nbytes
+        )
 
     def rows(self, states: Any = None) -> Any:
         """See :meth:`PackedStore.rows`; this is one number for every place of every state."""
         chosen = self._chosen(states)
         found = np.tile(self._base, (len(chosen), 1))
         entries, lengths = self._entries(chosen)
-        found[np.repeat(np.arange(len(chosen)), lengths), self._places[entries]] = self._counts[entries]
+        found[np.repeat(np.arange(len(chosen)), lengths), self._places[entries]] = self._counts[
+            entries
+        ]
         return found
 
     def column(self, place: int, states: Any = None) -> Any:
@@ -136,7 +144,9 @@ class SparseStore:
         group = np.cumsum(first) - 1
         totals = np.bincount(group, weights=each_sorted, minlength=int(first.sum()))
         rest = self._unchanged(places, each_sorted, weights)
-        found: List[Dict[int, float]] = [{int(n): float(v)} if v > 0 else {} for n, v in zip(self._base, rest)]
+        found: List[Dict[int, float]] = [
+            {int(n): float(v)} if v > 0 else {} for n, v in zip(self._base, rest)
+        ]
         for p, n, v in zip(places[first].tolist(), counts[first].tolist(), totals.tolist()):
             if v > 0:
                 found[p][n] = v
@@ -165,5 +175,8 @@ class SparseStore:
     def _sorted_by_place(self) -> Any:
         if self._by_place is None:
             order = np.argsort(self._places, kind="stable")
-            self._by_place = order, np.searchsorted(self._places[order], np.arange(len(self._base) + 1))
+            self._by_place = (
+                order,
+                np.searchsorted(self._places[order], np.arange(len(self._base) + 1)),
+            )
         return self._by_place

@@ -1,4 +1,5 @@
-"""Numbers for people: what a distribution over markings means for places and transitions (thesis 2.4)."""
+"""Numbers for people: what a distribution over markings means for places and transitions (thesis
+2.4)."""
 
 from __future__ import annotations
 
@@ -75,13 +76,16 @@ class Measures:
     @property
     def throughput(self) -> Dict[str, float]:
         """How often (1/s) each transition fires, immediate ones included."""
-        totals = np.bincount(self.graph.transitions, weights=self.flows, minlength=len(self.graph.net.transitions))
+        totals = np.bincount(
+            self.graph.transitions, weights=self.flows, minlength=len(self.graph.net.transitions)
+        )
         return {t.name: float(v) for t, v in zip(self.graph.net.transitions, totals)}
 
     @property
     def mean_waiting_time(self) -> Dict[str, float]:
-        """Mean time (s) that a token stays in each place, by Little's law: mean tokens over their rate of arrival.
-        Infinite where tokens stay and none arrives; not a number where there never are any."""
+        """Mean time (s) that a token stays in each place, by Little's law: mean tokens over their
+        rate of arrival. Infinite where tokens stay and none arrives; not a number where there never
+        are any."""
         net, throughput = self.graph.net, self.throughput
         arrivals = {place.name: 0.0 for place in net.places}
         for t, transition in enumerate(net.transitions):
@@ -95,7 +99,8 @@ class Measures:
 
     @property
     def sojourn_times(self) -> Any:
-        """Mean time (s) of one stay in each state of the chain: float array, infinite in absorbing states."""
+        """Mean time (s) of one stay in each state of the chain: float array, infinite in absorbing
+        states."""
         with np.errstate(divide="ignore"):
             return 1.0 / self.chain.exit_rates
 
@@ -106,15 +111,17 @@ class Measures:
     ) -> float:
         """Reward per second.
 
-        :param rates: place -> reward per token and second; or a function from markings (int array, one row a
-            state) to rewards per second (float array).
+        :param rates: place -> reward per token and second; or a function from markings (int array,
+            one row a state) to rewards per second (float array).
         :param impulses: transition -> reward for each firing.
         :raises UsageError: a name that the net does not have.
         """
         total = 0.0
         net = self.graph.net
         if callable(rates):
-            total += float(self.distribution @ np.asarray(rates(self.graph.markings(self.chain.states))))
+            total += float(
+                self.distribution @ np.asarray(rates(self.graph.markings(self.chain.states)))
+            )
         elif rates:
             means = self.mean_tokens
             for name, value in rates.items():

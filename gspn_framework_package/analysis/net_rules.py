@@ -1,4 +1,5 @@
-"""What happens in a marking of a net, one marking at a time: for simulation, where not all of them are visited."""
+"""What happens in a marking of a net, one marking at a time: for simulation, where not all of them
+are visited."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ from gspn_framework_package.model.net import Marking, Net
 
 
 class NetRules:
-    """The rules of a net, in the form of :class:`~gspn_framework_package.analysis.plan_analysis.PlanRules`."""
+    """The rules of a net, in the form of
+    :class:`~gspn_framework_package.analysis.plan_analysis.PlanRules`."""
 
     def __init__(self, net: Net, until: Optional[Condition] = None) -> None:
         self.net = net
@@ -27,7 +29,11 @@ class NetRules:
     def timed(self, marking: Marking) -> List[Tuple[int, float]]:
         """The enabled exponential transitions, with their rates (1/s)."""
         net = self.net
-        return [(t, net.effective_rate(marking, t)) for t in net.enabled(marking) if net.transitions[t].timed]
+        return [
+            (t, net.effective_rate(marking, t))
+            for t in net.enabled(marking)
+            if net.transitions[t].timed
+        ]
 
     def outcomes(self, marking: Marking) -> List[Outcome]:
         """The enabled immediate transitions of the highest priority, with their probabilities.
@@ -42,4 +48,6 @@ class NetRules:
                 hint="give them weights, or take a plan with a policy",
             )
         total = sum(transitions[t].weight for t in enabled) or 1.0
-        return [Outcome(t, transitions[t].weight / total if len(enabled) > 1 else 1.0) for t in enabled]
+        return [
+            Outcome(t, transitions[t].weight / total if len(enabled) > 1 else 1.0) for t in enabled
+        ]

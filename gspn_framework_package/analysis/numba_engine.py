@@ -1,13 +1,14 @@
-"""Exploration of the reachable markings, compiled by numba and cached: the fast engine, where numba is there.
+"""Exploration of the reachable markings, compiled by numba and cached: the fast engine, where numba
+is there.
 
-States are taken in order of discovery, a round at a time. First every core expands its share of the round: it computes
-the successors, and looks them up in a hash table that nobody changes meanwhile. Most successors are known; the others
-are then entered one after the other, in the order of their arcs. So the numbering does not depend on the number of
-cores, and there is nothing to lock.
+States are taken in order of discovery, a round at a time. First every core expands its share of the
+round: it computes the successors, and looks them up in a hash table that nobody changes meanwhile.
+Most successors are known; the others are then entered one after the other, in the order of their
+arcs. So the numbering does not depend on the number of cores, and there is nothing to lock.
 
-Inside a share, the successors of a block of states are computed and the table's slots for them touched, so that the
-memory of many slots is on its way at once; only then are they looked up. That order, not the arithmetic, is what the
-speed of one core comes from.
+Inside a share, the successors of a block of states are computed and the table's slots for them
+touched, so that the memory of many slots is on its way at once; only then are they looked up. That
+order, not the arithmetic, is what the speed of one core comes from.
 
 The cores in use are numba's own setting, the environment variable ``NUMBA_NUM_THREADS``.
 """
@@ -47,10 +48,12 @@ _SHARE = 8192
 """States of a round that one core expands, at most; where there are no more, one does it alone."""
 
 _SHARE_ARCS = 1 << 17
-"""Arcs that the buffers of a share have room for, at most (but for nets of very many transitions)."""
+"""Arcs that the buffers of a share have room for, at most (but for nets of very many
+transitions)."""
 
 _NARROW = 512
-"""Rounds of fewer states are done one after the other in compiled code: starting it takes longer than they do."""
+"""Rounds of fewer states are done one after the other in compiled code: starting it takes longer
+than they do."""
 
 _STRIDE = 1 << 18
 """States between two looks at the watch there."""
@@ -59,7 +62,9 @@ _CORES = 8
 """More cores do not help: the entering waits for all of them, and they for it."""
 
 
-def explore(packed: PackedNet, limit: int, watch: Watch, cores: int = 0, room: Room = ENDLESS) -> RawGraph:
+def explore(
+    packed: PackedNet, limit: int, watch: Watch, cores: int = 0, room: Room = ENDLESS
+) -> RawGraph:
     """The reachability graph of ``packed``; same meaning as in ``numpy_engine``.
 
     :param cores: how many to use; 0: as many as numba may use, at most 8.
@@ -83,10 +88,14 @@ def explore(packed: PackedNet, limit: int, watch: Watch, cores: int = 0, room: R
     explored = 0
     with ThreadPoolExecutor(max(cores - 1, 1), thread_name_prefix="explore") as others:
         while explored < states.used <= limit:
-            if not room.left(table.nbytes + sum(a.array.nbytes for a in (states, offsets, targets, labels))):
+            if not room.left(
+                table.nbytes + sum(a.array.nbytes for a in (states, offsets, targets, labels))
+            ):
                 break
             if states.used - explored < narrow:
-                explored = _go_narrow(rules, explored, limit, table, states, offsets, targets, labels, buffers[0])
+                explored = _go_narrow(
+                    rules, explored, limit, table, states, offsets, targets, labels, buffers[0]
+                )
                 table = _with_room(table, states.used + narrow * transitions)
                 watch.step("states", states.used)
                 continue
@@ -110,13 +119,20 @@ def explore(packed: PackedNet, limit: int, watch: Watch, cores: int = 0, room: R
                 labels.extend(buffer.labels[:arcs])
                 offsets.extend(buffer.ends[: stop - begin] + base)
                 states.used = enter(
-                    table, states.array, states.used, buffer.keys[:misses], buffer.arcs[:misses], targets.array[base:]
+                    table,
+                    states.array,
+                    states.used,
+                    buffer.keys[:misses],
+                    buffer.arcs[:misses],
+                    targets.array[base:],
                 )
             explored = end
             watch.step("states", states.used)
     rest = np.full(states.used - explored, targets.used, dtype=np.int64)
     offsets.extend(rest)
-    return RawGraph(states.finished(), offsets.finished(), targets.finished(), labels.finished(), explored)
+    return RawGraph(
+        states.finished(), offsets.finished(), targets.finished(), labels.finished(), explored
+    )
 
 
 class _Rules(NamedTuple):
@@ -132,8 +148,9 @@ class _Rules(NamedTuple):
 
 
 class _Buffers(NamedTuple):
-    """What one core finds in its share: targets (-1: not known yet) and labels of the arcs, where the arcs of each
-    state end; and of the arcs whose target is not known their numbers, and the packed markings that they lead to."""
+    """What one core finds in its share: targets (-1: not known yet) and labels of the arcs, where
+    the arcs of each state end; and of the arcs whose target is not known their numbers, and the
+    packed markings that they lead to."""
 
     targets: Any
     labels: Any
@@ -143,7 +160,9 @@ class _Buffers(NamedTuple):
     overflow: Any
 
 
-def _new_buffers(states: int, transitions: int, words: int, targets: Growing, labels: Growing) -> _Buffers:
+def _new_buffers(
+    states: int, transitions: int, words: int, targets: Growing, labels: Growing
+) -> _Buffers:
     room = states * transitions
     return _Buffers(
         np.empty(room, dtype=targets.array.dtype),
@@ -168,10 +187,18 @@ def _check_overflow(buffers: List[_Buffers]) -> None:
 
 
 def _go_narrow(
-    rules: _Rules, explored: int, limit: int, table: Any, states: Growing, offsets: Growing, targets: Growing,
-    labels: Growing, buffer: _Buffers,
-) -> int:  # fmt: skip
-    """Do rounds of few states until they grow or the room is used up; returns the first state not explored."""
+    rules: _Rules,
+    explored: int,
+    limit: int,
+    table: Any,
+    states: Growing,
+    offsets: Growing,
+    targets: Growing,
+    labels: Growing,
+    buffer: _Buffers,
+) -> int:
+    """Do rounds of few states until they grow or the room is used up; returns the first state not
+    explored."""
     room = _NARROW * max(len(rules.need), 1)
     states.reserve(states.used + 2 * room)
     targets.reserve(targets.used + 2 * room)
@@ -179,23 +206,33 @@ def _go_narrow(
     offsets.reserve(len(states.array) + 1)
     most = min(limit, len(states.array) - room, states.used + _STRIDE)
     explored, states.used, targets.used = _narrow_for(len(rules.guard))(
-        rules, explored, states.used, most, min(_NARROW, len(buffer.ends)), states.array, table, offsets.array,
-        buffer._replace(targets=targets.array, labels=labels.array), targets.used,
-    )  # fmt: skip
+        rules,
+        explored,
+        states.used,
+        most,
+        min(_NARROW, len(buffer.ends)),
+        states.array,
+        table,
+        offsets.array,
+        buffer._replace(targets=targets.array, labels=labels.array),
+        targets.used,
+    )
     labels.used, offsets.used = targets.used, explored + 1
     _check_overflow([buffer])
     return int(explored)
 
 
-# -- the hash table -----------------------------------------------------------------------------------------
+# -- the hash table --------------------------------------------------------------------------------
 #
-# A slot holds the number of a state plus 1 in its low half, and the high half of the hash in its high half. The slot
-# where the search begins is the top bits of the hash: so entries stand nearly sorted, and a table of twice the size is
-# filled from one end to the other, without a look at the states.
+# A slot holds the number of a state plus 1 in its low half, and the high half of the hash in its
+# high half. The slot where the search begins is the top bits of the hash: so entries stand nearly
+# sorted, and a table of twice the size is filled from one end to the other, without a look at the
+# states.
 
 
 def _with_room(table: Any, states: int) -> Any:
-    """The table, or a larger one with the same entries, that so many states fill no more than half."""
+    """The table, or a larger one with the same entries, that so many states fill no more than
+    half."""
     while 2 * states > len(table):
         larger = np.zeros(2 * len(table), dtype=np.uint64)
         _refill(table, larger)
@@ -240,12 +277,14 @@ def _hash(keys: Any, row: int, words: int) -> Any:
 
 @lru_cache(maxsize=None)
 def _enter_for(words: int) -> Any:
-    """Entering for markings of that many words: a constant, so that the compiler unrolls what depends on it."""
+    """Entering for markings of that many words: a constant, so that the compiler unrolls what
+    depends on it."""
 
     @compiled
     def enter(table: Any, states: Any, known: Any, keys: Any, arcs: Any, targets: Any) -> Any:
-        """Number the states ``keys`` that are not known yet, from ``known`` on, and tell the targets of ``arcs``;
-        the number of states known then. Without arcs the keys are entered all the same."""
+        """Number the states ``keys`` that are not known yet, from ``known`` on, and tell the
+        targets of ``arcs``; the number of states known then. Without arcs the keys are entered all
+        the same."""
         shift, mask = _shift(table), np.uint64(len(table) - 1)
         hashes = np.empty(_BLOCK, np.uint64)
         for begin in range(0, len(keys), _BLOCK):
@@ -288,10 +327,11 @@ def _expand_for(words: int) -> Any:
 
     @compiled
     def expand(rules: Any, states: Any, table: Any, share: Any, found: Any) -> Any:
-        """Expand the states from the first of ``share`` up to the second; what comes of them goes into ``found``.
+        """Expand the states from the first of ``share`` up to the second; what comes of them goes
+        into ``found``.
 
-        Returns the number of arcs, that of arcs that lead to markings not known yet, and what keeps the compiler from
-        leaving the touching out.
+        Returns the number of arcs, that of arcs that lead to markings not known yet, and what keeps
+        the compiler from leaving the touching out.
         """
         need, need_guard, inhibit, inhibit_guard, change, class_ends, guard = rules
         targets, labels, ends, keys, key_arcs, overflow = found
@@ -300,7 +340,8 @@ def _expand_for(words: int) -> Any:
         shift, mask = _shift(table), np.uint64(len(table) - 1)
         batch = np.empty((_BLOCK * transitions, words), np.uint64)
         hashes = np.empty(_BLOCK * transitions, np.uint64)
-        hit = np.zeros(words, np.uint64)  # not the caller's array, which may share a cache line with another core's
+        # not the caller's array, which may share a cache line with another core's
+        hit = np.zeros(words, np.uint64)
         touched = _ZERO
         arcs, misses = 0, 0
         for here in range(begin, end, _BLOCK):
@@ -381,12 +422,21 @@ def _narrow_for(words: int) -> Any:
 
     @compiled
     def narrow(
-        rules: Any, explored: Any, known: Any, most: Any, few: Any, states: Any, table: Any, offsets: Any, found: Any,
+        rules: Any,
+        explored: Any,
+        known: Any,
+        most: Any,
+        few: Any,
+        states: Any,
+        table: Any,
+        offsets: Any,
+        found: Any,
         arcs: Any,
-    ) -> Any:  # fmt: skip
-        """Go on while fewer than ``few`` states are waiting and at most ``most`` are known, and while there is room
-        for what they may lead to: of targets and labels ``found`` has all, ``arcs`` of them told. Returns the first
-        state not explored, the number known, and that of arcs."""
+    ) -> Any:
+        """Go on while fewer than ``few`` states are waiting and at most ``most`` are known, and
+        while there is room for what they may lead to: of targets and labels ``found`` has all,
+        ``arcs`` of them told. Returns the first state not explored, the number known, and that of
+        arcs."""
         while explored < known <= most and known - explored < few:
             new = (known - explored) * rules.need.shape[0]
             if 2 * (known + new) > len(table) or arcs + new > len(found.targets):
@@ -398,7 +448,10 @@ def _narrow_for(words: int) -> Any:
                 break
             for s in range(explored, known):
                 offsets[s + 1] = arcs + found.ends[s - explored]
-            known, explored = enter(table, states, known, found.keys[:misses], found.arcs[:misses], targets), known
+            known, explored = (
+                enter(table, states, known, found.keys[:misses], found.arcs[:misses], targets),
+                known,
+            )
             arcs += more
         return explored, known, arcs
 

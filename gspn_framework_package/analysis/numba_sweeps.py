@@ -8,8 +8,11 @@ from gspn_framework_package.analysis.compiling import compiled
 
 
 @compiled
-def sweep(offsets: Any, columns: Any, data: Any, constant: Any, share: Any, values: Any, backward: Any) -> None:
-    """One sweep of ``values = (constant + matrix @ values) * share``, in place; the matrix in CSR form."""
+def sweep(
+    offsets: Any, columns: Any, data: Any, constant: Any, share: Any, values: Any, backward: Any
+) -> None:
+    """One sweep of ``values = (constant + matrix @ values) * share``, in place; the matrix in CSR
+    form."""
     size = len(values)
     for i in range(size):
         row = size - 1 - i if backward else i

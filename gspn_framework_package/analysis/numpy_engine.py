@@ -1,8 +1,9 @@
 """Exploration of the reachable markings, whole frontiers at a time, with numpy alone.
 
-One round takes the next states in order of discovery, tests every transition on all of them at once, and looks
-the successors up in a hash table with open addressing whose probing is vectorised too: every key that finds an
-empty slot writes its candidate number there, reads back who won, and goes on probing if it was another key.
+One round takes the next states in order of discovery, tests every transition on all of them at
+once, and looks the successors up in a hash table with open addressing whose probing is vectorised
+too: every key that finds an empty slot writes its candidate number there, reads back who won, and
+goes on probing if it was another key.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ _SHIFT = np.uint64(32)
 _EMPTY = -1
 
 _SMALL_TABLE = 1 << 17
-"""Slots of a table up to which it is a quarter full at most, instead of half: fewer searches then take long."""
+"""Slots of a table up to which it is a quarter full at most, instead of half: fewer searches then
+take long."""
 
 _ROWS = 1 << 15
 """States of one round, at most."""
@@ -55,14 +57,18 @@ def explore(
     rows = max(1, min(_ROWS, (1 << 20) // max(transitions, 1)))
     done = 0
     while explored < states.used <= limit and done != rounds:
-        if not room.left(table.nbytes + sum(a.array.nbytes for a in (states, offsets, targets, labels))):
+        if not room.left(
+            table.nbytes + sum(a.array.nbytes for a in (states, offsets, targets, labels))
+        ):
             break
         done += 1
         block = states.array[explored : min(explored + rows, states.used)]
         sources, fired = _enabled(packed, block)
         successors = block[sources]
         successors += packed.change[fired]
-        overflow = np.bitwise_or.reduce(successors, axis=0) & packed.guard if len(successors) else ()
+        overflow = (
+            np.bitwise_or.reduce(successors, axis=0) & packed.guard if len(successors) else ()
+        )
         if np.any(overflow):
             raise FieldOverflowError(tuple(int(bits) for bits in overflow))
         targets.extend(table.insert(successors, states))
@@ -74,11 +80,14 @@ def explore(
     found = states.used
     open_states = np.full(found - explored, offsets.array[offsets.used - 1], dtype=np.int64)
     offsets.extend(open_states)
-    return RawGraph(states.finished(), offsets.finished(), targets.finished(), labels.finished(), explored)
+    return RawGraph(
+        states.finished(), offsets.finished(), targets.finished(), labels.finished(), explored
+    )
 
 
 def _enabled(packed: PackedNet, block: Any) -> Tuple[Any, Any]:
-    """Which transitions fire in which states: row numbers (ascending) and transitions in engine order."""
+    """Which transitions fire in which states: row numbers (ascending) and transitions in engine
+    order."""
     size, transitions = len(block), len(packed.order)
     if size < 2048 and size * transitions < 1 << 16:
         mask = _mask_broadcast(packed, block)
@@ -142,8 +151,9 @@ def _mask_by_transition(packed: PackedNet, block: Any) -> Any:
 
 
 class _Table:
-    """Hash table from packed states to their numbers; half full at most. The steps of a search grow by one each time:
-    they reach every slot all the same, and few searches take long, which matters since all go on until the last ends.
+    """Hash table from packed states to their numbers; half full at most. The steps of a search grow
+    by one each time: they reach every slot all the same, and few searches take long, which matters
+    since all go on until the last ends.
     """
 
     def __init__(self, states: Growing) -> None:
@@ -155,7 +165,8 @@ class _Table:
         return int(self._slots.nbytes)
 
     def insert(self, keys: Any, states: Growing) -> Any:
-        """Numbers of ``keys``; those not seen before are appended to ``states``, in order of appearance."""
+        """Numbers of ``keys``; those not seen before are appended to ``states``, in order of
+        appearance."""
         known = states.used
         self._make_room(known + len(keys), states)
         slots = self._slots
@@ -163,7 +174,8 @@ class _Table:
         numbers = np.empty(len(keys), dtype=slots.dtype)
         at = _hash(keys) & mask
         open_keys: Any = np.arange(len(keys), dtype=slots.dtype)
-        # Behind the states, where their candidate numbers point: so a slot's number leads to what it stands for.
+        # Behind the states, where their candidate numbers point: so a slot's number leads to what
+        # it stands for.
         states.reserve(known + len(keys))
         states.array[known : known + len(keys)] = keys
         pool = states.array
@@ -174,8 +186,9 @@ class _Table:
             seen = slots[here]
             empty = (seen == _EMPTY).nonzero()[0]
             if len(empty):
-                # Candidates are numbered from ``known`` on. Written backwards, because of several writers to
-                # one slot the last one stays: so states are numbered in order of discovery, as in numba.
+                # Candidates are numbered from ``known`` on. Written backwards, because of several
+                # writers to one slot the last one stays: so states are numbered in order of
+                # discovery, as in numba.
                 candidates = open_keys[empty] + known
                 slots[here[empty[::-1]]] = candidates[::-1]
                 seen[empty] = slots[here[empty]]
@@ -190,7 +203,9 @@ class _Table:
             at[open_keys] = (at[open_keys] + step) & mask
         return self._number(numbers, keys, fresh, known, at, states)
 
-    def _number(self, numbers: Any, keys: Any, fresh: Any, known: int, at: Any, states: Growing) -> Any:
+    def _number(
+        self, numbers: Any, keys: Any, fresh: Any, known: int, at: Any, states: Growing
+    ) -> Any:
         """Turn candidate numbers into state numbers."""
         if not fresh:
             return numbers

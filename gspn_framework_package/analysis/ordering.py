@@ -1,8 +1,9 @@
 """In what order Gauss-Seidel sweeps take the states of a chain.
 
-A sweep carries probability along a whole way of states in one go, as long as the way follows the order; what goes
-against the order waits for the next sweep. So the order in which the least probability goes backward is the best one.
-The orders to choose from are that of discovery, and those by markings, place after place.
+A sweep carries probability along a whole way of states in one go, as long as the way follows the
+order; what goes against the order waits for the next sweep. So the order in which the least
+probability goes backward is the best one. The orders to choose from are that of discovery, and
+those by markings, place after place.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ _SAMPLE = 1_000
 """States whose arcs are looked at."""
 
 _PLACES = 2_000
-"""Places up to which the markings are looked at: with more, the states stay in the order of discovery."""
+"""Places up to which the markings are looked at: with more, the states stay in the order of
+discovery."""
 
 _WORTH = 0.7
 """Another order is worth the sorting when it leaves less than this share of what goes backward."""
@@ -40,16 +42,20 @@ def sweep_order(chain: Chain, states: Any) -> Optional[Any]:
     arcs, sources = arcs[inside[targets]], sources[inside[targets]]
     targets = targets[inside[targets]]
     weight = chain.rates.data[arcs] / chain.exit_rates[sources]
-    change = chain.graph.markings(chain.states[targets]) - chain.graph.markings(chain.states[sources])
+    change = chain.graph.markings(chain.states[targets]) - chain.graph.markings(
+        chain.states[sources]
+    )
     if not change.size:
         return None
     arc, moved = np.arange(len(arcs)), change != 0
     first = change[arc, moved.argmax(axis=1)]
     last = change[arc, change.shape[1] - 1 - moved[:, ::-1].argmax(axis=1)]
     backward: Dict[str, float] = {
-        "first": weight[first < 0].sum(), "first falling": weight[first > 0].sum(),
-        "last": weight[last < 0].sum(), "last falling": weight[last > 0].sum(),
-    }  # fmt: skip
+        "first": weight[first < 0].sum(),
+        "first falling": weight[first > 0].sum(),
+        "last": weight[last < 0].sum(),
+        "last falling": weight[last > 0].sum(),
+    }
     best = min(backward, key=lambda name: backward[name])
     if backward[best] >= _WORTH * weight[targets < sources].sum():
         return None
@@ -58,7 +64,8 @@ def sweep_order(chain: Chain, states: Any) -> Optional[Any]:
 
 
 def _sort_keys(chain: Chain, states: Any, reverse: bool = False) -> List[Any]:
-    """The markings as few integers each: the last one decides first, and in it the last place (or the first)."""
+    """The markings as few integers each: the last one decides first, and in it the last place (or
+    the first)."""
     keys: List[Any] = []
     room = 0
     places = range(len(chain.graph.net.places))

@@ -1,10 +1,10 @@
 """Markings packed into machine words, and a net compiled to arithmetic on them.
 
-Every place has a field of ``width`` bits and one guard bit above it. With the guard bits of the input places set,
-one subtraction tests all of them at once: a guard bit that survives says "enough tokens". Inhibitor arcs and
-capacities are the same test with the answer turned round, and firing is one addition. A guard bit that is set
-after an addition says that a count has outgrown its field: the exploration then starts again with wider fields,
-so nothing ever wraps silently.
+Every place has a field of ``width`` bits and one guard bit above it. With the guard bits of the
+input places set, one subtraction tests all of them at once: a guard bit that survives says "enough
+tokens". Inhibitor arcs and capacities are the same test with the answer turned round, and firing is
+one addition. A guard bit that is set after an addition says that a count has outgrown its field:
+the exploration then starts again with wider fields, so nothing ever wraps silently.
 """
 
 from __future__ import annotations
@@ -54,7 +54,9 @@ class Packing:
         """Many markings (int array, one row each) packed, of shape ``(n, words)``."""
         states = np.zeros((len(markings), self.words), dtype=np.uint64)
         for p in range(len(self.widths)):
-            states[:, self.word_of[p]] |= markings[:, p].astype(np.uint64) << np.uint64(self.shift_of[p])
+            states[:, self.word_of[p]] |= markings[:, p].astype(np.uint64) << np.uint64(
+                self.shift_of[p]
+            )
         return states
 
     def fits(self, marking: Sequence[int]) -> bool:
@@ -62,7 +64,8 @@ class Packing:
         return all(0 <= count >> width == 0 for count, width in zip(marking, self.widths))
 
     def column(self, states: Any, p: int) -> Any:
-        """Token counts of place number ``p`` in packed ``states`` (shape ``(n, words)``), as int64."""
+        """Token counts of place number ``p`` in packed ``states`` (shape ``(n, words)``), as
+        int64."""
         mask = np.uint64((1 << self.widths[p]) - 1)
         return ((states[:, self.word_of[p]] >> np.uint64(self.shift_of[p])) & mask).astype(np.int64)
 
@@ -83,19 +86,24 @@ class Packing:
         for p, width in enumerate(widths):
             if int(overflow[self.word_of[p]]) >> (self.shift_of[p] + width) & 1:
                 if width >= MAX_WIDTH:
-                    raise LimitError("a count of place '%s' exceeds 2**%d" % (self.net.places[p].name, width))
+                    raise LimitError(
+                        "a count of place '%s' exceeds 2**%d" % (self.net.places[p].name, width)
+                    )
                 widths[p] = min(2 * width + 2, MAX_WIDTH)
         return tuple(widths)
+
 
 class PackedNet(Packing):
     """A net compiled for the exploration engines.
 
     :param net: the net.
     :param widths: bits of the field of each place, without the guard bit.
-    :param by_priority: whether immediate transitions go before exponential ones, and those of a high priority
-        before those of a low one. Without it every transition with concession may fire.
+    :param by_priority: whether immediate transitions go before exponential ones, and those of a
+        high priority before those of a low one. Without it every transition with concession may
+        fire.
 
-    Arrays over transitions are in *engine order*: classes of falling precedence, file order inside a class.
+    Arrays over transitions are in *engine order*: classes of falling precedence, file order inside
+    a class.
     """
 
     def __init__(self, net: Net, widths: Sequence[int], *, by_priority: bool = True) -> None:
@@ -127,7 +135,9 @@ class PackedNet(Packing):
             need_guard[self.word_of[p]] |= 1 << (self.shift_of[p] + self.widths[p])
         for p, threshold in thresholds(net, t).items():
             if threshold >> self.widths[p]:
-                continue  # beyond what the field can hold: a marking that large would show as an overflow first
+                # beyond what the field can hold: a marking that large would show as an overflow
+                # first
+                continue
             inhibit[self.word_of[p]] += threshold << self.shift_of[p]
             inhibit_guard[self.word_of[p]] |= 1 << (self.shift_of[p] + self.widths[p])
         for p, by in net.effect(t):
@@ -143,8 +153,8 @@ class PackedNet(Packing):
 
 
 def thresholds(net: Net, t: int) -> dict[int, int]:
-    """Place number -> the count from which on it forbids transition number ``t``, by an inhibitor arc or because
-    the place would overflow its capacity."""
+    """Place number -> the count from which on it forbids transition number ``t``, by an inhibitor
+    arc or because the place would overflow its capacity."""
     found = dict(net.inhibitors[t])
     for p, by in net.effect(t):
         capacity = net.places[p].capacity
@@ -155,8 +165,8 @@ def thresholds(net: Net, t: int) -> dict[int, int]:
 
 
 def starting_widths(net: Net, bounds: Sequence[Optional[int]]) -> Tuple[int, ...]:
-    """Field widths in bits: enough for the known bound of a place (None: unknown), its initial count and the arc
-    weights at it."""
+    """Field widths in bits: enough for the known bound of a place (None: unknown), its initial
+    count and the arc weights at it."""
     largest = [0] * len(net.places)
     for t in range(len(net.transitions)):
         for p, weight in net.inputs[t]:
@@ -175,7 +185,8 @@ def starting_widths(net: Net, bounds: Sequence[Optional[int]]) -> Tuple[int, ...
 
 
 def precedence_classes(net: Net) -> List[List[int]]:
-    """Numbers of transitions in groups of falling precedence; exponential ones are the last group."""
+    """Numbers of transitions in groups of falling precedence; exponential ones are the last
+    group."""
     immediate = {t.priority for t in net.transitions if not t.timed}
     classes = [
         [i for i, t in enumerate(net.transitions) if not t.timed and t.priority == priority]

@@ -1,7 +1,7 @@
 """When does the net come to a condition? Mean time, probability ever, probability within a time.
 
-States in which the condition holds are not left any more, vanishing ones included: a condition that holds for no
-time at all has held.
+States in which the condition holds are not left any more, vanishing ones included: a condition that
+holds for no time at all has held.
 """
 
 from __future__ import annotations
@@ -78,9 +78,15 @@ def first_passage(
     else:
         probability, mean = 1.0, 0.0
         if len(inside):
-            solution = solve(among, exits, np.ones(len(inside)), backward=True, order=order, watch=watch)
+            solution = solve(
+                among, exits, np.ones(len(inside)), backward=True, order=order, watch=watch
+            )
             mean = float(chain.initial[inside] @ solution.values)
             worst = solution.residual
-    evolution = transient(chain, times, progress=progress, cancel=cancel, seconds=seconds) if len(times) else []
+    evolution = (
+        transient(chain, times, progress=progress, cancel=cancel, seconds=seconds)
+        if len(times)
+        else []
+    )
     within = [float(at.distribution[there].sum()) for at in evolution]
     return Passage(min(probability, 1.0), mean, within, worst)

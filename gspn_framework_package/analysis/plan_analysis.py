@@ -1,13 +1,16 @@
-"""The net of a plan under its policy: the policy fixes the choices, and what remains is a Markov chain.
+"""The net of a plan under its policy: the policy fixes the choices, and what remains is a Markov
+chain.
 
-The rules are those of the execution (``docs/semantics.md``), with three simplifications that make it a chain:
+The rules are those of the execution (``docs/semantics.md``), with three simplifications that make
+it a chain:
 
 * robots take no time in a place with immediate outputs, even where an action runs there;
-* of several robots that could fire at once, each is as likely to go first (a run takes the one done first);
+* of several robots that could fire at once, each is as likely to go first (a run takes the one done
+  first);
 * exponential transitions that only take resources, events of the environment, fire at their rates.
 
-A robot draws once per marking and holds to it: where what it drew is not enabled it waits, until the marking
-changes. So a marking can be there twice: *asking*, without time, and *waiting*.
+A robot draws once per marking and holds to it: where what it drew is not enabled it waits, until
+the marking changes. So a marking can be there twice: *asking*, without time, and *waiting*.
 """
 
 from __future__ import annotations
@@ -47,8 +50,8 @@ WAITING = "(waits)"
 
 
 class Outcome(NamedTuple):
-    """One way in which a marking without time is left: ``transition`` (None: the robots wait in it) with
-    ``probability``."""
+    """One way in which a marking without time is left: ``transition`` (None: the robots wait in it)
+    with ``probability``."""
 
     transition: Optional[int]
     probability: float
@@ -57,7 +60,8 @@ class Outcome(NamedTuple):
 class PlanRules:
     """What happens in a marking of a plan, by its policy and weights.
 
-    :ivar net: the plan's net without the counters that nothing reads (``counters``), robots with a server each.
+    :ivar net: the plan's net without the counters that nothing reads (``counters``), robots with a
+      server each.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -68,13 +72,21 @@ class PlanRules:
         net = self.net
         self._full = [plan.net.place_index[p.name] for p in net.places]
         self._start = list(plan.net.initial_marking)
-        self._until = parse_condition(plan.until, [p.name for p in net.places]) if plan.until else None
+        self._until = (
+            parse_condition(plan.until, [p.name for p in net.places]) if plan.until else None
+        )
         acts = [p.name not in plan.resource_places for p in net.places]
-        self._immediate = [t for t, transition in enumerate(net.transitions) if not transition.timed]
+        self._immediate = [
+            t for t, transition in enumerate(net.transitions) if not transition.timed
+        ]
         self._timed = [t for t, transition in enumerate(net.transitions) if transition.timed]
-        self._spontaneous = [t for t in self._immediate if not any(acts[p] for p, _ in net.inputs[t])]
+        self._spontaneous = [
+            t for t in self._immediate if not any(acts[p] for p, _ in net.inputs[t])
+        ]
         self._leaving = {
-            p: [t for t in net.consumers[p] if not net.transitions[t].timed] for p in range(len(net.places)) if acts[p]
+            p: [t for t in net.consumers[p] if not net.transitions[t].timed]
+            for p in range(len(net.places))
+            if acts[p]
         }
         self._deciding = [p for p, leaving in self._leaving.items() if leaving]
 
@@ -85,11 +97,13 @@ class PlanRules:
     def timed(self, marking: Marking) -> List[Tuple[int, float]]:
         """The enabled exponential transitions, with their rates (1/s)."""
         net = self.net
-        return [(t, net.effective_rate(marking, t)) for t in self._timed if net.is_enabled(marking, t)]
+        return [
+            (t, net.effective_rate(marking, t)) for t in self._timed if net.is_enabled(marking, t)
+        ]
 
     def outcomes(self, marking: Marking) -> List[Outcome]:
-        """What happens at once: an empty list when nothing does, so that time passes; with a chance that the robots
-        wait, the last outcome says so."""
+        """What happens at once: an empty list when nothing does, so that time passes; with a chance
+        that the robots wait, the last outcome says so."""
         net = self.net
         enabled = [t for t in self._immediate if net.is_enabled(marking, t)]
         if not enabled:
@@ -101,7 +115,9 @@ class PlanRules:
         draws = []
         for p in self._deciding:
             if marking[p]:
-                draw = {t: probability for t, probability in self._draw(marking, p, ready) if t in ready}
+                draw = {
+                    t: probability for t, probability in self._draw(marking, p, ready) if t in ready
+                }
                 if draw:
                     draws.append((marking[p], draw))
         return self._first_of(draws)
@@ -135,9 +151,9 @@ class PlanRules:
         return [(t, v / total) for t, v in choices if v] if total else []
 
     def _first_of(self, draws: Sequence[Tuple[int, Dict[int, float]]]) -> List[Outcome]:
-        """Which transition fires first when every robot has drawn: ``draws`` has, for each place, the number of
-        robots there and what each of them may have drawn that is enabled. High priority goes first; among equals
-        every order of the robots is as likely."""
+        """Which transition fires first when every robot has drawn: ``draws`` has, for each place,
+        the number of robots there and what each of them may have drawn that is enabled. High
+        priority goes first; among equals every order of the robots is as likely."""
         priority = {t: self.net.transitions[t].priority for _, draw in draws for t in draw}
         chance: Dict[int, float] = {}
         for level in sorted(set(priority.values()), reverse=True):
@@ -160,9 +176,10 @@ class PlanRules:
 
 
 def _goes_first(groups: Sequence[Tuple[int, float, float]], mine: int) -> float:
-    """The chance that one robot of group ``mine``, whose draw is enabled, goes before all others whose draw is:
-    the mean of 1 / (1 + number of those), and 0 where one drew a higher priority. Groups are (robots, probability
-    of an enabled draw of this priority, probability of no enabled draw of this or a higher one)."""
+    """The chance that one robot of group ``mine``, whose draw is enabled, goes before all others
+    whose draw is: the mean of 1 / (1 + number of those), and 0 where one drew a higher priority.
+    Groups are (robots, probability of an enabled draw of this priority, probability of no enabled
+    draw of this or a higher one)."""
     polynomial = np.ones(1)  # coefficients by the number of robots with an enabled draw
     for i, (robots, enabled, idle) in enumerate(groups):
         for _ in range(robots - (i == mine)):
@@ -171,8 +188,8 @@ def _goes_first(groups: Sequence[Tuple[int, float, float]], mine: int) -> float:
 
 
 def plan_net(plan: Plan, left_out: Sequence[str] = ()) -> Net:
-    """The net of a plan for analysis: without the places ``left_out``, and with as many servers as robots for the
-    exponential transitions that leave action places."""
+    """The net of a plan for analysis: without the places ``left_out``, and with as many servers as
+    robots for the exponential transitions that leave action places."""
     net = plan.net.without_places(left_out)
     acts = {p for p, place in enumerate(net.places) if place.name not in plan.resource_places}
     transitions = [
@@ -201,7 +218,9 @@ class PlanSpace(StateSpace):
         packing = Packing(rules.net, widths)
         order = np.arange(len(rules.net.transitions) + 1)  # the last: the robots wait
         store = PackedStore(packing, packing.pack_all(markings))
-        super().__init__(rules.net, store, graph, order, untimed=False, engine="plan", shortage=shortage)
+        super().__init__(
+            rules.net, store, graph, order, untimed=False, engine="plan", shortage=shortage
+        )
         self.counters = rules.counters
         self._vanishing = vanishing
         self._values = values
@@ -213,13 +232,23 @@ class PlanSpace(StateSpace):
 
     def transition_name(self, transition: int) -> str:
         """The name of a transition, or WAITING."""
-        return WAITING if transition == len(self.net.transitions) else super().transition_name(transition)
+        return (
+            WAITING
+            if transition == len(self.net.transitions)
+            else super().transition_name(transition)
+        )
 
     def rated(self) -> RatedGraph:
         """The graph with rates and probabilities. :raises LimitError: it is not complete."""
         self.require_complete("its Markov chain")
         return RatedGraph(
-            self.net, self._vanishing, self.sources, self.targets, self.transitions, self._values, self.store
+            self.net,
+            self._vanishing,
+            self.sources,
+            self.targets,
+            self.transitions,
+            self._values,
+            self.store,
         )
 
 
@@ -283,7 +312,9 @@ def explore_plan(
         offsets.extend(np.array([len(targets)]))
         if explored % 256 == 0:
             watch.step("states", len(order))
-            if not room.left(len(order) * (16 * len(net.places) + _STATE_BYTES) + len(targets) * _ARC_BYTES):
+            if not room.left(
+                len(order) * (16 * len(net.places) + _STATE_BYTES) + len(targets) * _ARC_BYTES
+            ):
                 shortage = ("--limit-memory", "%.3g GB" % (memory / 1e9))
                 if not room.left(0):
                     shortage = ("--limit-time", "%g s" % seconds)
@@ -299,5 +330,10 @@ def explore_plan(
     )
     markings = np.array([marking for marking, _ in order], dtype=np.int64).reshape(len(order), -1)
     return PlanSpace(
-        rules, graph, markings, np.array(vanishing, dtype=bool), np.array(values, dtype=np.float64), shortage
+        rules,
+        graph,
+        markings,
+        np.array(vanishing, dtype=bool),
+        np.array(values, dtype=np.float64),
+        shortage,
     )

@@ -1,9 +1,10 @@
 """The markings that a run of a plan can reach, for the check before any robot moves.
 
-They are the *untimed* ones: a robot in a decision place is busy with its action while others move, so immediate
-transitions have no priority here. Counters that nothing reads are left out, so that the exploration ends. A robot
-can be lost anywhere, so smaller teams are covered too. Then the policy has its say: firings that it never chooses
-are crossed out (an action that names an immediate transition itself is not foreseen by that).
+They are the *untimed* ones: a robot in a decision place is busy with its action while others move,
+so immediate transitions have no priority here. Counters that nothing reads are left out, so that
+the exploration ends. A robot can be lost anywhere, so smaller teams are covered too. Then the
+policy has its say: firings that it never chooses are crossed out (an action that names an immediate
+transition itself is not foreseen by that).
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from gspn_framework_package.model.policy import Distribution, PolicyTable
 
 
 class Finding(NamedTuple):
-    """A marking with a shortest firing sequence that leads to it; ``place`` where one is concerned."""
+    """A marking with a shortest firing sequence that leads to it; ``place`` where one is
+    concerned."""
 
     marking: Dict[str, int]
     sequence: List[str]
@@ -60,7 +62,9 @@ class PlanMarkings:
         if losses:
             net = _with_losses(net, plan, set(self.left_out))
         self.net = net = _with_end(net, plan)
-        self.space: StateSpace = explore(net, limit=limit, untimed=True, progress=progress, cancel=cancel)
+        self.space: StateSpace = explore(
+            net, limit=limit, untimed=True, progress=progress, cancel=cancel
+        )
         self._table = plan.policy.bind(plan.net)
         self._number = {p: plan.net.place_index[place.name] for p, place in enumerate(net.places)}
         self._sources = self.space.sources
@@ -69,10 +73,14 @@ class PlanMarkings:
         self.allowed = ~self._over[self._sources]
         self._answers = _Answers(self, self._table, plan)
         self._cross_out()
-        ways = ShortestWays(len(self.space), self._sources, self.space.targets, self.allowed & ~self._is_loss)
+        ways = ShortestWays(
+            len(self.space), self._sources, self.space.targets, self.allowed & ~self._is_loss
+        )
         self._ways = ways
         self._ways_with_losses = (
-            ShortestWays(len(self.space), self._sources, self.space.targets, self.allowed) if losses else ways
+            ShortestWays(len(self.space), self._sources, self.space.targets, self.allowed)
+            if losses
+            else ways
         )
 
     @property
@@ -85,12 +93,16 @@ class PlanMarkings:
             return np.zeros(len(self.space), dtype=bool)
         return self.space.holds(self.plan.until)
 
-    # -- the policy -------------------------------------------------------------------------------------
+    # -- the policy --------------------------------------------------------------------------------
 
     def _cross_out(self) -> None:
         """Disallow the firings of immediate transitions that nobody would choose."""
         transitions = self.net.transitions
-        robots = {p for p, place in enumerate(self.net.places) if place.name not in self.plan.resource_places}
+        robots = {
+            p
+            for p, place in enumerate(self.net.places)
+            if place.name not in self.plan.resource_places
+        }
         for t in range(self._own):
             if transitions[t].timed:
                 continue
@@ -106,15 +118,16 @@ class PlanMarkings:
             self.allowed[arcs[~wanted]] = False
 
     def policy_gaps(self) -> Iterator[Finding]:
-        """Markings that ask for a decision and find no row of the policy: of a strict plan with any enabled
-        immediate transition, of others with a choice between two."""
+        """Markings that ask for a decision and find no row of the policy: of a strict plan with any
+        enabled immediate transition, of others with a choice between two."""
         need = 1 if self.plan.strict else 2
         for p, leaving in self._decision_places():
             states = self._deciding(leaving, need)
             yield from self._findings(states[self._answers.silent(p, states)], p)
 
     def undecided_choices(self) -> Iterator[Finding]:
-        """Markings in which neither the policy nor a positive weight decides, so that a robot waits for good."""
+        """Markings in which neither the policy nor a positive weight decides, so that a robot waits
+        for good."""
         if self.plan.strict:
             return
         weights = [t.weight for t in self.net.transitions]
@@ -128,7 +141,11 @@ class PlanMarkings:
 
     def _decision_places(self) -> Iterator[Tuple[int, List[int]]]:
         for p, place in enumerate(self.net.places):
-            leaving = [t for t in self.net.consumers[p] if t < self._own and not self.net.transitions[t].timed]
+            leaving = [
+                t
+                for t in self.net.consumers[p]
+                if t < self._own and not self.net.transitions[t].timed
+            ]
             if leaving and place.name not in self.plan.resource_places:
                 yield p, leaving
 
@@ -138,11 +155,11 @@ class PlanMarkings:
         enabled = np.bincount(self._sources[arcs], minlength=len(self.space))
         return np.flatnonzero((enabled >= need) & self._ways_with_losses.reached & ~self._over)
 
-    # -- dead markings ----------------------------------------------------------------------------------
+    # -- dead markings -----------------------------------------------------------------------------
 
     def dead(self, *, after_losses: bool) -> Iterator[Finding]:
-        """Markings in which nothing goes on although some robot is not at an end: of the whole team, or (with
-        ``after_losses``) only where robots were lost on the way."""
+        """Markings in which nothing goes on although some robot is not at an end: of the whole
+        team, or (with ``after_losses``) only where robots were lost on the way."""
         moving = np.zeros(len(self.space), dtype=bool)
         moving[self._sources[self.allowed & ~self._is_loss]] = True
         ends = terminal_places(self.plan)
@@ -153,22 +170,28 @@ class PlanMarkings:
         dead = ~moving & busy & ~self._over
         dead[self.space.explored :] = False
         if after_losses:
-            return self._findings(np.flatnonzero(dead & self._ways_with_losses.reached & ~self._ways.reached))
+            return self._findings(
+                np.flatnonzero(dead & self._ways_with_losses.reached & ~self._ways.reached)
+            )
         return self._findings(np.flatnonzero(dead & self._ways.reached))
 
-    # -- other questions --------------------------------------------------------------------------------
+    # -- other questions ---------------------------------------------------------------------------
 
     def firing(self, transition: int) -> Optional[Finding]:
-        """A reachable marking right after transition number ``transition`` of the plan's net fired, or None."""
+        """A reachable marking right after transition number ``transition`` of the plan's net fired,
+        or None."""
         arcs = np.flatnonzero(
-            (self.space.transitions == transition) & self.allowed & self._ways_with_losses.reached[self._sources]
+            (self.space.transitions == transition)
+            & self.allowed
+            & self._ways_with_losses.reached[self._sources]
         )
         if not len(arcs):
             return None
         found = self._finding(int(self._sources[arcs[0]]))
         name = self.net.transitions[transition].name
         return found._replace(
-            sequence=found.sequence + [name], marking=self.space.named(int(self.space.targets[arcs[0]]))
+            sequence=found.sequence + [name],
+            marking=self.space.named(int(self.space.targets[arcs[0]])),
         )
 
     def never_fire(self) -> List[str]:
@@ -179,7 +202,9 @@ class PlanMarkings:
 
     def bounds(self) -> Dict[str, int]:
         """The most tokens that each place holds in any marking visited."""
-        return {place.name: int(self.space.column(p).max()) for p, place in enumerate(self.net.places)}
+        return {
+            place.name: int(self.space.column(p).max()) for p, place in enumerate(self.net.places)
+        }
 
     def timeless_traps(self, timeless: List[int]) -> Iterator[Finding]:
         """Markings from which the firings of ``timeless`` transitions go on for ever."""
@@ -196,12 +221,14 @@ class PlanMarkings:
             alive[frontier] = False
         return self._findings(np.flatnonzero(alive))
 
-    # -- helpers ----------------------------------------------------------------------------------------
+    # -- helpers -----------------------------------------------------------------------------------
 
     def full_markings(self, states: Any) -> Any:
         """Markings in the place order of the plan's net; places left out are 0."""
         full = np.zeros((len(states), len(self.plan.net.places)), dtype=np.int64)
-        full[:, [self._number[p] for p in range(len(self.net.places))]] = self.space.markings(states)
+        full[:, [self._number[p] for p in range(len(self.net.places))]] = self.space.markings(
+            states
+        )
         return full
 
     def original(self, p: int) -> int:
@@ -214,8 +241,12 @@ class PlanMarkings:
 
     def _finding(self, state: int, place: Optional[int] = None) -> Finding:
         ways = self._ways if self._ways.reached[state] else self._ways_with_losses
-        names = [self.net.transitions[self.space.transitions[arc]].name for arc in ways.way_to(state)]
-        return Finding(self.space.named(state), names, None if place is None else self.net.places[place].name)
+        names = [
+            self.net.transitions[self.space.transitions[arc]].name for arc in ways.way_to(state)
+        ]
+        return Finding(
+            self.space.named(state), names, None if place is None else self.net.places[place].name
+        )
 
 
 class _Answers:
@@ -241,7 +272,9 @@ class _Answers:
 
     def silent(self, p: int, states: Any) -> Any:
         """In which of ``states`` no row of the policy matches, for a robot in place ``p``."""
-        return self._per_state(p, states, lambda distribution, matched: distribution is None and not matched)
+        return self._per_state(
+            p, states, lambda distribution, matched: distribution is None and not matched
+        )
 
     def _per_state(self, p: int, states: Any, verdict: Any) -> Any:
         if not len(states):
@@ -259,7 +292,10 @@ class _Answers:
             if key not in self._known:
                 for column, count in zip(self._columns, counts):
                     marking[column] = count
-                self._known[key] = (self._table.distribution(marking, place), self._table.matches(marking))
+                self._known[key] = (
+                    self._table.distribution(marking, place),
+                    self._table.matches(marking),
+                )
             result[i] = verdict(*self._known[key])
         return result[of]
 
@@ -278,9 +314,11 @@ def _distinct_rows(rows: Any) -> Tuple[Any, Any]:
 
 
 def _with_end(net: Net, plan: Plan) -> Net:
-    """The net without the firings after ``until``: what a run that is over would count is not explored.
+    """The net without the firings after ``until``: what a run that is over would count is not
+    explored.
 
-    An inhibitor arc to every transition says so, for each count that is enough for ``until`` by itself.
+    An inhibitor arc to every transition says so, for each count that is enough for ``until`` by
+    itself.
     """
     if not plan.until:
         return net

@@ -21,14 +21,17 @@ def robot_flows(plan: Plan) -> List[RobotFlow]:
     net = plan.net
     acts = [p.name not in plan.resource_places for p in net.places]
     return [
-        RobotFlow(sum(w for p, w in net.inputs[t] if acts[p]), sum(w for p, w in net.outputs[t] if acts[p]))
+        RobotFlow(
+            sum(w for p, w in net.inputs[t] if acts[p]),
+            sum(w for p, w in net.outputs[t] if acts[p]),
+        )
         for t in range(len(net.transitions))
     ]
 
 
 def only_written(plan: Plan) -> Tuple[str, ...]:
-    """Resource places that nothing reads: no transition, no inhibitor arc, no capacity, no cell of the policy, not
-    ``until``. They count, and cannot change what happens."""
+    """Resource places that nothing reads: no transition, no inhibitor arc, no capacity, no cell of
+    the policy, not ``until``. They count, and cannot change what happens."""
     net = plan.net
     inhibiting = {p for arcs in net.inhibitors for p, _ in arcs}
     read: Set[str] = set()
@@ -58,7 +61,8 @@ def terminal_places(plan: Plan) -> Set[int]:
 
 
 def always_leavable(net: Net, place: int) -> bool:
-    """Whether some transition is enabled by one token in ``place`` whatever the rest of the marking is."""
+    """Whether some transition is enabled by one token in ``place`` whatever the rest of the marking
+    is."""
     return any(fires_alone(net, t, place) for t in net.consumers[place])
 
 
@@ -72,13 +76,14 @@ def fires_alone(net: Net, t: int, place: int) -> bool:
 
 
 def timeless_transitions(plan: Plan) -> List[int]:
-    """Numbers of the immediate transitions that can follow another one without an action between: those that take
-    no robot, or take robots only from places where some robot has nothing to do."""
+    """Numbers of the immediate transitions that can follow another one without an action between:
+    those that take no robot, or take robots only from places where some robot has nothing to do."""
     net = plan.net
     idle = {
         net.place_number(name)
         for name in plan.action_places
-        if plan.actions.get(name) is None or any(r.actions.get(name, True) is None for r in plan.robots)
+        if plan.actions.get(name) is None
+        or any(r.actions.get(name, True) is None for r in plan.robots)
     }
     acts = {net.place_number(name) for name in plan.action_places}
     return [
@@ -89,19 +94,25 @@ def timeless_transitions(plan: Plan) -> List[int]:
 
 
 def find_cycle(net: Net, transitions: List[int]) -> List[str]:
-    """A cycle of places and transitions among ``transitions``, by name, or an empty list. A transition without
-    input places counts as one: it never stops."""
+    """A cycle of places and transitions among ``transitions``, by name, or an empty list. A
+    transition without input places counts as one: it never stops."""
     chosen = set(transitions)
     for t in transitions:
         if not net.inputs[t]:
             return [net.transitions[t].name]
     leaving = {
-        p: [(net.transitions[t].name, q) for t in net.consumers[p] if t in chosen for q, _ in net.outputs[t]]
+        p: [
+            (net.transitions[t].name, q)
+            for t in net.consumers[p]
+            if t in chosen
+            for q, _ in net.outputs[t]
+        ]
         for p in range(len(net.places))
     }
     finished: Set[int] = set()
     for start in leaving:
-        way: List[Tuple[int, str]] = [(start, "")]  # places under way, with the transition that led to each
+        # places under way, with the transition that led to each
+        way: List[Tuple[int, str]] = [(start, "")]
         left = [list(leaving[start])] if start not in finished else []
         while left:
             if not left[-1]:
@@ -127,7 +138,8 @@ class PolicyCover:
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._robots = max(
-            len(plan.robots), sum(p.tokens for p in plan.net.places if p.name not in plan.resource_places)
+            len(plan.robots),
+            sum(p.tokens for p in plan.net.places if p.name not in plan.resource_places),
         )
         self._any = any(all(c is None for c in row.counts) for row in plan.policy.rows)
         self._spoken: Dict[int, List[int]] = {}
@@ -146,16 +158,18 @@ class PolicyCover:
         return self._any or self._by_own_count(place, range(len(self._plan.policy.rows)))
 
     def speaks(self, place: int) -> bool:
-        """Whether, in every marking with a robot in ``place``, some row matches and speaks of it."""
+        """Whether, in every marking with a robot in ``place``, some row matches and speaks of
+        it."""
         return self._by_own_count(place, self._spoken.get(place, []))
 
     def never_speaks(self, place: int) -> bool:
-        """Whether no row speaks of ``place`` although some row always matches: robots there wait for good."""
+        """Whether no row speaks of ``place`` although some row always matches: robots there wait
+        for good."""
         return place not in self._spoken and self.matches(place)
 
     def always_moves(self, place: int) -> bool:
-        """Whether the policy moves a robot out of ``place`` in every marking, whatever the others do: it always
-        speaks of it, and chooses only transitions that one robot alone can fire."""
+        """Whether the policy moves a robot out of ``place`` in every marking, whatever the others
+        do: it always speaks of it, and chooses only transitions that one robot alone can fire."""
         net = self._plan.net
         chosen = {
             net.transition_number(name)
@@ -168,12 +182,15 @@ class PolicyCover:
         )
 
     def _by_own_count(self, place: int, rows: Iterable[int]) -> bool:
-        """Whether these rows match every marking with a robot in ``place`` by looking at no other place."""
+        """Whether these rows match every marking with a robot in ``place`` by looking at no other
+        place."""
         name = self._plan.net.places[place].name
         counts: Set[int] = set()
         for number in rows:
             row = self._plan.policy.rows[number]
-            looks_at = [(p, c) for p, c in zip(self._plan.policy.places, row.counts) if c is not None]
+            looks_at = [
+                (p, c) for p, c in zip(self._plan.policy.places, row.counts) if c is not None
+            ]
             if not looks_at:
                 return True
             if len(looks_at) == 1 and looks_at[0][0] == name:

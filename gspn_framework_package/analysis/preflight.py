@@ -1,7 +1,7 @@
 """The check before any robot moves ("preflight"; thesis 4.3.5 and ``docs/semantics.md``).
 
-Structure decides first, in milliseconds; markings are visited only for the questions that it leaves open, up to a
-limit, and what is still open then is reported as not decided.
+Structure decides first, in milliseconds; markings are visited only for the questions that it leaves
+open, up to a limit, and what is still open then is reported as not decided.
 """
 
 from __future__ import annotations

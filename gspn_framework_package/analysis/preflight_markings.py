@@ -53,7 +53,11 @@ class MarkingChecks:
         """Visit markings if there is an open question, and answer it."""
         if not self._structure.open:
             return
-        losses = self.plan.timing.evict_after > 0 and len(self.plan.robots) > 1 and not self._structure.standalone
+        losses = (
+            self.plan.timing.evict_after > 0
+            and len(self.plan.robots) > 1
+            and not self._structure.standalone
+        )
         self.markings = self._visit(False)
         if losses and self.markings.complete:
             with_losses = self._visit(True)
@@ -85,12 +89,19 @@ class MarkingChecks:
         if self.markings.complete:
             never = self.markings.never_fire()
             if never:
-                self._list.add("never_fire", Severity.WARNING, "%s can never fire" % names(never), transitions=never)
+                self._list.add(
+                    "never_fire",
+                    Severity.WARNING,
+                    "%s can never fire" % names(never),
+                    transitions=never,
+                )
 
     def _visit(self, losses: bool) -> PlanMarkings:
         from gspn_framework_package.analysis.plan_markings import PlanMarkings
 
-        return PlanMarkings(self.plan, self.limit, losses=losses, progress=self.progress, cancel=self.cancel)
+        return PlanMarkings(
+            self.plan, self.limit, losses=losses, progress=self.progress, cancel=self.cancel
+        )
 
     def _decide_conservative(self, markings: PlanMarkings) -> None:
         flows = robot_flows(self.plan)
@@ -104,7 +115,8 @@ class MarkingChecks:
                     "conservative",
                     Severity.REFUSED,
                     "%s takes %d robot(s) and puts %d: robots cannot be created "
-                    "or destroyed; it fires after %s" % (name, flows[t].taken, flows[t].put, sequence(firing.sequence)),
+                    "or destroyed; it fires after %s"
+                    % (name, flows[t].taken, flows[t].put, sequence(firing.sequence)),
                     transition=name,
                     taken=flows[t].taken,
                     put=flows[t].put,
@@ -121,7 +133,9 @@ class MarkingChecks:
             )
         elif not found:
             self._undecided(
-                markings, "conservative", "whether %s, which would create or destroy robots, can fire" % names(culprits)
+                markings,
+                "conservative",
+                "whether %s, which would create or destroy robots, can fire" % names(culprits),
             )
 
     def _decide_cycle(self, markings: PlanMarkings) -> None:
@@ -140,7 +154,8 @@ class MarkingChecks:
             self._list.add(
                 "timeless_cycle",
                 Severity.OK,
-                "the cycle %s of immediate transitions always ends" % " -> ".join(self._structure.cycle),
+                "the cycle %s of immediate transitions always ends"
+                % " -> ".join(self._structure.cycle),
                 cycle=self._structure.cycle,
                 decided_by="exploration",
             )
@@ -154,7 +169,9 @@ class MarkingChecks:
     def _decide_bounds(self, markings: PlanMarkings) -> None:
         if markings.complete:
             bounds = markings.bounds()
-            self._list.tell_bounds({p: bounds[p] for p in self._structure.resource_bounds}, "exploration")
+            self._list.tell_bounds(
+                {p: bounds[p] for p in self._structure.resource_bounds}, "exploration"
+            )
             return
         unknown = [p for p, bound in self._structure.resource_bounds.items() if bound is None]
         grows = [p for p in self._growing() if p in unknown]
@@ -172,16 +189,23 @@ class MarkingChecks:
             "resource_bounds",
             Severity.WARNING,
             "%s may grow: not decided within %d markings"
-            % (", ".join("%s (%d seen)" % (p, seen[p]) for p in unknown[:LISTED]), len(markings.space)),
+            % (
+                ", ".join("%s (%d seen)" % (p, seen[p]) for p in unknown[:LISTED]),
+                len(markings.space),
+            ),
             places=unknown,
             seen={p: seen[p] for p in unknown},
         )
 
     def _growing(self) -> List[str]:
-        """The places that can hold any number of tokens, where a coverability tree of some size can tell."""
+        """The places that can hold any number of tokens, where a coverability tree of some size can
+        tell."""
         try:
             tree = CoverabilityTree(
-                self.net.without_places(self._structure.written), untimed=True, limit=TREE_NODES, cancel=self.cancel
+                self.net.without_places(self._structure.written),
+                untimed=True,
+                limit=TREE_NODES,
+                cancel=self.cancel,
             )
         except LimitError:
             return []
@@ -189,7 +213,9 @@ class MarkingChecks:
 
     def _decide_dead(self, markings: PlanMarkings) -> None:
         found = list(markings.dead(after_losses=False))
-        self._tell_findings("dead_markings", Severity.WARNING, found, "dead marking: nothing goes on")
+        self._tell_findings(
+            "dead_markings", Severity.WARNING, found, "dead marking: nothing goes on"
+        )
         lost = list(markings.dead(after_losses=True))
         if lost:
             more = " (and in %d other markings)" % (len(lost) - 1) if len(lost) > 1 else ""
@@ -203,13 +229,20 @@ class MarkingChecks:
                 others=[finding.to_json() for finding in lost[1:LISTED]],
             )
         if not found and markings.complete:
-            self._list.add("dead_markings", Severity.OK, "no dead marking is reachable", decided_by="exploration")
+            self._list.add(
+                "dead_markings",
+                Severity.OK,
+                "no dead marking is reachable",
+                decided_by="exploration",
+            )
         elif not found:
             self._undecided(markings, "dead_markings", "whether a dead marking can be reached")
 
     def _decide_policy(self, markings: PlanMarkings) -> None:
         severity = Severity.REFUSED if self.plan.strict else Severity.WARNING
-        gaps = self._kinds(markings.policy_gaps()) if self.plan.policy.rows or self.plan.strict else []
+        gaps = (
+            self._kinds(markings.policy_gaps()) if self.plan.policy.rows or self.plan.strict else []
+        )
         self._tell_findings(
             "policy",
             severity,
@@ -217,7 +250,9 @@ class MarkingChecks:
             "the policy has no row" + ("" if self.plan.strict else ", so that the weights decide"),
         )
         waiting = list(markings.undecided_choices())
-        self._tell_findings("policy", Severity.WARNING, waiting, "neither the policy nor a weight above 0 decides")
+        self._tell_findings(
+            "policy", Severity.WARNING, waiting, "neither the policy nor a weight above 0 decides"
+        )
         if not gaps and not waiting and markings.complete:
             self._list.add(
                 "policy",
@@ -229,7 +264,8 @@ class MarkingChecks:
             self._undecided(markings, "policy", "whether the policy covers every marking")
 
     def _kinds(self, findings: Iterable[Finding]) -> List[Finding]:
-        """The findings, the first of those that differ only in counters that ``until`` alone reads."""
+        """The findings, the first of those that differ only in counters that ``until`` alone
+        reads."""
         counters = set(only_written(replace(self.plan, until=None)))
         kinds: Dict[Any, Finding] = {}
         for finding in findings:
@@ -245,11 +281,14 @@ class MarkingChecks:
             self._list.add(
                 check,
                 severity,
-                "%s%s in %s, reached by %s" % (what, where, marking_text(finding.marking), sequence(finding.sequence)),
+                "%s%s in %s, reached by %s"
+                % (what, where, marking_text(finding.marking), sequence(finding.sequence)),
                 **finding.to_json(),
             )
         if len(found) > LISTED:
-            self._list.add(check, severity, "%s: %d markings in all" % (what, len(found)), count=len(found))
+            self._list.add(
+                check, severity, "%s: %d markings in all" % (what, len(found)), count=len(found)
+            )
 
     def _undecided(self, markings: PlanMarkings, check: str, what: str) -> None:
         self._list.add(

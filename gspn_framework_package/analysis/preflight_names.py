@@ -1,4 +1,5 @@
-"""The part of the check that compares names and maps: actions, initial places, overlapping rows, servers."""
+"""The part of the check that compares names and maps: actions, initial places, overlapping rows,
+servers."""
 
 from __future__ import annotations
 
@@ -9,7 +10,8 @@ from gspn_framework_package.analysis.preflight_report import LISTED, Checklist, 
 from gspn_framework_package.model.plan import Action, Plan
 
 ServerProbe = Callable[[str, str, Action], Optional[str]]
-"""Asked for (robot, place, action) whether the action's server answers: None if so, else what is wrong."""
+"""Asked for (robot, place, action) whether the action's server answers: None if so, else what is
+wrong."""
 
 
 class NameChecks:
@@ -26,7 +28,8 @@ class NameChecks:
         self._list.add(
             "net",
             Severity.OK,
-            "%d places, %d transitions, %d robots" % (len(net.places), len(net.transitions), len(self.plan.robots)),
+            "%d places, %d transitions, %d robots"
+            % (len(net.places), len(net.transitions), len(self.plan.robots)),
         )
         self._look_at_actions()
         self._look_at_initial()
@@ -62,7 +65,9 @@ class NameChecks:
                 places=mapped_resources,
             )
         if not unmapped and not mapped_resources:
-            self._list.add("actions", Severity.OK, "every action place is mapped, and no resource place is")
+            self._list.add(
+                "actions", Severity.OK, "every action place is mapped, and no resource place is"
+            )
 
     def _look_at_initial(self) -> None:
         counts = dict.fromkeys(self.plan.action_places, 0)
@@ -85,7 +90,9 @@ class NameChecks:
                 places=differing,
             )
         else:
-            self._list.add("initial", Severity.OK, "the robots' initial places agree with the initial marking")
+            self._list.add(
+                "initial", Severity.OK, "the robots' initial places agree with the initial marking"
+            )
 
     def _look_at_overlaps(self) -> None:
         overlaps = self.plan.policy.bind(self.net).overlaps()
@@ -105,14 +112,17 @@ class NameChecks:
             self._list.add(
                 "policy_overlaps",
                 Severity.WARNING,
-                "%s%d pairs of rows overlap" % ("at least " if len(listed) >= 100 else "", len(listed)),
+                "%s%d pairs of rows overlap"
+                % ("at least " if len(listed) >= 100 else "", len(listed)),
                 pairs=listed,
             )
 
     def _look_at_idle_places(self) -> None:
         """With no action nobody says which of several exponential transitions a robot asks for."""
         for name in self.plan.action_places:
-            leaving = [self.net.transitions[t] for t in self.net.consumers[self.net.place_number(name)]]
+            leaving = [
+                self.net.transitions[t] for t in self.net.consumers[self.net.place_number(name)]
+            ]
             if (
                 name in self.plan.actions
                 and self.plan.actions[name] is None
@@ -131,7 +141,8 @@ class NameChecks:
         places = [
             name
             for name in self.plan.action_places
-            if self.plan.actions.get(name) is not None and self._only_immediate(self.net.place_number(name))
+            if self.plan.actions.get(name) is not None
+            and self._only_immediate(self.net.place_number(name))
         ]
         if places:
             self._list.add(

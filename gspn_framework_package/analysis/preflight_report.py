@@ -1,4 +1,5 @@
-"""The report of the check before any robot moves: items for people, and the same as JSON for programs."""
+"""The report of the check before any robot moves: items for people, and the same as JSON for
+programs."""
 
 from __future__ import annotations
 
@@ -19,8 +20,8 @@ class Severity(enum.Enum):
 
 
 class CheckItem(NamedTuple):
-    """One question and its answer: ``check`` names the question, ``text`` is for people, ``details`` for programs
-    (plain JSON values)."""
+    """One question and its answer: ``check`` names the question, ``text`` is for people,
+    ``details`` for programs (plain JSON values)."""
 
     check: str
     severity: Severity
@@ -67,24 +68,33 @@ class PreflightReport(NamedTuple):
             "complete": self.complete,
             "seconds": round(self.seconds, 6),
             "items": [
-                {"check": item.check, "severity": item.severity.value, "text": item.text, **item.details}
+                {
+                    "check": item.check,
+                    "severity": item.severity.value,
+                    "text": item.text,
+                    **item.details,
+                }
                 for item in self.items
             ],
         }
 
     def __str__(self) -> str:
-        lines = ["%-8s %s: %s" % (item.severity.value, item.check, item.text) for item in self.items]
+        lines = [
+            "%-8s %s: %s" % (item.severity.value, item.check, item.text) for item in self.items
+        ]
         how = (
             "by structure alone"
             if not self.states
-            else "%d markings visited%s" % (self.states, "" if self.complete else ", not all there are")
+            else "%d markings visited%s"
+            % (self.states, "" if self.complete else ", not all there are")
         )
         verdict = "refused" if self.refused else "may run"
         return "\n".join(lines + ["%s %s (%s, %.3f s)" % (self.plan, verdict, how, self.seconds)])
 
 
 LISTED = 10
-"""Findings of one kind, and names in one sentence, that a report lists; it always tells how many there are."""
+"""Findings of one kind, and names in one sentence, that a report lists; it always tells how many
+there are."""
 
 
 class Checklist:
@@ -121,7 +131,11 @@ def sequence(firings: Sequence[str]) -> str:
     if not firings:
         return "nothing: at the start"
     if len(firings) > 12:
-        return "%s, ... (%d firings) ..., %s" % (", ".join(firings[:8]), len(firings), ", ".join(firings[-3:]))
+        return "%s, ... (%d firings) ..., %s" % (
+            ", ".join(firings[:8]),
+            len(firings),
+            ", ".join(firings[-3:]),
+        )
     return ", ".join(firings)
 
 

@@ -1,4 +1,5 @@
-"""The part of the check that structure decides, in milliseconds; what it leaves open is for the markings."""
+"""The part of the check that structure decides, in milliseconds; what it leaves open is for the
+markings."""
 
 from __future__ import annotations
 
@@ -55,18 +56,22 @@ class StructureChecks:
         flows = robot_flows(self.plan)
         transitions = self.net.transitions
         if self.standalone:
-            self._list.add("conservative", Severity.OK, "agents may be created and destroyed: not asked for")
+            self._list.add(
+                "conservative", Severity.OK, "agents may be created and destroyed: not asked for"
+            )
             return
         creating = [t for t, flow in enumerate(flows) if not flow.taken and flow.put]
         for t in creating:
             self._list.add(
                 "creates_robots",
                 Severity.REFUSED,
-                "%s takes no robot and has an action place among its outputs: there is no robot to move"
-                % transitions[t].name,
+                "%s takes no robot and has an action place among its outputs: there is no robot "
+                "to move" % transitions[t].name,
                 transition=transitions[t].name,
             )
-        unbalanced = [t for t, flow in enumerate(flows) if flow.taken != flow.put and t not in creating]
+        unbalanced = [
+            t for t, flow in enumerate(flows) if flow.taken != flow.put and t not in creating
+        ]
         if unbalanced:
             self.unbalanced = unbalanced
             self.open.append("conservative")
@@ -74,7 +79,8 @@ class StructureChecks:
             self._list.add(
                 "conservative",
                 Severity.OK,
-                "every transition moves as many robots in as out, resource places aside (by structure)",
+                "every transition moves as many robots in as out, resource places aside (by "
+                "structure)",
                 decided_by="structure",
             )
 
@@ -85,14 +91,16 @@ class StructureChecks:
             self._list.add(
                 "timeless_cycle",
                 Severity.OK,
-                "immediate transitions cannot go round without an action or a time between them (by structure)",
+                "immediate transitions cannot go round without an action or a time between them "
+                "(by structure)",
                 decided_by="structure",
             )
         elif len(cycle) == 1:
             self._list.add(
                 "timeless_cycle",
                 Severity.REFUSED,
-                "the immediate transition %s has no input place: it would fire without end" % cycle[0],
+                "the immediate transition %s has no input place: it would fire without end"
+                % cycle[0],
                 cycle=cycle,
             )
         else:
@@ -100,7 +108,14 @@ class StructureChecks:
             self.cycle = cycle
 
     def _look_at_servers_of_transitions(self) -> None:
-        if sum(place.tokens for place in self.net.places if place.name not in self.plan.resource_places) < 2:
+        if (
+            sum(
+                place.tokens
+                for place in self.net.places
+                if place.name not in self.plan.resource_places
+            )
+            < 2
+        ):
             return
         acts = {self.net.place_number(p) for p in self.plan.action_places}
         differing = [
@@ -118,7 +133,8 @@ class StructureChecks:
                 self._list.add(
                     "servers",
                     severity,
-                    "%s: %s; robots work in parallel, so runs and the analysis of the plan have as many servers as "
+                    "%s: %s; robots work in parallel, so runs and the analysis of the plan have "
+                    "as many servers as "
                     "robots; the analysis of the net takes the file's word" % (names(listed), what),
                     transitions=listed,
                 )
@@ -136,12 +152,16 @@ class StructureChecks:
             return
         net = self.net.without_places(self.written)
         bounds = dict(zip((p.name for p in net.places), invariant_bounds(net, 200_000)))
-        self.resource_bounds = {p.name: bounds[p.name] for p in net.places if p.name in self.plan.resource_places}
+        self.resource_bounds = {
+            p.name: bounds[p.name] for p in net.places if p.name in self.plan.resource_places
+        }
         unknown = [p for p, bound in self.resource_bounds.items() if bound is None]
         if unknown:
             self.open.append("resource_bounds")
         elif self.resource_bounds:
-            self._list.tell_bounds({p: b for p, b in self.resource_bounds.items() if b is not None}, "structure")
+            self._list.tell_bounds(
+                {p: b for p, b in self.resource_bounds.items() if b is not None}, "structure"
+            )
 
     def _look_at_dead_ends(self) -> None:
         ends = terminal_places(self.plan)
@@ -157,7 +177,8 @@ class StructureChecks:
             self._list.add(
                 "dead_markings",
                 Severity.OK,
-                "no dead marking: a robot alone can leave every place that has outputs (by structure)",
+                "no dead marking: a robot alone can leave every place that has outputs (by "
+                "structure)",
                 decided_by="structure",
             )
 
@@ -168,7 +189,11 @@ class StructureChecks:
         leaving = [self.net.transitions[t] for t in self.net.consumers[p]]
         if any(t.timed for t in leaving) or self._cover.always_moves(p):
             return True
-        return not self.plan.policy.rows and not self.plan.strict and all(t.weight > 0 for t in leaving)
+        return (
+            not self.plan.policy.rows
+            and not self.plan.strict
+            and all(t.weight > 0 for t in leaving)
+        )
 
     def _look_at_policy(self) -> None:
         plan = self.plan
@@ -176,7 +201,9 @@ class StructureChecks:
             name
             for name in plan.action_places
             for p in (self.net.place_number(name),)
-            for leaving in ([t for t in self.net.consumers[p] if not self.net.transitions[t].timed],)
+            for leaving in (
+                [t for t in self.net.consumers[p] if not self.net.transitions[t].timed],
+            )
             if len(leaving) > (0 if plan.strict else 1)
         ]
         weighty = all(t.weight > 0 for t in self.net.transitions if not t.timed)
@@ -190,7 +217,12 @@ class StructureChecks:
                 places=ignored,
             )
         if not asking:
-            self._list.add("policy", Severity.OK, "no place asks for a decision (by structure)", decided_by="structure")
+            self._list.add(
+                "policy",
+                Severity.OK,
+                "no place asks for a decision (by structure)",
+                decided_by="structure",
+            )
         elif all(self._cover.matches(self.net.place_number(name)) for name in asking):
             self._list.add(
                 "policy",

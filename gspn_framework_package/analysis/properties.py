@@ -25,8 +25,8 @@ from gspn_framework_package.analysis.state_space import StateSpace, Step
 
 
 class Liveness(enum.IntEnum):
-    """Levels of liveness of a transition (Murata 1989). In a bounded net L2 (it can fire any number of times) and
-    L3 (it can fire for ever) are the same; L3 is said."""
+    """Levels of liveness of a transition (Murata 1989). In a bounded net L2 (it can fire any number
+    of times) and L3 (it can fire for ever) are the same; L3 is said."""
 
     L0 = 0
     """Dead: it can never fire."""
@@ -41,7 +41,8 @@ class Liveness(enum.IntEnum):
 
 
 class Deadlocks(NamedTuple):
-    """How many reachable markings enable nothing; a shortest way to one, and that marking (None: there is none)."""
+    """How many reachable markings enable nothing; a shortest way to one, and that marking (None:
+    there is none)."""
 
     number: int
     witness: Optional[List[str]]
@@ -62,7 +63,10 @@ class Properties:
     @property
     def bounds(self) -> Dict[str, int]:
         """The most tokens that each place can hold."""
-        return {place.name: most for place, most in zip(self.space.net.places, self.space.store.largest())}
+        return {
+            place.name: most
+            for place, most in zip(self.space.net.places, self.space.store.largest())
+        }
 
     @property
     def k_safe(self) -> int:
@@ -114,7 +118,9 @@ class Properties:
         number = np.full(found.number, -1, dtype=np.int64)
         number[bottom] = np.arange(len(bottom))
         last = number[found.of[sources]]
-        pairs = np.unique(space.transitions[last >= 0].astype(np.int64) * len(bottom) + last[last >= 0])
+        pairs = np.unique(
+            space.transitions[last >= 0].astype(np.int64) * len(bottom) + last[last >= 0]
+        )
         everywhere = np.bincount(pairs // max(len(bottom), 1), minlength=count) == len(bottom)
         level[everywhere] = Liveness.L4
         return {t.name: Liveness(int(v)) for t, v in zip(space.net.transitions, level)}
@@ -130,7 +136,8 @@ class Properties:
         return [name for name, level in self.liveness.items() if level is Liveness.L0]
 
     def way_to(self, states: Any) -> Optional[List[Step]]:
-        """A shortest firing sequence to one of ``states`` (a boolean array), or None when there is none."""
+        """A shortest firing sequence to one of ``states`` (a boolean array), or None when there is
+        none."""
         found = np.flatnonzero(states)
         return self.space.witness(int(found[0])) if len(found) else None
 

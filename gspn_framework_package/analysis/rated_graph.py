@@ -1,7 +1,9 @@
-"""A reachability graph with numbers on its arcs: rates where time passes, probabilities where none does.
+"""A reachability graph with numbers on its arcs: rates where time passes, probabilities where none
+does.
 
-It comes from a net's state space (:func:`rate`), or from a plan under its policy (``plan_analysis``); what follows,
-from the elimination of the vanishing markings on, does not care which.
+It comes from a net's state space (:func:`rate`), or from a plan under its policy
+(``plan_analysis``); what follows, from the elimination of the vanishing markings on, does not care
+which.
 """
 
 from __future__ import annotations
@@ -24,8 +26,8 @@ class RatedGraph(NamedTuple):
     :ivar sources: int array, one value an arc, as the next three.
     :ivar targets: int array.
     :ivar transitions: int array, numbers of transitions.
-    :ivar values: float array: the rate (1/s) of an arc that leaves a tangible state, the probability of one that
-        leaves a vanishing state.
+    :ivar values: float array: the rate (1/s) of an arc that leaves a tangible state, the
+        probability of one that leaves a vanishing state.
     :ivar store: the markings of the states.
     """
 
@@ -61,8 +63,8 @@ class RatedGraph(NamedTuple):
 def rate(space: StateSpace) -> RatedGraph:
     """The state space with rates and probabilities, as the net gives them.
 
-    Exponential transitions work with the servers that the net says; immediate ones of one priority share by
-    weight.
+    Exponential transitions work with the servers that the net says; immediate ones of one priority
+    share by weight.
 
     :raises LimitError: the state space is not complete.
     :raises UsageError: it was explored untimed.
@@ -70,7 +72,9 @@ def rate(space: StateSpace) -> RatedGraph:
     """
     space.require_complete("its Markov chain")
     if space.untimed:
-        raise RefusedError("an untimed state space has no Markov chain", hint="explore it with untimed=False")
+        raise RefusedError(
+            "an untimed state space has no Markov chain", hint="explore it with untimed=False"
+        )
     vanishing = space.is_vanishing
     sources = space.sources
     values = np.empty(space.arcs, dtype=np.float64)
@@ -86,7 +90,9 @@ def rate(space: StateSpace) -> RatedGraph:
                 degree = np.minimum(degree, transition.servers)
             values[arcs] = transition.rate * degree
     _normalise(space, vanishing, sources, values)
-    return RatedGraph(space.net, vanishing, sources, space.targets, space.transitions, values, space.store)
+    return RatedGraph(
+        space.net, vanishing, sources, space.targets, space.transitions, values, space.store
+    )
 
 
 def _arcs_by_transition(transitions: Any) -> Iterator[Tuple[int, Any]]:

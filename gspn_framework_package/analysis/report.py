@@ -1,7 +1,7 @@
 """The report of ``gspn analyse``: answers as plain JSON values, and the same as text for people.
 
-A question that could not be decided has the answer ``null``, and its reason stands under ``undecided``. What is
-infinite is the string ``"infinite"``: JSON has no number for it.
+A question that could not be decided has the answer ``null``, and its reason stands under
+``undecided``. What is infinite is the string ``"infinite"``: JSON has no number for it.
 """
 
 from __future__ import annotations
@@ -19,9 +19,20 @@ from gspn_framework_package.model.errors import CancelledError, LimitError, Refu
 INFINITE = "infinite"
 
 STRUCTURE = (
-    "place_invariants", "transition_invariants", "conservative", "strictly_conservative", "consistent", "repetitive",
-    "siphons", "traps", "unmarked_siphon", "siphons_hold_marked_traps", "unguarded_siphon", "classes", "conflict_sets",
-)  # fmt: skip
+    "place_invariants",
+    "transition_invariants",
+    "conservative",
+    "strictly_conservative",
+    "consistent",
+    "repetitive",
+    "siphons",
+    "traps",
+    "unmarked_siphon",
+    "siphons_hold_marked_traps",
+    "unguarded_siphon",
+    "classes",
+    "conflict_sets",
+)
 """The keys of what the structure alone says."""
 
 COMPONENTS = 10
@@ -31,7 +42,8 @@ COMPONENTS = 10
 class Questions(NamedTuple):
     """What is asked beyond the usual.
 
-    :ivar at: times (s) at which tokens and throughput are wanted; also of ``mean_time_to``, to be there within.
+    :ivar at: times (s) at which tokens and throughput are wanted; also of ``mean_time_to``, to be
+      there within.
     :ivar reach: conditions that may be reachable.
     :ivar cover: markings (place -> count) that may be coverable.
     :ivar mean_time_to: conditions whose first passage is wanted.
@@ -126,9 +138,13 @@ class _Report:
     def structure(self) -> None:
         structure = self.analysis.structure
         self.answer(
-            "place_invariants", lambda: [{"weights": i.weights, "value": i.value} for i in structure.place_invariants]
+            "place_invariants",
+            lambda: [{"weights": i.weights, "value": i.value} for i in structure.place_invariants],
         )
-        self.answer("transition_invariants", lambda: [{"weights": i.weights} for i in structure.transition_invariants])
+        self.answer(
+            "transition_invariants",
+            lambda: [{"weights": i.weights} for i in structure.transition_invariants],
+        )
         self.answer("conservative", lambda: structure.conservative)
         self.answer("strictly_conservative", lambda: structure.strictly_conservative)
         self.answer("consistent", lambda: structure.consistent)
@@ -187,7 +203,10 @@ class _Report:
         )
         self._deadlocks()
         self.answer("live", lambda: analysis.properties.live)
-        self.answer("liveness", lambda: {name: level.name for name, level in analysis.properties.liveness.items()})
+        self.answer(
+            "liveness",
+            lambda: {name: level.name for name, level in analysis.properties.liveness.items()},
+        )
         self.answer("dead_transitions", lambda: analysis.properties.dead_transitions)
         self.answer("reversible", lambda: analysis.reversible)
         self.answer("home_states", lambda: self._home())
@@ -197,12 +216,19 @@ class _Report:
         space = self.analysis.space
         dead = space.deadlocks
         if space.complete or len(dead):
-            data: Dict[str, Any] = {"count": len(dead) if space.complete else None, "witness": None, "marking": None}
+            data: Dict[str, Any] = {
+                "count": len(dead) if space.complete else None,
+                "witness": None,
+                "marking": None,
+            }
             if len(dead):
                 data["witness"] = space.path_to(int(dead[0]))
                 data["marking"] = space.named(int(dead[0]))
             if not space.complete:
-                self.undecided["deadlocks.count"] = "%d found within %s, which are not all" % (len(dead), space.extent)
+                self.undecided["deadlocks.count"] = "%d found within %s, which are not all" % (
+                    len(dead),
+                    space.extent,
+                )
             self.data["deadlocks"] = data
         else:
             self.data["deadlocks"] = None
@@ -236,8 +262,8 @@ class _Report:
         def compute() -> Dict[str, Any]:
             found = self.analysis.reach(condition)
             if found.reachable is None:
-                self.undecided["reach.%s" % condition] = "not found within %s, which are not all" % (
-                    self.analysis.space.extent
+                self.undecided["reach.%s" % condition] = (
+                    "not found within %s, which are not all" % (self.analysis.space.extent)
                 )
             return _reachability(condition, found)
 
@@ -260,23 +286,32 @@ class _Report:
 
     def steady_state(self, rewards: Mapping[str, float]) -> None:
         def compute() -> Dict[str, Any]:
-            steady, measures, chain = self.analysis.steady, self.analysis.measures, self.analysis.chain
+            steady, measures, chain = (
+                self.analysis.steady,
+                self.analysis.measures,
+                self.analysis.chain,
+            )
             data = _measures(measures)
             data["mean_waiting_time"] = measures.mean_waiting_time
             data["residual"] = steady.residual
             data["method"] = steady.method
             told = steady.likeliest(COMPONENTS)
-            data["components"] = [self._component(component, len(steady.components) > 1) for component in told]
+            data["components"] = [
+                self._component(component, len(steady.components) > 1) for component in told
+            ]
             data["component_count"] = len(steady.components)
             dead = self.analysis.space.is_dead
             data["deadlock_count"] = sum(
-                len(c.states) == 1 and bool(dead[chain.states[c.states[0]]]) for c in steady.components
+                len(c.states) == 1 and bool(dead[chain.states[c.states[0]]])
+                for c in steady.components
             )
-            data["probability_of_other_components"] = max(1.0 - sum(c.probability for c in told), 0.0) * (
-                len(steady.components) > len(told)
-            )
+            data["probability_of_other_components"] = max(
+                1.0 - sum(c.probability for c in told), 0.0
+            ) * (len(steady.components) > len(told))
             for place in self.analysis.left_out:
-                self.undecided["steady_state.mean_tokens.%s" % place] = "only written; it was left out"
+                self.undecided["steady_state.mean_tokens.%s" % place] = (
+                    "only written; it was left out"
+                )
             if rewards:
                 data["reward"] = self._reward(measures, rewards)
             return data
@@ -284,14 +319,18 @@ class _Report:
         self.answer("steady_state", compute)
 
     def _component(self, component: Component, several: bool) -> Dict[str, Any]:
-        """A recurrent class: how large it is, how probable, whether it is a deadlock, and its most probable marking."""
+        """A recurrent class: how large it is, how probable, whether it is a deadlock, and its most
+        probable marking."""
         chain = self.analysis.chain
         likeliest = int(component.states[int(component.distribution.argmax())])
         part: Dict[str, Any] = {
             "states": len(component.states),
             "probability": component.probability,
-            "deadlock": len(component.states) == 1 and bool(self.analysis.space.is_dead[chain.states[likeliest]]),
-            "marking": chain.graph.net.named(chain.graph.marking(int(chain.states[likeliest])), zeros=False),
+            "deadlock": len(component.states) == 1
+            and bool(self.analysis.space.is_dead[chain.states[likeliest]]),
+            "marking": chain.graph.net.named(
+                chain.graph.marking(int(chain.states[likeliest])), zeros=False
+            ),
         }
         if several:
             whole = np.zeros(len(chain))
@@ -332,7 +371,9 @@ class _Report:
                 "residual": found.residual,
             }
 
-        self.data.setdefault("mean_time_to", []).append(self._try("mean_time_to.%s" % condition, compute))
+        self.data.setdefault("mean_time_to", []).append(
+            self._try("mean_time_to.%s" % condition, compute)
+        )
 
     def finish(self) -> None:
         self.data["undecided"] = self.undecided
@@ -343,7 +384,8 @@ def _measures(measures: Measures) -> Dict[str, Any]:
         "mean_tokens": measures.mean_tokens,
         "throughput": measures.throughput,
         "token_distribution": {
-            place: {str(n): v for n, v in counts.items()} for place, counts in measures.token_distribution.items()
+            place: {str(n): v for n, v in counts.items()}
+            for place, counts in measures.token_distribution.items()
         },
     }
 
@@ -374,7 +416,16 @@ def _plain(value: Any) -> Any:
 
 def rows(data: Mapping[str, Any]) -> Iterator[Tuple[str, str, Any]]:
     """The numbers of a report as rows (measure, name, value), for CSV."""
-    for key in ("places", "transitions", "arcs", "bounded", "k_safe", "live", "reversible", "conservative"):
+    for key in (
+        "places",
+        "transitions",
+        "arcs",
+        "bounded",
+        "k_safe",
+        "live",
+        "reversible",
+        "conservative",
+    ):
         yield key, "", data.get(key)
     for name, value in (data.get("states") or {}).items():
         yield "states", name, value
@@ -395,4 +446,8 @@ def rows(data: Mapping[str, Any]) -> Iterator[Tuple[str, str, Any]]:
         if entry:
             yield "mean_time_to", entry["condition"], entry["mean_time"]
             for within in entry["within"]:
-                yield "probability within %g s" % within["time"], entry["condition"], within["probability"]
+                yield (
+                    "probability within %g s" % within["time"],
+                    entry["condition"],
+                    within["probability"],
+                )

@@ -1,7 +1,8 @@
 """Discrete-event simulation of a net, or of a plan under its policy, with confidence intervals.
 
-Many independent replications advance in step: one round draws the next event of each of them. Markings are worked
-out once, when a replication first comes there, so that a round is a handful of array operations.
+Many independent replications advance in step: one round draws the next event of each of them.
+Markings are worked out once, when a replication first comes there, so that a round is a handful of
+array operations.
 
 >>> from gspn_framework_package.model.builder import NetBuilder
 >>> net = (NetBuilder().place("up", tokens=1).place("down")
@@ -39,8 +40,8 @@ _WAIT = -1  # the transition of an arc on which robots only wait
 
 
 class Estimate(NamedTuple):
-    """A mean over the replications, with the half width of its confidence interval (infinite for one
-    replication)."""
+    """A mean over the replications, with the half width of its confidence interval (infinite for
+    one replication)."""
 
     mean: float
     half_width: float
@@ -57,7 +58,8 @@ class Simulation(NamedTuple):
     :ivar token_distribution: place -> number of tokens -> share of time.
     :ivar end_time: when a replication ended (s): at the condition, or at ``time``.
     :ivar reached: share of the replications that came to the condition; None without one.
-    :ivar time_to_condition: of those that came there, when (s); None without a condition, or when none did.
+    :ivar time_to_condition: of those that came there, when (s); None without a condition, or when
+      none did.
     :ivar events: firings in all.
     """
 
@@ -82,7 +84,8 @@ class Simulation(NamedTuple):
         for key in ("mean_tokens", "throughput"):
             data[key] = {name: _estimate_json(value) for name, value in data[key].items()}
         data["token_distribution"] = {
-            place: {str(n): share for n, share in counts.items()} for place, counts in self.token_distribution.items()
+            place: {str(n): share for n, share in counts.items()}
+            for place, counts in self.token_distribution.items()
         }
         data["time"] = self.time if math.isfinite(self.time) else None
         return data
@@ -117,21 +120,35 @@ def simulate(
     _check_numbers(subject, time, replications, warmup, until, confidence)
     plan = subject if isinstance(subject, Plan) else None
     if plan is not None:
-        condition = until if plan.until is None else plan.until if until is None else "(%s) or (%s)" % (
-            plan.until, until)  # fmt: skip
+        condition = (
+            until
+            if plan.until is None
+            else plan.until
+            if until is None
+            else "(%s) or (%s)" % (plan.until, until)
+        )
         rules: Union[PlanRules, NetRules] = PlanRules(replace(plan, until=condition))
     else:
         assert isinstance(subject, Net)
         names = [p.name for p in subject.places]
         condition = until
-        rules = NetRules(subject, parse_condition(until, names, ["deadlock"]) if until is not None else None)
-    runs = _Runs(_Graph(rules), replications, time, warmup, np.random.Generator(np.random.PCG64(seed)))
+        rules = NetRules(
+            subject, parse_condition(until, names, ["deadlock"]) if until is not None else None
+        )
+    runs = _Runs(
+        _Graph(rules), replications, time, warmup, np.random.Generator(np.random.PCG64(seed))
+    )
     runs.go(Watch(progress, cancel))
     return _summary(runs, rules.net, seed, confidence, condition is not None)
 
 
 def _check_numbers(
-    subject: Union[Net, Plan], time: float, replications: int, warmup: float, until: Optional[str], confidence: float
+    subject: Union[Net, Plan],
+    time: float,
+    replications: int,
+    warmup: float,
+    until: Optional[str],
+    confidence: float,
 ) -> None:
     if math.isnan(time) or time <= 0:
         raise UsageError("a run of %g s makes no sense" % time)
@@ -142,7 +159,9 @@ def _check_numbers(
     if not 0 <= warmup < time:
         raise UsageError("a warm-up of %g s does not fit a run of %g s" % (warmup, time))
     if not 0 < confidence < 1:
-        raise UsageError("a confidence of %g makes no sense" % confidence, hint="give a number between 0 and 1")
+        raise UsageError(
+            "a confidence of %g makes no sense" % confidence, hint="give a number between 0 and 1"
+        )
 
 
 class _Graph:
@@ -206,7 +225,9 @@ class _Graph:
             return
         outcomes = [] if waiting else rules.outcomes(marking)
         if outcomes:
-            arcs = [(_WAIT if o.transition is None else o.transition, o.probability) for o in outcomes]
+            arcs = [
+                (_WAIT if o.transition is None else o.transition, o.probability) for o in outcomes
+            ]
             self.exit[number] = math.inf
             total = 1.0
         else:
@@ -237,7 +258,9 @@ class _Graph:
 class _Runs:
     """All replications on their way."""
 
-    def __init__(self, graph: _Graph, count: int, time: float, warmup: float, random: np.random.Generator) -> None:
+    def __init__(
+        self, graph: _Graph, count: int, time: float, warmup: float, random: np.random.Generator
+    ) -> None:
         net = graph.rules.net
         self.graph = graph
         self.time, self.warmup = time, warmup
@@ -295,8 +318,10 @@ class _Runs:
             state[active] = self._follow(here, arcs)
             timeless[active] = np.where(np.isinf(graph.exit[here]), timeless[active] + 1, 0)
             if len(active) and timeless[active].max() > TIMELESS_FIRINGS:
-                raise RefusedError("more than %d firings without time between them" % TIMELESS_FIRINGS,
-                                   hint="a cycle of immediate transitions must have a way out")  # fmt: skip
+                raise RefusedError(
+                    "more than %d firings without time between them" % TIMELESS_FIRINGS,
+                    hint="a cycle of immediate transitions must have a way out",
+                )
             rounds += 1
             if rounds % 64 == 0:
                 watch.step("events", self.events)
@@ -318,7 +343,9 @@ class _Runs:
         for p, share in enumerate(self.shares):
             counts = self.graph.markings[states, p]
             values, of = np.unique(counts, return_inverse=True)
-            for count, seconds in zip(values.tolist(), np.bincount(of.reshape(-1), weights=spent[states]).tolist()):
+            for count, seconds in zip(
+                values.tolist(), np.bincount(of.reshape(-1), weights=spent[states]).tolist()
+            ):
                 share[count] = share.get(count, 0.0) + seconds
 
     def _forget(self, state: Any, active: Any) -> Any:
@@ -342,8 +369,13 @@ def _summary(runs: _Runs, net: Net, seed: int, confidence: float, conditional: b
         replications=runs.count,
         seed=seed,
         confidence=confidence,
-        mean_tokens={p.name: _ratio(runs.tokens[:, i], seconds, confidence) for i, p in enumerate(net.places)},
-        throughput={t.name: _ratio(runs.firings[:, i], seconds, confidence) for i, t in enumerate(net.transitions)},
+        mean_tokens={
+            p.name: _ratio(runs.tokens[:, i], seconds, confidence) for i, p in enumerate(net.places)
+        },
+        throughput={
+            t.name: _ratio(runs.firings[:, i], seconds, confidence)
+            for i, t in enumerate(net.transitions)
+        },
         token_distribution={
             p.name: {n: s / whole for n, s in sorted(runs.shares[i].items())} if whole > 0 else {}
             for i, p in enumerate(net.places)
@@ -365,7 +397,8 @@ def _estimate(samples: Any, confidence: float) -> Estimate:
 
 
 def _ratio(amounts: Any, seconds: Any, confidence: float) -> Estimate:
-    """Amount per second: the ratio estimator, since runs that end at a condition differ in length."""
+    """Amount per second: the ratio estimator, since runs that end at a condition differ in
+    length."""
     whole = float(seconds.sum())
     if whole <= 0:
         return Estimate(math.nan, math.inf)
@@ -375,4 +408,6 @@ def _ratio(amounts: Any, seconds: Any, confidence: float) -> Estimate:
 
 
 def _estimate_json(estimate: Estimate) -> Dict[str, Optional[float]]:
-    return {key: value if math.isfinite(value) else None for key, value in estimate._asdict().items()}
+    return {
+        key: value if math.isfinite(value) else None for key, value in estimate._asdict().items()
+    }

@@ -1,14 +1,15 @@
 """Siphons and traps: sets of places that stay empty once they are, or marked once they are.
 
-A *siphon* is a set of places such that every transition that puts a token into it also takes one out of it; a
-*trap* is the same with the directions exchanged. The minimal ones are listed by branching on the places of one
-already found, each branch without one of its places. What a minimal set holds hangs together in both directions (every
-place of it is fed, through others of it, by every other), so each strongly connected part of the net is searched by
-itself. There can be exponentially many; the work stops at a limit and says so. Inhibitor arcs play no part.
+A *siphon* is a set of places such that every transition that puts a token into it also takes one
+out of it; a *trap* is the same with the directions exchanged. The minimal ones are listed by
+branching on the places of one already found, each branch without one of its places. What a minimal
+set holds hangs together in both directions (every place of it is fed, through others of it, by
+every other), so each strongly connected part of the net is searched by itself. There can be
+exponentially many; the work stops at a limit and says so. Inhibitor arcs play no part.
 
-What asks for no list is decided without one: the largest siphon or trap inside a set of places, and whether every
-siphon holds a marked trap (:func:`unguarded_siphon`), for which only the siphons are looked at that avoid the marked
-traps found so far.
+What asks for no list is decided without one: the largest siphon or trap inside a set of places, and
+whether every siphon holds a marked trap (:func:`unguarded_siphon`), for which only the siphons are
+looked at that avoid the marked traps found so far.
 """
 
 from __future__ import annotations
@@ -33,18 +34,24 @@ class PlaceSet(NamedTuple):
     marked: bool
 
 
-def minimal_siphons(net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None) -> List[PlaceSet]:
-    """The minimal siphons, by size. :raises LimitError: the search took more than ``limit`` steps."""
+def minimal_siphons(
+    net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
+) -> List[PlaceSet]:
+    """The minimal siphons, by size. :raises LimitError: the search took more than ``limit``
+    steps."""
     return _listed(net, _siphon_rules(net), Effort(limit, watch))
 
 
-def minimal_traps(net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None) -> List[PlaceSet]:
+def minimal_traps(
+    net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
+) -> List[PlaceSet]:
     """The minimal traps, by size. :raises LimitError: the search took more than ``limit`` steps."""
     return _listed(net, _trap_rules(net), Effort(limit, watch))
 
 
 def largest_siphon(net: Net, within: Iterable[str]) -> Tuple[str, ...]:
-    """The largest siphon inside a set of places (names), in the order of the net; it may be empty."""
+    """The largest siphon inside a set of places (names), in the order of the net; it may be
+    empty."""
     return _largest(net, _siphon_rules(net), within)
 
 
@@ -60,8 +67,8 @@ def unguarded_siphon(
     *,
     minimal: Optional[Sequence[PlaceSet]] = None,
 ) -> Optional[PlaceSet]:
-    """A siphon that holds no marked trap; None where every siphon holds one (Commoner's condition, with which an
-    ordinary net without priorities, inhibitor arcs and capacities has no deadlock).
+    """A siphon that holds no marked trap; None where every siphon holds one (Commoner's condition,
+    with which an ordinary net without priorities, inhibitor arcs and capacities has no deadlock).
 
     :param minimal: the minimal siphons, where they are known: then nothing is searched for.
     :raises LimitError: the search took more than ``limit`` steps.
@@ -117,9 +124,9 @@ def _marked_part(trap: _Inside, marked: Set[int]) -> Set[int]:
 
 
 class _Rules(NamedTuple):
-    """Who asks for what: every transition of ``feeding[p]`` (numbers of transitions) must take from the set that has
-    place ``p``; transition ``t`` takes from ``taking[t]`` (numbers of places), and feeds ``fed[t]``; ``asking`` has
-    for each place the transitions that take from it."""
+    """Who asks for what: every transition of ``feeding[p]`` (numbers of transitions) must take from
+    the set that has place ``p``; transition ``t`` takes from ``taking[t]`` (numbers of places), and
+    feeds ``fed[t]``; ``asking`` has for each place the transitions that take from it."""
 
     feeding: Sequence[Sequence[int]]
     taking: Sequence[Sequence[int]]
@@ -140,15 +147,19 @@ def _sets(arcs: Sequence[Sequence[Tuple[int, int]]]) -> List[Tuple[int, ...]]:
 
 
 class _Inside:
-    """The largest siphon (trap) inside a set of places, and how it changes when a place leaves that set.
+    """The largest siphon (trap) inside a set of places, and how it changes when a place leaves that
+    set.
 
     :ivar places: the numbers of its places.
     """
 
-    def __init__(self, rules: _Rules, places: Set[int], left: Dict[int, int], effort: Effort) -> None:
+    def __init__(
+        self, rules: _Rules, places: Set[int], left: Dict[int, int], effort: Effort
+    ) -> None:
         self.rules = rules
         self.places = places
-        self._left = left  # for each transition, how many of the places that it takes from are in ``places``
+        # for each transition, how many of the places that it takes from are in ``places``
+        self._left = left
         self._effort = effort
 
     @classmethod
@@ -187,8 +198,8 @@ class _Inside:
                     leaving.extend(q for q in rules.fed[t] if q in places)
 
     def demand(self, required: Iterable[int]) -> Tuple[Set[int], bool, bool]:
-        """What a set inside this one must have that has ``required``: those places; whether such a set is possible;
-        whether the demanded places are one by themselves."""
+        """What a set inside this one must have that has ``required``: those places; whether such a
+        set is possible; whether the demanded places are one by themselves."""
         needed = set(required)
         fresh = list(needed)
         open_transitions: Set[int] = set()
@@ -226,7 +237,8 @@ class _Inside:
         targets: List[int] = []
         transitions = sorted({t for p in chosen for t in self.rules.feeding[p]})
         count = len(chosen)
-        for row, t in enumerate(transitions):  # through a node for the transition: as few arcs as in the net
+        # through a node for the transition: as few arcs as in the net
+        for row, t in enumerate(transitions):
             for q in self.rules.taking[t]:
                 if q in number:
                     sources.append(number[q])
@@ -237,7 +249,9 @@ class _Inside:
                     targets.append(number[p])
         self._effort.spend(len(sources), _PLACES)
         nodes = count + len(transitions)
-        graph = sparse.csr_matrix((np.ones(len(sources), np.int8), (sources, targets)), shape=(nodes, nodes))
+        graph = sparse.csr_matrix(
+            (np.ones(len(sources), np.int8), (sources, targets)), shape=(nodes, nodes)
+        )
         _, of = csgraph.connected_components(graph, connection="strong")
         found: Dict[int, Set[int]] = {}
         for i, component in enumerate(of[:count].tolist()):
@@ -264,7 +278,8 @@ class _Found:
         self._first.add(min(places))
 
     def within(self, places: Set[int]) -> List[FrozenSet[int]]:
-        """Those inside a set of places. Where a net falls into thousands of parts, as a rule there is none."""
+        """Those inside a set of places. Where a net falls into thousands of parts, as a rule there
+        is none."""
         if self._first.isdisjoint(places):
             return []
         return [s for s in self.sets if s <= places]
@@ -273,7 +288,9 @@ class _Found:
 def _minimal_sets(rules: _Rules, count: int, effort: Effort) -> Set[FrozenSet[int]]:
     """All minimal sets."""
     found = _Found()
-    waiting: List[Tuple[_Inside, int, FrozenSet[int]]] = [(_Inside.of(rules, range(count), effort), -1, frozenset())]
+    waiting: List[Tuple[_Inside, int, FrozenSet[int]]] = [
+        (_Inside.of(rules, range(count), effort), -1, frozenset())
+    ]
     while waiting:
         inside, without, required = waiting.pop()
         effort.spend(1, _PLACES, "%d found" % len(found.sets))
@@ -306,8 +323,8 @@ def _branch(
     found: _Found,
     waiting: List[Tuple[_Inside, int, FrozenSet[int]]],
 ) -> None:
-    """Look for the minimal sets that are inside a strongly connected one and hold all of ``required``: put one into
-    ``found``, and what may hold others into ``waiting``."""
+    """Look for the minimal sets that are inside a strongly connected one and hold all of
+    ``required``: put one into ``found``, and what may hold others into ``waiting``."""
     needed, possible, closed = inside.demand(required)
     if not possible:
         return
@@ -328,7 +345,8 @@ def _branch(
                 return
             if closed:
                 break
-    if closed and needed and frozenset(needed) not in found.sets:  # what has all of them is that set, or larger
+    # what has all of them is that set, or larger
+    if closed and needed and frozenset(needed) not in found.sets:
         found.add(_shrunk(_Inside.of(inside.rules, needed, effort)))
 
 
@@ -362,6 +380,8 @@ def _largest(net: Net, rules: _Rules, within: Iterable[str]) -> Tuple[str, ...]:
 def _named(net: Net, found: Iterable[Iterable[int]]) -> List[PlaceSet]:
     sets = sorted((sorted(places) for places in found), key=lambda numbers: (len(numbers), numbers))
     return [
-        PlaceSet(tuple(net.places[p].name for p in numbers), any(net.initial_marking[p] for p in numbers))
+        PlaceSet(
+            tuple(net.places[p].name for p in numbers), any(net.initial_marking[p] for p in numbers)
+        )
         for numbers in sets
     ]

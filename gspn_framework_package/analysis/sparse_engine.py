@@ -1,8 +1,8 @@
 """Exploration of the reachable markings of nets of thousands of places, one marking at a time.
 
-A marking is kept as what differs from the initial one, and its enabled transitions come from those of the marking
-before: only the transitions around the places that the firing changed are looked at. So a firing costs what it changes,
-and not what the net has.
+A marking is kept as what differs from the initial one, and its enabled transitions come from those
+of the marking before: only the transitions around the places that the firing changed are looked at.
+So a firing costs what it changes, and not what the net has.
 """
 
 from __future__ import annotations
@@ -34,14 +34,15 @@ _MANY = 64
 """Transitions from which on it is worth it to fire them all together."""
 
 _WHOLE = 4_000_000
-"""Up to this many entries the markings are told as they are, and not as what differs from the initial one."""
+"""Up to this many entries the markings are told as they are, and not as what differs from the
+initial one."""
 
 
 def explore(
     net: Net, limit: int, watch: Watch, *, by_priority: bool = True, room: Room = ENDLESS
 ) -> Tuple[RawGraph, SparseStore, Any]:
-    """The reachability graph (without its ``states``), the markings, and the order of the transitions: engine order to
-    number in the net.
+    """The reachability graph (without its ``states``), the markings, and the order of the
+    transitions: engine order to number in the net.
 
     :param limit: the exploration ends when more than this many states are known.
     :param room: it also ends where this is used up.
@@ -107,9 +108,12 @@ class _Rules:
         if any(net.inhibitors) or any(place.capacity is not None for place in net.places):
             self._limits = [tuple(thresholds(net, t).items()) for t in self.order]
         self._effects = [net.effect(t) for t in self.order]
-        self._looking: List[List[int]] = [[] for _ in net.places]  # at each place: the transitions that look at it
-        self._taking: List[List[int]] = [[] for _ in net.places]  # and those of them that take from it
-        self._always = [row for row, needs in enumerate(self._needs) if not needs]  # they take from none
+        # at each place: the transitions that look at it
+        self._looking: List[List[int]] = [[] for _ in net.places]
+        # and those of them that take from it
+        self._taking: List[List[int]] = [[] for _ in net.places]
+        # they take from none
+        self._always = [row for row, needs in enumerate(self._needs) if not needs]
         for row, needs in enumerate(self._needs):
             for p, _ in needs:
                 self._looking[p].append(row)
@@ -123,11 +127,16 @@ class _Rules:
     def enabled_at_first(self) -> Tuple[int, ...]:
         return tuple(t for t in range(len(self.order)) if self._is_enabled({}, t))
 
-    def enabled_after(self, marking: Dict[int, int], before: Tuple[int, ...], fired: int) -> Tuple[int, ...]:
-        """What is enabled in ``marking``, which came from one that enabled ``before``, when ``fired`` fired there."""
+    def enabled_after(
+        self, marking: Dict[int, int], before: Tuple[int, ...], fired: int
+    ) -> Tuple[int, ...]:
+        """What is enabled in ``marking``, which came from one that enabled ``before``, when
+        ``fired`` fired there."""
         work = len(before) + sum(len(self._looking[p]) for p, _ in self._effects[fired])
         if len(self._marked) + len(marking) < work // 4:
-            marked = [p for p in self._marked if p not in marking] + [p for p, count in marking.items() if count]
+            marked = [p for p in self._marked if p not in marking] + [
+                p for p, count in marking.items() if count
+            ]
             if len(self._always) + sum(len(self._taking[p]) for p in marked) < work:
                 return self._enabled_by(marking, marked)
         near: Set[int] = set()
@@ -139,8 +148,8 @@ class _Rules:
         return tuple(found)
 
     def _enabled_by(self, marking: Dict[int, int], marked: Sequence[int]) -> Tuple[int, ...]:
-        """What is enabled, by the places that are marked: where they are few, and the firing emptied a place that
-        thousands of transitions take from."""
+        """What is enabled, by the places that are marked: where they are few, and the firing
+        emptied a place that thousands of transitions take from."""
         near = set(self._always)
         for p in marked:
             near.update(self._taking[p])
@@ -187,18 +196,23 @@ class _Rules:
 
 
 class _Together:
-    """Fires many transitions in one marking, all at once: in a net with thousands of tokens each marking has
-    thousands of successors, and one by one they take five times as long."""
+    """Fires many transitions in one marking, all at once: in a net with thousands of tokens each
+    marking has thousands of successors, and one by one they take five times as long."""
 
     def __init__(self, net: Net, effects: Sequence[Sequence[Tuple[int, int]]]) -> None:
         self._net = net
         self._initial = np.array(net.initial_marking, dtype=np.int64)
         flat = [item for effect in effects for item in effect]
         self._places = np.array([p for p, _ in flat], dtype=np.int64)
-        # More than MAX_WIDTH bits are too many, however many more there are; and two such numbers can be added.
+        # More than MAX_WIDTH bits are too many, however many more there are; and two such numbers
+        # can be added.
         most = 1 << MAX_WIDTH
-        self._changes = np.array([max(-most, min(change, most)) for _, change in flat], dtype=np.int64)
-        self._ends = np.concatenate([[0], np.cumsum([len(effect) for effect in effects], dtype=np.int64)])
+        self._changes = np.array(
+            [max(-most, min(change, most)) for _, change in flat], dtype=np.int64
+        )
+        self._ends = np.concatenate(
+            [[0], np.cumsum([len(effect) for effect in effects], dtype=np.int64)]
+        )
 
     def successors(self, marking: Dict[int, int], firing: Sequence[int]) -> Iterable[bytes]:
         """See :meth:`_Rules.successors`."""
@@ -213,10 +227,15 @@ class _Together:
         large = np.flatnonzero(counts >> MAX_WIDTH)
         if len(large):
             raise _too_large(self._net, int(places[large[0]]))
-        # What a firing changes comes before what differed already, so that of two it is what counts.
+        # What a firing changes comes before what differed already, so that of two it is what
+        # counts.
         size = len(now)
-        keys = np.concatenate([np.repeat(np.arange(len(rows)), end - begin) * size + places,
-                               _grid(len(rows), differing, size)])  # fmt: skip
+        keys = np.concatenate(
+            [
+                np.repeat(np.arange(len(rows)), end - begin) * size + places,
+                _grid(len(rows), differing, size),
+            ]
+        )
         counts = np.concatenate([counts, np.tile(now[differing], len(rows))])
         keys, first = np.unique(keys, return_index=True)
         places, counts = keys % size, counts[first]
@@ -255,7 +274,8 @@ def _store(net: Net, keys: List[bytes]) -> SparseStore:
     marked = np.flatnonzero(initial)
     if len(keys) * len(marked) + len(places) > _WHOLE:
         return SparseStore(initial, offsets, places, counts)
-    # The marked places of every state, and what became of them: so a place that is never empty has no rest.
+    # The marked places of every state, and what became of them: so a place that is never empty has
+    # no rest.
     states = np.repeat(np.arange(len(keys)), lengths)
     key = np.concatenate([states * len(initial) + places, _grid(len(keys), marked, len(initial))])
     value = np.concatenate([counts, np.tile(initial[marked], len(keys))])
@@ -264,7 +284,10 @@ def _store(net: Net, keys: List[bytes]) -> SparseStore:
     key, value = key[value != 0], value[value != 0]
     state, place = key // len(initial), key % len(initial)
     return SparseStore(
-        np.zeros_like(initial), np.searchsorted(state, np.arange(len(keys) + 1)), place.astype(np.int32), value
+        np.zeros_like(initial),
+        np.searchsorted(state, np.arange(len(keys) + 1)),
+        place.astype(np.int32),
+        value,
     )
 
 

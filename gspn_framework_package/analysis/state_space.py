@@ -2,7 +2,8 @@
 
 >>> from gspn_framework_package.model.builder import NetBuilder
 >>> net = (NetBuilder().place("a", tokens=2).place("b")
-...        .exponential("go", inputs="a", outputs="b").exponential("back", inputs="b", outputs="a").build())
+...        .exponential("go", inputs="a", outputs="b")
+...        .exponential("back", inputs="b", outputs="a").build())
 >>> space = explore(net)
 >>> len(space), space.arcs, space.complete
 (3, 4, True)
@@ -40,13 +41,16 @@ from gspn_framework_package.model.net import Marking, Net
 ENGINES = ("auto", "numpy", "numba", "sparse")
 
 _SPARSE = 1 << 15
-"""Machine words of all transitions from which on markings are explored one at a time, as what changes in them."""
+"""Machine words of all transitions from which on markings are explored one at a time, as what
+changes in them."""
 
 _SMALL = 1_500_000
-"""Up to this many states numpy is done before numba's machine code is even loaded, which takes more than a second."""
+"""Up to this many states numpy is done before numba's machine code is even loaded, which takes more
+than a second."""
 
 _FEW_ROUNDS = 5_000
-"""Rounds that numpy is given for them, a second or so: it is slow where the graph is deep and narrow."""
+"""Rounds that numpy is given for them, a second or so: it is slow where the graph is deep and
+narrow."""
 
 _INVARIANT_EFFORT = 100_000
 """Steps of a search for invariants that narrow fields are worth."""
@@ -66,13 +70,15 @@ class StateSpace:
 
     :ivar net: the net.
     :ivar untimed: whether immediate transitions had no precedence.
-    :ivar offsets: int array of ``len(self) + 1``: the arcs of state ``s`` are ``offsets[s]`` to ``offsets[s + 1]``.
+    :ivar offsets: int array of ``len(self) + 1``: the arcs of state ``s`` are ``offsets[s]`` to
+      ``offsets[s + 1]``.
     :ivar targets: int array: the state that each arc leads to.
     :ivar transitions: int array: the number of the transition of each arc.
     :ivar explored: the successors of this many states are known.
     :ivar engine: what explored it, ``numpy``, ``numba`` or ``sparse``.
     :ivar store: the markings.
-    :ivar shortage: what there was too little of, where it is not complete: the option to raise, and how much there was.
+    :ivar shortage: what there was too little of, where it is not complete: the option to raise, and
+      how much there was.
     """
 
     def __init__(
@@ -95,7 +101,9 @@ class StateSpace:
         self.targets = graph.targets
         self.explored = graph.explored
         in_file_order = bool((np.diff(order) > 0).all())
-        self.transitions = graph.labels if in_file_order else order.astype(graph.labels.dtype)[graph.labels]
+        self.transitions = (
+            graph.labels if in_file_order else order.astype(graph.labels.dtype)[graph.labels]
+        )
         self._parents: Optional[Any] = None
 
     def __len__(self) -> int:
@@ -114,12 +122,16 @@ class StateSpace:
     @property
     def memory(self) -> int:
         """Bytes that the arrays take."""
-        return int(self.store.nbytes + self.offsets.nbytes + self.targets.nbytes + self.transitions.nbytes)
+        return int(
+            self.store.nbytes + self.offsets.nbytes + self.targets.nbytes + self.transitions.nbytes
+        )
 
     def require_complete(self, question: str) -> None:
         """:raises LimitError: the limit on states was met, so that ``question`` is not decided."""
         if not self.complete:
-            raise LimitError("not decided within %s" % self.extent, element=question, hint=self.hint)
+            raise LimitError(
+                "not decided within %s" % self.extent, element=question, hint=self.hint
+            )
 
     @property
     def extent(self) -> str:
@@ -132,7 +144,7 @@ class StateSpace:
         """For people: what to do where it is not complete."""
         return "raise %s, or ask about a smaller net" % (self.shortage[0] or "--limit")
 
-    # -- markings ---------------------------------------------------------------------------------------
+    # -- markings ----------------------------------------------------------------------------------
 
     def marking(self, state: int) -> Marking:
         """The marking of one state."""
@@ -143,16 +155,18 @@ class StateSpace:
         return self.net.named(self.marking(state), zeros=False)
 
     def markings(self, states: Any = None) -> Any:
-        """Markings as an int64 array, one row a state, one column a place; of all states, or of those numbered
-        (or sliced, or masked) by ``states``."""
+        """Markings as an int64 array, one row a state, one column a place; of all states, or of
+        those numbered (or sliced, or masked) by ``states``."""
         return self.store.rows(states)
 
     def column(self, place: int, states: Any = None) -> Any:
-        """Token counts of place number ``place`` in every state, or in ``states``, as an int64 array."""
+        """Token counts of place number ``place`` in every state, or in ``states``, as an int64
+        array."""
         return self.store.column(place, states)
 
     def find(self, marking: Union[Sequence[int], Mapping[str, int]]) -> Optional[int]:
-        """The number of the state with that marking (in place order, or place -> count), or None."""
+        """The number of the state with that marking (in place order, or place -> count), or
+        None."""
         counts = self.net.marking(marking) if isinstance(marking, Mapping) else tuple(marking)
         found = self.store.find(counts)
         return int(found[0]) if len(found) else None
@@ -177,7 +191,7 @@ class StateSpace:
         """A condition on the markings of this net; ``deadlock`` may be part of it."""
         return parse_condition(text, [p.name for p in self.net.places], ["deadlock"])
 
-    # -- kinds of states --------------------------------------------------------------------------------
+    # -- kinds of states ---------------------------------------------------------------------------
 
     @property
     def is_dead(self) -> Any:
@@ -200,7 +214,7 @@ class StateSpace:
         """Numbers of the states in which no transition is enabled."""
         return np.flatnonzero(self.is_dead)
 
-    # -- arcs -------------------------------------------------------------------------------------------
+    # -- arcs --------------------------------------------------------------------------------------
 
     @property
     def sources(self) -> Any:
@@ -210,14 +224,18 @@ class StateSpace:
     def successors(self, state: int) -> List[Tuple[str, int]]:
         """Pairs (transition, state) of one state."""
         part = slice(self.offsets[state], self.offsets[state + 1])
-        return [(self.transition_name(t), int(s)) for t, s in zip(self.transitions[part], self.targets[part])]
+        return [
+            (self.transition_name(t), int(s))
+            for t, s in zip(self.transitions[part], self.targets[part])
+        ]
 
     def transition_name(self, transition: int) -> str:
         """The name of transition number ``transition``."""
         return self.net.transitions[transition].name
 
     def path_to(self, state: int) -> List[str]:
-        """Names of the transitions of a shortest firing sequence from the initial marking to ``state``."""
+        """Names of the transitions of a shortest firing sequence from the initial marking to
+        ``state``."""
         return [self.transition_name(t) for t, _ in self._way_to(state)]
 
     def witness(self, state: int) -> List[Step]:
@@ -261,27 +279,33 @@ def explore(
     """Find the reachable markings.
 
     :param limit: stop soon after this many states are known; the result then is not ``complete``.
-    :param engine: ``numpy``, ``numba``, ``sparse``, or ``auto``: sparse for nets of thousands of places, numba for
-        large state spaces, where it is installed.
-    :param untimed: let immediate transitions have no precedence over others, nor priorities among themselves: what
-        the robots of a plan, which take time in decision places too, can reach.
+    :param engine: ``numpy``, ``numba``, ``sparse``, or ``auto``: sparse for nets of thousands of
+        places, numba for large state spaces, where it is installed.
+    :param untimed: let immediate transitions have no precedence over others, nor priorities among
+        themselves: what the robots of a plan, which take time in decision places too, can reach.
     :param progress: told the number of states now and then.
     :param cancel: asked now and then.
-    :param bounds: of each place, the most tokens it can hold (None: unknown), if the caller knows; otherwise
-        the P-invariants are asked. A bound that is too low costs time, never correctness.
+    :param bounds: of each place, the most tokens it can hold (None: unknown), if the caller knows;
+        otherwise the P-invariants are asked. A bound that is too low costs time, never correctness.
     :param memory: stop when it takes more than so many bytes.
     :param seconds: stop after so long.
     :raises CancelledError: ``cancel`` said so.
     :raises UsageError: the engine is not there.
     """
     if engine not in ENGINES:
-        raise UsageError("there is no engine '%s'" % engine, hint="choose among %s" % ", ".join(ENGINES))
+        raise UsageError(
+            "there is no engine '%s'" % engine, hint="choose among %s" % ", ".join(ENGINES)
+        )
     if limit < 1:
-        raise UsageError("a limit of %d states makes no sense" % limit, hint="give a number of at least 1")
+        raise UsageError(
+            "a limit of %d states makes no sense" % limit, hint="give a number of at least 1"
+        )
     watch = Watch(progress, cancel)
     room = Room(memory, time.monotonic() + seconds)
 
-    def space(store: Union[PackedStore, SparseStore], graph: RawGraph, order: Any, name: str) -> StateSpace:
+    def space(
+        store: Union[PackedStore, SparseStore], graph: RawGraph, order: Any, name: str
+    ) -> StateSpace:
         shortage = ("--limit", "")
         if len(store) <= limit:
             shortage = ("--limit-memory", "%.3g GB" % (memory / 1e9))
@@ -306,13 +330,16 @@ def explore(
 
 def _is_sparse(net: Net) -> bool:
     """Whether the machine words of the markings would be many, and their transitions too."""
-    return len(net.transitions) * (len(net.places) // 21 + 1) > _SPARSE  # 21 fields of 3 bits in a word
+    # 21 fields of 3 bits in a word
+    return len(net.transitions) * (len(net.places) // 21 + 1) > _SPARSE
 
 
 def _run_sparse(
     net: Net, limit: int, watch: Watch, untimed: bool, room: Room
 ) -> Tuple[SparseStore, RawGraph, Any]:
-    graph, store, order = sparse_engine.explore(net, limit, watch, by_priority=not untimed, room=room)
+    graph, store, order = sparse_engine.explore(
+        net, limit, watch, by_priority=not untimed, room=room
+    )
     return store, graph, order
 
 
@@ -326,17 +353,23 @@ class _Columns:
         return self._space.column(place, self._part)
 
 
-def _run(packed: PackedNet, limit: int, watch: Watch, engine: str, room: Room) -> Tuple[RawGraph, str]:
+def _run(
+    packed: PackedNet, limit: int, watch: Watch, engine: str, room: Room
+) -> Tuple[RawGraph, str]:
     if engine == "numpy" or (engine == "auto" and not numba_is_there()):
         return numpy_engine.explore(packed, limit, watch, room=room), "numpy"
     if engine == "auto" and "%s.numba_engine" % __package__ not in sys.modules:
-        graph = numpy_engine.explore(packed, min(limit, _SMALL), watch, rounds=_FEW_ROUNDS, room=room)
+        graph = numpy_engine.explore(
+            packed, min(limit, _SMALL), watch, rounds=_FEW_ROUNDS, room=room
+        )
         if graph.explored == len(graph.states) or len(graph.states) > limit or not room.left(0):
             return graph, "numpy"
     try:
         from gspn_framework_package.analysis import numba_engine
     except ImportError as error:
-        raise UsageError("the engine numba is not there: %s" % error, hint="install numba, or choose numpy") from None
+        raise UsageError(
+            "the engine numba is not there: %s" % error, hint="install numba, or choose numpy"
+        ) from None
     return numba_engine.explore(packed, limit, watch, room=room), "numba"
 
 

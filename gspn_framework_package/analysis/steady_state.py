@@ -1,6 +1,7 @@
 """The steady state of a Markov chain.
 
-The recurrent classes are found first; each has its own stationary distribution, and a probability to end up in it.
+The recurrent classes are found first; each has its own stationary distribution, and a probability
+to end up in it.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ class SteadyState(NamedTuple):
 
     :ivar chain: the chain.
     :ivar distribution: float array over its states: the long-run share of time in each.
-    :ivar components: the recurrent classes by their first state, each with the probability to end up in it.
+    :ivar components: the recurrent classes by their first state, each with the probability to end
+      up in it.
     :ivar residual: of the worst of the linear systems behind it, relative to its largest term.
     :ivar method: how the largest of them was solved.
     """
@@ -54,7 +56,8 @@ def steady_state(
     """The steady state.
 
     :param seconds: longest time.
-    :raises LimitError: a linear system was not solved to an acceptable residual, or the time was over.
+    :raises LimitError: a linear system was not solved to an acceptable residual, or the time was
+      over.
     :raises CancelledError: ``cancel`` said so.
     """
     watch = Watch(progress, cancel, seconds=seconds)
@@ -62,7 +65,9 @@ def steady_state(
     reached = _absorption(chain, classes, watch)
     distribution = np.zeros(len(chain))
     components, worst, method, largest = [], reached.residual, reached.method, 0
-    for states, probability, solution in zip(classes, reached.values, _stationary_in_each(chain, classes, watch)):
+    for states, probability, solution in zip(
+        classes, reached.values, _stationary_in_each(chain, classes, watch)
+    ):
         components.append(Component(states, float(probability), solution.values))
         distribution[states] = probability * solution.values
         worst = max(worst, solution.residual)
@@ -88,8 +93,9 @@ def _stationary_in_each(chain: Chain, classes: List[Any], watch: Watch) -> Itera
 
 
 def _stationary_together(chain: Chain, classes: List[Any]) -> List[Solution]:
-    """The stationary distributions over small recurrent classes, by one decomposition: nothing leads from one to
-    another, so each is a block of it, with its own first state as the measure of the others."""
+    """The stationary distributions over small recurrent classes, by one decomposition: nothing
+    leads from one to another, so each is a block of it, with its own first state as the measure of
+    the others."""
     order = np.concatenate(classes)
     ends = np.cumsum([len(states) for states in classes])
     begins = ends - [len(states) for states in classes]
@@ -116,7 +122,8 @@ def _stationary_together(chain: Chain, classes: List[Any]) -> List[Solution]:
 
 
 def _part(matrix: Any, states: Any, size: int) -> Any:
-    """The rows and columns ``states`` of a square sparse matrix (CSR) in which they are only joined to each other."""
+    """The rows and columns ``states`` of a square sparse matrix (CSR) in which they are only joined
+    to each other."""
     number = np.full(size, -1, dtype=matrix.indices.dtype)
     number[states] = np.arange(len(states))
     begin, end = matrix.indptr[states], matrix.indptr[states + 1]
@@ -152,7 +159,9 @@ def _absorption(chain: Chain, classes: List[Any], watch: Watch) -> Solution:
     if len(inside) and chain.initial[inside].any():
         among = _part(chain.inflow, inside, len(chain))
         order = sweep_order(chain, inside)
-        times = solve(among, chain.exit_rates[inside], chain.initial[inside], order=order, watch=watch)
+        times = solve(
+            among, chain.exit_rates[inside], chain.initial[inside], order=order, watch=watch
+        )
         flows = chain.rates[inside].T @ times.values
         inflow = inflow + flows
         worst, method = times.residual, times.method

@@ -44,9 +44,10 @@ class NetClasses(NamedTuple):
     :ivar state_machine: ordinary; every transition has one input and one output place.
     :ivar marked_graph: ordinary; every place has one input and one output transition.
     :ivar free_choice: ordinary; a place with several output transitions is the only input of each.
-    :ivar extended_free_choice: ordinary; transitions that share an input place have the same input places.
-    :ivar asymmetric_choice: ordinary; of two places that share an output transition, one has all the output
-        transitions of the other.
+    :ivar extended_free_choice: ordinary; transitions that share an input place have the same input
+      places.
+    :ivar asymmetric_choice: ordinary; of two places that share an output transition, one has all
+        the output transitions of the other.
     :ivar inhibitors: it has inhibitor arcs (which the other classes do not look at).
     """
 
@@ -73,17 +74,24 @@ def classify(net: Net) -> NetClasses:
         pure=all(not before[t] & after[t] for t in numbers),
         state_machine=ordinary and all(len(before[t]) == 1 == len(after[t]) for t in numbers),
         marked_graph=ordinary
-        and all(len(net.consumers[p]) == 1 == len(net.producers[p]) for p in range(len(net.places))),
+        and all(
+            len(net.consumers[p]) == 1 == len(net.producers[p]) for p in range(len(net.places))
+        ),
         free_choice=ordinary and all(len(before[t]) == 1 for ts in shared for t in ts),
-        extended_free_choice=ordinary and all(before[t] == before[ts[0]] for ts in shared for t in ts),
-        asymmetric_choice=ordinary and all(leaving[p] <= leaving[q] for p, q in _neighbours(before, leaving)),
+        extended_free_choice=ordinary
+        and all(before[t] == before[ts[0]] for ts in shared for t in ts),
+        asymmetric_choice=ordinary
+        and all(leaving[p] <= leaving[q] for p, q in _neighbours(before, leaving)),
         inhibitors=any(net.inhibitors),
     )
 
 
-def _neighbours(before: Sequence[FrozenSet[int]], leaving: Sequence[FrozenSet[int]]) -> Set[Tuple[int, int]]:
-    """Pairs of places that share an output transition, the one with fewer of them first: as many as tell whether of
-    any two places that do, one has all that the other has. Each is there once: a place may have 50,000 of them."""
+def _neighbours(
+    before: Sequence[FrozenSet[int]], leaving: Sequence[FrozenSet[int]]
+) -> Set[Tuple[int, int]]:
+    """Pairs of places that share an output transition, the one with fewer of them first: as many as
+    tell whether of any two places that do, one has all that the other has. Each is there once: a
+    place may have 50,000 of them."""
     found: Set[Tuple[int, int]] = set()
     for places in before:
         if len(places) > 1:
@@ -93,12 +101,14 @@ def _neighbours(before: Sequence[FrozenSet[int]], leaving: Sequence[FrozenSet[in
 
 
 def conflict_sets(net: Net) -> List[Tuple[str, ...]]:
-    """The extended structural conflict sets (Ajmone Marsan et al. 1995): groups of transitions of one kind and
-    priority that can take tokens from each other or inhibit each other, directly or through others. Transitions
-    without a conflict are left out."""
+    """The extended structural conflict sets (Ajmone Marsan et al. 1995): groups of transitions of
+    one kind and priority that can take tokens from each other or inhibit each other, directly or
+    through others. Transitions without a conflict are left out."""
     groups: Dict[Tuple[bool, int], List[int]] = {}
     for t, transition in enumerate(net.transitions):
-        groups.setdefault((transition.timed, 0 if transition.timed else transition.priority), []).append(t)
+        groups.setdefault(
+            (transition.timed, 0 if transition.timed else transition.priority), []
+        ).append(t)
     found = []
     inhibited_by: List[List[int]] = [[] for _ in net.places]
     for t, arcs in enumerate(net.inhibitors):
@@ -140,7 +150,8 @@ class Structure:
         self, net: Net, *, limit: int = STRUCTURE_LIMIT, watch: Optional[Callable[[], Watch]] = None
     ) -> None:
         """:param limit: elementary steps of each search at most.
-        :param watch: makes the watch of a search: where it tells progress and asks whether to stop."""
+        :param watch: makes the watch of a search: where it tells progress and asks whether to
+          stop."""
         self.net = net
         self._limit = limit
         self._watch = watch or Watch
@@ -168,7 +179,8 @@ class Structure:
 
     @property
     def unguarded_siphon(self) -> Optional[PlaceSet]:
-        """A siphon without a marked trap; see :func:`~gspn_framework_package.analysis.siphons.unguarded_siphon`."""
+        """A siphon without a marked trap; see
+        :func:`~gspn_framework_package.analysis.siphons.unguarded_siphon`."""
 
         def search(net: Net, limit: int, watch: Watch) -> Optional[PlaceSet]:
             try:
@@ -196,8 +208,8 @@ class Structure:
 
     @property
     def conservative(self) -> bool:
-        """Whether a weighted sum over *all* places stays the same: every place is in a P-invariant (then the net
-        is bounded)."""
+        """Whether a weighted sum over *all* places stays the same: every place is in a P-invariant
+        (then the net is bounded)."""
         try:
             covered = {name for i in self.place_invariants for name in i.weights}
         except LimitError:
@@ -211,7 +223,9 @@ class Structure:
     @property
     def strictly_conservative(self) -> bool:
         """Whether every firing keeps the number of tokens."""
-        return all(sum(c for _, c in self.net.effect(t)) == 0 for t in range(len(self.net.transitions)))
+        return all(
+            sum(c for _, c in self.net.effect(t)) == 0 for t in range(len(self.net.transitions))
+        )
 
     @property
     def consistent(self) -> bool:
@@ -228,8 +242,8 @@ class Structure:
 
     @property
     def repetitive(self) -> bool:
-        """Whether some marking allows every transition to fire infinitely often: there are firing counts, all
-        above 0, that lose no token."""
+        """Whether some marking allows every transition to fire infinitely often: there are firing
+        counts, all above 0, that lose no token."""
         if all(change >= 0 for change in self._change_of_all):
             return True
         try:

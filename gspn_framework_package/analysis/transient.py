@@ -1,7 +1,7 @@
 """How a Markov chain evolves: distributions at given times, by uniformisation (Jensen 1953).
 
-``distribution(t) = sum over k of Poisson(k; rate * t) * initial * P**k``, with P the chain seen at the ticks of a
-Poisson clock that is at least as fast as every state.
+``distribution(t) = sum over k of Poisson(k; rate * t) * initial * P**k``, with P the chain seen at
+the ticks of a Poisson clock that is at least as fast as every state.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ ERROR = 1e-12
 
 
 class Transient(NamedTuple):
-    """The chain at one time: ``time`` (s), ``distribution`` (float array over the states of the chain)."""
+    """The chain at one time: ``time`` (s), ``distribution`` (float array over the states of the
+    chain)."""
 
     time: float
     distribution: Any
@@ -35,10 +36,14 @@ class Evolution:
     :param initial: another distribution to start from.
     """
 
-    def __init__(self, chain: Chain, initial: Optional[Any] = None, *, watch: Optional[Watch] = None) -> None:
+    def __init__(
+        self, chain: Chain, initial: Optional[Any] = None, *, watch: Optional[Watch] = None
+    ) -> None:
         self.chain = chain
         self.time = 0.0
-        self.distribution = np.array(chain.initial if initial is None else initial, dtype=np.float64)
+        self.distribution = np.array(
+            chain.initial if initial is None else initial, dtype=np.float64
+        )
         self._clock = float(chain.exit_rates.max(initial=0.0)) * 1.02
         self._watch = watch or Watch()
         self._stays: Optional[Any] = None
@@ -114,15 +119,19 @@ def time_to_steady_state(
     cancel: Optional[Cancel] = None,
     seconds: float = math.inf,
 ) -> float:
-    """The time (s), to about 1 %, from which on the distribution stays within ``tolerance`` of the steady state
-    (half the sum of absolute differences, the total variation distance).
+    """The time (s), to about 1 %, from which on the distribution stays within ``tolerance`` of the
+    steady state (half the sum of absolute differences, the total variation distance).
 
     :param seconds: longest time that the work may take.
     :raises LimitError: the steady state was not found, or it took longer.
     """
     if not 0 < tolerance < 1:
-        raise UsageError("a tolerance of %g makes no sense" % tolerance, hint="give a number between 0 and 1")
-    goal = (steady or steady_state(chain, progress=progress, cancel=cancel, seconds=seconds)).distribution
+        raise UsageError(
+            "a tolerance of %g makes no sense" % tolerance, hint="give a number between 0 and 1"
+        )
+    goal = (
+        steady or steady_state(chain, progress=progress, cancel=cancel, seconds=seconds)
+    ).distribution
     watch = Watch(progress, cancel, seconds=seconds)
 
     def away(vector: Any) -> float:
@@ -152,8 +161,8 @@ def time_to_steady_state(
 
 
 def poisson(mean: float) -> Tuple[int, Any]:
-    """The Poisson weights that matter: the first count, and the weights from there on; what is left out sums to
-    less than :data:`ERROR`."""
+    """The Poisson weights that matter: the first count, and the weights from there on; what is left
+    out sums to less than :data:`ERROR`."""
     spread = 8 * math.sqrt(mean) + 24
     first = max(0, int(mean - spread))
     counts = np.arange(first, int(mean + spread) + 1)

@@ -1,7 +1,8 @@
-"""Elimination of vanishing states: where does one go, without time, when one comes into such a state?
+"""Elimination of vanishing states: where does one go, without time, when one comes into such a
+state?
 
-Cycles of immediate firings are taken apart first (each by one small linear system); what is left has levels, and is
-worked off level by level.
+Cycles of immediate firings are taken apart first (each by one small linear system); what is left
+has levels, and is worked off level by level.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from gspn_framework_package.model.errors import RefusedError
 
 
 class _Cycle(NamedTuple):
-    """A strongly connected set of vanishing states; ``visits[i, j]``: how often ``j`` is visited on the way out
-    when one enters at ``i``."""
+    """A strongly connected set of vanishing states; ``visits[i, j]``: how often ``j`` is visited on
+    the way out when one enters at ``i``."""
 
     states: Any
     visits: Any
@@ -46,8 +47,8 @@ class Elimination:
         self._level, acyclic = longest_levels(len(kept), self._sources[inner], self._targets[inner])
         assert acyclic
         self.ends = self._solve()
-        """Sparse matrix: row = any state, column = number of a state that stays: the probability to get there
-        without time. A state that stays leads to itself."""
+        """Sparse matrix: row = any state, column = number of a state that stays: the probability to
+        get there without time. A state that stays leads to itself."""
 
     def _take_cycles_apart(self) -> None:
         inner = ~self._kept[self._targets]
@@ -70,12 +71,17 @@ class Elimination:
         out = mine & ~inside
         if not out.any():
             raise RefusedError(
-                "a timeless trap: immediate transitions go round for ever from %s" % self._graph.text(int(states[0])),
+                "a timeless trap: immediate transitions go round for ever from %s"
+                % self._graph.text(int(states[0])),
                 hint="a cycle of immediate transitions must have a way out",
             )
         shape = (len(states), len(states))
         stay = sparse.csr_matrix(
-            (self._values[inside], (position[self._sources[inside]], position[self._targets[inside]])), shape=shape
+            (
+                self._values[inside],
+                (position[self._sources[inside]], position[self._targets[inside]]),
+            ),
+            shape=shape,
         )
         visits = np.linalg.inv(np.eye(len(states)) - stay.toarray())
         leave = sparse.csr_matrix(
@@ -84,13 +90,16 @@ class Elimination:
         )
         leaving = (sparse.csr_matrix(visits) @ leave).tocoo()
         self._sources = np.concatenate([self._sources[~mine], states[leaving.row]])
-        self._targets = np.concatenate([self._targets[~mine], leaving.col.astype(self._targets.dtype)])
+        self._targets = np.concatenate(
+            [self._targets[~mine], leaving.col.astype(self._targets.dtype)]
+        )
         self._values = np.concatenate([self._values[~mine], leaving.data])
         self._cycles.append(_Cycle(states, visits))
 
     def _solve(self) -> Any:
         kept = self._kept
-        begin = np.zeros(len(kept), dtype=np.int64)  # where the row of each state begins in columns, values
+        # where the row of each state begins in columns, values
+        begin = np.zeros(len(kept), dtype=np.int64)
         length = np.zeros(len(kept), dtype=np.int64)
         columns, values = Growing(np.int64), Growing(np.float64)
         own = np.flatnonzero(kept)
@@ -99,7 +108,9 @@ class Elimination:
         values.extend(np.ones(len(own)))
         order = np.argsort(self._level[self._sources], kind="stable")
         sources, targets, weights = self._sources[order], self._targets[order], self._values[order]
-        ends = np.searchsorted(self._level[sources], np.arange(int(self._level.max(initial=0)) + 1), side="right")
+        ends = np.searchsorted(
+            self._level[sources], np.arange(int(self._level.max(initial=0)) + 1), side="right"
+        )
         first = 0
         for last in ends.tolist():
             arcs = slice(first, last)
@@ -111,20 +122,24 @@ class Elimination:
             rows = np.repeat(sources[arcs], length[to])
             data = np.repeat(weights[arcs], length[to]) * values.array[entries]
             states, row = np.unique(rows, return_inverse=True)
-            block = sparse.csr_matrix((data, (row.reshape(-1), columns.array[entries])), shape=(len(states), len(own)))
+            block = sparse.csr_matrix(
+                (data, (row.reshape(-1), columns.array[entries])), shape=(len(states), len(own))
+            )
             begin[states] = columns.used + block.indptr[:-1]
             length[states] = np.diff(block.indptr)
             columns.extend(block.indices)
             values.extend(block.data)
         entries = flat_ranges(begin, begin + length)
         offsets = np.concatenate([[0], np.cumsum(length)])
-        return sparse.csr_matrix((values.array[entries], columns.array[entries], offsets), shape=(len(kept), len(own)))
+        return sparse.csr_matrix(
+            (values.array[entries], columns.array[entries], offsets), shape=(len(kept), len(own))
+        )
 
     def visits(self, inflow: Any) -> Any:
         """How often each vanishing state is visited per unit of time.
 
-        :param inflow: float array over all states: how often it is entered per unit of time from states that
-            stay (other entries are ignored).
+        :param inflow: float array over all states: how often it is entered per unit of time from
+            states that stay (other entries are ignored).
         """
         visits = np.where(self._kept, 0.0, inflow)
         inner = ~self._kept[self._targets]
@@ -144,7 +159,7 @@ class Elimination:
 
 
 def eliminate(graph: RatedGraph, kept: Optional[Any] = None) -> Tuple[Any, Elimination]:
-    """The states that stay (as a boolean array; the tangible ones, and those of ``kept``) and the elimination of
-    the others."""
+    """The states that stay (as a boolean array; the tangible ones, and those of ``kept``) and the
+    elimination of the others."""
     stay = ~graph.vanishing if kept is None else ~graph.vanishing | kept
     return stay, Elimination(graph, stay)

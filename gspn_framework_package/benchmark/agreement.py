@@ -2,8 +2,8 @@
 
 ``python3 -m gspn_framework_package.benchmark.agreement --schedules 10000``
 
-Exit codes: 0 no violation, 1 a violation (told with the schedule that shows it), 2 wrong usage, 130 interrupted (with
-Ctrl-C or SIGTERM; what was done until then is told).
+Exit codes: 0 no violation, 1 a violation (told with the schedule that shows it), 2 wrong usage, 130
+interrupted (with Ctrl-C or SIGTERM; what was done until then is told).
 """
 
 from __future__ import annotations
@@ -29,16 +29,32 @@ TELL_EVERY = 30.0
 
 
 SHARES = {
-    "": 33, "operator": 20, "power": 12, "spare": 5, "tight": 10, "amnesia": 6, "calm": 2,
-    "freeze": 2, "link": 1, "sleep": 1, "leave": 2, "rivals": 2, "late": 1, "archive": 3,
-}  # fmt: skip
+    "": 33,
+    "operator": 20,
+    "power": 12,
+    "spare": 5,
+    "tight": 10,
+    "amnesia": 6,
+    "calm": 2,
+    "freeze": 2,
+    "link": 1,
+    "sleep": 1,
+    "leave": 2,
+    "rivals": 2,
+    "late": 1,
+    "archive": 3,
+}
 """Kinds of schedules, and how many of a hundred are of that kind."""
 
 
 def draw_schedules(
-    first_seed: int, number: int, sizes: Optional[List[int]] = None, kinds: Optional[List[str]] = None
+    first_seed: int,
+    number: int,
+    sizes: Optional[List[int]] = None,
+    kinds: Optional[List[str]] = None,
 ) -> Iterator[Schedule]:
-    """Schedules with the seeds from ``first_seed`` on; sizes, modes and kinds are drawn by the seed."""
+    """Schedules with the seeds from ``first_seed`` on; sizes, modes and kinds are drawn by the
+    seed."""
     for seed in range(first_seed, first_seed + number):
         source = random.Random(seed)
         if sizes:
@@ -46,7 +62,11 @@ def draw_schedules(
         else:
             robots = source.choices(list(SIZES), list(SIZES.values()))[0]
         partial = source.random() < 0.5
-        kind = source.choice(kinds) if kinds else source.choices(list(SHARES), list(SHARES.values()))[0]
+        kind = (
+            source.choice(kinds)
+            if kinds
+            else source.choices(list(SHARES), list(SHARES.values()))[0]
+        )
         yield Schedule(seed, robots, partial, kind)
 
 
@@ -54,11 +74,25 @@ def main(arguments: Optional[List[str]] = None) -> int:
     """Run the benchmark; the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     kinds = ", ".join(kind for kind in KINDS if kind)
-    parser.add_argument("--schedules", type=int, default=2000, metavar="N", help="how many (default %(default)s)")
-    parser.add_argument("--seed", type=int, metavar="S", help="the first seed (default: by the clock)")
-    parser.add_argument("--robots", type=int, nargs="+", metavar="N", help="team sizes (default: 1 to 13)")
-    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), metavar="KIND", help="what goes wrong: %s" % kinds)
-    parser.add_argument("--only", metavar="SEED:N:MODE", help="run just this schedule, e.g. 17:3:full:power")
+    parser.add_argument(
+        "--schedules", type=int, default=2000, metavar="N", help="how many (default %(default)s)"
+    )
+    parser.add_argument(
+        "--seed", type=int, metavar="S", help="the first seed (default: by the clock)"
+    )
+    parser.add_argument(
+        "--robots", type=int, nargs="+", metavar="N", help="team sizes (default: 1 to 13)"
+    )
+    parser.add_argument(
+        "--kinds",
+        nargs="+",
+        choices=list(KINDS),
+        metavar="KIND",
+        help="what goes wrong: %s" % kinds,
+    )
+    parser.add_argument(
+        "--only", metavar="SEED:N:MODE", help="run just this schedule, e.g. 17:3:full:power"
+    )
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after that time")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     args = parser.parse_args(arguments)
@@ -79,9 +113,18 @@ def main(arguments: Optional[List[str]] = None) -> int:
     return 130 if result["interrupted"] else 0
 
 
-def run(schedules: Iterator[Schedule], number: int, seconds: Optional[float] = None) -> Dict[str, Any]:
+def run(
+    schedules: Iterator[Schedule], number: int, seconds: Optional[float] = None
+) -> Dict[str, Any]:
     """Run the schedules; the sums over all of them, and every violation."""
-    sums: Dict[str, Any] = {"schedules": 0, "blocked": 0, "slots": 0, "firings": 0, "messages": 0, "steps": 0}
+    sums: Dict[str, Any] = {
+        "schedules": 0,
+        "blocked": 0,
+        "slots": 0,
+        "firings": 0,
+        "messages": 0,
+        "steps": 0,
+    }
     faults: Dict[str, int] = {}
     sizes: Dict[str, int] = {}
     violations = []
@@ -125,7 +168,8 @@ def run(schedules: Iterator[Schedule], number: int, seconds: Optional[float] = N
 
 
 class _Progress:
-    """Tells on standard error how far a run is: one line that is rewritten on a terminal, else a line now and then."""
+    """Tells on standard error how far a run is: one line that is rewritten on a terminal, else a
+    line now and then."""
 
     def __init__(self, number: int) -> None:
         self._number = number
@@ -139,7 +183,12 @@ class _Progress:
             return
         self._next = passed + (0.2 if self._terminal else TELL_EVERY)
         rate = done / passed * 60
-        text = "%d of %d schedules, %d violations, %.0f a minute" % (done, self._number, violations, rate)
+        text = "%d of %d schedules, %d violations, %.0f a minute" % (
+            done,
+            self._number,
+            violations,
+            rate,
+        )
         sys.stderr.write("\r" + text.ljust(78) if self._terminal else "agreement: " + text + "\n")
         sys.stderr.flush()
 
@@ -165,7 +214,9 @@ def tell(result: Dict[str, Any]) -> None:
         "machine",
     ):
         value = result[key]
-        print("%-22s %s" % (key.replace("_", " "), len(value) if isinstance(value, list) else value))
+        print(
+            "%-22s %s" % (key.replace("_", " "), len(value) if isinstance(value, list) else value)
+        )
     for title in ("teams", "faults"):
         print("%-22s %s" % (title, ", ".join("%s: %d" % pair for pair in result[title].items())))
     if result["interrupted"]:

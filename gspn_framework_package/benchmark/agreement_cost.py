@@ -1,8 +1,9 @@
 """What agreement costs, counted in one-way delays and messages, in a simulated network where every
 message takes the same time and nothing is lost.
 
-``python3 -m gspn_framework_package.benchmark.agreement_cost`` counts with waits that suit the delay;
-``--delay 0.05`` with those of real nodes in a network of that delay, and actions of a twentieth of a second.
+``python3 -m gspn_framework_package.benchmark.agreement_cost`` counts with waits that suit the
+delay; ``--delay 0.05`` with those of real nodes in a network of that delay, and actions of a
+twentieth of a second.
 """
 
 from __future__ import annotations
@@ -32,7 +33,12 @@ TOKENS = 2
 
 
 def measure(
-    robots: int, partial: bool, load: str, action: Tuple[float, float], delay: float = DELAY, seconds: float = 6.0
+    robots: int,
+    partial: bool,
+    load: str,
+    action: Tuple[float, float],
+    delay: float = DELAY,
+    seconds: float = 6.0,
 ) -> Dict[str, Any]:
     """Delays and messages per fact.
 
@@ -95,9 +101,19 @@ def main(arguments: Optional[List[str]] = None) -> int:
         world_module.PACE = Pace()
     else:
         loads = {load: (least * DELAY, most * DELAY) for load, (least, most) in LOADS.items()}
-        world_module.PACE = world_module.PACE._replace(retry=20 * DELAY, takeover=60 * DELAY, backoff=4 * DELAY)
+        world_module.PACE = world_module.PACE._replace(
+            retry=20 * DELAY, takeover=60 * DELAY, backoff=4 * DELAY
+        )
     if not args.json:
-        titles = ("mode", "robots", "load", "delays, median", "delays, mean", "messages a fact", "messages a firing")
+        titles = (
+            "mode",
+            "robots",
+            "load",
+            "delays, median",
+            "delays, mean",
+            "messages a fact",
+            "messages a firing",
+        )
         print("%-8s %-6s %-10s %14s %14s %16s %18s" % titles)
     for partial in (False, True):
         for robots in args.robots:
@@ -108,8 +124,11 @@ def main(arguments: Optional[List[str]] = None) -> int:
                 if args.json:
                     print(json.dumps(row), flush=True)
                 else:
-                    print("%(mode)-8s %(robots)-6d %(load)-10s %(delays_median)14s %(delays_mean)14s "
-                          "%(messages_per_fact)16s %(messages_per_firing)18s" % row, flush=True)  # fmt: skip
+                    print(
+                        "%(mode)-8s %(robots)-6d %(load)-10s %(delays_median)14s %(delays_mean)14s "
+                        "%(messages_per_fact)16s %(messages_per_firing)18s" % row,
+                        flush=True,
+                    )
     return 0
 
 

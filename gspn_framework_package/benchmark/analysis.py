@@ -1,11 +1,13 @@
 """State spaces and steady states against Storm, in one run.
 
-``python3 -m gspn_framework_package.benchmark.analysis [--quick] [--part PART] [--markdown FILE] [--json FILE]``
+``python3 -m gspn_framework_package.benchmark.analysis [--quick] [--part PART] [--markdown FILE]
+[--json FILE]``
 
-Every measurement is a process of its own, so that its peak memory is its own too; each is repeated, engine after
-engine (not those that take more than 10 s), and the fastest counts. Times are what a clock on the wall says: the numba
-engine uses all cores, Storm and numpy one, so close what else runs. Compiled code is loaded before the clock starts.
-Storm builds with its sparse engine and maximal progress. Where stormpy is not installed its columns stay empty.
+Every measurement is a process of its own, so that its peak memory is its own too; each is repeated,
+engine after engine (not those that take more than 10 s), and the fastest counts. Times are what a
+clock on the wall says: the numba engine uses all cores, Storm and numpy one, so close what else
+runs. Compiled code is loaded before the clock starts. Storm builds with its sparse engine and
+maximal progress. Where stormpy is not installed its columns stay empty.
 """
 
 from __future__ import annotations
@@ -20,14 +22,28 @@ from pathlib import Path
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from gspn_framework_package.benchmark import nets
-from gspn_framework_package.benchmark.machine import LIBRARIES, describe_machine, machine_line, table
+from gspn_framework_package.benchmark.machine import (
+    LIBRARIES,
+    describe_machine,
+    machine_line,
+    table,
+)
 from gspn_framework_package.benchmark.nets import FAMILIES
 from gspn_framework_package.model.net import Net
 
 SPACES = (
-    ("kanban", 3), ("kanban", 4), ("kanban", 5), ("fms", 4), ("fms", 5), ("philosophers", 12), ("philosophers", 14),
-    ("philosophers", 16), ("polling", 15), ("courier", 1), ("courier", 2),
-)  # fmt: skip
+    ("kanban", 3),
+    ("kanban", 4),
+    ("kanban", 5),
+    ("fms", 4),
+    ("fms", 5),
+    ("philosophers", 12),
+    ("philosophers", 14),
+    ("philosophers", 16),
+    ("polling", 15),
+    ("courier", 1),
+    ("courier", 2),
+)
 QUICK_SPACES = (("kanban", 3), ("fms", 3), ("philosophers", 12))
 CHAINS = (("kanban", 3), ("kanban", 4), ("fms", 2), ("fms", 3), ("polling", 12), ("courier", 1))
 QUICK_CHAINS = (("kanban", 3), ("fms", 2))
@@ -36,10 +52,16 @@ ENGINES = ("storm", "numba", "numpy")
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
     """Run the benchmark, or (with ``--worker``) one measurement of it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--quick", action="store_true", help="small nets only")
-    parser.add_argument("--part", choices=("spaces", "chains"), help="state spaces, or Markov chains; else both")
-    parser.add_argument("--repeat", type=int, default=3, metavar="N", help="of each measurement (default 3)")
+    parser.add_argument(
+        "--part", choices=("spaces", "chains"), help="state spaces, or Markov chains; else both"
+    )
+    parser.add_argument(
+        "--repeat", type=int, default=3, metavar="N", help="of each measurement (default 3)"
+    )
     parser.add_argument("--markdown", metavar="FILE", help="write the tables there too")
     parser.add_argument("--json", metavar="FILE", help="write all measurements there")
     parser.add_argument("--worker", nargs=4, help=argparse.SUPPRESS)
@@ -62,7 +84,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     return 0
 
 
-# -- measuring ----------------------------------------------------------------------------------------------
+# -- measuring -------------------------------------------------------------------------------------
 
 Measurement = Dict[str, Any]
 
@@ -85,7 +107,10 @@ def _measure_all(work: str, which: Sequence[Tuple[str, int]], repeat: int) -> Li
                 row[engine]["peak_mb"] = min(r["peak_mb"] for r in results)
         counts = {row[e]["states"] for e in ENGINES if e in row and "states" in row[e]}
         assert len(counts) <= 1, "the engines disagree on %s: %s" % (row["net"], counts)
-        print("%s: %s" % (row["net"], {e: row[e]["seconds"] for e in ENGINES if e in row}), file=sys.stderr)
+        print(
+            "%s: %s" % (row["net"], {e: row[e]["seconds"] for e in ENGINES if e in row}),
+            file=sys.stderr,
+        )
         found.append(row)
     return found
 
@@ -93,11 +118,17 @@ def _measure_all(work: str, which: Sequence[Tuple[str, int]], repeat: int) -> Li
 def _measure(work: str, engine: str, family: str, size: int) -> Optional[Measurement]:
     command = [sys.executable, "-m", "gspn_framework_package.benchmark.analysis"]
     done = subprocess.run(
-        [*command, "--worker", work, engine, family, str(size)], capture_output=True,
-        text=True, timeout=1800, check=False,
-    )  # fmt: skip
+        [*command, "--worker", work, engine, family, str(size)],
+        capture_output=True,
+        text=True,
+        timeout=1800,
+        check=False,
+    )
     if done.returncode:
-        print("%s %s %d: %s" % (engine, family, size, done.stderr.strip().splitlines()[-1]), file=sys.stderr)
+        print(
+            "%s %s %d: %s" % (engine, family, size, done.stderr.strip().splitlines()[-1]),
+            file=sys.stderr,
+        )
         return None
     result: Measurement = json.loads(done.stdout.splitlines()[-1])
     return result
@@ -118,7 +149,9 @@ def _space(engine: str, net: Net) -> Measurement:
             jani = storm_jani(net)
             options = stormpy.BuilderOptions()
             options.set_apply_maximal_progress_assumption(True)
-            return (lambda: stormpy.build_model(jani, options=options)), (lambda model: model.nr_states)
+            return (lambda: stormpy.build_model(jani, options=options)), (
+                lambda model: model.nr_states
+            )
 
     else:
         from gspn_framework_package.analysis.state_space import explore
@@ -137,7 +170,8 @@ def _space(engine: str, net: Net) -> Measurement:
 
 
 def _chain(engine: str, net: Net) -> Measurement:
-    """Time (s) of building the chain and of its steady state; the probability that the first place is not empty."""
+    """Time (s) of building the chain and of its steady state; the probability that the first place
+    is not empty."""
     place = net.places[0].name
     if engine == "storm":
         return _storm_chain(net, place)
@@ -157,9 +191,13 @@ def _chain(engine: str, net: Net) -> Measurement:
     done = time.perf_counter()
     value = float(steady.distribution[chain.column(0) >= 1].sum())
     return {
-        "build": built - start, "seconds": done - built, "value": value, "residual": steady.residual,
-        "method": steady.method, "peak_mb": max(_peak() - before, 0.0),
-    }  # fmt: skip
+        "build": built - start,
+        "seconds": done - built,
+        "value": value,
+        "residual": steady.residual,
+        "method": steady.method,
+        "peak_mb": max(_peak() - before, 0.0),
+    }
 
 
 def _storm_chain(net: Net, place: str) -> Measurement:
@@ -183,15 +221,19 @@ def _storm_chain(net: Net, place: str) -> Measurement:
     plainly = time.perf_counter() - done
     value, plain_value = (float(r.get_value(model.initial_states[0])) for r in (result, plain))
     return {
-        "build": built - start, "seconds": done - built, "value": value, "plain_seconds": plainly,
-        "plain_value": plain_value, "peak_mb": max(_peak() - before, 0.0),
-    }  # fmt: skip
+        "build": built - start,
+        "seconds": done - built,
+        "value": value,
+        "plain_seconds": plainly,
+        "plain_value": plain_value,
+        "peak_mb": max(_peak() - before, 0.0),
+    }
 
 
 WORK: Mapping[str, Callable[[str, Net], Measurement]] = {"space": _space, "chain": _chain}
 
 
-# -- telling ------------------------------------------------------------------------------------------------
+# -- telling ---------------------------------------------------------------------------------------
 
 
 def _report(spaces: List[Measurement], chains: List[Measurement]) -> str:
@@ -223,23 +265,47 @@ def _report(spaces: List[Measurement], chains: List[Measurement]) -> str:
         [
             machine_line(describe_machine((*LIBRARIES, "stormpy"))),
             "",
-            "State space, seconds (x: times as fast as Storm; MB: peak memory beyond what the libraries take)",
+            "State space, seconds (x: times as fast as Storm; MB: peak memory beyond what the "
+            "libraries take)",
             "",
             table(
-                ("net", "states", "Storm s", "numba s", "numpy s", "numba x", "numpy x", "Storm MB", "numba MB",
-                 "numpy MB"),
+                (
+                    "net",
+                    "states",
+                    "Storm s",
+                    "numba s",
+                    "numpy s",
+                    "numba x",
+                    "numpy x",
+                    "Storm MB",
+                    "numba MB",
+                    "numpy MB",
+                ),
                 space_rows,
             ),
             "",
-            "Markov chain and steady state, seconds (Storm's plain default, and sound to 1e-6; residuals are ours)",
+            "Markov chain and steady state, seconds (Storm's plain default, and sound to 1e-6; "
+            "residuals are ours)",
             "",
             table(
-                ("net", "build Storm s", "numba s", "numpy s", "steady Storm plain s", "sound s", "numba s", "numpy s",
-                 "numba residual", "numpy residual", "sound differs by", "plain differs by"),
+                (
+                    "net",
+                    "build Storm s",
+                    "numba s",
+                    "numpy s",
+                    "steady Storm plain s",
+                    "sound s",
+                    "numba s",
+                    "numpy s",
+                    "numba residual",
+                    "numpy residual",
+                    "sound differs by",
+                    "plain differs by",
+                ),
                 chain_rows,
             ),
         ]
-    )  # fmt: skip
+    )
 
 
 def _difference(row: Measurement, key: str) -> Optional[float]:

@@ -1,4 +1,5 @@
-"""The figures of the scaling experiments, as the thesis draws them (6.2, 6.4, 6.5, 6.6), and the time to the start."""
+"""The figures of the scaling experiments, as the thesis draws them (6.2, 6.4, 6.5, 6.6), and the
+time to the start."""
 
 from __future__ import annotations
 
@@ -12,8 +13,8 @@ Row = Dict[str, Any]
 STYLES = {"process": "o-", "hosted": "s--"}
 
 QUIET = 10.0
-"""Percent of the processors that may be busy before a run, for the machine's figures to tell of the run (the
-thesis's baseline: 0.8 % CPU, 25.9 % memory)."""
+"""Percent of the processors that may be busy before a run, for the machine's figures to tell of the
+run (the thesis's baseline: 0.8 % CPU, 25.9 % memory)."""
 
 
 def draw_figures(rows: Sequence[Row], folder: str) -> List[str]:
@@ -23,7 +24,9 @@ def draw_figures(rows: Sequence[Row], folder: str) -> List[str]:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    pyplot.rcParams.update({"figure.figsize": (7, 4), "axes.grid": True, "grid.alpha": 0.3, "svg.hashsalt": "gspn"})
+    pyplot.rcParams.update(
+        {"figure.figsize": (7, 4), "axes.grid": True, "grid.alpha": 0.3, "svg.hashsalt": "gspn"}
+    )
     os.makedirs(folder, exist_ok=True)
     drawn: List[str] = []
 
@@ -43,19 +46,40 @@ def draw_figures(rows: Sequence[Row], folder: str) -> List[str]:
             _, axis = pyplot.subplots()
             x = [row[key] for row in points]
             memory = psutil.virtual_memory().total / 1e6
-            axis.plot(x, [row["cpu_percent_of_core"] / (os.cpu_count() or 1) for row in points], "^-",
-                      label="CPU of the robots' processes, % of the machine")  # fmt: skip
-            axis.plot(x, [100 * row["pss_mb"] / memory for row in points], "v-",
-                      label="memory of the robots' processes, %")  # fmt: skip
+            axis.plot(
+                x,
+                [row["cpu_percent_of_core"] / (os.cpu_count() or 1) for row in points],
+                "^-",
+                label="CPU of the robots' processes, % of the machine",
+            )
+            axis.plot(
+                x,
+                [100 * row["pss_mb"] / memory for row in points],
+                "v-",
+                label="memory of the robots' processes, %",
+            )
             quiet = [row for row in points if row["baseline_cpu_percent"] <= QUIET]
-            for what, style, name in (("cpu", "o:", "CPU of the machine"), ("memory", "s:", "virtual memory")):
-                over = [row["machine_%s_percent" % what] - row["baseline_%s_percent" % what] for row in quiet]
+            for what, style, name in (
+                ("cpu", "o:", "CPU of the machine"),
+                ("memory", "s:", "virtual memory"),
+            ):
+                over = [
+                    row["machine_%s_percent" % what] - row["baseline_%s_percent" % what]
+                    for row in quiet
+                ]
                 if quiet:
-                    axis.plot([row[key] for row in quiet], over, style, label=name + ", % over the baseline")
+                    axis.plot(
+                        [row[key] for row in quiet],
+                        over,
+                        style,
+                        label=name + ", % over the baseline",
+                    )
             axis.set_xlabel(label)
             axis.set_ylim(bottom=0)
             axis.legend()
-            axis.set_title("As Figure %s of the thesis (%s)" % (number.replace("_", "."), _mode_name(mode)))
+            axis.set_title(
+                "As Figure %s of the thesis (%s)" % (number.replace("_", "."), _mode_name(mode))
+            )
             save("figure_%s_%s" % (number, mode))
     _draw_servers(rows, pyplot, save)
     _draw_start(rows, pyplot, save)
@@ -68,9 +92,16 @@ def _draw_servers(rows: Sequence[Row], pyplot: Any, save: Any) -> None:
         if not all(points for _, points in both):
             continue
         _, axis = pyplot.subplots()
-        for (_, points), style, label in zip(both, ("o-", "s-"), ("test 1: more robots", "test 2: more places")):
+        for (_, points), style, label in zip(
+            both, ("o-", "s-"), ("test 1: more robots", "test 2: more places")
+        ):
             points = points or []
-            axis.plot([r["servers"] for r in points], [r["cpu_percent_of_core"] for r in points], style, label=label)
+            axis.plot(
+                [r["servers"] for r in points],
+                [r["cpu_percent_of_core"] for r in points],
+                style,
+                label=label,
+            )
         axis.set_xlabel("action servers")
         axis.set_ylabel("CPU of the robots' processes, % of one core")
         axis.set_ylim(bottom=0)
@@ -85,8 +116,12 @@ def _draw_start(rows: Sequence[Row], pyplot: Any, save: Any) -> None:
         return
     _, axis = pyplot.subplots()
     for mode, points in found.items():
-        axis.plot([r["robots"] for r in points], [r["all_fired_s"] for r in points], STYLES[mode],
-                  label="all robots fired, " + _mode_name(mode))  # fmt: skip
+        axis.plot(
+            [r["robots"] for r in points],
+            [r["all_fired_s"] for r in points],
+            STYLES[mode],
+            label="all robots fired, " + _mode_name(mode),
+        )
     axis.plot([5], [9], "kx", label="published code: 5 robots in 9 s, 13 robots not within 90 s")
     axis.plot([], [], " ", label='thesis: "around 20 minutes, for more than 13 tokens"')
     axis.set_xlabel("robots, seven places each")
@@ -100,9 +135,16 @@ def _draw_start(rows: Sequence[Row], pyplot: Any, save: Any) -> None:
 def _by_mode(rows: Sequence[Row], experiment: str) -> Dict[str, List[Row]]:
     found: Dict[str, List[Row]] = {}
     for row in rows:
-        if row["experiment"] == experiment and row["mode"] in STYLES and row.get("all_fired_s") is not None:
+        if (
+            row["experiment"] == experiment
+            and row["mode"] in STYLES
+            and row.get("all_fired_s") is not None
+        ):
             found.setdefault(row["mode"], []).append(row)
-    return {mode: sorted(points, key=lambda r: (r["robots"], r["places"])) for mode, points in found.items()}
+    return {
+        mode: sorted(points, key=lambda r: (r["robots"], r["places"]))
+        for mode, points in found.items()
+    }
 
 
 def _mode_name(mode: str) -> str:

@@ -45,7 +45,8 @@ def _measure(name: str) -> None:
         begin = time.monotonic()
         with (Path(folder) / "answers.json").open("w+", encoding="utf-8") as out:
             process = subprocess.Popen(
-                [sys.executable, "-m", "gspn_framework_package", "analyse", str(path), "--json"], stdout=out
+                [sys.executable, "-m", "gspn_framework_package", "analyse", str(path), "--json"],
+                stdout=out,
             )
             _, status, usage = os.wait4(process.pid, 0)
             wall = time.monotonic() - begin

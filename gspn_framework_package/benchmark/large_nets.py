@@ -1,4 +1,5 @@
-"""Nets of any size that no table of the literature has: what the limits of an analysis are measured with."""
+"""Nets of any size that no table of the literature has: what the limits of an analysis are measured
+with."""
 
 from __future__ import annotations
 
@@ -30,7 +31,12 @@ def grid(n: int) -> Net:
         for x in range(n):
             here = "p%d_%d" % (x, y)
             places.append(Place(here, int(x == y == 0)))
-            for name, i, j in (("right", x + 1, y), ("down", x, y + 1), ("left", x - 1, y), ("up", x, y - 1)):
+            for name, i, j in (
+                ("right", x + 1, y),
+                ("down", x, y + 1),
+                ("left", x - 1, y),
+                ("up", x, y - 1),
+            ):
                 if 0 <= i < n and 0 <= j < n:
                     name = "%s%d_%d" % (name, x, y)
                     transitions.append(Transition(name, timed=True))
@@ -68,25 +74,32 @@ def scattered(places: int, transitions: int, tokens: int = 20, seed: int = 1) ->
 
 
 def cells(n: int) -> Net:
-    """``n`` machines with three places each, which hand a part to the next when that one is free: every third place is
-    marked, so that the first marking alone has some ``n`` successors."""
+    """``n`` machines with three places each, which hand a part to the next when that one is free:
+    every third place is marked, so that the first marking alone has some ``n`` successors."""
     places, transitions, arcs = [], [], []
     for i in range(n):
-        places += [Place("free%d" % i, i % 3 != 0), Place("busy%d" % i, int(i % 3 == 0)), Place("full%d" % i)]
+        places += [
+            Place("free%d" % i, i % 3 != 0),
+            Place("busy%d" % i, int(i % 3 == 0)),
+            Place("full%d" % i),
+        ]
         transitions += [Transition("work%d" % i, timed=True), Transition("hand%d" % i, timed=True)]
         following = (i + 1) % n
         arcs += [
-            Arc("busy%d" % i, "work%d" % i), Arc("work%d" % i, "full%d" % i),
-            Arc("full%d" % i, "hand%d" % i), Arc("free%d" % following, "hand%d" % i),
-            Arc("hand%d" % i, "free%d" % i), Arc("hand%d" % i, "busy%d" % following),
-        ]  # fmt: skip
+            Arc("busy%d" % i, "work%d" % i),
+            Arc("work%d" % i, "full%d" % i),
+            Arc("full%d" % i, "hand%d" % i),
+            Arc("free%d" % following, "hand%d" % i),
+            Arc("hand%d" % i, "free%d" % i),
+            Arc("hand%d" % i, "busy%d" % following),
+        ]
     places = [p._replace(tokens=int(p.tokens)) for p in places]
     return Net(places, transitions, arcs, "cells_%d" % n)
 
 
 def workflow(size: int, seed: int = 1) -> Net:
-    """A workflow of about ``size`` places, from ``start`` to ``end`` and back again: sequences, choices that join
-    again, and forks of up to three branches that join again, one in another."""
+    """A workflow of about ``size`` places, from ``start`` to ``end`` and back again: sequences,
+    choices that join again, and forks of up to three branches that join again, one in another."""
     return _Workflow(random.Random(seed)).build(size)
 
 
@@ -140,9 +153,11 @@ class _Workflow:
 
 
 def endings(n: int, length: int) -> Net:
-    """A walk over ``length`` steps that may stop in each, in one of ``n`` ways, for good: as many deadlocks as
-    ``n * length``."""
-    places = [Place("here%d" % i, int(i == 0)) for i in range(length)] + [Place("way%d" % i) for i in range(n)]
+    """A walk over ``length`` steps that may stop in each, in one of ``n`` ways, for good: as many
+    deadlocks as ``n * length``."""
+    places = [Place("here%d" % i, int(i == 0)) for i in range(length)] + [
+        Place("way%d" % i) for i in range(n)
+    ]
     places += [Place("at%d" % i) for i in range(length)]
     transitions, arcs = [], []
     for i in range(length):
@@ -157,8 +172,8 @@ def endings(n: int, length: int) -> Net:
 
 
 def switches(n: int, tokens: int) -> Net:
-    """``n`` switches, each thrown for good one way or the other, and a ring of six places with ``tokens``: ``2 ** n``
-    recurrent classes among ``3 ** n`` settings."""
+    """``n`` switches, each thrown for good one way or the other, and a ring of six places with
+    ``tokens``: ``2 ** n`` recurrent classes among ``3 ** n`` settings."""
     net = ring(6, tokens)
     places, transitions, arcs = list(net.places), list(net.transitions), list(net.arcs)
     for i in range(n):

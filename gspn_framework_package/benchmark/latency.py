@@ -1,16 +1,19 @@
-"""How long a robot stands still between two actions, by mode of synchronisation and size of the team.
+"""How long a robot stands still between two actions, by mode of synchronisation and size of the
+team.
 
 ``python3 -m gspn_framework_package.benchmark.latency`` (needs ROS)
 
-*Latency*: from the result of an action in the robot's log to the goal of its next one there, on one monotonic clock.
-*Private* moves ask nobody (partial synchronisation); *coordinated* ones are agreed on. The loads:
+*Latency*: from the result of an action in the robot's log to the goal of its next one there, on one
+monotonic clock. *Private* moves ask nobody (partial synchronisation); *coordinated* ones are agreed
+on. The loads:
 
 - ``light``: ``plans/tokens`` with actions of a tenth of a second;
 - ``instant``: the same, with actions that return at once, so that what limits is the machine;
-- ``private``: a ring in which every move is private, with actions that return at once (partial synchronisation only).
+- ``private``: a ring in which every move is private, with actions that return at once (partial
+  synchronisation only).
 
-A move that waits for its transition to become enabled is not counted: these plans have none. *Messages*: what robots
-send each other, heartbeats included; one to several robots counts once.
+A move that waits for its transition to become enabled is not counted: these plans have none.
+*Messages*: what robots send each other, heartbeats included; one to several robots counts once.
 """
 
 from __future__ import annotations
@@ -97,9 +100,12 @@ def evictions(logs: Sequence[EventLog]) -> Set[Tuple[int, str]]:
     """The evictions in these logs: (slot, robot)."""
     return {
         (record["slot"], entry["robot"])
-        for log in logs for record in log.records if record["kind"] == "slot"
-        for entry in record["entries"] if entry["entry"] == "evict"
-    }  # fmt: skip
+        for log in logs
+        for record in log.records
+        if record["kind"] == "slot"
+        for entry in record["entries"]
+        if entry["entry"] == "evict"
+    }
 
 
 def messages_sent() -> int:
@@ -116,7 +122,9 @@ def plan_of(load: str, robots: int, mode: Synchronisation) -> Plan:
         return replace(ring_plan(RING, robots, instant=True), synchronisation=mode)
     plan = replace(tokens_plan(instant=True), synchronisation=mode).for_robots(robots)
     if load == "light":
-        plan = replace(plan, actions={place: FunctionAction(BRIEF, place) for place in plan.actions})
+        plan = replace(
+            plan, actions={place: FunctionAction(BRIEF, place) for place in plan.actions}
+        )
     return plan
 
 
@@ -132,27 +140,45 @@ def _summary(name: str, values: List[float]) -> Dict[str, Any]:
 
 
 COLUMNS = (
-    ("load", "load"), ("mode", "mode"), ("robots", "robots"), ("firings_per_s", "firings/s"),
+    ("load", "load"),
+    ("mode", "mode"),
+    ("robots", "robots"),
+    ("firings_per_s", "firings/s"),
     ("messages_per_firing", "messages/firing"),
-    ("private_median_ms", "private median [ms]"), ("private_p99_ms", "p99 [ms]"),
-    ("coordinated_median_ms", "coordinated median [ms]"), ("coordinated_p99_ms", "p99 [ms]"),
-    ("evictions", "evictions"), ("verdict", "logs"),
-)  # fmt: skip
+    ("private_median_ms", "private median [ms]"),
+    ("private_p99_ms", "p99 [ms]"),
+    ("coordinated_median_ms", "coordinated median [ms]"),
+    ("coordinated_p99_ms", "p99 [ms]"),
+    ("evictions", "evictions"),
+    ("verdict", "logs"),
+)
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
     """Measure, and print a table or JSON."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--robots", type=int, nargs="+", default=[1, 2, 3, 5, 8], metavar="N")
-    parser.add_argument("--window", type=float, default=10.0, metavar="S", help="seconds for each team (10)")
-    parser.add_argument("--load", choices=LOADS, nargs="+", default=LOADS)
-    parser.add_argument("--mode", choices=[m.value for m in Synchronisation], help="only this synchronisation")
-    parser.add_argument("--fsync", choices=["yes", "no"], help="wait for the disk, or not (default: as the plan says)")
     parser.add_argument(
-        "--evict-after", type=float, metavar="S",
+        "--window", type=float, default=10.0, metavar="S", help="seconds for each team (10)"
+    )
+    parser.add_argument("--load", choices=LOADS, nargs="+", default=LOADS)
+    parser.add_argument(
+        "--mode", choices=[m.value for m in Synchronisation], help="only this synchronisation"
+    )
+    parser.add_argument(
+        "--fsync",
+        choices=["yes", "no"],
+        help="wait for the disk, or not (default: as the plan says)",
+    )
+    parser.add_argument(
+        "--evict-after",
+        type=float,
+        metavar="S",
         help="seconds of silence after which a robot is evicted (as the plan says)",
-    )  # fmt: skip
-    parser.add_argument("--verify", action="store_true", help="check the logs, too; exit code 1: a rule was broken")
+    )
+    parser.add_argument(
+        "--verify", action="store_true", help="check the logs, too; exit code 1: a rule was broken"
+    )
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
     need_ros()
@@ -166,7 +192,11 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
             for load, mode, robots in itertools.product(args.load, modes, args.robots):
                 if load == "private" and mode is Synchronisation.FULL:
                     continue
-                print("latency: %s, %s, %d robots ..." % (load, mode.value, robots), file=sys.stderr, flush=True)
+                print(
+                    "latency: %s, %s, %d robots ..." % (load, mode.value, robots),
+                    file=sys.stderr,
+                    flush=True,
+                )
                 plan = plan_of(load, robots, mode)
                 if args.fsync:
                     plan = replace(plan, fsync=args.fsync == "yes")
@@ -180,7 +210,12 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     if args.json:
         print(json.dumps({"machine": describe_machine(), "window_s": args.window, "rows": rows}))
     else:
-        print(table([head for _, head in COLUMNS], [[row.get(key) for key, _ in COLUMNS] for row in rows]))
+        print(
+            table(
+                [head for _, head in COLUMNS],
+                [[row.get(key) for key, _ in COLUMNS] for row in rows],
+            )
+        )
         print(machine_line())
     if any(row.get("verdict", "valid") != "valid" for row in rows):
         return 1

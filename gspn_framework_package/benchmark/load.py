@@ -1,4 +1,5 @@
-"""The actions of the benchmarks: the load of the thesis's scaling experiments (6.1), and none at all."""
+"""The actions of the benchmarks: the load of the thesis's scaling experiments (6.1), and none at
+all."""
 
 from __future__ import annotations
 

@@ -40,31 +40,41 @@ class LogTail:
     @property
     def length(self) -> int:
         """Slots that the log knows."""
-        return 1 + max((r["slot"] for r in self.records if r["kind"] in ("slot", "snapshot")), default=-1)
+        return 1 + max(
+            (r["slot"] for r in self.records if r["kind"] in ("slot", "snapshot")), default=-1
+        )
 
     @property
     def hash(self) -> str:
         """End of the hash chain."""
-        return next((r["hash"] for r in reversed(self.records) if r["kind"] in ("slot", "snapshot")), "")
+        return next(
+            (r["hash"] for r in reversed(self.records) if r["kind"] in ("slot", "snapshot")), ""
+        )
 
     def moves(self, begin: float = 0.0, end: float = float("inf")) -> int:
-        """How often the robot came into a place in that time: each is a first attempt at an action."""
+        """How often the robot came into a place in that time: each is a first attempt at an
+        action."""
         return sum(r["attempt"] == 1 for r in self.of("goal", begin, end))
 
     def entries(self, kind: str, begin: float = 0.0, end: float = float("inf")) -> Iterator[Record]:
-        """The entries of a kind in the slots that were written in that time, each with the slot's ``mono``."""
+        """The entries of a kind in the slots that were written in that time, each with the slot's
+        ``mono``."""
         for record in self.of("slot", begin, end):
             for entry in record["entries"]:
                 if entry["entry"] == kind:
                     yield dict(entry, mono=record["mono"])
 
     def commit_times(self, begin: float, end: float) -> List[float]:
-        """Seconds from a finished action of the robot, known to it alone, to its slot; of those that finished in that
-        time and got one."""
+        """Seconds from a finished action of the robot, known to it alone, to its slot; of those
+        that finished in that time and got one."""
         times: List[float] = []
         asked: Dict[Any, float] = {}
         for record in self.records:
-            if record["kind"] == "invoked" and record["entry"]["entry"] == "done" and begin <= record["mono"] < end:
+            if (
+                record["kind"] == "invoked"
+                and record["entry"]["entry"] == "done"
+                and begin <= record["mono"] < end
+            ):
                 asked[tuple(record["origin"])] = record["mono"]
             elif record["kind"] == "slot":
                 for origin in map(tuple, record["origins"]):

@@ -46,7 +46,9 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
         aligned = [row[0].ljust(widths[0])] + [c.rjust(w) for c, w in zip(row[1:], widths[1:])]
         lines.append("| %s |" % " | ".join(aligned))
         if number == 0:
-            lines.append("|-%s|" % "|".join(["-" * widths[0] + "-"] + ["-" * w + "-:" for w in widths[1:]]))
+            lines.append(
+                "|-%s|" % "|".join(["-" * widths[0] + "-"] + ["-" * w + "-:" for w in widths[1:]])
+            )
     return "\n".join(lines)
 
 

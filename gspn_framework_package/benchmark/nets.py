@@ -9,8 +9,8 @@ from gspn_framework_package.model.net import Net
 
 
 def kanban(n: int) -> Net:
-    """The Kanban manufacturing system of Ciardo and Tilgner (1996) with ``n`` cards in each of its four cells, all
-    transitions exponential: 160, 4600, 58400, 454475, 2546432 ... markings.
+    """The Kanban manufacturing system of Ciardo and Tilgner (1996) with ``n`` cards in each of its
+    four cells, all transitions exponential: 160, 4600, 58400, 454475, 2546432 ... markings.
 
     Rates in 1/h: machines 1.2, 1.4, 1.3, 1.1; 30 % of the parts are reworked at 0.3.
     """
@@ -26,32 +26,49 @@ def kanban(n: int) -> Net:
         net.exponential("good" + cell, rate=0.7 * rate, inputs=machine, outputs=out)
         net.exponential("back" + cell, rate=0.3, inputs=rework, outputs=machine)
     net.exponential("enter", rate=1.0, inputs="free1", outputs="machine1")
-    net.exponential("split", rate=0.4, inputs=["out1", "free2", "free3"], outputs=["free1", "machine2", "machine3"])
-    net.exponential("join", rate=0.5, inputs=["out2", "out3", "free4"], outputs=["free2", "free3", "machine4"])
+    net.exponential(
+        "split",
+        rate=0.4,
+        inputs=["out1", "free2", "free3"],
+        outputs=["free1", "machine2", "machine3"],
+    )
+    net.exponential(
+        "join", rate=0.5, inputs=["out2", "out3", "free4"], outputs=["free2", "free3", "machine4"]
+    )
     net.exponential("leave", rate=0.9, inputs="out4", outputs="free4")
     return net.build()
 
 
 def philosophers(n: int) -> Net:
-    """``n`` dining philosophers who take the left fork, then the right one, and can starve: 34 markings for 4,
-    39202 for 12, 1331714 for 16; one deadlock. All rates 1/s."""
+    """``n`` dining philosophers who take the left fork, then the right one, and can starve: 34
+    markings for 4, 39202 for 12, 1331714 for 16; one deadlock. All rates 1/s."""
     net = NetBuilder("philosophers_%d" % n)
     for i in range(1, n + 1):
-        net.place("think%d" % i, tokens=1).place("left%d" % i).place("eat%d" % i).place("fork%d" % i, tokens=1)
+        net.place("think%d" % i, tokens=1).place("left%d" % i).place("eat%d" % i).place(
+            "fork%d" % i, tokens=1
+        )
     for i in range(1, n + 1):
         right = i % n + 1
-        net.exponential("take_left%d" % i, inputs=["think%d" % i, "fork%d" % i], outputs="left%d" % i)
-        net.exponential("take_right%d" % i, inputs=["left%d" % i, "fork%d" % right], outputs="eat%d" % i)
-        net.exponential("put%d" % i, inputs="eat%d" % i, outputs=["think%d" % i, "fork%d" % i, "fork%d" % right])
+        net.exponential(
+            "take_left%d" % i, inputs=["think%d" % i, "fork%d" % i], outputs="left%d" % i
+        )
+        net.exponential(
+            "take_right%d" % i, inputs=["left%d" % i, "fork%d" % right], outputs="eat%d" % i
+        )
+        net.exponential(
+            "put%d" % i, inputs="eat%d" % i, outputs=["think%d" % i, "fork%d" % i, "fork%d" % right]
+        )
     return net.build()
 
 
 def flexible_manufacturing(n: int) -> Net:
-    """The flexible manufacturing system of Ciardo and Trivedi (1993) with ``n`` parts of each of three kinds:
-    54, 810, 6520, 35910, 152712 ... tangible markings, and vanishing ones between them.
+    """The flexible manufacturing system of Ciardo and Trivedi (1993) with ``n`` parts of each of
+    three kinds: 54, 810, 6520, 35910, 152712 ... tangible markings, and vanishing ones between
+    them.
 
-    Three machines of the first kind, one of the second, two of the third; parts 1 and 2 may be joined to a fourth
-    kind. Transport takes 1 to 2 time units for each part by itself, finished parts are shipped in one go and replaced.
+    Three machines of the first kind, one of the second, two of the third; parts 1 and 2 may be
+    joined to a fourth kind. Transport takes 1 to 2 time units for each part by itself, finished
+    parts are shipped in one go and replaced.
     """
     net = NetBuilder("fms_%d" % n)
     for part in "123":
@@ -64,26 +81,42 @@ def flexible_manufacturing(n: int) -> Net:
                 net.place(stage + part)
     net.place("raw12").place("join1").place("join2")
     for part, machine, rate in (("1", "M1", 0.25), ("2", "M2", 1 / 6), ("12", "M3", 1.0)):
-        net.exponential("carry" + part, rate=1.0, servers=None, inputs="raw" + part, outputs="wait" + part)
-        net.immediate("load" + part, priority=2, inputs=["wait" + part, machine], outputs="work" + part)
-        net.exponential("make" + part, rate=rate, servers=None, inputs="work" + part, outputs=["done" + part, machine])
-    # Parts of kind 3 are made on the second machine when it has nothing else to do, and do not hold it.
+        net.exponential(
+            "carry" + part, rate=1.0, servers=None, inputs="raw" + part, outputs="wait" + part
+        )
+        net.immediate(
+            "load" + part, priority=2, inputs=["wait" + part, machine], outputs="work" + part
+        )
+        net.exponential(
+            "make" + part,
+            rate=rate,
+            servers=None,
+            inputs="work" + part,
+            outputs=["done" + part, machine],
+        )
+    # Parts of kind 3 are made on the second machine when it has nothing else to do, and do not hold
+    # it.
     net.exponential("carry3", rate=1.0, servers=None, inputs="raw3", outputs="work3")
     net.exponential("make3", rate=0.5, inputs=["work3", "M2"], outputs=["done3", "M2"])
     for part, ship, join in (("1", 0.8, 0.2), ("2", 0.6, 0.4)):
         net.immediate("keep" + part, weight=ship, inputs="done" + part, outputs="store" + part)
         net.immediate("pass" + part, weight=join, inputs="done" + part, outputs="join" + part)
-    net.immediate("keep3", inputs="done3", outputs="store3").immediate("keep12", inputs="done12", outputs="store12")
+    net.immediate("keep3", inputs="done3", outputs="store3").immediate(
+        "keep12", inputs="done12", outputs="store12"
+    )
     net.immediate("join", inputs=["join1", "join2"], outputs="raw12")
     for part in "123":
-        net.exponential("ship" + part, rate=1 / 60, servers=None, inputs="store" + part, outputs="raw" + part)
+        net.exponential(
+            "ship" + part, rate=1 / 60, servers=None, inputs="store" + part, outputs="raw" + part
+        )
     net.exponential("ship12", rate=1 / 60, servers=None, inputs="store12", outputs=["raw1", "raw2"])
     return net.build()
 
 
 def polling(n: int) -> Net:
-    """The polling system of Ibe and Trivedi (1990): one server goes round ``n`` stations with room for one job each,
-    and serves or passes by: ``3 n 2^(n-1)`` markings with every transition exponential."""
+    """The polling system of Ibe and Trivedi (1990): one server goes round ``n`` stations with room
+    for one job each, and serves or passes by: ``3 n 2^(n-1)`` markings with every transition
+    exponential."""
     net = NetBuilder("polling_%d" % n)
     for i in range(1, n + 1):
         net.place("idle%d" % i, tokens=1).place("job%d" % i)
@@ -92,23 +125,35 @@ def polling(n: int) -> Net:
         following = "poll%d" % (i % n + 1)
         net.exponential("arrive%d" % i, rate=1 / n, inputs="idle%d" % i, outputs="job%d" % i)
         net.exponential(
-            "begin%d" % i, rate=200.0, inputs=["poll%d" % i, "job%d" % i], outputs=["serve%d" % i, "job%d" % i]
+            "begin%d" % i,
+            rate=200.0,
+            inputs=["poll%d" % i, "job%d" % i],
+            outputs=["serve%d" % i, "job%d" % i],
         )
         net.exponential(
-            "pass%d" % i, rate=200.0, inputs=["poll%d" % i, "idle%d" % i], outputs=[following, "idle%d" % i]
+            "pass%d" % i,
+            rate=200.0,
+            inputs=["poll%d" % i, "idle%d" % i],
+            outputs=[following, "idle%d" % i],
         )
-        net.exponential("end%d" % i, rate=1.0, inputs=["serve%d" % i, "job%d" % i], outputs=["idle%d" % i, following])
+        net.exponential(
+            "end%d" % i,
+            rate=1.0,
+            inputs=["serve%d" % i, "job%d" % i],
+            outputs=["idle%d" % i, following],
+        )
     return net.build()
 
 
 def courier(window: int, space: int = 1) -> Net:
-    """The Courier protocol software of Woodside and Li (1991): a message goes from one application to the other
-    through session and transport layers, with at most ``window`` packets not yet acknowledged and room for ``space``
-    messages in the sender's transport layer: 11700, 84600, 419400 ... tangible markings, 29010 in all for a window
-    of 1.
+    """The Courier protocol software of Woodside and Li (1991): a message goes from one application
+    to the other through session and transport layers, with at most ``window`` packets not yet
+    acknowledged and room for ``space`` messages in the sender's transport layer: 11700, 84600,
+    419400 ... tangible markings, 29010 in all for a window of 1.
 
-    Places and transitions have the paper's numbers (there is no ``p7``), rates its times. One server each, and a
-    message goes on in another fragment as often as it ends (the paper's ratio q1 : q2 is 1).
+    Places and transitions have the paper's numbers (there is no ``p7``), rates its times. One
+    server each, and a message goes on in another fragment as often as it ends (the paper's ratio q1
+    : q2 is 1).
     """
     net = NetBuilder("courier_%d" % window)
     tokens = dict.fromkeys((1, 3, 6, 10, 12, 32, 37, 39, 41, 44, 46), 1)
@@ -164,16 +209,19 @@ _COURIER: Tuple[Tuple[int, float, Tuple[int, ...], Tuple[int, ...]], ...] = (
     (33, 0.57, (43, 46), (44, 45)),
     (34, 1.25, (45,), (46,)),
 )
-"""Transition, mean time (in 1/5000 s; 0: immediate), input and output places of the Courier protocol."""
+"""Transition, mean time (in 1/5000 s; 0: immediate), input and output places of the Courier
+protocol."""
 
 
 def readers_writers(k: int) -> Net:
-    """``k`` processes that read (many at once) or write (alone) a data base and then use a network: figure 5.3 of
-    Ajmone Marsan et al. (1995), with the rates and weights of the Quantitative Verification Benchmark Set.
+    """``k`` processes that read (many at once) or write (alone) a data base and then use a network:
+    figure 5.3 of Ajmone Marsan et al. (1995), with the rates and weights of the Quantitative
+    Verification Benchmark Set.
 
-    For 5 processes, all of them wait for the first time (for the data base or the network) after 263.0295997 on
-    average. Thinking and reading go on for each process by itself; writing comes before reading, that before the
-    choice what to do, and last come the network and the choice to go on, by their weights.
+    For 5 processes, all of them wait for the first time (for the data base or the network) after
+    263.0295997 on average. Thinking and reading go on for each process by itself; writing comes
+    before reading, that before the choice what to do, and last come the network and the choice to
+    go on, by their weights.
     """
     net = NetBuilder("readers_writers_%d" % k)
     net.place("think", tokens=k).place("database", tokens=1).place("network", tokens=1)
@@ -184,15 +232,31 @@ def readers_writers(k: int) -> Net:
             net.place(stage + kind)
     net.exponential("finish_thinking", rate=1.0, servers=None, inputs="think", outputs="request")
     for kind, weight, rate in (("read", 8.0, 8.0), ("write", 2.0, 7.0)):
-        net.immediate("choose_" + kind, weight=weight, priority=2, inputs="request", outputs="want_" + kind)
-        net.immediate("begin_send_" + kind, inputs=["wait_network_" + kind, "network"], outputs="send_" + kind)
-        net.exponential("end_send_" + kind, rate=rate, inputs="send_" + kind, outputs=["network", "again"])
-    net.immediate("begin_read", priority=3, inputs=["want_read", "database"], outputs=["do_read", "database"])
+        net.immediate(
+            "choose_" + kind, weight=weight, priority=2, inputs="request", outputs="want_" + kind
+        )
+        net.immediate(
+            "begin_send_" + kind, inputs=["wait_network_" + kind, "network"], outputs="send_" + kind
+        )
+        net.exponential(
+            "end_send_" + kind, rate=rate, inputs="send_" + kind, outputs=["network", "again"]
+        )
     net.immediate(
-        "begin_write", priority=4, inputs=["want_write", "database"], outputs="do_write", inhibitors="do_read"
+        "begin_read", priority=3, inputs=["want_read", "database"], outputs=["do_read", "database"]
     )
-    net.exponential("end_read", rate=10.0, servers=None, inputs="do_read", outputs="wait_network_read")
-    net.exponential("end_write", rate=7.0, inputs="do_write", outputs=["wait_network_write", "database"])
+    net.immediate(
+        "begin_write",
+        priority=4,
+        inputs=["want_write", "database"],
+        outputs="do_write",
+        inhibitors="do_read",
+    )
+    net.exponential(
+        "end_read", rate=10.0, servers=None, inputs="do_read", outputs="wait_network_read"
+    )
+    net.exponential(
+        "end_write", rate=7.0, inputs="do_write", outputs=["wait_network_write", "database"]
+    )
     net.immediate("rest", weight=9.0, inputs="again", outputs="think")
     net.immediate("go_on", weight=1.0, inputs="again", outputs="request")
     return net.build()

@@ -1,4 +1,5 @@
-"""The plans that the benchmarks run: the net of thesis Figure 6.1, and rings of any size (Figure 6.3)."""
+"""The plans that the benchmarks run: the net of thesis Figure 6.1, and rings of any size (Figure
+6.3)."""
 
 from __future__ import annotations
 
@@ -36,16 +37,17 @@ def plans_folder() -> str:
 
 
 def tokens_plan(instant: bool = False) -> Plan:
-    """The plan of ``plans/tokens`` (thesis 6.1.1): seven places, six of them with an action, which is one of
-    :mod:`~gspn_framework_package.benchmark.load` here, so that the plan can be run from any folder."""
+    """The plan of ``plans/tokens`` (thesis 6.1.1): seven places, six of them with an action, which
+    is one of :mod:`~gspn_framework_package.benchmark.load` here, so that the plan can be run from
+    any folder."""
     plan = read_plan(os.path.join(plans_folder(), "tokens"))
     function = INSTANT if instant else LOOP
     return replace(plan, actions={place: FunctionAction(function, place) for place in plan.actions})
 
 
 def ring_plan(places: int, robots: int, instant: bool = False) -> Plan:
-    """A ring of ``places`` action places (thesis 6.1.2 and 6.1.3) with ``robots`` robots, dealt over
-    the places one after the other."""
+    """A ring of ``places`` action places (thesis 6.1.2 and 6.1.3) with ``robots`` robots, dealt
+    over the places one after the other."""
     names = ["p%d" % k for k in range(1, places + 1)]
     net = NetBuilder("ring_%d" % places)
     for k, name in enumerate(names):

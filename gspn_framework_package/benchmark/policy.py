@@ -1,9 +1,9 @@
 """Policy look-up beside a linear scan, from 10 rows to 1,000,000: ``python3 -m
 gspn_framework_package.benchmark.policy``.
 
-The table of ``n`` rows decides in one place of a net with twelve places: most rows are exact, one in
-ten has a wildcard or two, and markings are drawn among those that some row matches. Both ways must
-give the same row, or the benchmark fails.
+The table of ``n`` rows decides in one place of a net with twelve places: most rows are exact, one
+in ten has a wildcard or two, and markings are drawn among those that some row matches. Both ways
+must give the same row, or the benchmark fails.
 """
 
 from __future__ import annotations

@@ -6,15 +6,17 @@ import random
 import socket
 
 _PORTS = range(20_000, 32_000)
-"""Below those that Linux hands out by itself (``net.ipv4.ip_local_port_range``, from 32768): one of these could go to
-a client while the server is away, and a client that calls a server on such a port can even get its own call."""
+"""Below those that Linux hands out by itself (``net.ipv4.ip_local_port_range``, from 32768): one of
+these could go to a client while the server is away, and a client that calls a server on such a port
+can even get its own call."""
 
 
 def free_port() -> int:
     """A port of this machine on which nobody listens. :raises OSError: there is none."""
     for port in random.SystemRandom().sample(_PORTS, 1000):
         with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # old connections are no obstacle
+            # old connections are no obstacle
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 probe.bind(("", port))
             except OSError:

@@ -1,4 +1,5 @@
-"""What processes cost: the machine's figures as the thesis measures them, and those of processes exactly."""
+"""What processes cost: the machine's figures as the thesis measures them, and those of processes
+exactly."""
 
 from __future__ import annotations
 
@@ -19,8 +20,8 @@ class MachineLoad(NamedTuple):
 
 
 class ProcessCost(NamedTuple):
-    """Sums over processes. ``cpu_seconds``: since each began; ``pss_mb``: their proportional share of
-    memory, in MB of 10^6 bytes."""
+    """Sums over processes. ``cpu_seconds``: since each began; ``pss_mb``: their proportional share
+    of memory, in MB of 10^6 bytes."""
 
     processes: int
     cpu_seconds: float
@@ -61,7 +62,8 @@ def cpu_seconds(processes: Iterable[psutil.Process]) -> Dict[int, float]:
 
 
 def cost_of(processes: Iterable[psutil.Process]) -> ProcessCost:
-    """What the processes cost by now. Reading the shared memory takes a few milliseconds for each."""
+    """What the processes cost by now. Reading the shared memory takes a few milliseconds for
+    each."""
     count, cpu, pss, threads, descriptors = 0, 0.0, 0, 0, 0
     for process in processes:
         try:

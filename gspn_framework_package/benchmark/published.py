@@ -1,8 +1,10 @@
-"""State counts of the literature, found anew: ``python3 -m gspn_framework_package.benchmark.published``.
+"""State counts of the literature, found anew: ``python3 -m
+gspn_framework_package.benchmark.published``.
 
-Every net is explored in a process of its own, so that its peak memory is its own too. A count that is not the
-published one is told, and the exit code is 1. The largest nets (Kanban 6 and 7) take minutes on a small machine and
-about 5 GB of memory: a net that would not fit what is free is left out, and said so.
+Every net is explored in a process of its own, so that its peak memory is its own too. A count that
+is not the published one is told, and the exit code is 1. The largest nets (Kanban 6 and 7) take
+minutes on a small machine and about 5 GB of memory: a net that would not fit what is free is left
+out, and said so.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ from gspn_framework_package.model.net import Net
 
 
 class Published(NamedTuple):
-    """How many markings a net has, in all and tangible ones; None: not published. ``source``: by whom."""
+    """How many markings a net has, in all and tangible ones; None: not published. ``source``: by
+    whom."""
 
     family: str
     size: int
@@ -47,21 +50,36 @@ COUNTS: Sequence[Published] = (
         Published("fms", size, None, count, "Ciardo and Trivedi (1993)")
         for size, count in {1: 54, 2: 810, 3: 6_520, 4: 35_910, 5: 152_712, 6: 537_768}.items()
     ),
-    *_all_tangible("philosophers", {4: 34, 12: 39_202, 16: 1_331_714}, "Quantitative Verification Benchmark Set"),
-    *_all_tangible("polling", {n: 3 * n * 2 ** (n - 1) for n in (5, 10, 15)}, "Ibe and Trivedi (1990): 3 n 2^(n-1)"),
+    *_all_tangible(
+        "philosophers",
+        {4: 34, 12: 39_202, 16: 1_331_714},
+        "Quantitative Verification Benchmark Set",
+    ),
+    *_all_tangible(
+        "polling",
+        {n: 3 * n * 2 ** (n - 1) for n in (5, 10, 15)},
+        "Ibe and Trivedi (1990): 3 n 2^(n-1)",
+    ),
     Published("courier", 1, 29_010, 11_700, "Woodside and Li (1991)"),
     Published("courier", 3, None, 419_400, "APNN toolbox"),
 )
 
 BYTES_PER_STATE = 120
-"""Of the largest nets at their peak, as measured: what a net is expected to take before it is begun."""
+"""Of the largest nets at their peak, as measured: what a net is expected to take before it is
+begun."""
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
     """Explore the nets, and tell which counts differ."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--largest", type=int, default=10**18, metavar="N", help="leave out nets of more markings")
-    parser.add_argument("--engine", choices=ENGINES, default="auto", help="who explores (default: auto)")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--largest", type=int, default=10**18, metavar="N", help="leave out nets of more markings"
+    )
+    parser.add_argument(
+        "--engine", choices=ENGINES, default="auto", help="who explores (default: auto)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--worker", nargs=2, help=argparse.SUPPRESS)
     args = parser.parse_args(arguments)
@@ -86,12 +104,24 @@ def _check(entry: Published, engine: str) -> Dict[str, Any]:
     expected = BYTES_PER_STATE * (entry.states or entry.tangible or 0)
     if expected > psutil.virtual_memory().available:
         return {**row, "verdict": "left out: it takes about %.0f GB of memory" % (expected / 1e9)}
-    command = [sys.executable, "-m", "gspn_framework_package.benchmark.published", "--engine", engine]
+    command = [
+        sys.executable,
+        "-m",
+        "gspn_framework_package.benchmark.published",
+        "--engine",
+        engine,
+    ]
     done = subprocess.run(
-        [*command, "--worker", entry.family, str(entry.size)], stdout=subprocess.PIPE, text=True, check=True
+        [*command, "--worker", entry.family, str(entry.size)],
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
     )
     row.update(json.loads(done.stdout))
-    same = all(known in (None, row[key]) for key, known in (("states", entry.states), ("tangible", entry.tangible)))
+    same = all(
+        known in (None, row[key])
+        for key, known in (("states", entry.states), ("tangible", entry.tangible))
+    )
     return {**row, "verdict": "as published" if same else "differs"}
 
 
@@ -106,7 +136,17 @@ def _explore(net: Net, engine: str) -> Dict[str, Any]:
 
 
 def _text(rows: Sequence[Mapping[str, Any]]) -> str:
-    head = ("net", "states", "tangible", "arcs", "seconds", "MB of the result", "MB at the peak", "verdict", "source")
+    head = (
+        "net",
+        "states",
+        "tangible",
+        "arcs",
+        "seconds",
+        "MB of the result",
+        "MB at the peak",
+        "verdict",
+        "source",
+    )
     keys = ("net", "states", "tangible", "arcs", "seconds", "mb", "peak_mb", "verdict")
     cells = [[row.get(key) for key in keys] + [row["published"]["source"]] for row in rows]
     return "%s\n\n%s" % (machine_line(), table(head, cells))

@@ -1,4 +1,5 @@
-"""The results of the scaling experiments in a folder, point by point, so that a run that was interrupted goes on."""
+"""The results of the scaling experiments in a folder, point by point, so that a run that was
+interrupted goes on."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ def key_of(row: Row) -> Tuple[Any, ...]:
 
 
 class Results:
-    """Rows of figures; where there is a folder, ``results.json`` and ``results.csv`` in it hold them after each point.
+    """Rows of figures; where there is a folder, ``results.json`` and ``results.csv`` in it hold
+    them after each point.
 
     :param folder: "" to keep nothing. What is there already is taken up.
     :raises UsageError: the folder holds other results than these.
@@ -41,8 +43,13 @@ class Results:
                     known, self.rows = report["machine"], list(report["results"])
                 except (ValueError, KeyError, TypeError):
                     raise UsageError("these are no results of gspn bench", file=path) from None
-            if (known.get("cpu"), known.get("cores")) != (self.machine["cpu"], self.machine["cores"]):
-                raise UsageError("these results are of another machine", file=path, hint="choose another folder")
+            if (known.get("cpu"), known.get("cores")) != (
+                self.machine["cpu"],
+                self.machine["cores"],
+            ):
+                raise UsageError(
+                    "these results are of another machine", file=path, hint="choose another folder"
+                )
 
     def has(self, row: Row) -> bool:
         """Whether that point was measured, without a fault."""
@@ -65,7 +72,9 @@ class Results:
         names: Dict[str, None] = {}
         for row in self.rows:
             names.update(dict.fromkeys(row))
-        with open(os.path.join(self.folder, "results.csv"), "w", newline="", encoding="utf-8") as file:
+        with open(
+            os.path.join(self.folder, "results.csv"), "w", newline="", encoding="utf-8"
+        ) as file:
             writer = csv.DictWriter(file, list(names))
             writer.writeheader()
             writer.writerows(self.rows)
@@ -75,4 +84,6 @@ class Results:
     def of(self, experiment: str) -> Sequence[Row]:
         """The rows of an experiment, by mode, size and synchronisation."""
         found = [row for row in self.rows if row["experiment"] == experiment]
-        return sorted(found, key=lambda r: (r["mode"] != "process", r["mode"], r["robots"], r["places"]))
+        return sorted(
+            found, key=lambda r: (r["mode"] != "process", r["mode"], r["robots"], r["places"])
+        )

@@ -99,9 +99,22 @@ def measure_apart(args: argparse.Namespace, robots: int, seed: int) -> Dict[str,
 def show(results: Sequence[Dict[str, Any]]) -> str:
     """The results as a table."""
     head = (
-        "robots", "seed", "laps of each", "locations", "metres", "touches", "with walls", "min stuck",
-        "aborted", "two in one", "overtaken", "misses", "real-time factor", "CPU s/min", "MB",
-    )  # fmt: skip
+        "robots",
+        "seed",
+        "laps of each",
+        "locations",
+        "metres",
+        "touches",
+        "with walls",
+        "min stuck",
+        "aborted",
+        "two in one",
+        "overtaken",
+        "misses",
+        "real-time factor",
+        "CPU s/min",
+        "MB",
+    )
     rows = [
         [
             str(r["robots"]),
@@ -131,11 +144,17 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--robots", type=int, help="one team of so many robots only")
     parser.add_argument("--seed", type=int, help="one seed only (needs --robots)")
     parser.add_argument("--minutes", type=float, default=MINUTES, help="world time of a run (15)")
-    parser.add_argument("--quick", action="store_true", help="one seed and two minutes for each team")
+    parser.add_argument(
+        "--quick", action="store_true", help="one seed and two minutes for each team"
+    )
     parser.add_argument("--room", help="the room file (plans/patrol/critical_room.yaml)")
     parser.add_argument("--ros", action="store_true", help="the whole system, with execution nodes")
-    parser.add_argument("--factor", type=float, default=5.0, help="with --ros: real-time factor (5)")
-    parser.add_argument("--lose", action="store_true", help="with --ros: kill a robot in mid-patrol; it returns")
+    parser.add_argument(
+        "--factor", type=float, default=5.0, help="with --ros: real-time factor (5)"
+    )
+    parser.add_argument(
+        "--lose", action="store_true", help="with --ros: kill a robot in mid-patrol; it returns"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args(arguments)
     args.room = args.room or os.path.join(plans_folder(), "patrol", "critical_room.yaml")
@@ -146,7 +165,9 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         if args.ros:
             from gspn_framework_package.benchmark.room_ros import measure_ros
 
-            results.append(measure_ros(args.room, args.robots, args.seed, args.minutes, args.factor, args.lose))
+            results.append(
+                measure_ros(args.room, args.robots, args.seed, args.minutes, args.factor, args.lose)
+            )
         else:
             results.append(measure(args.room, args.robots, args.seed, args.minutes))
     else:
@@ -161,7 +182,9 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
             print(found, file=sys.stderr, flush=True)
     machine = describe_machine(LIBRARIES)
     if args.json:
-        print(json.dumps({"machine": machine, "minutes": args.minutes, "results": results}, indent=2))
+        print(
+            json.dumps({"machine": machine, "minutes": args.minutes, "results": results}, indent=2)
+        )
     else:
         print(machine_line(machine) + "\n")
         print("%g minutes of world time each\n" % args.minutes)

@@ -1,4 +1,5 @@
-"""The critical room with the whole system: ``patrol.launch``, watched from outside (see :mod:`.room`)."""
+"""The critical room with the whole system: ``patrol.launch``, watched from outside (see
+:mod:`.room`)."""
 
 from __future__ import annotations
 
@@ -101,13 +102,15 @@ class Watcher:
 class Loss:
     """Kills the execution node of one robot in mid-patrol, and starts it again later.
 
-    It dies (SIGKILL) in the second third of the run, on its way between two locations, so that its body is in the way
-    of the others; it returns in the last third.
+    It dies (SIGKILL) in the second third of the run, on its way between two locations, so that its
+    body is in the way of the others; it returns in the last third.
 
     :param robot: the one that is lost, the second of the team.
     """
 
-    def __init__(self, robot: str, minutes: float, command: List[str], environment: Dict[str, str]) -> None:
+    def __init__(
+        self, robot: str, minutes: float, command: List[str], environment: Dict[str, str]
+    ) -> None:
         self.robot, self._end = robot, minutes * 60
         self._command, self._environment = command, environment
         self._launch: Optional[subprocess.Popen[bytes]] = None
@@ -137,7 +140,9 @@ class Loss:
     def report(self, watcher: Watcher) -> Dict[str, Any]:
         """When it was lost, and how many locations were entered before, meanwhile, and after."""
         if self.killed is None or self.returned is None:
-            raise ExecutionError("%s was never between two locations" % self.robot, hint="give more minutes")
+            raise ExecutionError(
+                "%s was never between two locations" % self.robot, hint="give more minutes"
+            )
         last = watcher.entries(self.robot)
         return {
             "robot": self.robot,
@@ -157,7 +162,8 @@ def measure_ros(
 
     :param room: the room file.
     :param robots: size of the team.
-    :param seed: names the run; what is drawn is drawn by the plan, how the threads meet by the machine.
+    :param seed: names the run; what is drawn is drawn by the plan, how the threads meet by the
+      machine.
     :param minutes: of world time.
     :param factor: the real-time factor asked for.
     :param lose: kill a robot in mid-patrol, and start it again: :class:`Loss`.
@@ -175,12 +181,26 @@ def measure_ros(
         watcher = Watcher(load_room(room))
         output = os.path.join(master.folder, "patrol.txt")
         words = ["roslaunch", "gspn_framework_package", "patrol.launch", "robots:=%d" % robots]
-        words += ["world:=" + os.path.abspath(room), "real_time_factor:=%g" % factor, "run:=room_%d" % seed]
+        words += [
+            "world:=" + os.path.abspath(room),
+            "real_time_factor:=%g" % factor,
+            "run:=room_%d" % seed,
+        ]
         with open(output, "wb") as log:
             launch = subprocess.Popen(
-                words, stdout=log, stderr=subprocess.STDOUT, env=master.environment, start_new_session=True
+                words,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=master.environment,
+                start_new_session=True,
             )
-        again = ["roslaunch", "gspn_framework_package", "robot.launch", "plan:=" + path, "number:=2"]
+        again = [
+            "roslaunch",
+            "gspn_framework_package",
+            "robot.launch",
+            "plan:=" + path,
+            "number:=2",
+        ]
         again += ["robots:=%d" % robots, "run:=room_%d" % seed]
         loss = Loss(names[1], minutes, again, master.environment) if lose else None
         try:
@@ -194,7 +214,8 @@ def measure_ros(
 
 
 def read_logs(folder: str) -> Dict[str, Any]:
-    """What the robots' own logs of a run say: whether they tell one valid story (``gspn verify``), failed actions."""
+    """What the robots' own logs of a run say: whether they tell one valid story (``gspn verify``),
+    failed actions."""
     logs = [read_log(os.path.join(folder, name)) for name in sorted(os.listdir(folder))]
     verdict = verify(logs)
     # each robot has them all in its log, up to where it ended
@@ -215,7 +236,8 @@ def read_logs(folder: str) -> Dict[str, Any]:
 
 
 def count_policy_misses(event_log: EventLog) -> int:
-    """How many transitions of a log were drawn by their weights, for want of a row of the policy."""
+    """How many transitions of a log were drawn by their weights, for want of a row of the
+    policy."""
     net, policy = event_log.plan.net, event_log.plan.policy.bind(event_log.plan.net)
     misses = 0
     for step in replay(event_log):

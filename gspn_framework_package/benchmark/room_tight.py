@@ -1,9 +1,10 @@
 """Robots in random tight places: ``python3 -m gspn_framework_package.benchmark.room_tight``.
 
-Doors and corridors that one or two robots fit through, with robots on both sides that want to the other one; crossings
-of narrow lanes; halls full of boxes. Two to six robots each, from random poses to random goals. Counted are touches,
-which there must not be; goals given up, which there may be where a robot that has arrived stands in the way of another;
-and robots that are still on their way after four minutes, which there must not be either.
+Doors and corridors that one or two robots fit through, with robots on both sides that want to the
+other one; crossings of narrow lanes; halls full of boxes. Two to six robots each, from random poses
+to random goals. Counted are touches, which there must not be; goals given up, which there may be
+where a robot that has arrived stands in the way of another; and robots that are still on their way
+after four minutes, which there must not be either.
 """
 
 from __future__ import annotations
@@ -74,11 +75,17 @@ def make_room(boxes: Sequence[Box]) -> Room:
     return Room("hall", (((-x, -y), (x, -y), (x, y), (-x, y), (-x, -y)),), obstacles=tuple(boxes))
 
 
-def _points(free: Sequence[Point], sides: Sequence[int], source: random.Random) -> Optional[List[Point]]:
+def _points(
+    free: Sequence[Point], sides: Sequence[int], source: random.Random
+) -> Optional[List[Point]]:
     """Free points apart from each other, west (-1) or east (1) of the middle, or anywhere (0)."""
     found: List[Point] = []
     for side in sides:
-        fitting = [p for p in free if p[0] * side >= 0.2 * abs(side) and all(math.dist(p, q) > APART for q in found)]
+        fitting = [
+            p
+            for p in free
+            if p[0] * side >= 0.2 * abs(side) and all(math.dist(p, q) > APART for q in found)
+        ]
         if not fitting:
             return None
         found.append(source.choice(fitting))
@@ -108,7 +115,11 @@ def measure(kind: str, seed: int) -> Optional[Dict[str, Any]]:
     while team.time < LIMIT and any(navigator.active for navigator in team.navigators.values()):
         team.step()
     ends = [navigator.status for navigator in team.navigators.values()]
-    reasons = [navigator.reason for navigator in team.navigators.values() if navigator.status is Status.FAILED]
+    reasons = [
+        navigator.reason
+        for navigator in team.navigators.values()
+        if navigator.status is Status.FAILED
+    ]
     contacts = team.physics.contacts
     team.close()
     return {
@@ -133,12 +144,22 @@ def summary(results: Sequence[Dict[str, Any]]) -> str:
         keys = ("robots", "arrived", "touches", "touches_of_solids", "given_up", "still_on_the_way")
         sums: Tuple[int, ...] = tuple(sum(result[key] for result in of_kind) for key in keys)
         rows.append([kind, len(of_kind), *sums])
-    head = ("place", "trials", "robots", "arrived", "touches", "with walls", "given up", "still on the way")
+    head = (
+        "place",
+        "trials",
+        "robots",
+        "arrived",
+        "touches",
+        "with walls",
+        "given up",
+        "still on the way",
+    )
     return table(head, rows)
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Run the benchmark; 0: nobody touched anything or was on the way for ever, 1: somebody did or was."""
+    """Run the benchmark; 0: nobody touched anything or was on the way for ever, 1: somebody did or
+    was."""
     parser = argparse.ArgumentParser(prog="benchmark.room_tight", description=__doc__.split(":")[0])
     parser.add_argument("--trials", type=int, default=30, help="of each kind of place (30)")
     parser.add_argument("--place", choices=list(PLACES), help="one kind of place only")
@@ -154,7 +175,12 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
             results.append(result)
             if any(result[fault] for fault in _FAULTS):
                 print("%s, seed %d: %s" % (kind, seed, result), file=sys.stderr, flush=True)
-            told = "%s, seed %d: %d robots, %g s" % (kind, seed, result["robots"], result["seconds"])
+            told = "%s, seed %d: %d robots, %g s" % (
+                kind,
+                seed,
+                result["robots"],
+                result["seconds"],
+            )
             print("; given up: ".join([told, *result["reasons"]]), file=sys.stderr, flush=True)
     machine = describe_machine(("numpy", "scipy", "pybullet"))
     if args.json:

@@ -1,7 +1,8 @@
-"""The scaling experiments of thesis 6.1, ten times further, and the throughput with instant actions.
+"""The scaling experiments of thesis 6.1, ten times further, and the throughput with instant
+actions.
 
-Each experiment is a list of points (robots, places); each point is one run with its own ``roslaunch`` on a master that
-the experiments share.
+Each experiment is a list of points (robots, places); each point is one run with its own
+``roslaunch`` on a master that the experiments share.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ class Experiment(NamedTuple):
     """Seconds until a point is given up whose robots have not all fired."""
 
     def chosen(self, quick: bool, sizes: Sequence[int]) -> Tuple[Point, ...]:
-        """The points to run: all, the quick ones, or those whose growing number is among ``sizes``, which may go
-        beyond the points that are listed."""
+        """The points to run: all, the quick ones, or those whose growing number is among ``sizes``,
+        which may go beyond the points that are listed."""
         if not sizes:
             return self.quick if quick else self.points
         robots, places = self.points[0]
@@ -61,32 +62,48 @@ def _of_tokens(robots: Iterable[int]) -> Tuple[Point, ...]:
 
 EXPERIMENTS: Dict[str, Experiment] = {
     "tokens": Experiment(
-        "More robots, seven places", "thesis 6.1.1, Figure 6.2",
-        _of_tokens([*range(1, 16), 20, 30, 40, 50]), _of_tokens([1, 3, 5, 13]), _tokens,
+        "More robots, seven places",
+        "thesis 6.1.1, Figure 6.2",
+        _of_tokens([*range(1, 16), 20, 30, 40, 50]),
+        _of_tokens([1, 3, 5, 13]),
+        _tokens,
     ),
     "places": Experiment(
-        "More places, five robots", "thesis 6.1.2, Figure 6.4",
-        tuple((5, n) for n in [*range(2, 17), 20, 30, 50, 75, 100]), ((5, 2), (5, 7), (5, 16)), _ring,
+        "More places, five robots",
+        "thesis 6.1.2, Figure 6.4",
+        tuple((5, n) for n in [*range(2, 17), 20, 30, 50, 75, 100]),
+        ((5, 2), (5, 7), (5, 16)),
+        _ring,
     ),
     "one": Experiment(
-        "More places, one robot", "thesis 6.1.3, Figure 6.6",
+        "More places, one robot",
+        "thesis 6.1.3, Figure 6.6",
         tuple((1, n) for n in [*range(2, 36), *range(40, 101, 5), 200, 300, 500, 750, 1000]),
-        ((1, 2), (1, 35), (1, 100)), _ring,
+        ((1, 2), (1, 35), (1, 100)),
+        _ring,
     ),
     "large": Experiment(
-        "A large team: 50 robots, 20 places each", "1,000 action servers",
-        ((50, 20),), ((20, 20),), _ring, timeout=240.0,
+        "A large team: 50 robots, 20 places each",
+        "1,000 action servers",
+        ((50, 20),),
+        ((20, 20),),
+        _ring,
+        timeout=240.0,
     ),
     "throughput": Experiment(
-        "Actions that return at once", "plans/tokens",
-        _of_tokens([1, 2, 3, 5, 8, 13]), _of_tokens([1, 3]), _instant,
+        "Actions that return at once",
+        "plans/tokens",
+        _of_tokens([1, 2, 3, 5, 8, 13]),
+        _of_tokens([1, 3]),
+        _instant,
     ),
-}  # fmt: skip
+}
 """By the name that the command line knows them by."""
 
 
 THESIS_START = 1200.0
-"""Seconds that the thesis waited for the execution to start with more than 13 tokens ("around 20 minutes", 6.1.1)."""
+"""Seconds that the thesis waited for the execution to start with more than 13 tokens ("around 20
+minutes", 6.1.1)."""
 
 
 def thesis_start(robots: int) -> Optional[float]:
@@ -95,7 +112,8 @@ def thesis_start(robots: int) -> Optional[float]:
 
 
 class Result(NamedTuple):
-    """One point. ``servers``: place servers in the team; ``None`` in ``measured`` where the robots did not start."""
+    """One point. ``servers``: place servers in the team; ``None`` in ``measured`` where the robots
+    did not start."""
 
     experiment: str
     mode: str
@@ -109,27 +127,41 @@ class Result(NamedTuple):
     def row(self) -> Dict[str, Any]:
         """The figures by name, for CSV and JSON."""
         row: Dict[str, Any] = {
-            "experiment": self.experiment, "mode": self.mode, "robots": self.robots, "places": self.places,
+            "experiment": self.experiment,
+            "mode": self.mode,
+            "robots": self.robots,
+            "places": self.places,
             "servers": self.servers,
-        }  # fmt: skip
+        }
         m = self.measured
         if m is not None:
             row.update(
-                started_s=round(m.started, 2), first_goals_s=round(m.first_goals, 2),
+                started_s=round(m.started, 2),
+                first_goals_s=round(m.first_goals, 2),
                 all_fired_s=None if m.all_fired is None else round(m.all_fired, 2),
-                firings_per_s=round(m.firings, 2), cpu_percent_of_core=round(100 * m.cpu_of_core, 1),
+                firings_per_s=round(m.firings, 2),
+                cpu_percent_of_core=round(100 * m.cpu_of_core, 1),
                 master_cpu_percent_of_core=round(100 * m.master_cpu_of_core, 1),
-                cpu_seconds=round(m.cost.cpu_seconds, 2), processes=m.cost.processes, pss_mb=round(m.cost.pss_mb, 1),
-                threads=m.cost.threads, descriptors=m.cost.descriptors,
+                cpu_seconds=round(m.cost.cpu_seconds, 2),
+                processes=m.cost.processes,
+                pss_mb=round(m.cost.pss_mb, 1),
+                threads=m.cost.threads,
+                descriptors=m.cost.descriptors,
                 machine_cpu_percent=round(m.machine.cpu_percent, 1),
                 machine_memory_percent=round(m.machine.memory_percent, 1),
-            )  # fmt: skip
+            )
         row.update(faults=self.faults, note=self.note)
         return row
 
 
 def run_point(
-    name: str, robots: int, places: int, mode: str, master: Master, window: float, partial: bool = False
+    name: str,
+    robots: int,
+    places: int,
+    mode: str,
+    master: Master,
+    window: float,
+    partial: bool = False,
 ) -> Result:
     """Run one point of an experiment. One that fails is a result with a note.
 
@@ -173,13 +205,18 @@ def standalone_results(quick: bool, seconds: float, tell: Tell) -> List[Dict[str
         spent = (time.process_time() - began) / seconds
         rows.append(
             {
-                "experiment": "throughput", "mode": "standalone", "robots": robots, "places": 7,
-                "firings_per_s": round(rate, 1), "cpu_percent_of_core": round(100 * spent, 1),
-            }  # fmt: skip
+                "experiment": "throughput",
+                "mode": "standalone",
+                "robots": robots,
+                "places": 7,
+                "firings_per_s": round(rate, 1),
+                "cpu_percent_of_core": round(100 * spent, 1),
+            }
         )
     return rows
 
 
 def baseline() -> MachineLoad:
-    """The machine before anything runs (the thesis's: 0.8 % of the processors, 25.9 % of the memory)."""
+    """The machine before anything runs (the thesis's: 0.8 % of the processors, 25.9 % of the
+    memory)."""
     return quiet_machine()

@@ -10,8 +10,9 @@ from gspn_framework_package.model.net import Net
 def storm_jani(net: Net, *, clock: bool = False) -> Any:
     """The net as a JANI model that Storm's own translation of GSPNs made.
 
-    :param clock: with a clock on the side that ticks for ever and changes nothing else. Storm lets no time pass in a
-        deadlock, and takes the long run of a single state for 0; the clock keeps both from happening.
+    :param clock: with a clock on the side that ticks for ever and changes nothing else. Storm lets
+        no time pass in a deadlock, and takes the long run of a single state for 0; the clock keeps
+        both from happening.
     """
     from stormpy import gspn
 
@@ -23,7 +24,9 @@ def storm_jani(net: Net, *, clock: bool = False) -> Any:
         if transition.timed:
             builder.add_timed_transition(0, transition.rate, transition.servers, transition.name)
         else:
-            builder.add_immediate_transition(transition.priority, transition.weight, transition.name)
+            builder.add_immediate_transition(
+                transition.priority, transition.weight, transition.name
+            )
         for p, weight in net.inputs[t]:
             builder.add_input_arc(net.places[p].name, transition.name, weight)
         for p, weight in net.outputs[t]:
@@ -33,7 +36,9 @@ def storm_jani(net: Net, *, clock: bool = False) -> Any:
         for p, change in net.effect(t):
             capacity = net.places[p].capacity
             if capacity is not None and change > 0:  # Storm does not enforce capacities itself
-                builder.add_inhibition_arc(net.places[p].name, transition.name, capacity - change + 1)
+                builder.add_inhibition_arc(
+                    net.places[p].name, transition.name, capacity - change + 1
+                )
     if clock:
         for name, tokens in (("tick", 1), ("tock", 0)):
             builder.add_place(None, tokens, name)

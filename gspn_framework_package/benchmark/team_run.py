@@ -1,7 +1,8 @@
-"""Runs a team on ROS for a benchmark: a master of its own, ``roslaunch``, and what the robots' logs say.
+"""Runs a team on ROS for a benchmark: a master of its own, ``roslaunch``, and what the robots' logs
+say.
 
-Nothing subscribes: the times of the firings are read from the event logs, whose monotonic clock all processes of one
-host share. So the measurement adds no connection and no message.
+Nothing subscribes: the times of the firings are read from the event logs, whose monotonic clock all
+processes of one host share. So the measurement adds no connection and no message.
 """
 
 from __future__ import annotations
@@ -37,8 +38,9 @@ LAUNCH_FILES = {"process": "team.launch", "hosted": "hosted.launch"}
 
 
 class Measurement(NamedTuple):
-    """What one run showed. Times in seconds from the start of ``roslaunch``; costs are those of the robots' processes
-    over ``window`` seconds, without ``roslaunch`` and the master; ``firings`` a second, of the whole team."""
+    """What one run showed. Times in seconds from the start of ``roslaunch``; costs are those of the
+    robots' processes over ``window`` seconds, without ``roslaunch`` and the master; ``firings`` a
+    second, of the whole team."""
 
     started: float
     first_goals: float
@@ -54,30 +56,47 @@ class Measurement(NamedTuple):
 def need_ros() -> None:
     """Whether ROS and the package are there. :raises UsageError: they are not."""
     if shutil.which("roslaunch") is None or shutil.which("roscore") is None:
-        raise UsageError("ROS is not sourced", hint="source the setup.bash of a workspace that has this package")
-    found = subprocess.run(["rospack", "find", "gspn_framework_package"], stdout=subprocess.DEVNULL,
-                           stderr=subprocess.DEVNULL)  # fmt: skip
+        raise UsageError(
+            "ROS is not sourced", hint="source the setup.bash of a workspace that has this package"
+        )
+    found = subprocess.run(
+        ["rospack", "find", "gspn_framework_package"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     if found.returncode != 0:
-        raise UsageError("ROS does not know gspn_framework_package", hint="build and source the workspace")
+        raise UsageError(
+            "ROS does not know gspn_framework_package", hint="build and source the workspace"
+        )
 
 
 class Master:
-    """A ROS master on a free port, with a folder for everything that nodes write; ends with the ``with`` block."""
+    """A ROS master on a free port, with a folder for everything that nodes write; ends with the
+    ``with`` block."""
 
     def __enter__(self) -> Master:
         self.folder = tempfile.mkdtemp(prefix="gspn_bench_")
         port = free_port()
         self.uri = "http://localhost:%d" % port
-        self.environment = dict(os.environ, ROS_MASTER_URI=self.uri, ROS_HOSTNAME="localhost",
-                                ROS_HOME=self.folder, ROS_LOG_DIR=os.path.join(self.folder, "log"))  # fmt: skip
+        self.environment = dict(
+            os.environ,
+            ROS_MASTER_URI=self.uri,
+            ROS_HOSTNAME="localhost",
+            ROS_HOME=self.folder,
+            ROS_LOG_DIR=os.path.join(self.folder, "log"),
+        )
         self.environment.pop("ROS_IP", None)
         self.environment.pop("ROS_NAMESPACE", None)
-        self._process = _start(["roscore", "-p", str(port)], self.environment, os.path.join(self.folder, "roscore.txt"))
+        self._process = _start(
+            ["roscore", "-p", str(port)], self.environment, os.path.join(self.folder, "roscore.txt")
+        )
         deadline = time.monotonic() + 30
         while not self._answers():
             if time.monotonic() > deadline or self._process.poll() is not None:
                 _end(self._process)
-                raise ExecutionError("the ROS master did not start", file=os.path.join(self.folder, "roscore.txt"))
+                raise ExecutionError(
+                    "the ROS master did not start", file=os.path.join(self.folder, "roscore.txt")
+                )
             time.sleep(0.05)
         return self
 
@@ -123,10 +142,17 @@ class TeamRun:
         self._run = "bench_%d" % TeamRun._count
         self._output = os.path.join(self.folder, "roslaunch.txt")
         self._command = [
-            "roslaunch", "gspn_framework_package", LAUNCH_FILES[mode], "plan:=" + self.folder,
-            "robots:=%d" % len(self.robots), "run:=" + self._run, "log_dir:=" + self.folder,
-        ]  # fmt: skip
-        self._tails = [_Tail(os.path.join(self.folder, self._run, name + ".jsonl")) for name in self.robots]
+            "roslaunch",
+            "gspn_framework_package",
+            LAUNCH_FILES[mode],
+            "plan:=" + self.folder,
+            "robots:=%d" % len(self.robots),
+            "run:=" + self._run,
+            "log_dir:=" + self.folder,
+        ]
+        self._tails = [
+            _Tail(os.path.join(self.folder, self._run, name + ".jsonl")) for name in self.robots
+        ]
 
     def __enter__(self) -> TeamRun:
         self.begin = time.monotonic()
@@ -137,12 +163,15 @@ class TeamRun:
         _end(self._process)
 
     def wait_all_fired(self, timeout: float) -> bool:
-        """Wait until every robot has moved; whether they all did within ``timeout`` seconds of the start."""
+        """Wait until every robot has moved; whether they all did within ``timeout`` seconds of the
+        start."""
         waiting = list(self._tails)
         while waiting:
             waiting = [tail for tail in waiting if len(tail.read()) < 2]
             if self._process.poll() is not None:
-                raise ExecutionError("roslaunch ended by itself", file=self._output, hint=_last_lines(self._output))
+                raise ExecutionError(
+                    "roslaunch ended by itself", file=self._output, hint=_last_lines(self._output)
+                )
             if waiting and time.monotonic() - self.begin > timeout:
                 return False
             time.sleep(0.05)
@@ -156,8 +185,11 @@ class TeamRun:
         all_fired = self.wait_all_fired(timeout)
         robots, masters = descendants(self._process.pid), descendants(self._master.pid)
         if not robots:
-            raise ExecutionError("no robot is running", file=self._output, hint=_last_lines(self._output))
-        # what a node does once after its start (the connections that follow in the background) is not the run
+            raise ExecutionError(
+                "no robot is running", file=self._output, hint=_last_lines(self._output)
+            )
+        # what a node does once after its start (the connections that follow in the background) is
+        # not the run
         time.sleep(min(2.0, window / 2))
         before, masters_before, began = cpu_seconds(robots), cpu_seconds(masters), time.monotonic()
         machine = machine_load(window)
@@ -186,11 +218,15 @@ class TeamRun:
     def faults(self) -> List[str]:
         """Errors and tracebacks that the nodes have printed."""
         with open(self._output, encoding="utf-8", errors="replace") as file:
-            return [line.rstrip() for line in file if "[ERROR]" in line or "[FATAL]" in line or "Traceback" in line]
-
+            return [
+                line.rstrip()
+                for line in file
+                if "[ERROR]" in line or "[FATAL]" in line or "Traceback" in line
+            ]
 
     def violation(self) -> str:
-        """What the history checker has against the robots' logs, once they have ended; "" for nothing."""
+        """What the history checker has against the robots' logs, once they have ended; "" for
+        nothing."""
         paths = [tail.path for tail in self._tails if os.path.exists(tail.path)]
         found = verify([read_log(path) for path in paths]).violation
         return "" if found is None else str(found)
@@ -232,9 +268,13 @@ def _spent(before: Dict[int, float], after: Dict[int, float]) -> float:
 def _start(command: Sequence[str], environment: Dict[str, str], output: str) -> Any:
     with open(output, "wb") as file:
         return subprocess.Popen(
-            command, env=environment, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT,
+            command,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=file,
+            stderr=subprocess.STDOUT,
             start_new_session=True,
-        )  # fmt: skip
+        )
 
 
 def _end(process: Any) -> None:

@@ -70,7 +70,9 @@ def standalone_rate(plan: Plan, seconds: float, record: bool) -> float:
         writer = None
         if record:
             path = os.path.join(folder, "run.jsonl")
-            writer = EventLogWriter(path, header(plan, plan.name, "", uuid.uuid4().hex, agents=True))
+            writer = EventLogWriter(
+                path, header(plan, plan.name, "", uuid.uuid4().hex, agents=True)
+            )
         counter = _Counter()
         executor = StandaloneExecutor(plan, counter, writer)
         begin = time.perf_counter()
@@ -105,7 +107,10 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     if args.json:
         print(json.dumps({"machine": machine, "results": results}, indent=2))
         return 0
-    print(machine_line(machine) + "\nFirings per second, plans/tokens with actions that return at once:\n")
+    print(
+        machine_line(machine)
+        + "\nFirings per second, plans/tokens with actions that return at once:\n"
+    )
     head = ("agents", "token game", "standalone", "standalone, recorded")
     print(table(head, [list(result.values()) for result in results]))
     return 0

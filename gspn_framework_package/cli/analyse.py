@@ -17,7 +17,12 @@ from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.report import STRUCTURE, Questions, report, rows
 from gspn_framework_package.analysis.state_space import ENGINES
 from gspn_framework_package.cli.interrupts import leave
-from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, rare_collections, working
+from gspn_framework_package.cli.limits import (
+    add_limit_arguments,
+    limits_of,
+    rare_collections,
+    working,
+)
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.model.errors import UsageError
@@ -39,7 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     add_subject_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print all answers as one JSON object")
-    parser.add_argument("--csv", metavar="FILE", help="write the numbers to FILE as rows: measure, name, value")
+    parser.add_argument(
+        "--csv", metavar="FILE", help="write the numbers to FILE as rows: measure, name, value"
+    )
     asking = parser.add_argument_group("questions")
     asking.add_argument(
         "--at",
@@ -86,11 +93,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="TOLERANCE",
         help="time until the distribution stays this close to the steady state (1e-3)",
     )
-    asking.add_argument("--no-structure", action="store_true", help="leave out invariants, siphons and traps")
+    asking.add_argument(
+        "--no-structure", action="store_true", help="leave out invariants, siphons and traps"
+    )
     asking.add_argument("--no-time", action="store_true", help="leave out the steady state")
     effort = parser.add_argument_group("effort")
     add_limit_arguments(effort)
-    effort.add_argument("--engine", choices=ENGINES, default="auto", help="who explores (default: auto)")
+    effort.add_argument(
+        "--engine", choices=ENGINES, default="auto", help="who explores (default: auto)"
+    )
     parser.epilog = "Exit codes: 0 answered (what was not decided is said), 2 wrong input or usage."
 
 
@@ -143,7 +154,8 @@ def _run(args: argparse.Namespace) -> int:
                 data.update(dict.fromkeys(keys))
                 data["undecided"].update(dict.fromkeys(keys, "left out, as asked"))
         parts = json.JSONEncoder(indent=2, allow_nan=False, ensure_ascii=False).iterencode(data)
-        for block in iter(lambda: "".join(islice(parts, _PARTS)), ""):  # writing each by itself takes twice as long
+        # writing each by itself takes twice as long
+        for block in iter(lambda: "".join(islice(parts, _PARTS)), ""):
             sys.stdout.write(block)
         print()
     else:
@@ -174,7 +186,7 @@ def _pair(text: str, option: str) -> Tuple[str, float]:
     return name.strip(), number
 
 
-# -- text ---------------------------------------------------------------------------------------------------
+# -- text ------------------------------------------------------------------------------------------
 
 
 def _text(data: Mapping[str, Any]) -> Iterator[str]:
@@ -208,7 +220,10 @@ def _text(data: Mapping[str, Any]) -> Iterator[str]:
                 _number(entry["probability"]),
             )
             for within in entry["within"]:
-                yield "    within %g s with probability %s" % (within["time"], _number(within["probability"]))
+                yield "    within %g s with probability %s" % (
+                    within["time"],
+                    _number(within["probability"]),
+                )
     yield from _undecided_text(data)
 
 
@@ -220,7 +235,10 @@ def _undecided_text(data: Mapping[str, Any]) -> Iterator[str]:
     for reason, keys in concerned.items():
         yield "not decided: %s: %s" % (", ".join(keys), reason)
     if data["states"] is None and any(key.split(".")[0] in TIMED for key in data["undecided"]):
-        yield "gspn simulate estimates tokens, throughput and times without all states, from random runs"
+        yield (
+            "gspn simulate estimates tokens, throughput and times without all states, "
+            "from random runs"
+        )
 
 
 def _structure_text(data: Mapping[str, Any]) -> Iterator[str]:
@@ -229,14 +247,22 @@ def _structure_text(data: Mapping[str, Any]) -> Iterator[str]:
         "%s %s" % (word.replace("_", " "), _answer(data[word])) for word in words
     )
     if data["kind"] == "plan" and data["conservative"] is False:
-        yield "    (resource places count too; gspn check says whether robots are created or destroyed)"
+        yield (
+            "    (resource places count too; "
+            "gspn check says whether robots are created or destroyed)"
+        )
     classes = [name.replace("_", " ") for name, holds in (data["classes"] or {}).items() if holds]
     yield "classes: %s" % (", ".join(classes) or "none")
-    for key, title in (("place_invariants", "P-invariants"), ("transition_invariants", "T-invariants")):
+    for key, title in (
+        ("place_invariants", "P-invariants"),
+        ("transition_invariants", "T-invariants"),
+    ):
         found = data[key]
         yield "%s: %s" % (title, "not decided" if found is None else len(found))
         for invariant in (found or [])[:SHOWN]:
-            terms = ["%s%s" % ("" if w == 1 else "%d*" % w, n) for n, w in invariant["weights"].items()]
+            terms = [
+                "%s%s" % ("" if w == 1 else "%d*" % w, n) for n, w in invariant["weights"].items()
+            ]
             value = "" if invariant.get("value") is None else " = %d" % invariant["value"]
             yield "    %s%s" % (" + ".join(terms), value)
         yield from _more(found)
@@ -244,7 +270,10 @@ def _structure_text(data: Mapping[str, Any]) -> Iterator[str]:
         found = data[key]
         yield "minimal %s: %s" % (key, "not decided" if found is None else len(found))
         for entry in (found or [])[:SHOWN]:
-            yield "    %s%s" % (", ".join(entry["places"]), "" if entry["marked"] else " (unmarked)")
+            yield "    %s%s" % (
+                ", ".join(entry["places"]),
+                "" if entry["marked"] else " (unmarked)",
+            )
         yield from _more(found)
     if data["unmarked_siphon"]:
         yield "never marked: %s" % _some(data["unmarked_siphon"])
@@ -290,7 +319,11 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
 
 def _reach_text(entry: Any, word: str) -> Iterator[str]:
     if entry:
-        way = "" if entry["witness"] is None else ", by %s" % (", ".join(entry["witness"]) or "nothing: at the start")
+        way = (
+            ""
+            if entry["witness"] is None
+            else ", by %s" % (", ".join(entry["witness"]) or "nothing: at the start")
+        )
         yield "%s: %s %s%s" % (entry["condition"], word, _answer(entry[word]), way)
 
 
@@ -298,7 +331,9 @@ def _steady_text(steady: Mapping[str, Any]) -> Iterator[str]:
     yield "steady state (%s, residual %.1e):" % (steady["method"], steady["residual"])
     if len(steady["components"]) > 1:
         for part in steady["components"]:
-            kind = "a recurrent class of %s states, most of the time in" % format(part["states"], ",")
+            kind = "a recurrent class of %s states, most of the time in" % format(
+                part["states"], ","
+            )
             if part["states"] == 1:
                 kind = "the deadlock" if part["deadlock"] else "one state for good:"
             yield "    with probability %s it ends in %s (%s)" % (
@@ -310,11 +345,18 @@ def _steady_text(steady: Mapping[str, Any]) -> Iterator[str]:
         if others:
             yield "    with probability %s in one of %s others; of all %s, %s are deadlocks" % (
                 _number(steady["probability_of_other_components"]),
-                *(format(n, ",") for n in (others, steady["component_count"], steady["deadlock_count"])),
+                *(
+                    format(n, ",")
+                    for n in (others, steady["component_count"], steady["deadlock_count"])
+                ),
             )
     yield "    %-32s %14s %14s" % ("place", "mean tokens", "mean wait (s)")
     for place, mean in steady["mean_tokens"].items():
-        yield "    %-32s %14s %14s" % (place, _number(mean), _number(steady["mean_waiting_time"][place]))
+        yield "    %-32s %14s %14s" % (
+            place,
+            _number(mean),
+            _number(steady["mean_waiting_time"][place]),
+        )
     yield "    %-32s %14s" % ("transition", "throughput 1/s")
     for transition, value in steady["throughput"].items():
         yield "    %-32s %14s" % (transition, _number(value))
@@ -338,7 +380,9 @@ def _map(values: Mapping[str, Any]) -> str:
 
 
 def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:SHOWN]) + (", ... (%d in all)" % len(names) if len(names) > SHOWN else "")
+    return ", ".join(names[:SHOWN]) + (
+        ", ... (%d in all)" % len(names) if len(names) > SHOWN else ""
+    )
 
 
 def _more(found: Any) -> Iterator[str]:

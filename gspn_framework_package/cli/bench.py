@@ -21,12 +21,21 @@ NAME = "bench"
 HELP = "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)"
 
 COLUMNS = (
-    ("robots", "robots"), ("places", "places"), ("servers", "servers"), ("mode", "mode"),
-    ("all_fired_s", "all fired [s]"), ("thesis", "thesis [s]"), ("firings_per_s", "firings/s"),
+    ("robots", "robots"),
+    ("places", "places"),
+    ("servers", "servers"),
+    ("mode", "mode"),
+    ("all_fired_s", "all fired [s]"),
+    ("thesis", "thesis [s]"),
+    ("firings_per_s", "firings/s"),
     ("cpu_percent_of_core", "CPU [% of a core]"),
-    ("pss_mb", "PSS [MB]"), ("processes", "processes"), ("threads", "threads"), ("descriptors", "descriptors"),
-    ("machine_cpu", "machine CPU [%]"), ("machine_memory", "machine memory [%]"),
-)  # fmt: skip
+    ("pss_mb", "PSS [MB]"),
+    ("processes", "processes"),
+    ("threads", "threads"),
+    ("descriptors", "descriptors"),
+    ("machine_cpu", "machine CPU [%]"),
+    ("machine_memory", "machine memory [%]"),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,21 +48,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         % ", ".join("%s (%s)" % (name, e.source) for name, e in scaling.EXPERIMENTS.items()),
     )
     parser.add_argument("--quick", action="store_true", help="a few points of each")
-    parser.add_argument("--sizes", type=_sizes, default=(), metavar="N,N,...",
-                        help="these points instead: robots, or places where places grow")  # fmt: skip
-    parser.add_argument("--mode", choices=[*LAUNCH_FILES, "both"], default="process",
-                        help="a process for each robot, or all hosted in one (default: %(default)s)")  # fmt: skip
+    parser.add_argument(
+        "--sizes",
+        type=_sizes,
+        default=(),
+        metavar="N,N,...",
+        help="these points instead: robots, or places where places grow",
+    )
+    parser.add_argument(
+        "--mode",
+        choices=[*LAUNCH_FILES, "both"],
+        default="process",
+        help="a process for each robot, or all hosted in one (default: %(default)s)",
+    )
     parser.add_argument("--partial", action="store_true", help="with partial synchronisation")
-    parser.add_argument("--window", type=numbers.duration, default=5.0, metavar="S",
-                        help="seconds that each point is measured for (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--output", metavar="FOLDER",
-                        help="write results.csv, results.json and the figures there; go on where a run into that "
-                        "folder was interrupted")  # fmt: skip
-    parser.add_argument("--again", action="store_true", help="measure points again that the folder holds")
+    parser.add_argument(
+        "--window",
+        type=numbers.duration,
+        default=5.0,
+        metavar="S",
+        help="seconds that each point is measured for (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--output",
+        metavar="FOLDER",
+        help="write results.csv, results.json and the figures there; go on where a run into that "
+        "folder was interrupted",
+    )
+    parser.add_argument(
+        "--again", action="store_true", help="measure points again that the folder holds"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.epilog = (
-        "CPU and memory of the machine are psutil's cpu_percent and virtual_memory, five samples averaged, with the "
-        "baseline subtracted, as in the thesis; everything else is of the robots' own processes. Close what else runs."
+        "CPU and memory of the machine are psutil's cpu_percent and virtual_memory, five samples "
+        "averaged, with the "
+        "baseline subtracted, as in the thesis; everything else is of the robots' own processes. "
+        "Close what else runs."
     )
 
 
@@ -63,11 +93,15 @@ def run(args: argparse.Namespace) -> int:
     wanted = args.experiments or known
     for name in wanted:
         if name not in known:
-            raise UsageError("there is no experiment '%s'" % name, hint="there are: " + ", ".join(known))
+            raise UsageError(
+                "there is no experiment '%s'" % name, hint="there are: " + ", ".join(known)
+            )
     results = Results(args.output or "")
     before = scaling.baseline()
-    baseline = {"baseline_cpu_percent": round(before.cpu_percent, 1),
-                "baseline_memory_percent": round(before.memory_percent, 1)}  # fmt: skip
+    baseline = {
+        "baseline_cpu_percent": round(before.cpu_percent, 1),
+        "baseline_memory_percent": round(before.memory_percent, 1),
+    }
     told: List[Dict[str, Any]] = []
     for name in wanted:
         if name == "standalone":
@@ -87,12 +121,17 @@ def run(args: argparse.Namespace) -> int:
     else:
         if "standalone" in wanted:
             _print_standalone(results.rows)
-        print("\n%s\nbaseline: CPU %.1f %%, memory %.1f %%" % (
-            machine_line(results.machine), before.cpu_percent, before.memory_percent))  # fmt: skip
+        print(
+            "\n%s\nbaseline: CPU %.1f %%, memory %.1f %%"
+            % (machine_line(results.machine), before.cpu_percent, before.memory_percent)
+        )
     failed = [row for row in told if row.get("note") or row.get("faults")]
     for row in failed:
-        print("%(experiment)s, %(robots)d robots, %(places)d places, %(mode)s: %(faults)d faults %(note)s" % row,
-              file=sys.stderr)  # fmt: skip
+        print(
+            "%(experiment)s, %(robots)d robots, %(places)d places, %(mode)s: %(faults)d faults "
+            "%(note)s" % row,
+            file=sys.stderr,
+        )
     return 1 if failed else 0
 
 
@@ -103,9 +142,16 @@ def _run_experiment(
     synchronisation = "partial" if args.partial else "full"
     modes = list(LAUNCH_FILES) if args.mode == "both" else [args.mode]
     points = [
-        {"experiment": name, "mode": mode, "robots": robots, "places": places, "synchronisation": synchronisation}
-        for mode in modes for robots, places in scaling.EXPERIMENTS[name].chosen(args.quick, args.sizes)
-    ]  # fmt: skip
+        {
+            "experiment": name,
+            "mode": mode,
+            "robots": robots,
+            "places": places,
+            "synchronisation": synchronisation,
+        }
+        for mode in modes
+        for robots, places in scaling.EXPERIMENTS[name].chosen(args.quick, args.sizes)
+    ]
     points = [point for point in points if args.again or not results.has(point)]
     rows = []
     signal.signal(signal.SIGTERM, _terminated)  # so that the robots under way are ended in order
@@ -115,7 +161,13 @@ def _run_experiment(
             assert master is not None
             _tell("%(experiment)s: %(robots)d robots, %(places)d places, %(mode)s" % point)
             result = scaling.run_point(
-                name, int(point["robots"]), int(point["places"]), str(point["mode"]), master, args.window, args.partial
+                name,
+                int(point["robots"]),
+                int(point["places"]),
+                str(point["mode"]),
+                master,
+                args.window,
+                args.partial,
             )
             rows.append({**point, **result.row(), **baseline, "window_s": args.window})
             results.add(rows[-1])
@@ -138,7 +190,9 @@ def _tell(text: str) -> None:
 def _print(name: str, results: Results) -> None:
     experiment = scaling.EXPERIMENTS[name]
     print("\n%s (%s)\n" % (experiment.title, experiment.source))
-    print(table([head for _, head in COLUMNS], [_cells(row) for row in results.of(name)]), flush=True)
+    print(
+        table([head for _, head in COLUMNS], [_cells(row) for row in results.of(name)]), flush=True
+    )
 
 
 def _cells(row: Dict[str, Any]) -> List[Any]:
@@ -154,5 +208,9 @@ def _cells(row: Dict[str, Any]) -> List[Any]:
 def _print_standalone(rows: Sequence[Dict[str, Any]]) -> None:
     print("\nWithout ROS, actions that return at once, recorded\n")
     found = [r for r in rows if r["mode"] == "standalone"]
-    print(table(["agents", "firings/s", "CPU [% of a core]"],
-                [[r["robots"], r["firings_per_s"], r["cpu_percent_of_core"]] for r in found]))  # fmt: skip
+    print(
+        table(
+            ["agents", "firings/s", "CPU [% of a core]"],
+            [[r["robots"], r["firings_per_s"], r["cpu_percent_of_core"]] for r in found],
+        )
+    )

@@ -29,11 +29,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="markings to visit at most where structure cannot decide (default %(default)s)",
     )
-    parser.add_argument("--robots", type=numbers.robots, metavar="N", help="check it for a team of N robots")
     parser.add_argument(
-        "--standalone", action="store_true", help="check it for agents, which transitions may create and destroy"
+        "--robots", type=numbers.robots, metavar="N", help="check it for a team of N robots"
     )
-    parser.epilog = "Exit codes: 0 the plan may run (look at the warnings), 1 refused, 2 not a plan."
+    parser.add_argument(
+        "--standalone",
+        action="store_true",
+        help="check it for agents, which transitions may create and destroy",
+    )
+    parser.epilog = (
+        "Exit codes: 0 the plan may run (look at the warnings), 1 refused, 2 not a plan."
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -43,7 +49,9 @@ def run(args: argparse.Namespace) -> int:
         plan = plan.for_robots(args.robots)
     with ProgressLine() as progress:
         report = check(plan, limit=args.limit, standalone=args.standalone, progress=progress)
-    report = report._replace(items=(*_look_at_functions(plan), *_look_at_goals(plan), *report.items))
+    report = report._replace(
+        items=(*_look_at_functions(plan), *_look_at_goals(plan), *report.items)
+    )
     if args.json:
         data = report.to_json()
         data["notes"] = list(plan.notes)
@@ -57,9 +65,19 @@ def run(args: argparse.Namespace) -> int:
 
 def _look_at_functions(plan: Plan) -> List[CheckItem]:
     """The functions that are not there, as far as their source tells without running it."""
-    bound = {action: place for place, action in plan.actions.items() if isinstance(action, FunctionAction)}
+    bound = {
+        action: place
+        for place, action in plan.actions.items()
+        if isinstance(action, FunctionAction)
+    }
     for robot in plan.robots:
-        bound.update({action: place for place, action in robot.actions.items() if isinstance(action, FunctionAction)})
+        bound.update(
+            {
+                action: place
+                for place, action in robot.actions.items()
+                if isinstance(action, FunctionAction)
+            }
+        )
     items = []
     for action, place in bound.items():
         text = missing_function(plan.folder, action.function)
@@ -70,8 +88,11 @@ def _look_at_functions(plan: Plan) -> List[CheckItem]:
 
 
 def _look_at_goals(plan: Plan) -> List[CheckItem]:
-    """What is wrong with the goals for action servers, where this shell has ROS, which knows their types."""
-    bound = list(plan.actions.values()) + [action for robot in plan.robots for action in robot.actions.values()]
+    """What is wrong with the goals for action servers, where this shell has ROS, which knows their
+    types."""
+    bound = list(plan.actions.values()) + [
+        action for robot in plan.robots for action in robot.actions.values()
+    ]
     if not any(isinstance(action, ServerAction) for action in bound):
         return []
     try:
@@ -86,7 +107,11 @@ def _look_at_goals(plan: Plan) -> List[CheckItem]:
     for text in sorted(set(found.unknown.values())):
         places = [where for where, said in found.unknown.items() if said == text]
         items.append(
-            CheckItem("goals", Severity.WARNING, "%s; its goals were not looked at (%s)" % (text, names(places)),
-                      {"where": places})  # fmt: skip
+            CheckItem(
+                "goals",
+                Severity.WARNING,
+                "%s; its goals were not looked at (%s)" % (text, names(places)),
+                {"where": places},
+            )
         )
     return items

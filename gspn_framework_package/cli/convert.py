@@ -44,7 +44,8 @@ NAME = "convert"
 HELP = "write a net in another format, or a plan as one file"
 
 CHAINS = {"prism-chain": ".tra", "drn": ".drn"}
-"""What a computed Markov chain is written as -> how the files end: PRISM's explicit files, and Storm's DRN."""
+"""What a computed Markov chain is written as -> how the files end: PRISM's explicit files, and
+Storm's DRN."""
 
 PLAN = "plan"
 """What a plan is written as: ``plan.json`` with net and policy inside."""
@@ -59,13 +60,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "output",
         metavar="OUT",
-        help="the file to write, - for standard output; for a plan, such as an input file of the thesis: a new .json "
+        help="the file to write, - for standard output; for a plan, such as an input file of the "
+        "thesis: a new .json "
         "file, or a folder that gets a plan.json and the functions",
     )
     parser.add_argument(
         "--to",
         metavar="FORMAT",
-        help="its format, when its name does not tell: %s; or the Markov chain of the net, or of the "
+        help="its format, when its name does not tell: %s; or the Markov chain of the net, or of "
+        "the "
         "plan under its policy, state by state: %s; or, of a plan, 'plan' (.json)"
         % (
             ", ".join("%s (%s)" % (f.name, f.extensions[0]) for f in FORMATS.values()),
@@ -78,7 +81,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=4,
         default=[],
         metavar=("PLACE", "NET", "ENTRY", "EXIT"),
-        help="put the net of a file in the place of PLACE: tokens come in at its place ENTRY and leave from EXIT "
+        help="put the net of a file in the place of PLACE: tokens come in at its place ENTRY and "
+        "leave from EXIT "
         "(may be repeated)",
     )
     parser.add_argument(
@@ -110,7 +114,9 @@ def run(args: argparse.Namespace) -> int:
     chain = args.to or next((name for name, ending in CHAINS.items() if ending == suffix), None)
     if chain in CHAINS:
         if args.expand:
-            raise UsageError("--expand is for nets", hint="write the expanded net first, then its chain")
+            raise UsageError(
+                "--expand is for nets", hint="write the expanded net first, then its chain"
+            )
         return _write_chain(args, chain)
     if args.label:
         raise UsageError("--label is for chains: %s" % ", ".join(CHAINS.values()))
@@ -142,7 +148,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _bounds(net: Net, target: Format) -> Dict[str, int]:
-    """The most tokens that places can hold, for formats that want to know, as far as invariants tell."""
+    """The most tokens that places can hold, for formats that want to know, as far as invariants
+    tell."""
     if not target.takes_bounds:
         return {}
     found = invariant_bounds(net, BOUNDS_EFFORT)
@@ -155,7 +162,9 @@ def _write_chain(args: argparse.Namespace, kind: str) -> int:
         raise UsageError("a chain is not written to standard output")
     subject, notes = read_net_or_plan_argument(args)
     with ProgressLine() as progress:
-        chain = explicit_chain(Analysis(subject, limit=args.limit, progress=progress), _labels(args.label))
+        chain = explicit_chain(
+            Analysis(subject, limit=args.limit, progress=progress), _labels(args.label)
+        )
     empty = [label for label, states in chain.labels.items() if not states]
     unknown = "; the file cannot say so, and Storm will not know the label" if kind == "drn" else ""
     notes += ["no state has the label '%s'%s" % (label, unknown) for label in empty]
@@ -166,7 +175,12 @@ def _write_chain(args: argparse.Namespace, kind: str) -> int:
     for path, data in zip(written, files.values()):
         write_bytes(path, data)
     if args.json:
-        done = {"output": written, "format": kind, "states": len(chain.states), "rates": len(chain.rates)}
+        done = {
+            "output": written,
+            "format": kind,
+            "states": len(chain.states),
+            "rates": len(chain.rates),
+        }
         print(json.dumps({**done, "notes": notes}, indent=2, ensure_ascii=False))
     else:
         print_notes(notes)
@@ -177,10 +191,20 @@ def _write_plan(args: argparse.Namespace) -> int:
     """Write a plan as one file, or as a folder with the functions beside it."""
     if args.output == "-":
         raise UsageError("a plan is not written to standard output")
-    if args.expand or args.label or args.net or args.const or args.servers or args.controllable or args.source_format:
+    if (
+        args.expand
+        or args.label
+        or args.net
+        or args.const
+        or args.servers
+        or args.controllable
+        or args.source_format
+    ):
         raise UsageError("the options of nets and chains say nothing of a plan")
     if not is_plan(args.net_file):
-        raise UsageError("this is a net, and not a plan", file=args.net_file, hint="a plan needs actions too")
+        raise UsageError(
+            "this is a net, and not a plan", file=args.net_file, hint="a plan needs actions too"
+        )
     plan = read_plan(args.net_file)
     notes = list(plan.notes)
     in_folder = os.path.isdir(args.output)
@@ -199,14 +223,19 @@ def _write_plan(args: argparse.Namespace) -> int:
 
 
 def _bring_functions(plan: Plan, folder: str, copy: bool) -> List[str]:
-    """See to it that the files of the plan's functions lie in ``folder``; what a person has to do about it."""
-    actions = list(plan.actions.values()) + [a for robot in plan.robots for a in robot.actions.values()]
+    """See to it that the files of the plan's functions lie in ``folder``; what a person has to do
+    about it."""
+    actions = list(plan.actions.values()) + [
+        a for robot in plan.robots for a in robot.actions.values()
+    ]
     modules = {a.function.rpartition(".")[0] for a in actions if isinstance(a, FunctionAction)}
     notes = []
     for module in sorted(modules):
         name = module.replace(".", "/") + ".py"
         source, target = os.path.join(plan.folder or "", name), os.path.join(folder, name)
-        if os.path.exists(target) or os.path.realpath(plan.folder or "") == os.path.realpath(folder):
+        if os.path.exists(target) or os.path.realpath(plan.folder or "") == os.path.realpath(
+            folder
+        ):
             continue
         if copy and os.path.isfile(source):
             os.makedirs(os.path.dirname(target), exist_ok=True)

@@ -31,20 +31,39 @@ WORLD_SPEED = 3.0
 """How much faster than real time the simulated room runs at most: a TurtleBot3 is slow to watch."""
 
 START_TIME = 60.0
-"""Seconds within which the first transition must fire, where ``--seconds`` does not end the demo."""
+"""Seconds within which the first transition must fire, where ``--seconds`` does not end the
+demo."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument("--robots", type=numbers.robots, default=3, metavar="N", help="number of robots (3)")
+    parser.add_argument(
+        "--robots", type=numbers.robots, default=3, metavar="N", help="number of robots (3)"
+    )
     parser.add_argument("--plan", required=True, metavar="FOLDER", help="folder of the plan")
-    parser.add_argument("--seconds", type=numbers.seconds, default=0, metavar="S",
-                        help="end after S seconds; 0: at Ctrl-C")  # fmt: skip
-    parser.add_argument("--headless", action="store_true", help="open no window (the page is served all the same)")
-    parser.add_argument("--no-world", action="store_true", help="no simulated room, where the plan's folder has one")
-    parser.add_argument("--port", type=numbers.port, default=8090, metavar="P",
-                        help="port of the page, or the next free (8090)")  # fmt: skip
-    parser.epilog = "Exit codes: 0 the team ran, 1 a node died or nothing fired, 2 not a plan or wrong usage."
+    parser.add_argument(
+        "--seconds",
+        type=numbers.seconds,
+        default=0,
+        metavar="S",
+        help="end after S seconds; 0: at Ctrl-C",
+    )
+    parser.add_argument(
+        "--headless", action="store_true", help="open no window (the page is served all the same)"
+    )
+    parser.add_argument(
+        "--no-world", action="store_true", help="no simulated room, where the plan's folder has one"
+    )
+    parser.add_argument(
+        "--port",
+        type=numbers.port,
+        default=8090,
+        metavar="P",
+        help="port of the page, or the next free (8090)",
+    )
+    parser.epilog = (
+        "Exit codes: 0 the team ran, 1 a node died or nothing fired, 2 not a plan or wrong usage."
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -52,7 +71,9 @@ def run(args: argparse.Namespace) -> int:
     room = None if args.no_world else find_room(args.plan)
     path = room.plan if room else args.plan
     plan = read_plan(path).for_robots(args.robots)
-    demo = _Demo(plan, path, args.seconds, room, _free_port(args.port), _has_display() and not args.headless)
+    demo = _Demo(
+        plan, path, args.seconds, room, _free_port(args.port), _has_display() and not args.headless
+    )
     try:
         demo.start()
         demo.show()
@@ -69,10 +90,15 @@ class Room(NamedTuple):
 
 
 def find_room(folder: str) -> Optional[Room]:
-    """The room of a plan's folder: a ``room.json`` beside one YAML file; None where there is none."""
+    """The room of a plan's folder: a ``room.json`` beside one YAML file; None where there is
+    none."""
     plan = os.path.join(folder, "room.json")
     worlds = sorted(glob.glob(os.path.join(glob.escape(folder), "*.yaml")))
-    return Room(os.path.abspath(worlds[0]), plan) if len(worlds) == 1 and os.path.isfile(plan) else None
+    return (
+        Room(os.path.abspath(worlds[0]), plan)
+        if len(worlds) == 1 and os.path.isfile(plan)
+        else None
+    )
 
 
 def _free_port(first: int) -> int:
@@ -81,7 +107,9 @@ def _free_port(first: int) -> int:
         with socket.socket() as probe:
             if probe.connect_ex(("127.0.0.1", port)) != 0:
                 return port
-    raise UsageError("no port from %d to %d is free" % (first, first + 99), hint="choose another with --port")
+    raise UsageError(
+        "no port from %d to %d is free" % (first, first + 99), hint="choose another with --port"
+    )
 
 
 def _has_display() -> bool:
@@ -90,7 +118,13 @@ def _has_display() -> bool:
 
 class _Demo:
     def __init__(
-        self, plan: Plan, path: str, seconds: float, room: Optional[Room], port: int, open_browser: bool
+        self,
+        plan: Plan,
+        path: str,
+        seconds: float,
+        room: Optional[Room],
+        port: int,
+        open_browser: bool,
     ) -> None:
         self._plan, self._path, self._seconds = plan, os.path.abspath(path), seconds
         self._room, self._port, self._open_browser = room, port, open_browser
@@ -114,10 +148,15 @@ class _Demo:
 
         require_master()
         rospy.init_node("gspn_demo", anonymous=True, disable_signals=True)
-        robots = [(robot.name, "/robot_%d" % number, robot.place) for number, robot in enumerate(self._plan.robots, 1)]
+        robots = [
+            (robot.name, "/robot_%d" % number, robot.place)
+            for number, robot in enumerate(self._plan.robots, 1)
+        ]
         self._monitor = TeamMonitor(robots, self._run)
         folder = os.path.join(rospkg.RosPack().get_path("gspn_framework_package"), "launch")
-        files = [(os.path.join(folder, name), words) for name, words in self._launch_files(len(robots))]
+        files = [
+            (os.path.join(folder, name), words) for name, words in self._launch_files(len(robots))
+        ]
         run_id = rospy.get_param("/run_id", None) or str(uuid.uuid4())
         roslaunch.configure_logging(run_id)
         roslaunch.core.clear_printlog_handlers()
@@ -134,7 +173,10 @@ class _Demo:
             signal.signal(number, lambda *_: self._ending.set())
         where = ""
         if self._room:
-            where = " in %s, up to %g times real time" % (os.path.basename(self._room.world), WORLD_SPEED)
+            where = " in %s, up to %g times real time" % (
+                os.path.basename(self._room.world),
+                WORLD_SPEED,
+            )
         print("%s: %d robots%s, run %s" % (self._plan.name, len(robots), where, self._run))
         address = "http://127.0.0.1:%d/" % self._port
         print("the page: %s" % address, flush=True)
@@ -147,7 +189,9 @@ class _Demo:
         files = [("team.launch", team), ("visualizer.launch", [*team, "port:=%d" % self._port])]
         if self._room is not None:
             speed = "real_time_factor:=%g" % WORLD_SPEED
-            files.append(("world.launch", ["world:=" + self._room.world, "robots:=%d" % robots, speed]))
+            files.append(
+                ("world.launch", ["world:=" + self._room.world, "robots:=%d" % robots, speed])
+            )
         return files
 
     def _browse(self, address: str) -> None:
@@ -163,8 +207,11 @@ class _Demo:
         if self._ending.is_set():
             return
         name = name.rsplit("-", 1)[0]
-        # all robots are one process for roslaunch, which ends when their run is over; nothing else ends by itself
-        over = name.startswith("gspn_team") and (not code or self._monitor.ended and not self._monitor.fault)
+        # all robots are one process for roslaunch, which ends when their run is over; nothing else
+        # ends by itself
+        over = name.startswith("gspn_team") and (
+            not code or self._monitor.ended and not self._monitor.fault
+        )
         if not over:
             self._died.append(name)
         self._ending.set()
@@ -195,11 +242,13 @@ class _Demo:
             self._forget_parameters()
 
     def _forget_parameters(self) -> None:
-        """Leave a master that outlives the demo as it was: a clock that has stopped stops everybody."""
+        """Leave a master that outlives the demo as it was: a clock that has stopped stops
+        everybody."""
         import rospy
 
         for name in ("/use_sim_time", "/room") if self._room is not None else ():
-            with contextlib.suppress(Exception):  # the master may be gone already, and then all is well
+            # the master may be gone already, and then all is well
+            with contextlib.suppress(Exception):
                 rospy.delete_param(name)
 
     def summary(self) -> int:
@@ -233,8 +282,10 @@ class _Demo:
     def headline(self, now: float) -> str:
         """How far the run is."""
         return "%6.1f s  %d firings, %.1f a second" % (
-            now - self._began, self._monitor.firings, self._monitor.rate()
-        )  # fmt: skip
+            now - self._began,
+            self._monitor.firings,
+            self._monitor.rate(),
+        )
 
     def recent(self, since: float) -> Sequence[Tuple[float, str]]:
         """The firings since then, with seconds since the start."""
@@ -278,7 +329,9 @@ class _Lines:
             print("            and %d more firings" % (len(news) - 3))
         if now >= self._robots_at:
             self._robots_at = now + 5.0
-            print("\n".join([self._demo.headline(now)] + ["  " + x for x in self._demo.robot_lines()]))
+            print(
+                "\n".join([self._demo.headline(now)] + ["  " + x for x in self._demo.robot_lines()])
+            )
         sys.stdout.flush()
 
 

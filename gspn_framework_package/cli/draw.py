@@ -13,7 +13,11 @@ from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.limits import MEMORY
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.limits import working
-from gspn_framework_package.cli.net_input import add_net_arguments, print_notes, read_net_or_plan_argument
+from gspn_framework_package.cli.net_input import (
+    add_net_arguments,
+    print_notes,
+    read_net_or_plan_argument,
+)
 from gspn_framework_package.formats.dot import IMAGE_FORMATS, Graph, net_graph, render
 from gspn_framework_package.formats.source import write_bytes
 from gspn_framework_package.model.errors import UsageError
@@ -79,14 +83,18 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _graph(subject: Union[Net, Plan], what: str, limit: int, notes: List[str], everything: bool) -> Graph:
+def _graph(
+    subject: Union[Net, Plan], what: str, limit: int, notes: List[str], everything: bool
+) -> Graph:
     net = subject.net if isinstance(subject, Plan) else subject
     if what == "net":
         return net_graph(net)
 
     def draw(progress: Progress, cancel: Cancel) -> Graph:
         if what == "coverability":
-            return tree_graph(CoverabilityTree(net, limit=limit, progress=progress, cancel=cancel, memory=MEMORY))
+            return tree_graph(
+                CoverabilityTree(net, limit=limit, progress=progress, cancel=cancel, memory=MEMORY)
+            )
         chain = Analysis(subject, limit=limit, progress=progress, cancel=cancel).chain
         note = "" if everything else note_of_rates_left_out(chain)
         if note:

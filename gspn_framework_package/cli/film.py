@@ -19,19 +19,52 @@ HELP = "film robots in a room, without a display: a recorded run, or a patrol si
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument("film", metavar="FILM", help="what to write: .mp4 (needs ffmpeg), .gif, .webp, or a folder")
-    parser.add_argument("--recording", metavar="FILE", help="film this run (patrol.launch record:=FILE)")
-    parser.add_argument("--room", metavar="FILE", help="without a recording: the room file of the patrol")
-    parser.add_argument("--robots", type=numbers.whole(1, 100), default=4, metavar="N",
-                        help="without a recording: robots (4)")  # fmt: skip
-    parser.add_argument("--seed", type=numbers.seed, default=0, help="without a recording: of what is drawn (0)")
-    parser.add_argument("--seconds", type=numbers.duration, default=120, metavar="S", help="seconds of the run (120)")
-    parser.add_argument("--from", type=numbers.seconds, default=0, metavar="S", dest="start", help="begin there (0)")
-    parser.add_argument("--speed", type=numbers.number(0.0, 1e4, above=0.0), default=8, metavar="X",
-                        help="times as fast as the run (8)")  # fmt: skip
-    parser.add_argument("--rate", type=numbers.number(0.0, 1e3, above=0.0), default=20, metavar="N",
-                        help="pictures a second (20)")  # fmt: skip
-    parser.add_argument("--view", default="corner", choices=("corner", "top"), help="from where (corner)")
+    parser.add_argument(
+        "film", metavar="FILM", help="what to write: .mp4 (needs ffmpeg), .gif, .webp, or a folder"
+    )
+    parser.add_argument(
+        "--recording", metavar="FILE", help="film this run (patrol.launch record:=FILE)"
+    )
+    parser.add_argument(
+        "--room", metavar="FILE", help="without a recording: the room file of the patrol"
+    )
+    parser.add_argument(
+        "--robots",
+        type=numbers.whole(1, 100),
+        default=4,
+        metavar="N",
+        help="without a recording: robots (4)",
+    )
+    parser.add_argument(
+        "--seed", type=numbers.seed, default=0, help="without a recording: of what is drawn (0)"
+    )
+    parser.add_argument(
+        "--seconds",
+        type=numbers.duration,
+        default=120,
+        metavar="S",
+        help="seconds of the run (120)",
+    )
+    parser.add_argument(
+        "--from", type=numbers.seconds, default=0, metavar="S", dest="start", help="begin there (0)"
+    )
+    parser.add_argument(
+        "--speed",
+        type=numbers.number(0.0, 1e4, above=0.0),
+        default=8,
+        metavar="X",
+        help="times as fast as the run (8)",
+    )
+    parser.add_argument(
+        "--rate",
+        type=numbers.number(0.0, 1e3, above=0.0),
+        default=20,
+        metavar="N",
+        help="pictures a second (20)",
+    )
+    parser.add_argument(
+        "--view", default="corner", choices=("corner", "top"), help="from where (corner)"
+    )
     parser.add_argument("--size", default="960x720", metavar="WxH", help="pixels (960x720)")
     parser.add_argument("--json", action="store_true", help="tell the result as JSON")
 
@@ -54,10 +87,16 @@ def run(args: argparse.Namespace) -> int:
                 for name, pose in poses.items():
                     physics.show(name, pose)
                 film.add(camera.picture(moment, "%g times as fast" % args.speed))
-                progress("of %s pictures" % format(total, ","), film.count, time.monotonic() - begin)
+                progress(
+                    "of %s pictures" % format(total, ","), film.count, time.monotonic() - begin
+                )
     finally:
         film.close()
-    told = {"film": args.film, "pictures": film.count, "seconds": round(time.monotonic() - begin, 1)}
+    told = {
+        "film": args.film,
+        "pictures": film.count,
+        "seconds": round(time.monotonic() - begin, 1),
+    }
     if args.json:
         print(json.dumps(told))
     else:

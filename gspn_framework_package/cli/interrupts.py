@@ -16,19 +16,21 @@ EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
 
 def leave() -> NoReturn:
-    """End the process as interrupted, whatever it is doing: compiled code cannot be asked to stop."""
+    """End the process as interrupted, whatever it is doing: compiled code cannot be asked to
+    stop."""
     sys.stdout.flush()
     print(INTERRUPTED, file=sys.stderr, flush=True)
     os._exit(EXIT_INTERRUPTED)
 
 
 class Interrupts:
-    """What an interrupt (SIGINT) does: it ends the program on the spot until a verb begins, then it is an exception.
-    For the ``with`` statement, on the main thread.
+    """What an interrupt (SIGINT) does: it ends the program on the spot until a verb begins, then it
+    is an exception. For the ``with`` statement, on the main thread.
 
-    A compiled module that is interrupted while it imports another prints the KeyboardInterrupt and raises an
-    ImportError in its place ("numpy.core.multiarray failed to import"). So while the modules of the verb are imported,
-    and there is nothing to tidy up yet, no exception is raised; later, ``seen`` tells what an ImportError means.
+    A compiled module that is interrupted while it imports another prints the KeyboardInterrupt and
+    raises an ImportError in its place ("numpy.core.multiarray failed to import"). So while the
+    modules of the verb are imported, and there is nothing to tidy up yet, no exception is raised;
+    later, ``seen`` tells what an ImportError means.
 
     :ivar verb_has_begun: to be set then.
     :ivar seen: whether an interrupt came since.
@@ -63,11 +65,14 @@ def interruptible(
 ) -> Result:
     """What ``work`` returns, or raises; it is done on another thread.
 
-    Python sees an interrupt between two of its own steps only, and compiled code (the parser of XML, a linear solver)
-    may take seconds from one to the next. So the main thread does nothing but wait.
+    Python sees an interrupt between two of its own steps only, and compiled code (the parser of
+    XML, a linear solver) may take seconds from one to the next. So the main thread does nothing but
+    wait.
 
-    :param interrupted: called on an interrupt, before it is raised: with the event that the work has come to its end.
-    :raises KeyboardInterrupt: there was one; the work may go on until the process ends, and nobody waits for it.
+    :param interrupted: called on an interrupt, before it is raised: with the event that the work
+      has come to its end.
+    :raises KeyboardInterrupt: there was one; the work may go on until the process ends, and nobody
+      waits for it.
     """
     result: List[Result] = []
     errors: List[BaseException] = []
@@ -84,7 +89,8 @@ def interruptible(
     thread = threading.Thread(target=run, name="work", daemon=True)
     try:
         thread.start()
-        while not done.wait(1.0):  # not join: an interrupt there has a thread taken for ended (bpo-45274)
+        # not join: an interrupt there has a thread taken for ended (bpo-45274)
+        while not done.wait(1.0):
             pass
     except KeyboardInterrupt:
         interrupted(done)

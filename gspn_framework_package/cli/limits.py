@@ -30,7 +30,8 @@ _PATIENCE = 0.5
 """Time (s) that cancelled work has to come to its end by itself."""
 
 _OBJECTS = 200_000
-"""New objects after which Python looks for reference cycles, where there are millions (its own number: 700)."""
+"""New objects after which Python looks for reference cycles, where there are millions (its own
+number: 700)."""
 
 
 def add_limit_arguments(parser: Any) -> None:
@@ -54,7 +55,8 @@ def add_limit_arguments(parser: Any) -> None:
         type=int,
         default=STRUCTURE_LIMIT,
         metavar="N",
-        help="steps of each search for invariants, siphons and traps at most (default %(default)s: a second or two)",
+        help="steps of each search for invariants, siphons and traps at most (default "
+        "%(default)s: a second or two)",
     )
     parser.add_argument(
         "--limit-time",
@@ -77,16 +79,25 @@ def limits_of(args: argparse.Namespace) -> Limits:
     for option in ("limit", "limit_tree", "limit_structure", "limit_time", "limit_memory"):
         value = getattr(args, option)
         if value is not None and not (value > 0 and math.isfinite(value)):
-            raise UsageError("--%s %g: a limit is a number above 0" % (option.replace("_", "-"), value))
-    return Limits(args.limit, args.limit_tree, args.limit_structure, args.limit_time, int(args.limit_memory * 1e9))
+            raise UsageError(
+                "--%s %g: a limit is a number above 0" % (option.replace("_", "-"), value)
+            )
+    return Limits(
+        args.limit,
+        args.limit_tree,
+        args.limit_structure,
+        args.limit_time,
+        int(args.limit_memory * 1e9),
+    )
 
 
 @contextmanager
 def rare_collections() -> Iterator[None]:
     """Have Python look for reference cycles seldom.
 
-    A net of 100,000 nodes is some millions of objects, none of them in a cycle; looking through them again and again
-    while they become more took a fifth of the time of reading and analysing. Memory is bounded by its own limit.
+    A net of 100,000 nodes is some millions of objects, none of them in a cycle; looking through
+    them again and again while they become more took a fifth of the time of reading and analysing.
+    Memory is bounded by its own limit.
     """
     before = gc.get_threshold()
     gc.set_threshold(_OBJECTS, *before[1:])
@@ -99,7 +110,8 @@ def rare_collections() -> Iterator[None]:
 def working(work: Callable[[Progress, Cancel], Result], memory: float) -> Result:
     """Do long work with a progress line, so that an interrupt ends it at once.
 
-    The work is done on another thread: so the interrupt is seen while a library's compiled code computes.
+    The work is done on another thread: so the interrupt is seen while a library's compiled code
+    computes.
 
     :param work: gets a progress callback, and asks a cancel callback now and then.
     :param memory: bytes that this process may take more than now.

@@ -26,22 +26,41 @@ EXIT_USAGE = 2
 EXIT_INTERNAL = 70  # EX_SOFTWARE of sysexits.h
 EXIT_BROKEN_PIPE = 141  # 128 + SIGPIPE
 
-#: Verb -> (its module in this package, its HELP: one line, repeated here so that ``--help`` need
-#: not import the module; a test holds the two together). In the order in which one comes to need them.
+# : Verb -> (its module in this package, its HELP: one line, repeated here so that ``--help`` need :
+# not import the module; a test holds the two together). In the order in which one comes to need
+# them.
 VERBS: Dict[str, Tuple[str, str]] = {
     "check": ("check", "check whether a plan may run, before any robot moves"),
     "run": ("run", "execute a plan without ROS, its agents on threads"),
     "simulate": ("simulate", "simulate many runs of a net or plan, with confidence intervals"),
-    "analyse": ("analyse", "analyse a net, or a plan under its policy: structure, state space, time"),
+    "analyse": (
+        "analyse",
+        "analyse a net, or a plan under its policy: structure, state space, time",
+    ),
     "plot": ("plot", "plot results of the analysis: tokens over time, distributions, throughput"),
     "draw": ("draw", "draw a net, its coverability tree or its Markov chain"),
     "convert": ("convert", "write a net in another format, or a plan as one file"),
-    "serve": ("serve", "open the page: simulate, analyse and execute the nets and plans of a folder"),
-    "replay": ("replay", "open the page on a recorded run: an event log, or a rosbag of fired_transitions"),
+    "serve": (
+        "serve",
+        "open the page: simulate, analyse and execute the nets and plans of a folder",
+    ),
+    "replay": (
+        "replay",
+        "open the page on a recorded run: an event log, or a rosbag of fired_transitions",
+    ),
     "verify": ("verify", "check the logs of a run against the rules, from the logs alone"),
-    "film": ("film", "film robots in a room, without a display: a recorded run, or a patrol simulated for it"),
-    "demo": ("demo", "run a plan on a team of robots (needs ROS and a master), and show what happens"),
-    "bench": ("bench", "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)"),
+    "film": (
+        "film",
+        "film robots in a room, without a display: a recorded run, or a patrol simulated for it",
+    ),
+    "demo": (
+        "demo",
+        "run a plan on a team of robots (needs ROS and a master), and show what happens",
+    ),
+    "bench": (
+        "bench",
+        "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)",
+    ),
     "status": ("orders.status", "what every robot of a running team does, and what it waits for"),
     "pause": ("orders.pause", "let nothing fire, or a robot join no firing, until resume"),
     "resume": ("orders.resume", "end a pause of the team, or of one robot"),
@@ -49,7 +68,10 @@ VERBS: Dict[str, Tuple[str, str]] = {
     "retry": ("orders.retry", "try the failed action of a robot again"),
     "fire": ("orders.fire", "fire a transition of the environment"),
     "evict": ("orders.evict", "take a robot out of the team as lost"),
-    "force-evict": ("orders.force_evict", "the same without a quorum: you assert that the robot is switched off"),
+    "force-evict": (
+        "orders.force_evict",
+        "the same without a quorum: you assert that the robot is switched off",
+    ),
     "leave": ("orders.leave", "have a robot leave the team, with its token"),
     "stop": ("orders.stop", "end the run of a team"),
 }
@@ -62,7 +84,8 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if isinstance(sys.stdout, io.TextIOWrapper) and hasattr(sys.stdout, "reconfigure"):
-        sys.stdout.reconfigure(errors="backslashreplace")  # a file's name may have bytes that are no text
+        # a file's name may have bytes that are no text
+        sys.stdout.reconfigure(errors="backslashreplace")
     debug = "--debug" in words or bool(os.environ.get("GSPN_DEBUG"))
     interrupts = Interrupts()
     try:
@@ -82,7 +105,10 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         if debug:
             traceback.print_exc()
         message, code = _explain(error)
-        print("gspn: %s" % message.encode("utf-8", "backslashreplace").decode("utf-8"), file=sys.stderr)
+        print(
+            "gspn: %s" % message.encode("utf-8", "backslashreplace").decode("utf-8"),
+            file=sys.stderr,
+        )
         return code
 
 
@@ -106,7 +132,11 @@ def _explain(error: Exception) -> Tuple[str, int]:
     """Return what to tell the user of ``error``, and the exit code."""
     if isinstance(error, GspnError):
         return f"error: {error}", error.exit_code
-    if isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith(__package__.split(".")[0]):
+    if (
+        isinstance(error, ModuleNotFoundError)
+        and error.name
+        and not error.name.startswith(__package__.split(".")[0])
+    ):
         return f"error: {missing_library(error)}", EXIT_USAGE
     if isinstance(error, OSError) and error.filename is not None:
         return f"error: {os.fsdecode(error.filename)}: {error.strerror}", EXIT_USAGE

@@ -1,4 +1,5 @@
-"""Numbers on the command line, with bounds: what lies outside is a wrong usage, said in one line."""
+"""Numbers on the command line, with bounds: what lies outside is a wrong usage, said in one
+line."""
 
 from __future__ import annotations
 
@@ -25,15 +26,17 @@ def whole(least: int, most: int) -> Callable[[str], int]:
         except ValueError:
             value = None
         if value is None or not least <= value <= most:
-            raise argparse.ArgumentTypeError("'%.40s' is not a whole number from %d to %d" % (text, least, most))
+            raise argparse.ArgumentTypeError(
+                "'%.40s' is not a whole number from %d to %d" % (text, least, most)
+            )
         return value
 
     return read
 
 
 def number(least: float, most: float, *, above: Optional[float] = None) -> Callable[[str], float]:
-    """A type for ``add_argument``: a number from ``least`` (or, with ``above``, greater than that) to ``most``, which
-    may be infinite; never NaN."""
+    """A type for ``add_argument``: a number from ``least`` (or, with ``above``, greater than that)
+    to ``most``, which may be infinite; never NaN."""
 
     def read(text: str) -> float:
         try:

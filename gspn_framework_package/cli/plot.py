@@ -41,19 +41,33 @@ KINDS = ("tokens", "throughput", "distribution", "passage")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     add_subject_arguments(parser)
-    parser.add_argument("-o", "--output", required=True, metavar="FILE", help="the picture: .png, .svg or .pdf")
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="FILE", help="the picture: .png, .svg or .pdf"
+    )
     parser.add_argument(
         "--what",
         choices=KINDS,
         default="tokens",
-        help="mean tokens or throughput over time, the distribution of tokens in the steady state, or the probability "
+        help="mean tokens or throughput over time, the distribution of tokens in the steady "
+        "state, or the probability "
         "to come to a condition over time (default: tokens)",
     )
-    parser.add_argument("--time", type=numbers.duration, metavar="T",
-                        help="until when (s); by default, until it has settled")  # fmt: skip
-    parser.add_argument("--points", type=numbers.whole(2, 100_000), default=60, metavar="N",
-                        help="points in time (default %(default)s)")  # fmt: skip
-    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="only these places or transitions")
+    parser.add_argument(
+        "--time",
+        type=numbers.duration,
+        metavar="T",
+        help="until when (s); by default, until it has settled",
+    )
+    parser.add_argument(
+        "--points",
+        type=numbers.whole(2, 100_000),
+        default=60,
+        metavar="N",
+        help="points in time (default %(default)s)",
+    )
+    parser.add_argument(
+        "--only", nargs="+", default=[], metavar="NAME", help="only these places or transitions"
+    )
     parser.add_argument("--condition", metavar="CONDITION", help="of --what passage")
     add_limit_arguments(parser.add_argument_group("effort"))
 
@@ -69,13 +83,17 @@ def run(args: argparse.Namespace) -> int:
     except ImportError:
         raise UsageError("matplotlib is not installed", hint="install python3-matplotlib") from None
     matplotlib.use("Agg")
-    # Its remarks on fonts and layouts are for those who program with it; names with unknown letters get boxes.
+    # Its remarks on fonts and layouts are for those who program with it; names with unknown letters
+    # get boxes.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     subject, notes = read_subject(args)
     limits = limits_of(args)
 
     def make(progress: Progress, cancel: Cancel) -> Any:
-        return _figure(Analysis(subject, limits=limits, structure=False, progress=progress, cancel=cancel), args)
+        return _figure(
+            Analysis(subject, limits=limits, structure=False, progress=progress, cancel=cancel),
+            args,
+        )
 
     figure = working(make, limits.memory)
     with warnings.catch_warnings():
@@ -106,20 +124,29 @@ def _figure(analysis: Analysis, args: argparse.Namespace) -> Any:
     found = analysis.at(times.tolist())
     series = [m.mean_tokens if args.what == "tokens" else m.throughput for _, m in found]
     axes.set_ylabel("mean tokens" if args.what == "tokens" else "throughput [1/s]")
-    curves = {name: np.array([values[name] for values in series]) for name in _chosen(list(series[0]), args.only)}
+    curves = {
+        name: np.array([values[name] for values in series])
+        for name in _chosen(list(series[0]), args.only)
+    }
     groups = alike(curves)
     for number, names in enumerate(groups):
         color, line = number % _COLORS, _LINES[number // _COLORS % len(_LINES)]
         axes.plot(times, curves[names[0]], color="C%d" % color, linestyle=line, label=_title(names))
     axes.set_ylim(bottom=-0.02 * axes.get_ylim()[1])  # so that a curve of zeros is seen
     # Beside the curves, never on them; with a line for each group, and names that are long broken.
-    axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0), ncol=1 + (len(groups) - 1) // _ROWS)
+    axes.legend(
+        fontsize="small",
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.0),
+        ncol=1 + (len(groups) - 1) // _ROWS,
+    )
     figure.set_size_inches(11 + 3 * ((len(groups) - 1) // _ROWS), max(5.0, 0.19 * _rows(groups)))
     return figure
 
 
 def alike(curves: Mapping[str, Any]) -> List[List[str]]:
-    """The names of the curves in groups of those that lie on one another, in the order of the first of each."""
+    """The names of the curves in groups of those that lie on one another, in the order of the first
+    of each."""
     height = max((float(np.abs(curve).max(initial=0.0)) for curve in curves.values()), default=0.0)
     groups: List[List[str]] = []
     for name, curve in curves.items():
@@ -134,7 +161,9 @@ def alike(curves: Mapping[str, Any]) -> List[List[str]]:
 
 def _title(names: Sequence[str]) -> str:
     """A line of the legend for curves that are one, two names in a row."""
-    shown = list(names[:_NAMES]) + (["and %d more" % (len(names) - _NAMES)] if len(names) > _NAMES else [])
+    shown = list(names[:_NAMES]) + (
+        ["and %d more" % (len(names) - _NAMES)] if len(names) > _NAMES else []
+    )
     return ",\n".join(", ".join(shown[i : i + 2]) for i in range(0, len(shown), 2))
 
 
@@ -161,5 +190,7 @@ def _distribution(axes: Any, analysis: Analysis, args: argparse.Namespace) -> No
 def _chosen(names: List[str], only: List[str]) -> List[str]:
     for name in only:
         if name not in names:
-            raise UsageError("there is no '%s' to plot" % name, hint="there are: %s" % ", ".join(names[:12]))
+            raise UsageError(
+                "there is no '%s' to plot" % name, hint="there are: %s" % ", ".join(names[:12])
+            )
     return only or names

@@ -1,4 +1,5 @@
-"""The progress line that long work shows on a terminal; silent where standard error is a file or a pipe."""
+"""The progress line that long work shows on a terminal; silent where standard error is a file or a
+pipe."""
 
 from __future__ import annotations
 

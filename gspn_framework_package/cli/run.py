@@ -31,13 +31,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
     parser.add_argument("--agents", type=numbers.robots, metavar="N", help="run it with N agents")
-    parser.add_argument("--seconds", type=numbers.duration, metavar="S", help="stop after S seconds")
-    parser.add_argument("--firings", type=numbers.whole(1, 2**53), metavar="N", help="stop after N firings")
-    parser.add_argument("--seed", type=numbers.seed, help="seed of the policy's draws, for the plan's own")
+    parser.add_argument(
+        "--seconds", type=numbers.duration, metavar="S", help="stop after S seconds"
+    )
+    parser.add_argument(
+        "--firings", type=numbers.whole(1, 2**53), metavar="N", help="stop after N firings"
+    )
+    parser.add_argument(
+        "--seed", type=numbers.seed, help="seed of the policy's draws, for the plan's own"
+    )
     parser.add_argument("--log", metavar="FILE", help="record the run as an event log (a new file)")
     parser.add_argument(
-        "--json", action="store_true", help="print one JSON object a line: firings, faults, the end; "
-        "what actions print goes to standard error"
+        "--json",
+        action="store_true",
+        help="print one JSON object a line: firings, faults, the end; "
+        "what actions print goes to standard error",
     )
     parser.add_argument("--quiet", action="store_true", help="print only faults and the end")
     parser.epilog = (
@@ -75,7 +83,9 @@ def _execute(
         executor.wait(5.0)
         raise
     except ExecutionError as error:
-        printer.tell_end(error.message, executor.status()["marking"], time.monotonic() - started, broken=True)
+        printer.tell_end(
+            error.message, executor.status()["marking"], time.monotonic() - started, broken=True
+        )
         raise
     finally:
         if event_log is not None and executor.over:
@@ -156,10 +166,14 @@ class _Printer(Listener):
         self.over.set()
 
     def on_broken(self, reason: str) -> None:
-        self.over.set()  # the caller prints it, in a thread that can tell where it cannot be printed
+        # the caller prints it, in a thread that can tell where it cannot be printed
+        self.over.set()
 
-    def tell_end(self, reason: str, marking: Dict[str, int], seconds: float, broken: bool = False) -> None:
-        """Print how the run ended; ``broken``: by a failure, of an action or of the executor itself."""
+    def tell_end(
+        self, reason: str, marking: Dict[str, int], seconds: float, broken: bool = False
+    ) -> None:
+        """Print how the run ended; ``broken``: by a failure, of an action or of the executor
+        itself."""
         if self._json:
             self._print(
                 {

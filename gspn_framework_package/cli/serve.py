@@ -50,17 +50,20 @@ def add_address_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--token",
-        help="the operator's token, of 16 characters or more (default: made up and printed, beyond this machine)",
+        help="the operator's token, of 16 characters or more (default: made up and printed, "
+        "beyond this machine)",
     )
     parser.add_argument(
         "--viewer-token",
         metavar="TOKEN",
-        help="the token of those who may only look (default: made up and printed, beyond this machine)",
+        help="the token of those who may only look (default: made up and printed, beyond this "
+        "machine)",
     )
     parser.add_argument(
         "--token-file",
         metavar="FILE",
-        help="a file with the operator's token in its first line and the viewers' in its second: other users of this "
+        help="a file with the operator's token in its first line and the viewers' in its second: "
+        "other users of this "
         "machine see the options of a program",
     )
     parser.add_argument(
@@ -110,7 +113,9 @@ def serve(project: object, args: argparse.Namespace) -> int:
         if token is not None or viewer_token is not None:
             raise UsageError("--token-file goes without --token and --viewer-token")
         token, viewer_token = read_tokens(args.token_file)
-    server = WebServer(project, args.host, args.port, args.allow_name, token, args.viewers, viewer_token)
+    server = WebServer(
+        project, args.host, args.port, args.allow_name, token, args.viewers, viewer_token
+    )
     invitations = server.invitations
     print("The page is at %s  (Ctrl-C ends it)" % invitations[OPERATOR])
     if VIEWER in invitations:

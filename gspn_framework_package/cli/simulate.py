@@ -24,18 +24,47 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     add_subject_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    parser.add_argument("--csv", metavar="FILE", help="write the numbers to FILE: measure, name, mean, half width")
-    parser.add_argument("--time", type=numbers.number(0.0, math.inf, above=0.0), default=math.inf, metavar="T",
-                        help="length of a run (s)")  # fmt: skip
-    parser.add_argument("--until", metavar="CONDITION", help='a condition that ends a run, e.g. "done >= 3"')
-    parser.add_argument("--warmup", type=numbers.seconds, default=0.0, metavar="T",
-                        help="time (s) that means leave out")  # fmt: skip
-    parser.add_argument("--replications", type=numbers.replications, default=1000, metavar="N",
-                        help="runs (default %(default)s)")  # fmt: skip
-    parser.add_argument("--seed", type=numbers.whole(0, 2**63 - 1), default=0, metavar="N",
-                        help="of the random numbers (default 0)")  # fmt: skip
-    parser.add_argument("--confidence", type=numbers.number(0.0, 1.0, above=0.0), default=0.95, metavar="P",
-                        help="level of the confidence intervals (default %(default)s)")  # fmt: skip
+    parser.add_argument(
+        "--csv", metavar="FILE", help="write the numbers to FILE: measure, name, mean, half width"
+    )
+    parser.add_argument(
+        "--time",
+        type=numbers.number(0.0, math.inf, above=0.0),
+        default=math.inf,
+        metavar="T",
+        help="length of a run (s)",
+    )
+    parser.add_argument(
+        "--until", metavar="CONDITION", help='a condition that ends a run, e.g. "done >= 3"'
+    )
+    parser.add_argument(
+        "--warmup",
+        type=numbers.seconds,
+        default=0.0,
+        metavar="T",
+        help="time (s) that means leave out",
+    )
+    parser.add_argument(
+        "--replications",
+        type=numbers.replications,
+        default=1000,
+        metavar="N",
+        help="runs (default %(default)s)",
+    )
+    parser.add_argument(
+        "--seed",
+        type=numbers.whole(0, 2**63 - 1),
+        default=0,
+        metavar="N",
+        help="of the random numbers (default 0)",
+    )
+    parser.add_argument(
+        "--confidence",
+        type=numbers.number(0.0, 1.0, above=0.0),
+        default=0.95,
+        metavar="P",
+        help="level of the confidence intervals (default %(default)s)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:

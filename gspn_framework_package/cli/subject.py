@@ -1,4 +1,5 @@
-"""What the verbs of the analysis work on: a net, or a plan under its policy, for a team of any size."""
+"""What the verbs of the analysis work on: a net, or a plan under its policy, for a team of any
+size."""
 
 from __future__ import annotations
 
@@ -19,7 +20,9 @@ def add_subject_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="of a plan take the net by its weights, instead of the policy",
     )
-    parser.add_argument("--robots", type=numbers.robots, metavar="N", help="of a plan: for a team of N robots")
+    parser.add_argument(
+        "--robots", type=numbers.robots, metavar="N", help="of a plan: for a team of N robots"
+    )
 
 
 def read_subject(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]:

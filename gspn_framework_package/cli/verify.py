@@ -17,17 +17,25 @@ HELP = "check the logs of a run against the rules, from the logs alone"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="event logs of one run, or a folder of them")
+    parser.add_argument(
+        "logs", nargs="+", metavar="LOG", help="event logs of one run, or a folder of them"
+    )
     parser.add_argument(
         "--settled",
         action="store_true",
-        help="the run was left alone until nothing was pending: a fact that is not in the log is a violation",
+        help="the run was left alone until nothing was pending: a fact that is not in the log is "
+        "a violation",
     )
     parser.add_argument(
-        "--incomplete", action="store_true", help="logs of some robots are missing: do not count votes"
+        "--incomplete",
+        action="store_true",
+        help="logs of some robots are missing: do not count votes",
     )
     parser.add_argument("--json", action="store_true", help="print the verdict as one JSON object")
-    parser.epilog = "Exit codes: 0 valid, 1 a rule is broken (the first one is explained), 2 not logs of one run."
+    parser.epilog = (
+        "Exit codes: 0 valid, 1 a rule is broken (the first one is explained), "
+        "2 not logs of one run."
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -68,7 +68,8 @@ TEXT_LIMIT = 500
 
 
 def error_text(error: BaseException) -> str:
-    """What a user's exception says (which may raise itself), on one line of at most :data:`TEXT_LIMIT` characters."""
+    """What a user's exception says (which may raise itself), on one line of at most
+    :data:`TEXT_LIMIT` characters."""
     try:
         return shorten(str(error), TEXT_LIMIT)
     except Exception as another:
@@ -234,14 +235,21 @@ def load_actions(plan: Plan, robot: str) -> Dict[str, PythonAction]:
 
 
 def missing_function(folder: Optional[str], name: str) -> Optional[str]:
-    """What is missing for the action ``module.function``, as far as the source tells without running it; None where
-    nothing is, or where it cannot be told.
+    """What is missing for the action ``module.function``, as far as the source tells without
+    running it; None where nothing is, or where it cannot be told.
 
     :param folder: the plan's folder.
     """
     module, _, function = name.rpartition(".")
     path = os.path.join(os.path.abspath(folder), *module.split(".")) if folder else ""
-    file = next((f for f in (path + ".py", os.path.join(path, "__init__.py")) if path and os.path.isfile(f)), None)
+    file = next(
+        (
+            f
+            for f in (path + ".py", os.path.join(path, "__init__.py"))
+            if path and os.path.isfile(f)
+        ),
+        None,
+    )
     if file is None:
         if _is_installed(module):
             return None
@@ -262,7 +270,11 @@ def missing_function(folder: Optional[str], name: str) -> Optional[str]:
             defined |= {alias.asname or alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             defined.add(node.id)
-        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("globals", "setattr", "exec"):
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in (
+            "globals",
+            "setattr",
+            "exec",
+        ):
             return None
         else:
             waiting += ast.iter_child_nodes(node)
@@ -298,7 +310,8 @@ _plan_folders: set[str] = set()
 
 
 def _is_installed(name: str) -> bool:
-    """Whether Python has the module, or the package it is in, not counting what belongs to another plan."""
+    """Whether Python has the module, or the package it is in, not counting what belongs to another
+    plan."""
     try:
         spec = importlib.util.find_spec(name.split(".")[0])
     except (ImportError, ValueError):
@@ -307,7 +320,9 @@ def _is_installed(name: str) -> bool:
         return False
     packages = list(spec.submodule_search_locations or ())
     entries = packages or ([spec.origin] if spec.has_location and spec.origin else [])
-    return not entries or any(os.path.dirname(os.path.abspath(entry)) not in _plan_folders for entry in entries)
+    return not entries or any(
+        os.path.dirname(os.path.abspath(entry)) not in _plan_folders for entry in entries
+    )
 
 
 def _load_file(folder: str, file: str, element: str) -> ModuleType:

@@ -82,14 +82,16 @@ class Join(NamedTuple):
 
 
 class Leave(NamedTuple):
-    """A robot leaves the team of its own will, and takes its token along. The last member of a team stays."""
+    """A robot leaves the team of its own will, and takes its token along. The last member of a team
+    stays."""
 
     robot: str
 
 
 class Evict(NamedTuple):
     """A robot is taken to be lost; its token goes to the account of the lost. ``forced``: the
-    operator asserted that it is off, and its vote was not asked for. The last member of a team stays."""
+    operator asserted that it is off, and its vote was not asked for. The last member of a team
+    stays."""
 
     robot: str
     incarnation: int

@@ -12,10 +12,10 @@ one host). Kinds:
                 robot, incarnation, sequence number; empty in a local log), the ``firings`` that
                 followed, ``hash`` (of the chain), ``ballot`` where a team agreed on it
 ``snapshot``    the state after slot ``slot``, taken over from a peer or kept as a starting point:
-                ``state``, ``seen`` (origin -> newest entry), ``logs`` (robot -> the log with which it
-                was let in), ``cast_out`` (robot -> slot of its eviction by force), ``hash``
-``reset``       what is before does not count any more (``why``); the log is learnt anew, and goes by
-                the id ``log`` from here on
+                ``state``, ``seen`` (origin -> newest entry), ``logs`` (robot -> the log with which
+                it was let in), ``cast_out`` (robot -> slot of its eviction by force), ``hash``
+``reset``       what is before does not count any more (``why``); the log is learnt anew, and goes
+                by the id ``log`` from here on
 ``active``      this replica takes part from now on
 ``life``        the node started: ``incarnation``; ``joining`` where it was not in the first team;
                 ``host`` as in the header, ``fsync``: whether the log is written through to the disk
@@ -36,7 +36,8 @@ one host). Kinds:
 drops it, and a writer that takes the file up again removes it first.
 
 The last field of every line, ``sum``, is a running hash over all lines before it and the line
-itself, so that a line that was changed, dropped or put in is noticed. (Logs of version 1 have none.)
+itself, so that a line that was changed, dropped or put in is noticed. (Logs of version 1 have
+none.)
 """
 
 from __future__ import annotations
@@ -65,7 +66,9 @@ UNSUMMED = 1
 Record = Dict[str, Any]
 
 
-def header(plan: Plan, run: str, robot: str, log_id: str, *, agents: bool = False, host: str = "") -> Record:
+def header(
+    plan: Plan, run: str, robot: str, log_id: str, *, agents: bool = False, host: str = ""
+) -> Record:
     """The first line of a log.
 
     :param run: name of the run.
@@ -73,8 +76,8 @@ def header(plan: Plan, run: str, robot: str, log_id: str, *, agents: bool = Fals
     :param log_id: unlike that of any other log, e.g. a random hex string: it tells a robot that
         comes back with its memory from one that lost it.
     :param agents: standalone execution, where transitions may create and destroy tokens.
-    :param host: of which boot of which host the monotonic clock is (the writer fills it in): times of
-        different ones are not compared.
+    :param host: of which boot of which host the monotonic clock is (the writer fills it in): times
+        of different ones are not compared.
     """
     return {
         "kind": "header",
@@ -95,7 +98,9 @@ def first_hash(plan: Plan) -> str:
     return plan.hash()
 
 
-def next_hash(previous: str, entries: Sequence[Record], origins: Sequence[Any], firings: Sequence[Record]) -> str:
+def next_hash(
+    previous: str, entries: Sequence[Record], origins: Sequence[Any], firings: Sequence[Record]
+) -> str:
     """The next link of the hash chain: over the link before, and a slot's entries, their origins
     and the firings that followed, all as they stand in the log."""
     text = json.dumps([previous, entries, origins, firings], sort_keys=True, separators=(",", ":"))
@@ -109,8 +114,8 @@ class EventLogWriter:
     :param path: the file; its folder is made. A file that is there is taken up again: a line that
         was cut is removed, and the header must be of the same run, robot and plan.
     :param first: the header for a new file (see :func:`header`).
-    :param fsync: records that are to be durable are waited for until the disk has them, so that they
-        outlive the power supply too.
+    :param fsync: records that are to be durable are waited for until the disk has them, so that
+        they outlive the power supply too.
     :raises LogError: the file belongs to another run, robot or plan, or cannot be written.
     """
 
@@ -173,7 +178,8 @@ class EventLogWriter:
 
 
 def line_of(record: Record, previous: str) -> Tuple[str, str]:
-    """The line of a record, and the running hash after it; ``previous``: the one before it ("" at first)."""
+    """The line of a record, and the running hash after it; ``previous``: the one before it ("" at
+    first)."""
     text = json.dumps(record, separators=(",", ":"))
     chain = next_sum(previous, text.encode())
     return '%s,"sum":"%s"}\n' % (text[:-1], chain), chain
@@ -219,8 +225,9 @@ def _sync_folder(path: str) -> None:
 
 
 def end_is_there(event_log: EventLog) -> bool:
-    """Whether the end of a log is sure to be there, whatever happened to the machine: it was written
-    through to the disk, or the machine has not been started anew since its last node began."""
+    """Whether the end of a log is sure to be there, whatever happened to the machine: it was
+    written through to the disk, or the machine has not been started anew since its last node
+    began."""
     newest = next((r for r in reversed(event_log.records) if r["kind"] == "life"), event_log.header)
     return bool(newest.get("fsync")) or newest.get("host", event_log.header.get("host")) == _host()
 
@@ -340,9 +347,12 @@ LONGEST_LINE = 64_000_000
 class LogFile:
     """A log that is read line by line, when it is needed.
 
-    :param path: the file. :raises LogError: it cannot be read, or is not a log of a version that is known.
-    :ivar header: its first line. :ivar plan: the plan that it carries. :ivar begin: the byte that the records begin at.
-    :ivar size: of the file, when it was opened. :ivar cut: whether a last line that was cut has been met.
+    :param path: the file. :raises LogError: it cannot be read, or is not a log of a version that is
+      known.
+    :ivar header: its first line. :ivar plan: the plan that it carries. :ivar begin: the byte that
+      the records begin at.
+    :ivar size: of the file, when it was opened. :ivar cut: whether a last line that was cut has
+      been met.
     """
 
     def __init__(self, path: str) -> None:
@@ -363,10 +373,11 @@ class LogFile:
             raise LogError("cannot be read (%s)" % error.strerror, file=self.path) from None
 
     def records(self, file: BinaryIO, offset: int, number: int) -> Iterator[Tuple[Record, int]]:
-        """The records from byte ``offset`` on, which is where line ``number`` begins, and the length of each.
+        """The records from byte ``offset`` on, which is where line ``number`` begins, and the
+        length of each.
 
-        Of a log that is still being written those are read that were there when it was opened. A last line that was
-        cut is left out, and noted in ``cut``.
+        Of a log that is still being written those are read that were there when it was opened. A
+        last line that was cut is left out, and noted in ``cut``.
 
         :raises LogError: a line is no record, or the file cannot be read any more.
         """
@@ -387,7 +398,8 @@ class LogFile:
 
 
 DAMAGED = (
-    "a line was changed, dropped or put in; a robot whose log is moved away learns it from the others, and joins again"
+    "a line was changed, dropped or put in; "
+    "a robot whose log is moved away learns it from the others, and joins again"
 )
 
 
@@ -400,7 +412,9 @@ def _follow(chain: str, line: bytes, path: str, number: int) -> str:
     text, told = _without_sum(line)
     chain = next_sum(chain, text)
     if told != chain:
-        raise DamagedLogError("does not follow from the lines before it", file=path, line=number, hint=DAMAGED)
+        raise DamagedLogError(
+            "does not follow from the lines before it", file=path, line=number, hint=DAMAGED
+        )
     return chain
 
 
@@ -427,7 +441,8 @@ def _header(line: bytes, path: str) -> Record:
         raise LogError("is not an event log", file=path, line=1, hint=hint)
     if head.get("version") not in (UNSUMMED, VERSION):
         raise LogError(
-            "is of version %.20r; this program reads versions %d and %d" % (head.get("version"), UNSUMMED, VERSION),
+            "is of version %.20r; this program reads versions %d and %d"
+            % (head.get("version"), UNSUMMED, VERSION),
             file=path,
             line=1,
             hint="read it with the version of the package that wrote it",
@@ -466,11 +481,13 @@ class Replayer:
     def take(self, record: Record) -> Optional[Replayed]:
         """What the next record of the log brought about; None where it changes nothing.
 
-        :raises LogError: a slot is missing, does not hold entries, or leads to other firings than those it recorded.
+        :raises LogError: a slot is missing, does not hold entries, or leads to other firings than
+          those it recorded.
         :raises KeyError: or TypeError, the record is damaged.
         """
         if record["kind"] == "snapshot":
-            if record["slot"] != self.state.next_slot - 1:  # one kept as a starting point is no news
+            # one kept as a starting point is no news
+            if record["slot"] != self.state.next_slot - 1:
                 self.state = TeamState.from_json(record["state"], self._game.net)
                 return Replayed(record["slot"], (), [], self.state, record, True)
         elif record["kind"] == "reset":
@@ -492,7 +509,9 @@ def replay(event_log: EventLog) -> Iterator[Replayed]:
         try:
             step = replayer.take(record)
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-            raise LogError("the record is damaged (%r)" % error, file=event_log.path, line=number) from None
+            raise LogError(
+                "the record is damaged (%r)" % error, file=event_log.path, line=number
+            ) from None
         except LogError as error:
             raise error.located(file=event_log.path, line=number) from None
         if step is not None:

@@ -22,9 +22,9 @@ class Move(NamedTuple):
 class Firing(NamedTuple):
     """A transition fired, at position (``slot``, ``index``) of the log.
 
-    ``robot`` is the one whose request it was ("" where none asked), ``visit`` and ``incarnation`` are those it had;
-    ``moves`` tells all robots that moved, ``marking`` the result, ``drawn`` the position at which
-    the policy chose this transition (None where it did not).
+    ``robot`` is the one whose request it was ("" where none asked), ``visit`` and ``incarnation``
+    are those it had; ``moves`` tells all robots that moved, ``marking`` the result, ``drawn`` the
+    position at which the policy chose this transition (None where it did not).
     """
 
     slot: int

@@ -53,7 +53,9 @@ class Item(NamedTuple):
                 raise ValueError("its origin is not counted in whole numbers")
             if not isinstance(robot, str) or not isinstance(log_id, str):
                 raise ValueError("its origin has no name")
-            item = cls(log.from_json(entry), Origin(robot, incarnation, number, log_id), bool(private))
+            item = cls(
+                log.from_json(entry), Origin(robot, incarnation, number, log_id), bool(private)
+            )
             if item.private and not isinstance(item.entry, log.Done):
                 raise ValueError("only a Done can be a private move")
             return item
@@ -96,7 +98,9 @@ class Ledger:
         _, incarnation, number, log_id = origin
         return incarnation == known[0] and number > known[1] and log_id == known[2]
 
-    def append(self, items: Sequence[Item], ballot: Optional[Sequence[Any]] = None) -> Tuple[Record, Step]:
+    def append(
+        self, items: Sequence[Item], ballot: Optional[Sequence[Any]] = None
+    ) -> Tuple[Record, Step]:
         """Put a batch into the next slot: the ``slot`` record, and what it brought about. Repeated
         items are left out."""
         fresh: List[Item] = []
@@ -113,11 +117,17 @@ class Ledger:
         """Remember whose log counts, and who was cast out."""
         if isinstance(entry, log.Join):
             robot = self.state.robots.get(entry.robot)
-            if entry.robot in self.state.witnesses or (robot and robot.incarnation == entry.incarnation):
+            if entry.robot in self.state.witnesses or (
+                robot and robot.incarnation == entry.incarnation
+            ):
                 self.logs[entry.robot] = entry.log
         elif isinstance(entry, log.Evict) and entry.forced:
             robot = self.state.robots.get(entry.robot)
-            if robot is not None and robot.phase is Phase.LOST and robot.incarnation == entry.incarnation:
+            if (
+                robot is not None
+                and robot.phase is Phase.LOST
+                and robot.incarnation == entry.incarnation
+            ):
                 self.cast_out[entry.robot] = self.length - 1
 
     def is_cast_out(self, name: str) -> bool:
@@ -139,7 +149,9 @@ class Ledger:
             record["ballot"] = list(ballot)
         return record, step
 
-    def record(self, slot: int, entries: Sequence[log.Entry], origins: List[Any], step: Step) -> Record:
+    def record(
+        self, slot: int, entries: Sequence[log.Entry], origins: List[Any], step: Step
+    ) -> Record:
         """The ``slot`` record of a step that was made already; the chain goes on with it."""
         written = [log.to_json(e) for e in entries]
         firings = [firing_to_json(f, self.game.net) for f in step.firings]

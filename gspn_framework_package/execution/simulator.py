@@ -125,7 +125,10 @@ class Simulator:
         total = _sum(weight for _, weight in weighted)
         if math.isinf(total):  # only their relation matters
             top = max(weight for _, weight in weighted)
-            weighted = [(t, weight / top if math.isfinite(top) else float(weight == top)) for t, weight in weighted]
+            weighted = [
+                (t, weight / top if math.isfinite(top) else float(weight == top))
+                for t, weight in weighted
+            ]
             total = _sum(weight for _, weight in weighted)
         if total <= 0 and not any(t in self.probabilities for t in enabled):
             # only choices that a policy would make (weight 0): each is as good as the other

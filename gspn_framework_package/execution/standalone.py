@@ -58,7 +58,8 @@ class AgentState(enum.Enum):
     INACTIVE = "Inactive"
     """It has finished in a place without output arcs."""
     VOID = "Void"
-    """It was destroyed: a transition consumed more agents than it produced, or the operator took it out."""
+    """It was destroyed: a transition consumed more agents than it produced, or the operator took it
+    out."""
 
 
 class Listener:
@@ -107,8 +108,8 @@ class StandaloneExecutor:
     :param listener: told what happens.
     :param event_log: where the run is recorded (its header is written by whoever made it).
     :param time_source: monotonic seconds.
-    :param firing_limit: the run is stopped with the event that brings the firings to this number; where that event
-        sets off several, which belong together, there are more.
+    :param firing_limit: the run is stopped with the event that brings the firings to this number;
+        where that event sets off several, which belong together, there are more.
     :raises PlanError: a place is bound to an action server; a function is missing or broken.
 
     ``start`` returns at once; ``wait`` waits for the end; ``stop`` ends the run at any time, and
@@ -221,7 +222,8 @@ class StandaloneExecutor:
             self._reduce([self.game.start_entry()])
             while self.result is None:
                 self._reduce(self._next_entries())
-        except BaseException as error:  # told by wait() and to the listener: a thread has nobody else to tell
+        # told by wait() and to the listener: a thread has nobody else to tell
+        except BaseException as error:
             self._crash = error
         finally:
             self._over.set()
@@ -272,7 +274,11 @@ class StandaloneExecutor:
             if not (enough and isinstance(command, StartAction)):
                 self._carry_out(command)
         if enough:
-            more = "" if self._fired == limit else " (%d fired: one event sets off several)" % self._fired
+            more = (
+                ""
+                if self._fired == limit
+                else " (%d fired: one event sets off several)" % self._fired
+            )
             self._reduce([log.Stop("the limit of %s firings%s" % (limit, more))])
 
     def _record(self, *records: Record) -> None:
@@ -369,7 +375,9 @@ class StandaloneExecutor:
         except ActionFailed as error:
             entry = self._failed(command, "aborted", error_text(error))
         except BaseException as error:  # whatever a user's function raises, SystemExit too
-            entry = self._failed(command, "aborted", "%s: %s" % (type(error).__name__, error_text(error)))
+            entry = self._failed(
+                command, "aborted", "%s: %s" % (type(error).__name__, error_text(error))
+            )
         self._queue.put(lambda: self._finished(command, attempt, entry))
 
     def _finished(
@@ -400,7 +408,11 @@ class StandaloneExecutor:
 
 
 def _broke_off(error: BaseException) -> str:
-    what = str(error) if isinstance(error, GspnError) else "%s: %s" % (type(error).__name__, error_text(error))
+    what = (
+        str(error)
+        if isinstance(error, GspnError)
+        else "%s: %s" % (type(error).__name__, error_text(error))
+    )
     return "the run broke off: %s" % what
 
 

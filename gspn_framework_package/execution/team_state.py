@@ -169,14 +169,29 @@ class TeamState:
 
     def _check(self) -> None:
         """:raises ValueError: fields of another type, or that contradict each other."""
-        numbers = [self.seed, self.next_slot, self.version, self.orders, self.created, *self.marking]
+        numbers = [
+            self.seed,
+            self.next_slot,
+            self.version,
+            self.orders,
+            self.created,
+            *self.marking,
+        ]
         for robot in self.robots.values():
             numbers += [robot.incarnation, robot.visit, robot.attempt, robot.order, robot.failures]
-            if not isinstance(robot.name, str) or not isinstance(robot.paused, bool) or not isinstance(robot.why, str):
+            if (
+                not isinstance(robot.name, str)
+                or not isinstance(robot.paused, bool)
+                or not isinstance(robot.why, str)
+            ):
                 raise ValueError("a robot has a field of another type")
             if robot.phase not in GONE and self.marking[robot.place] < 1:
                 raise ValueError("no token is where %s is" % robot.name)
-        if any(type(number) is not int for number in numbers) or self.next_slot < 0 or min(self.marking, default=0) < 0:
+        if (
+            any(type(number) is not int for number in numbers)
+            or self.next_slot < 0
+            or min(self.marking, default=0) < 0
+        ):
             raise ValueError("a number is none, or out of bounds")
         if not isinstance(self.paused, bool) or not all(isinstance(w, str) for w in self.witnesses):
             raise ValueError("a field is of another type")

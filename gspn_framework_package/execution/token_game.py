@@ -164,7 +164,8 @@ class _Reducer(Turn):
         if isinstance(entry, log.Evict) and entry.incarnation != robot.incarnation:
             return
         if self.state.members() == [robot.name] and not self.rules.agents:
-            self._fault(robot, "stays: it is the last one of the team")  # else nobody could let anybody in again
+            # else nobody could let anybody in again
+            self._fault(robot, "stays: it is the last one of the team")
             return
         self._cancel(robot)
         self.state.remove_waiting(robot)

@@ -105,9 +105,13 @@ def net_graph(net: Net, marking: Optional[Sequence[int]] = None) -> Graph:
     graph.defaults("node", fontname="Helvetica", fontsize=10, margin=0, fixedsize="true")
     graph.defaults("edge", fontname="Helvetica", fontsize=9, arrowsize=0.7)
     counts = net.initial_marking if marking is None else marking
-    spots = [{"xlp": _point(spot)} for spot in placed.labels] if placed else [{} for _ in range(nodes)]
+    spots = (
+        [{"xlp": _point(spot)} for spot in placed.labels] if placed else [{} for _ in range(nodes)]
+    )
     for place, tokens, spot in zip(net.places, counts, spots):
-        graph.node(place.name, **_place_attributes(place, tokens), **_at(place.name, positions), **spot)
+        graph.node(
+            place.name, **_place_attributes(place, tokens), **_at(place.name, positions), **spot
+        )
     for transition, spot in zip(net.transitions, spots[len(net.places) :]):
         graph.node(
             transition.name,
@@ -153,14 +157,20 @@ def _at(name: str, positions: Mapping[str, Position]) -> Dict[str, Attribute]:
 
 def _placed(net: Net, positions: Mapping[str, Position]) -> Optional[Layout]:
     """Ways of the arcs and spots of the labels; None where Graphviz has to find them."""
-    looks = [_place_attributes(place, 0) for place in net.places] + [_transition_attributes(t) for t in net.transitions]
-    names = [place.name for place in net.places] + [transition.name for transition in net.transitions]
+    looks = [_place_attributes(place, 0) for place in net.places] + [
+        _transition_attributes(t) for t in net.transitions
+    ]
+    names = [place.name for place in net.places] + [
+        transition.name for transition in net.transitions
+    ]
     number = {name: i for i, name in enumerate(names)}
     boxes: List[Box] = []
     for name, look in zip(names, looks):
         half = [36.0 * float(look.get(key, look["width"])) for key in ("width", "height")]
         x, y = positions[name]
-        boxes.append(Box(x, 0 - y, half[0], half[1], look["shape"] == "circle", str(look["xlabel"])))
+        boxes.append(
+            Box(x, 0 - y, half[0], half[1], look["shape"] == "circle", str(look["xlabel"]))
+        )
     lines = [
         Line(
             number[arc.source],

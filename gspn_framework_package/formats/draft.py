@@ -154,7 +154,9 @@ class NetDraft:
             self.fail("it has no %s" % ("target" if source else "source"), element, line)
         self._arcs.append(_ArcLine(identifier or "", source, target, weight, inhibitor, line))
 
-    def _add(self, identifier: str, name: str, item: Union[Place, Transition], line: Optional[int]) -> None:
+    def _add(
+        self, identifier: str, name: str, item: Union[Place, Transition], line: Optional[int]
+    ) -> None:
         key = identifier or name
         if not key:
             kind = "place" if isinstance(item, Place) else "transition"
@@ -221,8 +223,7 @@ class NetDraft:
             target = names.get(arc.target) or names.get(by_name.get(arc.target, ""))
             if source is None or target is None:
                 self.fail(
-                    "there is no place or transition '%s'"
-                    % (arc.target if source else arc.source),
+                    "there is no place or transition '%s'" % (arc.target if source else arc.source),
                     "arc '%s' from '%s' to '%s'" % (arc.identifier, arc.source, arc.target),
                     arc.line,
                     "an arc joins a place and a transition of the same net",

@@ -138,7 +138,9 @@ class _Writer:
         return _all(tests)
 
     def _target(self, t: int) -> Dict[str, Any]:
-        assignments: List[Dict[str, Any]] = [{"ref": self.names[p], "value": self.names[p]} for p in self.unchanged]
+        assignments: List[Dict[str, Any]] = [
+            {"ref": self.names[p], "value": self.names[p]} for p in self.unchanged
+        ]
         for p, change in self.net.effect(t):
             sign = "+" if change > 0 else "-"
             value = _operation(sign, self.names[p], abs(change))

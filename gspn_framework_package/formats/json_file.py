@@ -18,7 +18,8 @@ _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
 
 class JsonDocument(NamedTuple):
-    """A JSON text and what it holds: the ``data``, and the ``text`` for the lines of its elements."""
+    """A JSON text and what it holds: the ``data``, and the ``text`` for the lines of its
+    elements."""
 
     data: Any
     text: str
@@ -26,7 +27,8 @@ class JsonDocument(NamedTuple):
     def line(self, path: Sequence[Step]) -> Optional[int]:
         """The line of the element at ``path`` (keys and indices); of a member, that of its key."""
         wanted = [str(step) for step in path]
-        inside: List[List[Any]] = []  # of each open bracket: whether an object; the key or index there
+        # of each open bracket: whether an object; the key or index there
+        inside: List[List[Any]] = []
         for match in _TOKEN.finditer(self.text):
             word = match.group()
             if word == ",":
@@ -40,7 +42,9 @@ class JsonDocument(NamedTuple):
             is_key = bool(inside) and inside[-1][0] and inside[-1][1] is None
             if is_key:
                 inside[-1][1] = json.loads(word)
-            if (is_key or not inside or not inside[-1][0]) and [str(step) for _, step in inside] == wanted:
+            if (is_key or not inside or not inside[-1][0]) and [
+                str(step) for _, step in inside
+            ] == wanted:
                 return self.text.count("\n", 0, match.start()) + 1
             if word in "{[":
                 inside.append([word == "{", None if word == "{" else 0])
@@ -95,7 +99,8 @@ def read_document(path: str) -> JsonDocument:
         word = str(error)
         found = re.search(r"(?<![\w.+-])%s(?![\w.])" % re.escape(word), text)
         raise InputError(
-            "%s is not a number that can be used" % (word if len(word) <= 40 else word[:30] + "..."),
+            "%s is not a number that can be used"
+            % (word if len(word) <= 40 else word[:30] + "..."),
             file=path,
             line=text.count("\n", 0, found.start()) + 1 if found else None,
         ) from None

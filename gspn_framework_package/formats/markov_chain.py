@@ -1,5 +1,6 @@
-"""A Markov chain that was computed, state by state, for model checkers: PRISM's explicit files, and the DRN format
-of Storm. This is how a plan under its policy, or a net whose vanishing markings were eliminated, goes to them."""
+"""A Markov chain that was computed, state by state, for model checkers: PRISM's explicit files, and
+the DRN format of Storm. This is how a plan under its policy, or a net whose vanishing markings were
+eliminated, goes to them."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ class ExplicitChain(NamedTuple):
     :ivar states: the markings, by number.
     :ivar rates: triples (from state, to state, rate in 1/s), no two of one pair.
     :ivar initial: number of the initial state.
-    :ivar labels: label -> numbers of the states that have it; ``init`` and ``deadlock`` come by themselves.
+    :ivar labels: label -> numbers of the states that have it; ``init`` and ``deadlock`` come by
+      themselves.
     """
 
     places: Sequence[str]
@@ -34,7 +36,10 @@ class ExplicitChain(NamedTuple):
         dead = [number for number in range(len(self.states)) if number not in busy]
         for label in self.labels:
             if label in ("init", "deadlock") or identifiers([label])[0][label] != label:
-                raise NetError("a label cannot be called '%s'" % label, hint="letters, digits and _ make a label")
+                raise NetError(
+                    "a label cannot be called '%s'" % label,
+                    hint="letters, digits and _ make a label",
+                )
         return {"init": [self.initial], "deadlock": dead, **self.labels}
 
 
@@ -57,15 +62,24 @@ def prism_files(chain: ExplicitChain) -> Dict[str, bytes]:
 
 
 def drn(chain: ExplicitChain) -> bytes:
-    """The chain as Storm's DRN file: ``storm --explicit-drn chain.drn``. States have no variables there, only labels;
-    the marking of each is a comment. A label that no state has can only be a comment: Storm does not know it."""
+    """The chain as Storm's DRN file: ``storm --explicit-drn chain.drn``. States have no variables
+    there, only labels; the marking of each is a comment. A label that no state has can only be a
+    comment: Storm does not know it."""
     labels = chain.all_labels()
     names = list(labels)
     of_state = _by_state(chain, list(labels.values()))
     moves: List[List[Tuple[int, float]]] = [[] for _ in chain.states]
     for source, target, rate in sorted(chain.rates):
         moves[source].append((target, rate))
-    lines = ["@type: CTMC", "@parameters", "", "@reward_models", "", "@nr_states", str(len(chain.states))]
+    lines = [
+        "@type: CTMC",
+        "@parameters",
+        "",
+        "@reward_models",
+        "",
+        "@nr_states",
+        str(len(chain.states)),
+    ]
     lines += ["@nr_choices", str(len(chain.states)), "@model"]
     lines += ["// no state has the label %s" % name for name in names if not labels[name]]
     for number, (marking, targets) in enumerate(zip(chain.states, moves)):

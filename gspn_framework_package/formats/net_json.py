@@ -53,7 +53,8 @@ def _check_kind(transition: Dict[str, Any]) -> None:
     for key in ("weight", "priority") if timed else ("rate", "servers"):
         if key in transition:
             raise NetError(
-                "it has a %s, which %s transitions do not have" % (key, "timed" if timed else "immediate"),
+                "it has a %s, which %s transitions do not have"
+                % (key, "timed" if timed else "immediate"),
                 element="transition '%s'" % transition["name"],
                 hint='leave it out, or leave "timed" out' if timed else 'is "timed": true missing?',
             )

@@ -3,17 +3,17 @@
 Elements are named by ``name/value``, arcs join ids. What the generations of the tool write
 differently, and how it is read:
 
-==================  ====================================================================================
-marking, weight     ``1`` (2.x), ``Default,1`` (3 on), ``Default,0,Red,1`` (coloured: refused when more than
-                    one class of tokens is in use); ``@`` stands for a comma inside a function; empty (5) is
-                    the default: no token, weight 1
+==================  ================================================================================
+marking, weight     ``1`` (2.x), ``Default,1`` (3 on), ``Default,0,Red,1`` (coloured: refused when
+                    more than one class of tokens is in use); ``@`` stands for a comma inside
+                    a function; empty (5) is the default: no token, weight 1
 capacity            missing or 0: unlimited
 ``timed``           missing: immediate; ``rate`` is the weight of an immediate transition
 ``infiniteServer``  missing: single server, unless the reader is told otherwise
 ``priority``        missing: 1
 arc ``type``        missing: normal
 ``definition``      a constant (a rate parameter), which a rate may name or compute with
-==================  ====================================================================================
+==================  ================================================================================
 """
 
 from __future__ import annotations
@@ -47,13 +47,17 @@ from gspn_framework_package.model.net import Net, Position
 NET_TYPE = "P/T net"
 _DEFAULT_CLASS = "Default"
 _VALUE = known("", {"value": known(text=True)}, free="graphics toolspecific")
-_PLACE = known("id", {"initialMarking": _VALUE, "capacity": _VALUE}, free="name graphics toolspecific")
+_PLACE = known(
+    "id", {"initialMarking": _VALUE, "capacity": _VALUE}, free="name graphics toolspecific"
+)
 _TRANSITION = known(
     "id",
     {"rate": _VALUE, "timed": _VALUE, "infiniteServer": _VALUE, "priority": _VALUE},
     free="name graphics toolspecific orientation",
 )
-_ARC_TYPE = known("value", {"value": known(text=True), "text": known(text=True)}, free="graphics toolspecific")
+_ARC_TYPE = known(
+    "value", {"value": known(text=True), "text": known(text=True)}, free="graphics toolspecific"
+)
 _ARC = known(
     "id source target type",
     {"inscription": _VALUE, "type": _ARC_TYPE},
@@ -241,7 +245,8 @@ class _Reader:
                     % (what, shorten(text)),
                     name,
                     line,
-                    "'Default,2' is such a pair; of coloured nets, those with one class in use are read",
+                    "'Default,2' is such a pair; of coloured nets, those with one class in use "
+                    "are read",
                 )
             pairs = [(_DEFAULT_CLASS, text)]
         total = 0

@@ -48,7 +48,8 @@ def _read(path: str, document: JsonDocument) -> Plan:
 
 
 def _refuse_net(path: str) -> None:
-    """Name a net that was given in place of a plan. :raises GspnError: it is one, or XML that cannot be read."""
+    """Name a net that was given in place of a plan. :raises GspnError: it is one, or XML that
+    cannot be read."""
     if not os.path.isfile(path):
         return
     try:
@@ -57,7 +58,9 @@ def _refuse_net(path: str) -> None:
         if is_xml(read_bytes(path)):
             raise  # what is wrong with the net says more than that it is not JSON
         return
-    raise UsageError("this is a net, not a plan", file=path, hint="gspn analyse says what a net can do")
+    raise UsageError(
+        "this is a net, not a plan", file=path, hint="gspn analyse says what a net can do"
+    )
 
 
 def _open(path: str) -> Tuple[str, JsonDocument]:
@@ -73,13 +76,15 @@ def _open(path: str) -> Tuple[str, JsonDocument]:
         error.located(file=path)
         raise
     if not isinstance(document.data, dict):
-        raise PlanError("a plan is a JSON object, not a %s" % type(document.data).__name__, file=path)
+        raise PlanError(
+            "a plan is a JSON object, not a %s" % type(document.data).__name__, file=path
+        )
     return path, document
 
 
 class NetOrPlan(NamedTuple):
-    """What can be simulated and analysed: a ``net``, and the ``plan`` where it is the net of one; ``notes`` for people
-    on how it was read."""
+    """What can be simulated and analysed: a ``net``, and the ``plan`` where it is the net of one;
+    ``notes`` for people on how it was read."""
 
     net: Net
     plan: Optional[Plan]
@@ -96,19 +101,21 @@ def read_net_or_plan(
     missing_weight: float = 1.0,
     net_will_do: bool = False,
 ) -> NetOrPlan:
-    """Read a plan, as :func:`read_plan`, or a net, as :func:`~gspn_framework_package.formats.registry.read_net`, with
-    the options of that. A folder and a JSON file are taken for a plan, unless a format is given. An input file of the
-    thesis that maps no place to an action is taken for its net (5.3).
+    """Read a plan, as :func:`read_plan`, or a net, as
+    :func:`~gspn_framework_package.formats.registry.read_net`, with the options of that. A folder
+    and a JSON file are taken for a plan, unless a format is given. An input file of the thesis that
+    maps no place to an action is taken for its net (5.3).
 
-    :param net_will_do: take an input file of the thesis for its net also where the rest of it makes no plan; a note
-        says why.
+    :param net_will_do: take an input file of the thesis for its net also where the rest of it makes
+        no plan; a note says why.
     :raises UsageError: a plan, and options that it says itself.
     :raises GspnError: it cannot be read.
     """
     if format is None and is_plan(path):
         if constants or net is not None or infinite_servers is not None or missing_weight != 1.0:
             raise UsageError(
-                "how a net is read (its name in the file, constants, servers, weights) can be said of a net only",
+                "how a net is read (its name in the file, constants, servers, weights) can be "
+                "said of a net only",
                 hint="this is a plan, which says it itself",
             )
         return _net_of_thesis(path, net_will_do) or _whole_plan(path)
@@ -129,7 +136,8 @@ def _whole_plan(path: str) -> NetOrPlan:
 
 
 def _net_of_thesis(path: str, net_will_do: bool) -> Optional[NetOrPlan]:
-    """The net of an input file of the thesis that is to be taken for a net; None where it is a plan."""
+    """The net of an input file of the thesis that is to be taken for a net; None where it is a
+    plan."""
     path, document = _open(path)
     if not thesis_input.is_thesis_input(document.data):
         return None
@@ -147,7 +155,9 @@ def _net_of_thesis(path: str, net_will_do: bool) -> Optional[NetOrPlan]:
     except GspnError as error:
         error.located(file=path)
         raise
-    return NetOrPlan(found.net, None, found.notes + ("taken for a net, not for a plan: %s" % reason,))
+    return NetOrPlan(
+        found.net, None, found.notes + ("taken for a net, not for a plan: %s" % reason,)
+    )
 
 
 def is_plan(path: str) -> bool:

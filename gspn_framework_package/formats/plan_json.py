@@ -65,12 +65,19 @@ def check_schema(
         path = list(error.absolute_path)
         line = document.line(path + _unknown_key(error)) if document is not None else None
         element = ".".join(str(step) for step in path)
-        raise PlanError(_shorten(error.message), file=file, line=line, element=element or None, hint=_hint(error))
+        raise PlanError(
+            _shorten(error.message),
+            file=file,
+            line=line,
+            element=element or None,
+            hint=_hint(error),
+        )
 
 
 def _most_telling(errors: List[Any]) -> Any:
-    """Of what does not fit, the outermost. Where none of several forms fits, that of the form which fits best, if there
-    is one. (``best_match`` of jsonschema chooses otherwise in each of its versions.)"""
+    """Of what does not fit, the outermost. Where none of several forms fits, that of the form which
+    fits best, if there is one. (``best_match`` of jsonschema chooses otherwise in each of its
+    versions.)"""
 
     def depth(error: Any) -> Tuple[int, bool]:
         return len(error.path), error.validator in ("anyOf", "oneOf")
@@ -283,7 +290,11 @@ def plan_to_short_json(plan: Plan) -> Dict[str, Any]:
     """As :func:`plan_to_json`, for people: without what is the default anyway."""
     data = plan_to_json(plan)
     default = plan_to_json(Plan(plan.net))
-    short = {key: value for key, value in data.items() if key in ("net", "actions") or value != default.get(key)}
+    short = {
+        key: value
+        for key, value in data.items()
+        if key in ("net", "actions") or value != default.get(key)
+    }
     if plan.robots and not any(robot.actions for robot in plan.robots):
         short["robots"] = {robot.name: robot.place for robot in plan.robots}
     return short

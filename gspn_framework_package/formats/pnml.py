@@ -6,8 +6,8 @@ EXPONENTIAL, with ``weight`` and ``priority``, or with the parameter of the dist
 write that parameter with two meanings: pm4py writes the rate, ProM the mean. A file whose net
 carries ProM's own properties (time unit or execution policy) is read as ProM's, any other as
 pm4py's, with a note. A transition without such data is exponential with rate 1, with a note: the
-standard itself knows no time. TINA writes intervals into ``delay``: ``[0,w[`` is like none, ``[0,0]``
-is immediate, others are refused; its test arcs become arcs in both directions.
+standard itself knows no time. TINA writes intervals into ``delay``: ``[0,w[`` is like none,
+``[0,0]`` is immediate, others are refused; its test arcs become arcs in both directions.
 
 Elements and attributes that are not listed here are refused: see :mod:`.vocabulary`.
 
@@ -53,7 +53,11 @@ _COLOURED_LABELS = ("hlinitialMarking", "hlinscription", "declaration", "structu
 
 _TEXT = known(text=True)
 _LABEL = known("", {"text": _TEXT}, free="graphics toolspecific")
-_DELAY = known("", {"interval": known("closure", {"cn": _TEXT, "ci": _TEXT}, repeated="cn ci")}, free="graphics")
+_DELAY = known(
+    "",
+    {"interval": known("closure", {"cn": _TEXT, "ci": _TEXT}, repeated="cn ci")},
+    free="graphics",
+)
 _PLACE = known("id", {"initialMarking": _LABEL}, free="name graphics toolspecific label")
 _TRANSITION = known("id", {"delay": _DELAY}, free="name graphics toolspecific label")
 _REFERENCE = known("id ref", free="name graphics toolspecific")
@@ -160,7 +164,9 @@ class _Reader:
                 )
             elif kind not in free.children:
                 everything = free._replace(children={**free.children, **dict.fromkeys(readers)})
-                vocabulary.refuse_element(element, everything, name_of(page, tag(page)), self.draft.fail)
+                vocabulary.refuse_element(
+                    element, everything, name_of(page, tag(page)), self.draft.fail
+                )
 
     def _refuse_colour(self, element: etree._Element, what: str) -> None:
         self.draft.fail(
@@ -170,9 +176,14 @@ class _Reader:
             "only place/transition nets are read; unfold it first",
         )
 
-    def _check(self, parent: etree._Element, known_of_it: vocabulary.Element, what: str) -> vocabulary.Children:
-        def fail(message: str, element: Optional[str], line: Optional[int], hint: Optional[str]) -> None:
-            for node in parent:  # no vocabulary has these labels: where there is one, the check fails
+    def _check(
+        self, parent: etree._Element, known_of_it: vocabulary.Element, what: str
+    ) -> vocabulary.Children:
+        def fail(
+            message: str, element: Optional[str], line: Optional[int], hint: Optional[str]
+        ) -> None:
+            # no vocabulary has these labels: where there is one, the check fails
+            for node in parent:
                 if tag(node) in _COLOURED_LABELS:
                     self._refuse_colour(node, what)
             self.draft.fail(message, element, line, hint)
@@ -199,7 +210,9 @@ class _Reader:
         tokens = self.draft.count(text, "initial marking", what, line) if text else 0
         text = self._own(parts.get("toolspecific", ()), what, line).get("capacity")
         capacity = self.draft.count(text, "capacity", what, line) if text else None
-        self.draft.add_place(element.get("id"), _text(parts, "name"), tokens, capacity, _position(parts), line)
+        self.draft.add_place(
+            element.get("id"), _text(parts, "name"), tokens, capacity, _position(parts), line
+        )
 
     def _transition(self, element: etree._Element) -> None:
         what, line = name_of(element, "transition"), line_of(element)
@@ -307,7 +320,8 @@ class _Reader:
     def _arc(self, element: etree._Element) -> None:
         said = {str(key): str(value) for key, value in element.items()}
         if not len(element) and not element.text and _ENDS.issuperset(said):
-            # Most arcs say no more than where they go: there is nothing in them to check or to look for.
+            # Most arcs say no more than where they go: there is nothing in them to check or to look
+            # for.
             source, target = self._resolve(said.get("source")), self._resolve(said.get("target"))
             self.draft.add_arc(said.get("id"), source, target, 1, False, line_of(element))
             return
@@ -340,8 +354,8 @@ def _position(parts: vocabulary.Children) -> Optional[Position]:
 
 
 def _properties(nodes: Sequence[etree._Element], tool: str) -> List[Tuple[str, str]]:
-    """The data of a tool in the ``toolspecific`` of an element: properties (``<property key="weight">2</property>``),
-    or attributes."""
+    """The data of a tool in the ``toolspecific`` of an element: properties (``<property
+    key="weight">2</property>``), or attributes."""
     found: List[Tuple[str, str]] = []
     for node in nodes:
         if node.get("tool") == tool:

@@ -45,9 +45,18 @@ _CORNER = {"place": 0.0, "EXP": 0.55, "IMM": 0.85}
 _COMPOSITIONS = ("unfolding", "multinet", "composition", "algebra", "dta")
 _COLOURED = ("color-class", "color-var")
 _FUNCTIONS = {
-    "Min": "min", "Max": "max", "Mod": "mod", "Pow": "pow", "Fract": "", "Abs": "abs", "Ceil": "ceil",
-    "Floor": "floor", "Round": "round", "Exp": "exp", "Sqrt": "sqrt",
-}  # fmt: skip
+    "Min": "min",
+    "Max": "max",
+    "Mod": "mod",
+    "Pow": "pow",
+    "Fract": "",
+    "Abs": "abs",
+    "Ceil": "ceil",
+    "Floor": "floor",
+    "Round": "round",
+    "Exp": "exp",
+    "Sqrt": "sqrt",
+}
 """The functions of the editor that are read, and what they are called here."""
 
 _NODE = "name x y shown-as magnets rotation superpos-tags"
@@ -129,7 +138,9 @@ class _Reader:
             group = _NODES if tag(element) == "nodes" else _EDGES
             vocabulary.check_attributes(element, group, name_of(self.net, "net"), self.draft.fail)
         if len(all_of(self.net, "nodes")) > 1 or len(all_of(self.net, "edges")) > 1:
-            self.draft.fail("it has <nodes> or <edges> twice", name_of(self.net, "net"), line_of(self.net))
+            self.draft.fail(
+                "it has <nodes> or <edges> twice", name_of(self.net, "net"), line_of(self.net)
+            )
         self._check(self.nodes, _NODES)
         self._check(self.edges, _EDGES)
         self.draft.constants = self._constants()
@@ -173,7 +184,9 @@ class _Reader:
             text = (element.get(attribute) or "").strip()
             if not text:
                 continue  # an error only where it is used
-            definitions[name] = self._expression(text, "value", name_of(element, kind), line_of(element))
+            definitions[name] = self._expression(
+                text, "value", name_of(element, kind), line_of(element)
+            )
             if kind == "template" and name not in self.options.constants:
                 self.draft.note(
                     "%s = %s: the value that the template was last used with"
@@ -188,7 +201,11 @@ class _Reader:
         what, line = name_of(element, "place"), line_of(element)
         kind = (element.get("type") or "DISCRETE").upper()
         if kind != "DISCRETE":
-            text = "a fluid place" if kind == "CONTINUOUS" else "a place of the unknown type '%s'" % shorten(kind)
+            text = (
+                "a fluid place"
+                if kind == "CONTINUOUS"
+                else "a place of the unknown type '%s'" % shorten(kind)
+            )
             self.draft.fail(text, what, line, "only discrete places are read")
         text = (element.get("marking") or "").strip()
         tokens = self._count(text, "initial marking", what, line) if text else 0
@@ -247,7 +264,8 @@ class _Reader:
         return self.draft.count(self._expression(text, meaning, what, line), meaning, what, line)
 
     def _expression(self, text: str, meaning: str, what: str, line: int) -> str:
-        """An expression in our words: the editor writes ``Max[a, b]``, and ``Fract[a, b]`` for a / b."""
+        """An expression in our words: the editor writes ``Max[a, b]``, and ``Fract[a, b]`` for a /
+        b."""
         if "[" not in text:
             return text
         try:
@@ -255,7 +273,8 @@ class _Reader:
         except ExpressionError as error:
             self.draft.fail("its %s cannot be computed: %s" % (meaning, error.message), what, line)
         words: List[str] = []
-        fractions: List[Optional[int]] = []  # of each open bracket: commas seen, where it is a fraction
+        # of each open bracket: commas seen, where it is a fraction
+        fractions: List[Optional[int]] = []
         for token, following in zip(tokens, tokens[1:]):
             if following.text == "[" and token.kind == "name":
                 if token.text not in _FUNCTIONS:
@@ -272,7 +291,9 @@ class _Reader:
             elif token.text == "]" and fractions:
                 commas = fractions.pop()
                 if commas not in (None, 1):
-                    self.draft.fail("its %s has a Fract[...] without two numbers" % meaning, what, line)
+                    self.draft.fail(
+                        "its %s has a Fract[...] without two numbers" % meaning, what, line
+                    )
                 words.append(")" if commas is None else "))")
             elif token.text == "," and fractions and fractions[-1] is not None:
                 fractions[-1] += 1

@@ -29,7 +29,9 @@ def to_bytes(net: Net, bounds: Mapping[str, int] = {}) -> bytes:
             element="transition '%s'" % immediate[0],
             hint="write JANI, which Storm reads, or the chain without vanishing markings",
         )
-    places, transitions = identifiers([p.name for p in net.places], [t.name for t in net.transitions])
+    places, transitions = identifiers(
+        [p.name for p in net.places], [t.name for t in net.transitions]
+    )
     names = list(places.values())
     lines = ["ctmc", ""]
     lines += ["// place %s is %s" % (" ".join(k.split()), v) for k, v in places.items() if k != v]
@@ -62,7 +64,10 @@ def _rate(net: Net, t: int, names: Sequence[str]) -> str:
     rate = repr(float(transition.rate))
     if transition.servers == 1 or not net.inputs[t]:
         return rate
-    degrees = [names[p] if weight == 1 else "floor(%s/%d)" % (names[p], weight) for p, weight in net.inputs[t]]
+    degrees = [
+        names[p] if weight == 1 else "floor(%s/%d)" % (names[p], weight)
+        for p, weight in net.inputs[t]
+    ]
     if transition.servers is not None:
         degrees.append(str(transition.servers))
     return "%s*%s" % (rate, degrees[0] if len(degrees) == 1 else "min(%s)" % ", ".join(degrees))

@@ -33,7 +33,8 @@ class Format(NamedTuple):
     :ivar extensions: how its files end; the first is the usual one.
     :ivar from_xml: the reader, of an XML format.
     :ivar from_text: the reader, of a text format.
-    :ivar to_bytes: the writer: of a net, and where ``takes_bounds`` of the most tokens that places hold.
+    :ivar to_bytes: the writer: of a net, and where ``takes_bounds`` of the most tokens that places
+      hold.
     :ivar losses: what writing a net leaves out or says in other words, in sentences.
     """
 
@@ -55,14 +56,21 @@ class Format(NamedTuple):
 _TABLE = (
     Format("pipe", "PIPE XML", (".xml",), pipe.to_bytes, from_xml=pipe.from_xml),
     Format("pnml", "ISO 15909-2 PNML", (".pnml",), pnml.to_bytes, from_xml=pnml.from_xml),
-    Format("pnpro", "PNPRO (GreatSPN)", (".pnpro",), pnpro.to_bytes, from_xml=pnpro.from_xml,
-           losses=pnpro.losses),
-    Format("tina", "TINA .net", (".net",), tina.to_bytes, from_text=tina.from_text,
-           losses=tina.losses),
+    Format(
+        "pnpro",
+        "PNPRO (GreatSPN)",
+        (".pnpro",),
+        pnpro.to_bytes,
+        from_xml=pnpro.from_xml,
+        losses=pnpro.losses,
+    ),
+    Format(
+        "tina", "TINA .net", (".net",), tina.to_bytes, from_text=tina.from_text, losses=tina.losses
+    ),
     Format("jani", "JANI", (".jani",), jani.to_bytes, takes_bounds=True),
     Format("prism", "PRISM", (".prism", ".sm"), prism.to_bytes, takes_bounds=True),
     Format("dot", "Graphviz DOT", (".dot", ".gv"), dot.to_bytes),
-)  # fmt: skip
+)
 
 FORMATS: Mapping[str, Format] = {f.name: f for f in _TABLE}
 """Format name -> format."""
@@ -124,11 +132,15 @@ def read_net_with_notes(
 
 
 def _check_constants(data: bytes, constants: Mapping[str, float]) -> None:
-    """:raises UsageError: a constant that no word of the file is: a slip of the pen, which would change nothing."""
+    """:raises UsageError: a constant that no word of the file is: a slip of the pen, which would
+    change nothing."""
     for name in constants:
         word = re.escape(name).encode(errors="surrogateescape")
         if b"\0" not in data and not re.search(rb"(?<!\w)%s(?!\w)" % word, data):
-            raise UsageError("the constant '%s' does not occur in the file" % name, hint="is it spelt as it is there?")
+            raise UsageError(
+                "the constant '%s' does not occur in the file" % name,
+                hint="is it spelt as it is there?",
+            )
 
 
 def write_net(
@@ -148,7 +160,9 @@ def write_net(
     return losses
 
 
-def encode_net(net: Net, format: Format, bounds: Mapping[str, int] = NO_BOUNDS) -> Tuple[bytes, List[str]]:
+def encode_net(
+    net: Net, format: Format, bounds: Mapping[str, int] = NO_BOUNDS
+) -> Tuple[bytes, List[str]]:
     """The content of a file, and what the format could not hold, in sentences.
 
     :raises NetError: the net has something that the format cannot say.
@@ -167,7 +181,9 @@ def format_of_name(path: PathLike) -> Format:
         if suffix in entry.extensions:
             return entry
     known = ", ".join("%s (%s)" % (f.name, f.extensions[0]) for f in FORMATS.values())
-    raise UsageError("cannot tell the format from the name '%s'" % path, hint="name one with --to: %s" % known)
+    raise UsageError(
+        "cannot tell the format from the name '%s'" % path, hint="name one with --to: %s" % known
+    )
 
 
 def format_named(name: str) -> Format:
@@ -175,10 +191,14 @@ def format_named(name: str) -> Format:
     try:
         return FORMATS[name.lower()]
     except KeyError:
-        raise UsageError("there is no format '%s'" % name, hint="known: %s" % ", ".join(FORMATS)) from None
+        raise UsageError(
+            "there is no format '%s'" % name, hint="known: %s" % ", ".join(FORMATS)
+        ) from None
 
 
-def _read(data: bytes, file: str, wanted: Optional[Format], options: ReadOptions) -> Tuple[Net, List[str]]:
+def _read(
+    data: bytes, file: str, wanted: Optional[Format], options: ReadOptions
+) -> Tuple[Net, List[str]]:
     if not data.strip():
         raise InputError("the file is empty", file=file)
     if wanted is not None and wanted.from_text is not None:
@@ -245,7 +265,8 @@ def _check_root(root: etree._Element, chosen: Format, file: str) -> None:
     expected = _ROOTS[chosen.name]
     if tag(root) not in expected:
         raise InputError(
-            "the root element is <%s>, not <%s> as in %s" % (shorten(tag(root)), expected[0], chosen.title),
+            "the root element is <%s>, not <%s> as in %s"
+            % (shorten(tag(root)), expected[0], chosen.title),
             file=file,
             line=line_of(root),
         )
@@ -284,4 +305,6 @@ def _format_of_xml(root: etree._Element, file: str) -> Format:
                 line=line_of(element),
                 hint="save it from TAPAAL as PNML, which leaves its times out",
             )
-    return FORMATS["pnml" if (root.nsmap.get(None) or "").startswith("http://www.pnml.org") else "pipe"]
+    return FORMATS[
+        "pnml" if (root.nsmap.get(None) or "").startswith("http://www.pnml.org") else "pipe"
+    ]

@@ -1,8 +1,9 @@
 """Where the arcs and labels of a net go, whose nodes have places in the drawing.
 
-Graphviz lays arcs on each other and labels across arcs where the nodes are fixed, so both are put here: an arc is
-straight where it can be, and bends away from nodes and from arcs that run along it; a label takes the free spot
-that is nearest to its node. Lengths are points (1/72 inch), y counts upwards.
+Graphviz lays arcs on each other and labels across arcs where the nodes are fixed, so both are put
+here: an arc is straight where it can be, and bends away from nodes and from arcs that run along it;
+a label takes the free spot that is nearest to its node. Lengths are points (1/72 inch), y counts
+upwards.
 """
 
 from __future__ import annotations
@@ -12,11 +13,15 @@ from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tu
 
 Point = Tuple[float, float]
 
-_STEP = 6.0  # distance of the points of an arc that are looked at; closer than that, two arcs run on each other
+# distance of the points of an arc that are looked at; closer than that, two arcs run on each other
+_STEP = 6.0
 _NEAR = 28.0  # around its ends an arc may meet the others that end there
 _BENDS = (0, 14, -14, 28, -28, 45, -45, 65, -65, 90, -90, 120, -120)
 _GAPS = (3.0, 10.0, 20.0, 32.0)
-_DIRECTIONS = [math.radians(a) for a in (90, 270, 135, 45, 225, 315, 180, 0, 112, 68, 248, 292, 158, 22, 202, 338)]
+_DIRECTIONS = [
+    math.radians(a)
+    for a in (90, 270, 135, 45, 225, 315, 180, 0, 112, 68, 248, 292, 158, 22, 202, 338)
+]
 _MAX_EXTENT = 20_000.0
 _MAX_LENGTH = 300_000.0
 LINE_HEIGHT = 12.5
@@ -45,7 +50,8 @@ class Line(NamedTuple):
 
 
 class Route(NamedTuple):
-    """The way of an arc: where it starts, two control points, where its head begins and ends; where its label is."""
+    """The way of an arc: where it starts, two control points, where its head begins and ends; where
+    its label is."""
 
     start: Point
     first: Point
@@ -83,7 +89,8 @@ def layout(boxes: Sequence[Box], lines: Sequence[Line]) -> Optional[Layout]:
         return None
     routes: Dict[int, Route] = {}
     taken: Dict[Tuple[int, int], Set[int]] = {}
-    for number in sorted(range(len(lines)), key=lambda i: lengths[i]):  # long ones can go around more easily
+    # long ones can go around more easily
+    for number in sorted(range(len(lines)), key=lambda i: lengths[i]):
         routes[number] = _route(boxes, lines, number, routes, taken)
         for x, y in routes[number].points():
             for i in (-1, 0, 1):
@@ -107,7 +114,9 @@ def _distance(a: Sequence[float], b: Sequence[float]) -> float:
 
 
 def _mean(weights: Sequence[float], points: Sequence[Point]) -> Point:
-    return sum(w * p[0] for w, p in zip(weights, points)), sum(w * p[1] for w, p in zip(weights, points))
+    return sum(w * p[0] for w, p in zip(weights, points)), sum(
+        w * p[1] for w, p in zip(weights, points)
+    )
 
 
 def _size(label: str) -> Tuple[float, float]:
@@ -136,7 +145,10 @@ def _bent(boxes: Sequence[Box], line: Line, bend: float) -> Route:
     start, tip = _border(a, middle), _border(b, middle)
     away = _distance(middle, tip) or 1.0
     head = min(line.head, away / 2)
-    base = (tip[0] + head * (middle[0] - tip[0]) / away, tip[1] + head * (middle[1] - tip[1]) / away)
+    base = (
+        tip[0] + head * (middle[0] - tip[0]) / away,
+        tip[1] + head * (middle[1] - tip[1]) / away,
+    )
     first = (start[0] + (middle[0] - start[0]) * 2 / 3, start[1] + (middle[1] - start[1]) * 2 / 3)
     second = (base[0] + (middle[0] - base[0]) * 2 / 3, base[1] + (middle[1] - base[1]) * 2 / 3)
     return Route(start, first, second, base, tip, None)
@@ -156,7 +168,9 @@ def _route(
     tips = [routes[i].tip for i in routes if lines[i].target == line.target]
     tips += [routes[i].start for i in routes if lines[i].source == line.target]
     pair = {line.source, line.target}
-    beside = [_middle(route) for i, route in routes.items() if {lines[i].source, lines[i].target} == pair]
+    beside = [
+        _middle(route) for i, route in routes.items() if {lines[i].source, lines[i].target} == pair
+    ]
     room = _distance(*ends) / 2
     best, least = _bent(boxes, line, 0), math.inf
     for bend in _BENDS:
@@ -175,7 +189,8 @@ def _route(
                 for other in taken.get((int(x // _STEP), int(y // _STEP)), ()):
                     along[other] = along.get(other, 0) + 1
         for times in along.values():
-            cost += 2 if times <= 4 else 2 * times  # crossing is one thing, running along it another
+            # crossing is one thing, running along it another
+            cost += 2 if times <= 4 else 2 * times
         cost += sum(60 for middle in beside if _distance(middle, _middle(route)) < 10)
         cost += sum(8 for tip in tips if _distance(tip, route.tip) < 6)
         if cost < least:
@@ -190,7 +205,8 @@ def _middle(route: Route) -> Point:
 
 
 def _around(box: Box) -> Iterator[Tuple[Point, Point, float]]:
-    """Spots for the label of a box: a point beside it, the way from there, and what speaks against the spot."""
+    """Spots for the label of a box: a point beside it, the way from there, and what speaks against
+    the spot."""
     for gap in _GAPS:
         for rank, angle in enumerate(_DIRECTIONS):
             way = (math.cos(angle), math.sin(angle))
@@ -227,8 +243,11 @@ class _Spots:
             cell = int(x // self._CELL), int(y // self._CELL)
             self._points.setdefault(cell, []).append((x, y, number))
 
-    def put(self, spots: Iterator[Tuple[Point, Point, float]], width: float, height: float) -> Point:
-        """The middle of a label of this size at the best of the spots, which is taken from now on."""
+    def put(
+        self, spots: Iterator[Tuple[Point, Point, float]], width: float, height: float
+    ) -> Point:
+        """The middle of a label of this size at the best of the spots, which is taken from now
+        on."""
         best, least = (0.0, 0.0), math.inf
         for at, way, cost in spots:
             if cost >= least:
@@ -248,6 +267,12 @@ class _Spots:
                     if abs(px - x) < w and abs(py - y) < h:
                         arcs[number] = arcs.get(number, 0) + 1
         cost = sum(20 + times for times in arcs.values())
-        cost += sum(50 for b in self._boxes if abs(b.x - x) < w + b.half_width and abs(b.y - y) < h + b.half_height)
-        cost += sum(50 for b in self._labels if abs(b[0] - x) < w + b[2] and abs(b[1] - y) < h + b[3])
+        cost += sum(
+            50
+            for b in self._boxes
+            if abs(b.x - x) < w + b.half_width and abs(b.y - y) < h + b.half_height
+        )
+        cost += sum(
+            50 for b in self._labels if abs(b[0] - x) < w + b[2] and abs(b[1] - y) < h + b[3]
+        )
         return cost

@@ -5,9 +5,9 @@ In files written for the thesis the values are JSON strings that hold Python lit
 numbers, numeric strings or ``'-'``, and paths are absolute to a machine that is gone: what does not
 exist is looked for by its name beside the input file.
 
-Such files also hold entries that are there for illustration and that the thesis's framework never looked at: policy
-rows that name an exponential transition or one that the net lacks, an action of a resource place or of a place that
-the net lacks. They are left out here, each with a note.
+Such files also hold entries that are there for illustration and that the thesis's framework never
+looked at: policy rows that name an exponential transition or one that the net lacks, an action of a
+resource place or of a place that the net lacks. They are left out here, each with a note.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ def is_thesis_input(data: Mapping[str, Any]) -> bool:
 
 
 def has_mapping(data: Mapping[str, Any]) -> bool:
-    """Whether an input file maps any place to what is done there. Without that it is the net that is meant (5.3: to
-    look at a GSPN, neither a mapping nor a policy is needed)."""
+    """Whether an input file maps any place to what is done there. Without that it is the net that
+    is meant (5.3: to look at a GSPN, neither a mapping nor a policy is needed)."""
     return any(data.get(key) not in (None, "", "{}", {}, "None") for key in (CLIENTS, FUNCTIONS))
 
 
@@ -91,9 +91,13 @@ def plan_from_thesis(data: Mapping[str, Any], path: str) -> Plan:
     reader.leave_out_unknown(keys)
     net, notes = _read_net(reader, not is_ros)
     places = reader.names("places_tuple")
-    policy = _without_illustrations(Policy.from_table(places, reader.policy_rows()), net, reader.notes)
+    policy = _without_illustrations(
+        Policy.from_table(places, reader.policy_rows()), net, reader.notes
+    )
     if is_ros:
-        resources = frozenset(reader.places_of(net, reader.names("resources_list"), "resources_list"))
+        resources = frozenset(
+            reader.places_of(net, reader.names("resources_list"), "resources_list")
+        )
         actions = {p: reader.client(p, value) for p, value in reader.mapping(CLIENTS)}
         full = reader.flag("full_synchronization")
     else:
@@ -115,12 +119,15 @@ def plan_from_thesis(data: Mapping[str, Any], path: str) -> Plan:
 
 
 def _read_net(reader: _Reader, in_project: bool) -> Tuple[Net, List[str]]:
-    return read_net_with_notes(reader.existing(reader.text("gspn"), beside=reader.project() if in_project else ""))
+    return read_net_with_notes(
+        reader.existing(reader.text("gspn"), beside=reader.project() if in_project else "")
+    )
 
 
 def _without_illustrations(policy: Policy, net: Net, notes: List[str]) -> Policy:
-    """The policy without the choices that no robot can ask for, and without the rows that have no other ones. What is
-    left of a row is scaled to sum to 1. Each choice that was left out is told in ``notes``."""
+    """The policy without the choices that no robot can ask for, and without the rows that have no
+    other ones. What is left of a row is scaled to sum to 1. Each choice that was left out is told
+    in ``notes``."""
     rows = []
     for number, row in enumerate(policy.rows, 1):
         kept, left_out = [], []
@@ -129,7 +136,10 @@ def _without_illustrations(policy: Policy, net: Net, notes: List[str]) -> Policy
             if index is None:
                 left_out.append("'%s', which the net does not have" % name)
             elif net.transitions[index].timed:
-                left_out.append("'%s', which is exponential: a policy chooses among immediate transitions" % name)
+                left_out.append(
+                    "'%s', which is exponential: a policy chooses among immediate transitions"
+                    % name
+                )
             else:
                 kept.append((name, probability))
         total = sum(probability for _, probability in kept)
@@ -137,7 +147,11 @@ def _without_illustrations(policy: Policy, net: Net, notes: List[str]) -> Policy
             rows.append(row)
             continue
         if total > 0:
-            rows.append(PolicyRow(row.counts, tuple((name, probability / total) for name, probability in kept)))
+            rows.append(
+                PolicyRow(
+                    row.counts, tuple((name, probability / total) for name, probability in kept)
+                )
+            )
         else:
             left_out.append("and so the row, of which nothing is left")
         notes.append("policy row %d: left out %s" % (number, "; ".join(left_out)))
@@ -184,7 +198,9 @@ class _Reader:
         there = self.places_of(net, list(actions), key)
         for place in there:
             if place in resources and actions[place] is not None:
-                self.notes.append("%s: the action of '%s' was left out: that is a resource place" % (key, place))
+                self.notes.append(
+                    "%s: the action of '%s' was left out: that is a resource place" % (key, place)
+                )
         return {place: actions[place] for place in there if place not in resources}
 
     def _fail(self, key: str, value: Any, wanted: str) -> PlanError:

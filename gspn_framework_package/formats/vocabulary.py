@@ -20,8 +20,12 @@ Children = Dict[str, List[etree._Element]]
 FREE = None
 """In place of an :class:`Element`: whatever stands there means nothing for the net."""
 
-_EVERYWHERE = ("{http://www.w3.org/XML/1998/namespace}", "{http://www.w3.org/2001/XMLSchema-instance}")
-"""Attributes of these namespaces (``xml:space``, ``xsi:schemaLocation``) mean nothing for the net."""
+_EVERYWHERE = (
+    "{http://www.w3.org/XML/1998/namespace}",
+    "{http://www.w3.org/2001/XMLSchema-instance}",
+)
+"""Attributes of these namespaces (``xml:space``, ``xsi:schemaLocation``) mean nothing for the
+net."""
 
 
 class Element(NamedTuple):
@@ -44,7 +48,9 @@ class Element(NamedTuple):
 
 
 class _Fail(Protocol):
-    def __call__(self, message: str, element: Optional[str], line: Optional[int], hint: Optional[str]) -> None: ...
+    def __call__(
+        self, message: str, element: Optional[str], line: Optional[int], hint: Optional[str]
+    ) -> None: ...
 
 
 def known(
@@ -60,7 +66,11 @@ def known(
     inside: Dict[str, Optional[Element]] = dict.fromkeys(free.split(), FREE)
     inside.update(children)
     return Element(
-        frozenset(attributes.split()), inside, frozenset((repeated + " " + free).split()), text, positions
+        frozenset(attributes.split()),
+        inside,
+        frozenset((repeated + " " + free).split()),
+        text,
+        positions,
     )
 
 
@@ -69,7 +79,8 @@ def check(element: etree._Element, vocabulary: Element, what: str, fail: _Fail) 
 
     :param what: what to call the element in a message.
     :param fail: raises the error: (message, element, line, hint).
-    :returns: the children by their tags, since they were gone through: asking for each tag takes as long again.
+    :returns: the children by their tags, since they were gone through: asking for each tag takes as
+      long again.
     """
     children: Children = {}
     check_attributes(element, vocabulary, what, fail)
@@ -99,7 +110,10 @@ def check(element: etree._Element, vocabulary: Element, what: str, fail: _Fail) 
             children[name].append(node)
         else:
             fail(
-                "it has a second <%s>" % name, what, line_of(node), "which of the two counts? keep one of them"
+                "it has a second <%s>" % name,
+                what,
+                line_of(node),
+                "which of the two counts? keep one of them",
             )
         inside = vocabulary.children[name]
         if inside is not FREE:
@@ -118,7 +132,7 @@ def check_attributes(element: etree._Element, vocabulary: Element, what: str, fa
         if vocabulary.positions and name.endswith(("-x", "-y", "-k", "-magnet")):
             continue
         fail(
-            "the attribute %s=\"%s\" of <%s> is not known; it could change what the net means"
+            'the attribute %s="%s" of <%s> is not known; it could change what the net means'
             % (shorten(name.rpartition("}")[2], 30), shorten(str(value), 30), tag(element)),
             what,
             line_of(element),

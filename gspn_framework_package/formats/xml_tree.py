@@ -111,14 +111,18 @@ def arc_kind(element: etree._Element) -> str:
     """The kind of an arc: ``normal``, ``inhibitor``, or a word that its reader does not know.
 
     Tools write it in four ways: an attribute ``type`` of the arc (TAPAAL), ``<type value="..."/>``
-    (PIPE, TINA), ``<type><text>`` or ``<type><value>``, and ``<arctype><text>`` (ProM, pm4py). Where
-    two of them disagree, the answer holds both words.
+    (PIPE, TINA), ``<type><text>`` or ``<type><value>``, and ``<arctype><text>`` (ProM, pm4py).
+    Where two of them disagree, the answer holds both words.
     """
     if not len(element) and element.get("type") is None:
         return "normal"
     found = {element.get("type"), label(element, "arctype", "text")}
     for node in all_of(element, "type"):
-        found |= {node.get("value"), label(element, "type", "text"), label(element, "type", "value")}
+        found |= {
+            node.get("value"),
+            label(element, "type", "text"),
+            label(element, "type", "value"),
+        }
     words = {word.strip().lower() for word in found if word and word.strip()}
     words = {_ARC_KINDS.get(word, word) for word in words}
     return " and ".join(sorted(words)) or "normal"

@@ -1,16 +1,29 @@
-"""Conditions on markings: ``p3 >= 1 and robots_at_base == 2``, ``'p1:Check L1' + p2 > 3``, ``not deadlock``.
+"""Conditions on markings: ``p3 >= 1 and robots_at_base == 2``, ``'p1:Check L1' + p2 > 3``, ``not
+deadlock``.
 
-The language is that of :mod:`~gspn_framework_package.model.expression`, with place names for numbers, comparisons
-(``== != < <= > >=``; ``=`` means ``==``), ``and``, ``or``, ``not`` (also ``&``, ``|``, ``!``), ``true`` and
-``false``. A name that is not made of letters, digits, ``_``, ``.`` and ``:`` is written in quotes; a ``#`` before a
-place, as in GreatSPN, changes nothing. No text can do more than compare token counts.
+The language is that of :mod:`~gspn_framework_package.model.expression`, with place names for
+numbers, comparisons (``== != < <= > >=``; ``=`` means ``==``), ``and``, ``or``, ``not`` (also
+``&``, ``|``, ``!``), ``true`` and ``false``. A name that is not made of letters, digits, ``_``,
+``.`` and ``:`` is written in quotes; a ``#`` before a place, as in GreatSPN, changes nothing. No
+text can do more than compare token counts.
 """
 
 from __future__ import annotations
 
 import math
 import operator
-from typing import Any, Callable, Collection, Dict, List, Mapping, NamedTuple, NoReturn, Sequence, Tuple
+from typing import (
+    Any,
+    Callable,
+    Collection,
+    Dict,
+    List,
+    Mapping,
+    NamedTuple,
+    NoReturn,
+    Sequence,
+    Tuple,
+)
 
 from gspn_framework_package.model.errors import ExpressionError
 from gspn_framework_package.model.expression import (
@@ -59,7 +72,16 @@ class Label(NamedTuple):
     name: str
 
 
-_COMPARISONS = {"=": "==", "==": "==", "!=": "!=", "<>": "!=", "<": "<", "<=": "<=", ">": ">", ">=": ">="}
+_COMPARISONS = {
+    "=": "==",
+    "==": "==",
+    "!=": "!=",
+    "<>": "!=",
+    "<": "<",
+    "<=": "<=",
+    ">": ">",
+    ">=": ">=",
+}
 _WORDS = {"and": "and", "&": "and", "&&": "and", "or": "or", "|": "or", "||": "or"}
 _TRUTH_NODES = (Comparison, Logical, Not, Truth, Label)
 
@@ -82,14 +104,17 @@ class Condition:
         self.places: Tuple[str, ...] = tuple(
             name for name, i in place_index.items() if ("place", i) in set(self._program)
         )
-        self.labels: Tuple[str, ...] = tuple(sorted({str(a) for op, a in self._program if op == "label"}))
+        self.labels: Tuple[str, ...] = tuple(
+            sorted({str(a) for op, a in self._program if op == "label"})
+        )
 
     def holds(self, marking: Sequence[int], labels: Mapping[str, bool] = {}) -> bool:
         """Whether it holds in ``marking`` (counts in the order of the places).
 
         A division by zero makes the comparison it stands in false.
 
-        :param labels: what is known of this marking beyond its counts, e.g. ``{"deadlock": False}``.
+        :param labels: what is known of this marking beyond its counts, e.g. ``{"deadlock":
+          False}``.
         """
         return bool(_run(self._program, marking, labels, _SCALAR))
 
@@ -106,8 +131,9 @@ class Condition:
         return self.holds_in_columns(columns, columns.shape[1] if columns.ndim == 2 else 0, labels)
 
     def holds_in_columns(self, columns: Any, rows: int, labels: Mapping[str, Any] = {}) -> Any:
-        """The same, the markings told by columns: ``columns[p]`` has the counts of place number ``p`` in each of the
-        ``rows`` markings, and is asked for those places only that the condition names."""
+        """The same, the markings told by columns: ``columns[p]`` has the counts of place number
+        ``p`` in each of the ``rows`` markings, and is asked for those places only that the
+        condition names."""
         import numpy
 
         with numpy.errstate(all="ignore"):
@@ -115,9 +141,11 @@ class Condition:
         return numpy.broadcast_to(numpy.asarray(result, dtype=bool), (rows,)).copy()
 
     def enough(self) -> List[Tuple[str, int]]:
-        """Pairs (place, count): the condition holds wherever the place has that many tokens or more.
+        """Pairs (place, count): the condition holds wherever the place has that many tokens or
+        more.
 
-        Only what stands there as such is found: ``place >= number``, and such comparisons joined by "or".
+        Only what stands there as such is found: ``place >= number``, and such comparisons joined by
+        "or".
 
         >>> parse_condition("a >= 3 or 2 < b or (a > 1 and b > 1)", ["a", "b"]).enough()
         [('a', 3), ('b', 3)]
@@ -133,7 +161,9 @@ class Condition:
                 if isinstance(left, Number):
                     left, operator, right = right, {"<": ">", "<=": ">="}.get(operator, ""), left
                 if isinstance(left, Name) and isinstance(right, Number) and operator in (">", ">="):
-                    count = math.floor(right.value) + 1 if operator == ">" else math.ceil(right.value)
+                    count = (
+                        math.floor(right.value) + 1 if operator == ">" else math.ceil(right.value)
+                    )
                     found.append((left.name, max(count, 0)))
         return found
 
@@ -145,8 +175,10 @@ def parse_condition(text: str, places: Sequence[str], labels: Collection[str] = 
     """Read a condition.
 
     :param places: names of the places, in the order that markings have.
-    :param labels: further names that are true or false of a marking; a place of the same name goes first.
-    :raises ExpressionError: it cannot be read, or names something that is not there; the message says where.
+    :param labels: further names that are true or false of a marking; a place of the same name goes
+      first.
+    :raises ExpressionError: it cannot be read, or names something that is not there; the message
+      says where.
     """
     index = {name: i for i, name in enumerate(places)}
     parser = _ConditionParser(text, index, labels)
@@ -162,7 +194,8 @@ def parse_condition(text: str, places: Sequence[str], labels: Collection[str] = 
 
 class _ConditionParser(Parser):
     """``disjunction = conjunction {or conjunction}``, ``conjunction = opposite {and opposite}``,
-    ``opposite = not opposite | comparison``, ``comparison = sum [(== | < | ...) sum]``; parentheses hold any."""
+    ``opposite = not opposite | comparison``, ``comparison = sum [(== | < | ...) sum]``; parentheses
+    hold any."""
 
     def __init__(self, text: str, places: Mapping[str, int], labels: Collection[str]) -> None:
         super().__init__(text)
@@ -241,9 +274,12 @@ class _ConditionParser(Parser):
 
         close = difflib.get_close_matches(name, list(self._places), 3, 0.5)
         known = ["'%s'" % p for p in (close or list(self._places)[:8])]
-        hint = ("did you mean %s?" % " or ".join(known)) if close else "places: %s" % ", ".join(known)
+        hint = (
+            ("did you mean %s?" % " or ".join(known)) if close else "places: %s" % ", ".join(known)
+        )
         raise ExpressionError(
-            "there is no place '%s' (character %d in '%s')" % (shorten(name), self.token.start + 1, shorten(self.text)),
+            "there is no place '%s' (character %d in '%s')"
+            % (shorten(name), self.token.start + 1, shorten(self.text)),
             hint=hint,
         )
 
@@ -302,7 +338,7 @@ def _operands(node: Any) -> Tuple[Any, ...]:
     return node.arguments if isinstance(node, Call) else ()
 
 
-# -- evaluation: a flat program for a stack machine, so that no text is too deep --------------------------
+# -- evaluation: a flat program for a stack machine, so that no text is too deep -------------------
 
 _Step = Tuple[str, Any]
 _Functions = Mapping[str, Callable[..., Any]]
@@ -343,7 +379,9 @@ def _step(node: Any) -> _Step:
     return node.operator, 2
 
 
-def _run(program: Sequence[_Step], counts: Any, labels: Mapping[str, Any], functions: _Functions) -> Any:
+def _run(
+    program: Sequence[_Step], counts: Any, labels: Mapping[str, Any], functions: _Functions
+) -> Any:
     stack: List[Any] = []
     for step, argument in program:
         if step == "value":
@@ -375,8 +413,11 @@ def _or_nan(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _extreme(function: Callable[..., Any]) -> Callable[..., Any]:
-    """``min`` or ``max`` with "not a number" on any side giving just that: Python's own depend on the order."""
-    return lambda *values: math.nan if any(value != value for value in values) else function(*values)
+    """``min`` or ``max`` with "not a number" on any side giving just that: Python's own depend on
+    the order."""
+    return lambda *values: (
+        math.nan if any(value != value for value in values) else function(*values)
+    )
 
 
 def _is_not_equal(a: Any, b: Any) -> bool:

@@ -114,5 +114,6 @@ def missing_library(error: ModuleNotFoundError) -> str:
     """What to tell a person whose Python lacks a library."""
     return (
         "%s has no Python library '%s'\n"
-        "Install it, or use the Python that ./run_demo prepares in a checkout: .workspace/venv/bin/python3"
+        "Install it, or use the Python that ./run_demo prepares in a checkout: "
+        ".workspace/venv/bin/python3"
     ) % (sys.executable, error.name)

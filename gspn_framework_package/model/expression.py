@@ -275,7 +275,8 @@ def parse(text: str) -> Expression:
 
     :raises ExpressionError: it cannot be read; the message says where.
     """
-    if len(text) <= MAX_LENGTH and _NUMBER.fullmatch(text):  # as most are; a parser takes ten times as long
+    # as most are; a parser takes ten times as long
+    if len(text) <= MAX_LENGTH and _NUMBER.fullmatch(text):
         return Number(float(text))
     parser = Parser(text)
     tree = parser.sum()

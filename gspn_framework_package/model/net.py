@@ -32,8 +32,8 @@ from gspn_framework_package.model.errors import NetError, NotEnabledError
 Marking = Tuple[int, ...]
 Position = Tuple[float, float]
 MAX_COUNT = 2**53
-"""Largest number of tokens, capacity, arc weight or priority that a net may say: what every part of the
-package, JSON and a browser hold exactly."""
+"""Largest number of tokens, capacity, arc weight or priority that a net may say: what every part of
+the package, JSON and a browser hold exactly."""
 
 WeightedPlaces = Tuple[Tuple[int, int], ...]
 """Pairs (place index, arc weight), in the order of the arcs in the file."""
@@ -155,7 +155,9 @@ class Net:
                 if transition is None:
                     raise self._arc_error(arc)
                 if inhibitor:
-                    inhibitors[transition][place] = min(inhibitors[transition].get(place, weight), weight)
+                    inhibitors[transition][place] = min(
+                        inhibitors[transition].get(place, weight), weight
+                    )
                 else:
                     ends = inputs[transition]
                     ends[place] = ends.get(place, 0) + weight
@@ -179,11 +181,21 @@ class Net:
         self.consumers: Tuple[Tuple[int, ...], ...] = tuple(map(tuple, consumers))
         self.producers: Tuple[Tuple[int, ...], ...] = tuple(map(tuple, producers))
         self._effects = tuple(map(_effect, inputs, outputs))
-        capacity_of = {p: place.capacity for p, place in enumerate(self.places) if place.capacity is not None}
-        self._capacities: Tuple[Tuple[Tuple[int, int, int], ...], ...] = tuple(
-            tuple((p, change, capacity_of[p]) for p, change in effect if change > 0 and p in capacity_of)
-            for effect in self._effects
-        ) if capacity_of else ((),) * len(self.transitions)
+        capacity_of = {
+            p: place.capacity for p, place in enumerate(self.places) if place.capacity is not None
+        }
+        self._capacities: Tuple[Tuple[Tuple[int, int, int], ...], ...] = (
+            tuple(
+                tuple(
+                    (p, change, capacity_of[p])
+                    for p, change in effect
+                    if change > 0 and p in capacity_of
+                )
+                for effect in self._effects
+            )
+            if capacity_of
+            else ((),) * len(self.transitions)
+        )
 
     def _arc_error(self, arc: Arc) -> NetError:
         known = set(self.place_index) | set(self.transition_index)
@@ -266,7 +278,8 @@ class Net:
         for p, weight in self.inputs[t]:
             if marking[p] < weight:
                 reasons.append(
-                    "%s has %d of %d token%s" % (self.places[p].name, marking[p], weight, "s" if weight > 1 else "")
+                    "%s has %d of %d token%s"
+                    % (self.places[p].name, marking[p], weight, "s" if weight > 1 else "")
                 )
         for p, weight in self.inhibitors[t]:
             if marking[p] >= weight:
@@ -434,13 +447,16 @@ def _effect(taken: Mapping[int, int], put: Mapping[int, int]) -> WeightedPlaces:
     return tuple((p, c) for p, c in change.items() if c)
 
 
-# A net has some 100,000 nodes and more arcs: what to call them is put together only where one is wrong.
+# A net has some 100,000 nodes and more arcs: what to call them is put together only where one is
+# wrong.
 
 
 def _check_weight(arc: Arc) -> None:
     weight = arc.weight
     if not isinstance(weight, int) or isinstance(weight, bool) or weight < 1:
-        raise NetError("weight %r is not a whole number of at least 1" % (weight,), element=_arc_name(arc))
+        raise NetError(
+            "weight %r is not a whole number of at least 1" % (weight,), element=_arc_name(arc)
+        )
     if weight > MAX_COUNT:
         raise _too_large("weight", _arc_name(arc))
 
@@ -473,12 +489,18 @@ def _check_place(place: Place) -> None:
 def _check_transition(transition: Transition) -> None:
     _, timed, rate, weight, priority, servers, _ = transition
     if timed and not (math.isfinite(rate) and rate > 0):
-        raise NetError("its rate %r is not a number above 0" % (rate,), element=_transition_name(transition))
+        raise NetError(
+            "its rate %r is not a number above 0" % (rate,), element=_transition_name(transition)
+        )
     if not timed and not (math.isfinite(weight) and weight >= 0):
-        raise NetError("its weight %r is not a number of at least 0" % (weight,), element=_transition_name(transition))
+        raise NetError(
+            "its weight %r is not a number of at least 0" % (weight,),
+            element=_transition_name(transition),
+        )
     if not isinstance(priority, int) or priority < 0:
         raise NetError(
-            "its priority %r is not a whole number of at least 0" % (priority,), element=_transition_name(transition)
+            "its priority %r is not a whole number of at least 0" % (priority,),
+            element=_transition_name(transition),
         )
     if priority > MAX_COUNT:
         raise _too_large("priority", _transition_name(transition))

@@ -5,17 +5,28 @@ from __future__ import annotations
 import re
 
 PALETTE = (
-    "#2563b8", "#c2410c", "#15803d", "#9333ab", "#b91c4b", "#0e7490", "#8a6100", "#4f46c4",
-    "#5b7a1f", "#a8327d", "#3f6475", "#8c4a2f",
-)  # fmt: skip
+    "#2563b8",
+    "#c2410c",
+    "#15803d",
+    "#9333ab",
+    "#b91c4b",
+    "#0e7490",
+    "#8a6100",
+    "#4f46c4",
+    "#5b7a1f",
+    "#a8327d",
+    "#3f6475",
+    "#8c4a2f",
+)
 """Colours as ``#rrggbb``, dark enough for white letters on them."""
 
 _NUMBER = re.compile(r"([0-9]{1,6})$")
 
 
 def colour_of(name: str) -> str:
-    """The colour of a robot, ``#rrggbb``: by the number at the end of its name (neighbours differ), by all of the
-    name where there is none. ``static/js/colours.js`` of the page has the same rule; a test holds the two together."""
+    """The colour of a robot, ``#rrggbb``: by the number at the end of its name (neighbours differ),
+    by all of the name where there is none. ``static/js/colours.js`` of the page has the same rule;
+    a test holds the two together."""
     digits = _NUMBER.search(name)
     if digits:
         return PALETTE[(int(digits.group(1)) - 1) % len(PALETTE)]

@@ -57,8 +57,9 @@ class ActionCaller:
 
     Goals for servers of its own process go to them directly. Connections to other servers are made
     when a place is first needed (the others follow in the background), kept, and closed again when
-    there are more than ``limit``, the one that was used longest ago first. What touches the master is
-    done by a thread of its own: without a master rospy's registrations block for as long as it is gone.
+    there are more than ``limit``, the one that was used longest ago first. What touches the master
+    is done by a thread of its own: without a master rospy's registrations block for as long as it
+    is gone.
 
     :param robot: name of the robot.
     :param targets: its actions by place.
@@ -67,7 +68,8 @@ class ActionCaller:
     :param ended: told how each attempt ended, once.
     :param feedback: told (identity, feedback message) while an action goes on.
     :param limit: connections to servers of other processes that are open at the same time, at most.
-    :param own_servers: the servers of this process that goals are given to directly, by their absolute names.
+    :param own_servers: the servers of this process that goals are given to directly, by their
+      absolute names.
     """
 
     def __init__(
@@ -92,7 +94,8 @@ class ActionCaller:
         self._connections: OrderedDict[str, ActionConnection] = OrderedDict()
         self._opening: Set[str] = set()
         self._direct: Dict[str, DirectConnection] = {
-            name: DirectConnection(server, self._hand_on) for name, server in (own_servers or {}).items()
+            name: DirectConnection(server, self._hand_on)
+            for name, server in (own_servers or {}).items()
         }
         self._spare = [target for target in targets.values() if target.server not in self._direct]
         self._background: queue.SimpleQueue[Optional[Callable[[], None]]] = queue.SimpleQueue()
@@ -104,7 +107,9 @@ class ActionCaller:
     def start(self, command: StartAction, now: float) -> None:
         """Start an action, in the place of whatever went on before."""
         self.cancel()
-        identity = GoalIdentity(self.robot, command.incarnation, command.visit, command.attempt, self.tag)
+        identity = GoalIdentity(
+            self.robot, command.incarnation, command.visit, command.attempt, self.tag
+        )
         self._goal = goal = _Goal(identity, self._targets[command.place], now + command.delay)
         goal.connect_by = goal.start_at + self._patience.server
         goal.doing = "waits before attempt %d" % command.attempt
@@ -189,7 +194,9 @@ class ActionCaller:
         give_up = goal.sent_at + self._patience.acknowledgement
         if now >= give_up:
             detail = "%s did not take the goal within %g s" % (
-                goal.target.server, self._patience.acknowledgement)  # fmt: skip
+                goal.target.server,
+                self._patience.acknowledgement,
+            )
             self._fail(goal, "lost", detail, cancel=True)
             return None
         if now >= goal.send_again_at and goal.connection is not None:
@@ -218,8 +225,9 @@ class ActionCaller:
             goal.result_by = None
             return self.poll(now)
         outcome, detail = goal.ended or (
-            "server died", "%s closed its connections" % goal.target.server
-        )  # fmt: skip
+            "server died",
+            "%s closed its connections" % goal.target.server,
+        )
         if outcome in ("server died", "lost"):
             self._fail(goal, outcome, detail)
         elif outcome == "succeeded" and goal.target.transition_of(outcome, None) == "":
@@ -239,7 +247,9 @@ class ActionCaller:
             goal.doing = ""
             callers = [c for c in connection.last_status if connection.is_connected(c)]
             if len(callers) > 1:
-                rospy.logwarn("there are %d servers %s: %s", len(callers), connection.server, callers)
+                rospy.logwarn(
+                    "there are %d servers %s: %s", len(callers), connection.server, callers
+                )
         elif what == "result":
             self._finish(goal, *value)
         elif what == "feedback":
@@ -247,8 +257,9 @@ class ActionCaller:
         elif goal.result_by is None:  # it has ended, or the server does not know it any more
             goal.result_by = time.monotonic() + self._patience.result
             goal.ended = value or (
-                "server died", "%s does not know the goal any more" % connection.server
-            )  # fmt: skip
+                "server died",
+                "%s does not know the goal any more" % connection.server,
+            )
 
     def _finish(self, goal: _Goal, outcome: str, text: str, result: Any) -> None:
         transition = None if outcome == "lost" else goal.target.transition_of(outcome, result)
@@ -293,7 +304,9 @@ class ActionCaller:
 
         def open_it() -> None:
             with registered_together():
-                connection = ActionConnection(target.server, target.action_type, self.robot, self.tag, self._hand_on)
+                connection = ActionConnection(
+                    target.server, target.action_type, self.robot, self.tag, self._hand_on
+                )
             self._enqueue(self._opened, connection)
 
         self._background.put(open_it)

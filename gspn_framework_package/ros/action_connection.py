@@ -71,11 +71,15 @@ class ActionConnection:
         subscribe = rospy.Subscriber
         self._goal = rospy.Publisher(server + "/goal", self._goal_type, queue_size=10)
         self._cancel = rospy.Publisher(server + "/cancel", GoalID, queue_size=10)
-        self._result = subscribe(server + "/result", type(spec.action_result), self._on_result, tcp_nodelay=True)
+        self._result = subscribe(
+            server + "/result", type(spec.action_result), self._on_result, tcp_nodelay=True
+        )
         self._feedback = subscribe(
             server + "/feedback", type(spec.action_feedback), self._on_feedback, tcp_nodelay=True
         )
-        self._status = subscribe(server + "/status", GoalStatusArray, self._on_status, tcp_nodelay=True)
+        self._status = subscribe(
+            server + "/status", GoalStatusArray, self._on_status, tcp_nodelay=True
+        )
 
     def close(self) -> None:
         """Unregister from all topics."""

@@ -83,7 +83,9 @@ def action_targets(plan: Plan, robot: str, namespace: str) -> Dict[str, ActionTa
 def _target(place: str, action: Any, namespace: str) -> ActionTarget:
     name = rospy.names.ns_join(namespace, action.server)
     if not rosgraph.names.is_legal_name(name):
-        raise PlanError("'%s' is not a legal name in ROS" % action.server, element="action of '%s'" % place)
+        raise PlanError(
+            "'%s' is not a legal name in ROS" % action.server, element="action of '%s'" % place
+        )
     foreign = isinstance(action, ServerAction)
     type_name = EXEC_GSPN if isinstance(action, FunctionAction) else action.type
     if type_name == EXEC_GSPN:
@@ -108,9 +110,10 @@ def _action_type(place: str, type_name: str) -> Any:
         ) from None
     if action_type is None or not hasattr(action_type(), "action_goal"):
         raise PlanError(
-            "there is no action type '%s'" % type_name, element="action of '%s'" % place,
+            "there is no action type '%s'" % type_name,
+            element="action of '%s'" % place,
             hint="write package/NameAction; is the package in this workspace?",
-        )  # fmt: skip
+        )
     return action_type
 
 
@@ -124,7 +127,8 @@ class GoalFindings(NamedTuple):
 
 
 def look_at_goals(plan: Plan) -> GoalFindings:
-    """Whether the goals of the plan's foreign action servers fit their types. Needs no node and no master."""
+    """Whether the goals of the plan's foreign action servers fit their types. Needs no node and no
+    master."""
     found = GoalFindings({}, {})
     for robot in plan.robots:
         for place in plan.action_places:
@@ -138,7 +142,9 @@ def look_at_goals(plan: Plan) -> GoalFindings:
                 found.unknown[where] = error.message
                 continue
             try:
-                ActionTarget(place, action.server, action_type, action.goal or {}, action.outcomes, True).new_goal()
+                ActionTarget(
+                    place, action.server, action_type, action.goal or {}, action.outcomes, True
+                ).new_goal()
             except PlanError as error:
                 found.misfits[where] = error.message
     return found

@@ -1,4 +1,5 @@
-"""The way between an execution node and an action server in the same process: no topic lies between them."""
+"""The way between an execution node and an action server in the same process: no topic lies between
+them."""
 
 from __future__ import annotations
 
@@ -13,11 +14,12 @@ from gspn_framework_package.ros.place_servers import PlaceServer
 
 
 class DirectConnection:
-    """Does for the caller of actions what :class:`ActionConnection` does, by calls instead of messages.
+    """Does for the caller of actions what :class:`ActionConnection` does, by calls instead of
+    messages.
 
-    The server treats the goal as any other, and tells its status, feedback and result on its topics too; only the goal
-    itself is not seen on ``SERVER/goal``. Over topics, each of the 1,000 servers of 50 robots in 20 places has five
-    connections from its process to itself.
+    The server treats the goal as any other, and tells its status, feedback and result on its topics
+    too; only the goal itself is not seen on ``SERVER/goal``. Over topics, each of the 1,000 servers
+    of 50 robots in 20 places has five connections from its process to itself.
 
     :param server: the server.
     :param hand_on: see :class:`ActionConnection`.

@@ -20,8 +20,9 @@ LIMIT = 1000
 def eager_publisher(name: str, data_class: Any) -> Any:
     """A ``rospy.Publisher`` without a thread for each subscriber, that yet never waits for one.
 
-    rospy's own either hands every message to a thread of each connection, which in a team of 50 means 49 wake-ups for
-    each message and thousands of threads, or lets one subscriber that is stuck hold all others up.
+    rospy's own either hands every message to a thread of each connection, which in a team of 50
+    means 49 wake-ups for each message and thousands of threads, or lets one subscriber that is
+    stuck hold all others up.
 
     :param name: of the topic, which no other publisher of this node may have.
     """
@@ -38,7 +39,8 @@ def eager_publisher(name: str, data_class: Any) -> Any:
 
 
 class _EagerConnection:
-    """Writes what the socket takes at once; only what it does not take, while its reader is stuck, is left to a thread.
+    """Writes what the socket takes at once; only what it does not take, while its reader is stuck,
+    is left to a thread.
 
     Behaves as the transport otherwise.
     """
@@ -77,7 +79,9 @@ class _EagerConnection:
                 raise TransportTerminated(str(error)) from error
             if sent < len(data):
                 self._stuck = True
-                thread = threading.Thread(target=self._write, args=(data[sent:],), name="stuck subscriber", daemon=True)
+                thread = threading.Thread(
+                    target=self._write, args=(data[sent:],), name="stuck subscriber", daemon=True
+                )
                 thread.start()
             else:
                 transport.stat_bytes += sent

@@ -11,11 +11,11 @@ from typing import Any, List, Optional
 
 
 class Ending:
-    """Like a ``threading.Event`` that signals set and the main thread waits for, which an event does not stand: a
-    handler that sets it amid another's ``set`` waits for itself, and a main thread that waits for it sleeps on when two
-    signals reach two threads at once (of 60 processes that got SIGINT and SIGTERM together, 13 did). roslaunch and
-    ``gspn_team`` send both. So this is a flag and a pipe; what C does of a signal, in whichever thread, already writes
-    to the pipe.
+    """Like a ``threading.Event`` that signals set and the main thread waits for, which an event
+    does not stand: a handler that sets it amid another's ``set`` waits for itself, and a main
+    thread that waits for it sleeps on when two signals reach two threads at once (of 60 processes
+    that got SIGINT and SIGTERM together, 13 did). roslaunch and ``gspn_team`` send both. So this is
+    a flag and a pipe; what C does of a signal, in whichever thread, already writes to the pipe.
 
     :ivar signals: the numbers of the signals that have come.
     """

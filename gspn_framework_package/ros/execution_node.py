@@ -19,7 +19,13 @@ from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.actions import TEXT_LIMIT
 from gspn_framework_package.execution.agreement import interface as agreement
 from gspn_framework_package.execution.agreement.replica import Replica
-from gspn_framework_package.execution.event_log import EventLogWriter, Record, end_is_there, header, read_log
+from gspn_framework_package.execution.event_log import (
+    EventLogWriter,
+    Record,
+    end_is_there,
+    header,
+    read_log,
+)
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
 from gspn_framework_package.execution.team_state import GONE, Phase
 from gspn_framework_package.model.errors import GspnError, LogError
@@ -63,9 +69,10 @@ def lock_log(path: str) -> BinaryIO:
             if time.monotonic() > deadline:
                 file.close()
                 raise LogError(
-                    "another node is writing this log", file=path,
+                    "another node is writing this log",
+                    file=path,
                     hint="a robot has one node in a run: end that one, or give another run",
-                ) from None  # fmt: skip
+                ) from None
             time.sleep(0.1)
         except OSError:  # a file system without locks
             return file
@@ -134,7 +141,9 @@ class ExecutionNode(Worker):
         full = plan.synchronisation is Synchronisation.FULL
         link = TopicLink if full else ServiceLink
         quiet = 3 * self._replica.pace.heartbeat
-        self._link = link(robot, options.run, namespace, self._received, self._serve_neighbour, quiet)
+        self._link = link(
+            robot, options.run, namespace, self._received, self._serve_neighbour, quiet
+        )
         self._link.serve_at(self._services.uri)
         self._told_end: Callable[[str], None] = lambda robot: None
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
@@ -146,7 +155,11 @@ class ExecutionNode(Worker):
         if os.path.exists(path) and os.path.getsize(path):
             try:
                 known = read_log(path)
-                log_id, records, whole = str(known.header["log"]), known.records, end_is_there(known)
+                log_id, records, whole = (
+                    str(known.header["log"]),
+                    known.records,
+                    end_is_there(known),
+                )
             except LogError:
                 with open(path, "rb") as file:
                     if b"\n" in file.readline():  # else: killed while it wrote the very first line
@@ -154,7 +167,13 @@ class ExecutionNode(Worker):
         first = header(self.plan, self.options.run, self.robot, log_id)
         self._log = EventLogWriter(path, first, fsync=self.plan.fsync)
         self._replica = Replica(
-            self.plan, self.robot, self.options.run, log_id, records, place=self.options.place, trusted=whole
+            self.plan,
+            self.robot,
+            self.options.run,
+            log_id,
+            records,
+            place=self.options.place,
+            trusted=whole,
         )
 
     # -- from any thread ---------------------------------------------------------------------------
@@ -165,7 +184,8 @@ class ExecutionNode(Worker):
             self._servers.start()
 
     def start(self, ended: Callable[[str], None]) -> None:
-        """Begin; before, :meth:`serve`. :param ended: told the name of the robot once the node has ended."""
+        """Begin; before, :meth:`serve`. :param ended: told the name of the robot once the node has
+        ended."""
         self._told_end = ended
         self._thread.start()
 
@@ -191,7 +211,9 @@ class ExecutionNode(Worker):
     def _received(self, message: agreement.Message) -> None:
         self.enqueue(self._step, agreement.Received(message))
 
-    def _serve_neighbour(self, message: agreement.Message, answer: Callable[[agreement.Message], None]) -> None:
+    def _serve_neighbour(
+        self, message: agreement.Message, answer: Callable[[agreement.Message], None]
+    ) -> None:
         self.enqueue(self.request, message, answer)
 
     # -- the worker --------------------------------------------------------------------------------
@@ -244,7 +266,8 @@ class ExecutionNode(Worker):
     def _close(self) -> None:
         parts: List[Any] = [self._caller, self._link, self._services, self._log]
         for part in parts:
-            with contextlib.suppress(rospy.ROSException, rospy.ServiceException):  # rospy has closed it before us
+            # rospy has closed it before us
+            with contextlib.suppress(rospy.ROSException, rospy.ServiceException):
                 part.close()
         self._lock.close()
         if self._servers is not None:
@@ -255,12 +278,15 @@ class ExecutionNode(Worker):
         self._note_team()
 
     def _note_team(self) -> None:
-        """Tell people who was lost or has left, and notice the end of the run where it came with a snapshot."""
+        """Tell people who was lost or has left, and notice the end of the run where it came with a
+        snapshot."""
         ledger = self._replica.ledger
         if ledger.length == self._told_length:
             return
         first, self._told_length = self._told_length < 0, ledger.length
-        gone = {robot.name: robot.phase for robot in ledger.state.robots.values() if robot.phase in GONE}
+        gone = {
+            robot.name: robot.phase for robot in ledger.state.robots.values() if robot.phase in GONE
+        }
         if gone != self._gone:
             for name in sorted(set(gone) | set(self._gone)):
                 if name != self.robot and gone.get(name) != self._gone.get(name):
@@ -318,12 +344,16 @@ class ExecutionNode(Worker):
 
     def _on_fired(self, effect: agreement.Fired) -> None:
         if effect.publish or effect.private:
-            self._fired.publish(fired_message(effect, self.plan.net, self._plan_hash, self.options.run))
+            self._fired.publish(
+                fired_message(effect, self.plan.net, self._plan_hash, self.options.run)
+            )
         for move in effect.firing.moves:
             # a private move comes a second time, when it is in the agreed log
             if move.robot == self.robot and move.visit > self._told_visit:
                 self._told_visit = move.visit
-                self._narrator.say("%s fires, %s -> %s" % (effect.firing.transition, move.source, move.target))
+                self._narrator.say(
+                    "%s fires, %s -> %s" % (effect.firing.transition, move.source, move.target)
+                )
 
     def _start_action(self, command: StartAction) -> None:
         again = " again, attempt %d" % command.attempt if command.attempt > 1 else ""
@@ -345,7 +375,8 @@ class ExecutionNode(Worker):
         self._end_with("the run is over: %s" % effect.reason, effect.reason, effect.finished)
 
     def _is_over(self, how: str) -> None:
-        """The log says that the run is over, which no effect has told: this node started late, or was behind."""
+        """The log says that the run is over, which no effect has told: this node started late, or
+        was behind."""
         state = self._replica.ledger.state
         if self.exit_code is None and state.ended is not None:
             text = "the run '%s' %s: %s" % (self.run, how, state.ended)
@@ -383,14 +414,21 @@ class ExecutionNode(Worker):
     # -- what the action side says -----------------------------------------------------------------
 
     def _action_ended(self, ended: ActionEnded) -> None:
-        """What a server says goes into the log, to all robots and onto screens: no more than a line of it."""
+        """What a server says goes into the log, to all robots and onto screens: no more than a line
+        of it."""
         attempt = ended.identity[1:4]
         if ended.reason:
-            self._step(agreement.ActionFailed(*attempt, ended.reason, shorten(ended.detail, TEXT_LIMIT)))
+            self._step(
+                agreement.ActionFailed(*attempt, ended.reason, shorten(ended.detail, TEXT_LIMIT))
+            )
         elif not ended.result or ended.result in self.plan.net.transition_index:
             self._step(agreement.ActionDone(*attempt, ended.result))
         else:
-            self._step(agreement.ActionDone(*attempt, shorten(ended.result, TEXT_LIMIT) or repr(ended.result[:20])))
+            self._step(
+                agreement.ActionDone(
+                    *attempt, shorten(ended.result, TEXT_LIMIT) or repr(ended.result[:20])
+                )
+            )
 
     def _action_progress(self, identity: GoalIdentity, feedback: Any) -> None:
         self._progress = list(getattr(feedback, "time_passed", ()))
@@ -404,7 +442,8 @@ class ExecutionNode(Worker):
         place, visit, state = "", 0, state_name(ledger.state, robot)
         if robot is not None and own.position is not None:
             place, visit = self.plan.net.places[own.position.place].name, own.position.visit
-            if visit != robot.visit and ledger.state.ended is None:  # private moves, which the log does not know yet
+            # private moves, which the log does not know yet
+            if visit != robot.visit and ledger.state.ended is None:
                 state = "Doing"
             if state == "Doing" and own.reported == own.position.goal:
                 state = "Done"  # but that is not in the log yet
@@ -423,10 +462,14 @@ class ExecutionNode(Worker):
 
     def status(self) -> Dict[str, Any]:
         """See :class:`Worker`."""
-        status = dict(self._replica.status(), log_file=self._log.path, messages_sent=self._link.sent)
+        status = dict(
+            self._replica.status(), log_file=self._log.path, messages_sent=self._link.sent
+        )
         status["plan"] = self._plan_hash
         state = self._replica.ledger.state
-        status.update(finished=state.finished, fault=state.fault or self._replica.halted is not None)
+        status.update(
+            finished=state.finished, fault=state.fault or self._replica.halted is not None
+        )
         status["waits_for"] = self._waits_for()
         status["needs_operator"] = self._needs_operator()
         if status["ended"] is not None:
@@ -435,13 +478,17 @@ class ExecutionNode(Worker):
                     robot.update(state="Inactive", waits_for="")
         return status
 
-    def request(self, message: agreement.Message, answer: Callable[[agreement.Message], None]) -> None:
+    def request(
+        self, message: agreement.Message, answer: Callable[[agreement.Message], None]
+    ) -> None:
         """See :class:`Worker`."""
         number = "request %d" % next(self._numbers)
         self._answers[number] = answer
         self._step(agreement.Received(message, number))
 
-    def order(self, entry: Optional[log.Entry], force_evict: str, answer: Callable[[Any], None]) -> None:
+    def order(
+        self, entry: Optional[log.Entry], force_evict: str, answer: Callable[[Any], None]
+    ) -> None:
         """See :class:`Worker`."""
         number = "order %d" % next(self._numbers)
         self._answers[number] = answer
@@ -462,13 +509,15 @@ class ExecutionNode(Worker):
         return "; ".join(filter(None, reasons))
 
     def _needs_operator(self) -> bool:
-        """Whether this robot does not go on by itself: it was evicted, has halted, its action failed, or too many
-        logs of the team are lost."""
+        """Whether this robot does not go on by itself: it was evicted, has halted, its action
+        failed, or too many logs of the team are lost."""
         state = self._replica.ledger.state
         robot = state.robots.get(self.robot)
         if self._replica.halted is not None or self._replica.is_stuck():
             return True
-        return robot is not None and state.ended is None and robot.phase in (Phase.LOST, Phase.FAILED)
+        return (
+            robot is not None and state.ended is None and robot.phase in (Phase.LOST, Phase.FAILED)
+        )
 
     def _activity(self) -> Dict[str, Any]:
         view, state = self.view(), self._replica.ledger.state
@@ -496,7 +545,9 @@ class ExecutionNode(Worker):
         status = self._replica.status()
         if status["ended"] is not None:
             message += ", the run is over: " + status["ended"]
-        lost = sorted(name for name, phase in self._gone.items() if phase is Phase.LOST and name != self.robot)
+        lost = sorted(
+            name for name, phase in self._gone.items() if phase is Phase.LOST and name != self.robot
+        )
         if lost:
             message += "; lost: " + ", ".join(lost)
         values = {

@@ -48,7 +48,8 @@ class _Peer(NamedTuple):
 
 
 class _Neighbours:
-    """The robots of one run that are hosted in this process: what they tell each other needs no topic."""
+    """The robots of one run that are hosted in this process: what they tell each other needs no
+    topic."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -60,7 +61,9 @@ class _Neighbours:
 
     def remove(self, link: Link) -> None:
         with self._lock:
-            self._links[link.run] = {r: other for r, other in self._links[link.run].items() if other is not link}
+            self._links[link.run] = {
+                r: other for r, other in self._links[link.run].items() if other is not link
+            }
 
     def of(self, link: Link) -> Dict[str, Link]:
         """Robot -> its link, this one's own included. Not to be changed."""
@@ -73,13 +76,13 @@ _NEIGHBOURS = _Neighbours()
 class Link:
     """What both ways have in common: the agreement topic, on which everybody hears everybody.
 
-    Publishes and subscribes to ``/gspn_agreement`` (gspn_framework_package/Agreement). Robots that are hosted in the
-    same process hear each other without it.
+    Publishes and subscribes to ``/gspn_agreement`` (gspn_framework_package/Agreement). Robots that
+    are hosted in the same process hear each other without it.
 
     :param received: told each message of another robot that is meant for this one; called on
         rospy's threads.
-    :param serve: carries out the service calls of robots that are hosted in the same process; called
-        on their threads.
+    :param serve: carries out the service calls of robots that are hosted in the same process;
+        called on their threads.
     :param quiet: seconds without a message of a robot on its topics, after which its services are
         called as well.
 
@@ -87,7 +90,13 @@ class Link:
     """
 
     def __init__(
-        self, robot: str, run: str, namespace: str, received: Callable[[Message], None], serve: Serve, quiet: float
+        self,
+        robot: str,
+        run: str,
+        namespace: str,
+        received: Callable[[Message], None],
+        serve: Serve,
+        quiet: float,
     ) -> None:
         self.robot, self.run = robot, run
         self._namespace = namespace
@@ -141,7 +150,9 @@ class Link:
 
     def _somebody_else_listens(self, publisher: Any) -> bool:
         """Whether the topic is connected to anybody but this node itself."""
-        return any(connection.endpoint_id != self._node for connection in publisher.impl.connections)
+        return any(
+            connection.endpoint_id != self._node for connection in publisher.impl.connections
+        )
 
     def _news(self, to: str, body: str) -> Agreement:
         news = Agreement(
@@ -168,9 +179,9 @@ class Link:
             self._received(message)
 
     def _call_quiet(self, to: str, message: Message) -> None:
-        """Call the services of robots that are quiet on their topics. When a partition has ended, TCP waits with what
-        it could not send for as long again as the partition lasted (at most two minutes); a new call goes through at
-        once."""
+        """Call the services of robots that are quiet on their topics. When a partition has ended,
+        TCP waits with what it could not send for as long again as the partition lasted (at most two
+        minutes); a new call goes through at once."""
         service = SERVICE_OF_MESSAGE.get(message.get("kind", ""), "get_place")
         now = time.monotonic()
         for name in [to] if to else list(self._peers):
@@ -208,12 +219,20 @@ class TopicLink(Link):
     """
 
     def __init__(
-        self, robot: str, run: str, namespace: str, received: Callable[[Message], None], serve: Serve, quiet: float
+        self,
+        robot: str,
+        run: str,
+        namespace: str,
+        received: Callable[[Message], None],
+        serve: Serve,
+        quiet: float,
     ) -> None:
         super().__init__(robot, run, namespace, received, serve, quiet)
         self._inboxes: Dict[str, Any] = {}
         self._pool = WorkerPool("inboxes")
-        self._inbox = rospy.Subscriber(_inbox_of(namespace), Agreement, self._on_message, tcp_nodelay=True)
+        self._inbox = rospy.Subscriber(
+            _inbox_of(namespace), Agreement, self._on_message, tcp_nodelay=True
+        )
 
     def send(self, sends: List[Send]) -> None:
         """Send messages; the same one to several robots goes out once, to everybody."""

@@ -68,6 +68,8 @@ def register_again() -> None:
     topics, services = registration.get_topic_manager(), registration.get_service_manager()
     kinds = registration.Registration
     entries = [Entry(kinds.PUB, name, data_type) for name, data_type in topics.get_publications()]
-    entries += [Entry(kinds.SRV, name, service_uri) for name, service_uri in services.get_services()]
+    entries += [
+        Entry(kinds.SRV, name, service_uri) for name, service_uri in services.get_services()
+    ]
     entries += [Entry(kinds.SUB, name, data_type) for name, data_type in topics.get_subscriptions()]
     register(entries)

@@ -39,9 +39,21 @@ def fired_message(fired: Fired, net: Net, plan_hash: str, run: str) -> FiredTran
 
 
 _STATUS_FIELDS = {
-    "robot", "run", "plan", "synchronisation", "active", "quorum", "log_length", "marking", "paused", "ended",
-    "finished", "fault", "waits_for", "robots",
-}  # fmt: skip
+    "robot",
+    "run",
+    "plan",
+    "synchronisation",
+    "active",
+    "quorum",
+    "log_length",
+    "marking",
+    "paused",
+    "ended",
+    "finished",
+    "fault",
+    "waits_for",
+    "robots",
+}
 
 
 def read_status(message: str) -> Optional[Dict[str, Any]]:
@@ -51,7 +63,8 @@ def read_status(message: str) -> Optional[Dict[str, Any]]:
 
 
 def json_object(text: str) -> Optional[Dict[str, Any]]:
-    """The JSON object in a field of a message that anybody may have sent; None where there is none."""
+    """The JSON object in a field of a message that anybody may have sent; None where there is
+    none."""
     try:
         value = json.loads(text) if text else None
     except (ValueError, RecursionError):

@@ -29,13 +29,16 @@ class Narrator:
     """All methods belong to the node's worker thread.
 
     Publishes ``NAMESPACE/activity`` (std_msgs/String, JSON: robot, run, plan (its hash), place,
-    state, visit, attempt, waits_for, needs_operator, feedback, ended, finished, fault; at most ten a second,
-    the last one latched) and ``/diagnostics`` (diagnostic_msgs/DiagnosticArray, once a second).
+    state, visit, attempt, waits_for, needs_operator, feedback, ended, finished, fault; at most ten
+    a second, the last one latched) and ``/diagnostics`` (diagnostic_msgs/DiagnosticArray, once a
+    second).
     """
 
     def __init__(self, robot: str, namespace: str, run: str) -> None:
         self._robot, self._namespace, self._run = robot, namespace, run
-        self._activity = rospy.Publisher(rospy.names.ns_join(namespace, "activity"), String, latch=True, queue_size=10)
+        self._activity = rospy.Publisher(
+            rospy.names.ns_join(namespace, "activity"), String, latch=True, queue_size=10
+        )
         self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
         self._told: Dict[str, Any] = {}
         self._changed = True
@@ -94,7 +97,9 @@ class Narrator:
             self._diagnostics_at = now + DIAGNOSTICS_PERIOD
             if self._diagnostics.get_num_connections():
                 self._publish_diagnostics(*status())
-        return min(self._activity_at, self._diagnostics_at) if self._changed else self._diagnostics_at
+        return (
+            min(self._activity_at, self._diagnostics_at) if self._changed else self._diagnostics_at
+        )
 
     def _note_reason(self, reason: str, now: float) -> None:
         if reason != self._reason:
@@ -126,5 +131,6 @@ class Narrator:
 
 
 def level_of(needs_operator: bool, waits: bool) -> int:
-    """The level of ``/diagnostics``: 0 fine, 1 waits for somebody or misses one, 2 needs the operator."""
+    """The level of ``/diagnostics``: 0 fine, 1 waits for somebody or misses one, 2 needs the
+    operator."""
     return 2 if needs_operator else 1 if waits else 0

@@ -1,4 +1,5 @@
-"""What the node scripts start: one robot's execution node, those of a whole team, or place servers alone."""
+"""What the node scripts start: one robot's execution node, those of a whole team, or place servers
+alone."""
 
 from __future__ import annotations
 
@@ -22,9 +23,18 @@ from gspn_framework_package.ros.node_process import (
     share_log_configuration,
     tell_error,
 )
-from gspn_framework_package.ros.options import NodeOptions, launched_file, read_options, read_options_of
+from gspn_framework_package.ros.options import (
+    NodeOptions,
+    launched_file,
+    read_options,
+    read_options_of,
+)
 from gspn_framework_package.ros.process_family import Member, run_family
-from gspn_framework_package.ros.registration import MASTER_ERRORS, published_topics, registered_together
+from gspn_framework_package.ros.registration import (
+    MASTER_ERRORS,
+    published_topics,
+    registered_together,
+)
 
 
 def run_execution_node() -> int:
@@ -45,8 +55,8 @@ def run_hosted_robots() -> int:
 
 
 def run_team() -> int:
-    """The execution nodes of a whole team, a process for each, forked from this one; returns the largest of their
-    exit codes. This process is no node itself."""
+    """The execution nodes of a whole team, a process for each, forked from this one; returns the
+    largest of their exit codes. This process is no node itself."""
     name = rospy.names.get_mappings().get("__name", "gspn_team")
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # until there is a team
     try:
@@ -80,14 +90,16 @@ def robot_of(plan: Plan, options: NodeOptions) -> Tuple[Plan, str]:
         raise UsageError("which robot is this?", element="~robot", hint=", ".join(names))
     if options.robot not in names + list(plan.witness) and not options.place:
         raise UsageError(
-            "the plan has no robot '%s'" % options.robot, element="~robot",
+            "the plan has no robot '%s'" % options.robot,
+            element="~robot",
             hint="it has: %s; a robot that joins the running team needs ~place" % ", ".join(names),
-        )  # fmt: skip
+        )
     return plan, options.robot
 
 
 def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
-    """Refuse a plan that must not run, and warn, once for each kind of finding. :raises ExecutionError: refused."""
+    """Refuse a plan that must not run, and warn, once for each kind of finding. :raises
+    ExecutionError: refused."""
     from gspn_framework_package.analysis.preflight import check
     from gspn_framework_package.analysis.preflight_report import Severity
 
@@ -97,7 +109,11 @@ def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
         if item.severity is Severity.WARNING:
             warnings.setdefault(item.check, []).append(item.text)
     for kind, texts in warnings.items():
-        more = " (and %d more of this kind: see 'gspn check')" % (len(texts) - 1) if len(texts) > 1 else ""
+        more = (
+            " (and %d more of this kind: see 'gspn check')" % (len(texts) - 1)
+            if len(texts) > 1
+            else ""
+        )
         warn("%s: %s: %s%s" % (plan.name, kind, texts[0], more))
     if report.refused:
         reasons = [i.text for i in report.items if i.severity is Severity.REFUSED]
@@ -105,8 +121,9 @@ def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
 
 
 def refuse_taken(namespaces: List[str], run: str) -> None:
-    """Refuse to start where a robot of another run is at work: ROS would end its node without a word, for two nodes
-    of one name cannot be. Where nobody answers, or the run there is over, there is nothing to refuse.
+    """Refuse to start where a robot of another run is at work: ROS would end its node without a
+    word, for two nodes of one name cannot be. Where nobody answers, or the run there is over, there
+    is nothing to refuse.
 
     :raises ExecutionError: a namespace is taken.
     """
@@ -116,9 +133,10 @@ def refuse_taken(namespaces: List[str], run: str) -> None:
         status = status_in(namespace)
         if status is not None and status["run"] != run and status["ended"] is None:
             raise ExecutionError(
-                "%s is taken: %s of run '%s' is at work there" % (namespace, status["robot"], status["run"]),
-                hint="give this team another namespace (prefix:=, ns:=), or end that run: gspn stop --run %s"
-                % status["run"],
+                "%s is taken: %s of run '%s' is at work there"
+                % (namespace, status["robot"], status["run"]),
+                hint="give this team another namespace (prefix:=, ns:=), or end that run: gspn "
+                "stop --run %s" % status["run"],
             )
 
 
@@ -196,13 +214,15 @@ def _check_alone(plan: Plan) -> int:
 
 
 MASTER_PERIOD = 2.0
-"""Seconds between two questions to the master whether it is still the same; in a team of more than eight, which would
-ask it all the time, in proportion longer."""
+"""Seconds between two questions to the master whether it is still the same; in a team of more than
+eight, which would ask it all the time, in proportion longer."""
 
 _Body = Callable[[Plan, str, str, NodeOptions, Ending], int]
 
 
-def _member(plan: Plan, robot: str, namespace: str, name: str, options: NodeOptions, body: _Body) -> Member:
+def _member(
+    plan: Plan, robot: str, namespace: str, name: str, options: NodeOptions, body: _Body
+) -> Member:
     def be_robot() -> int:
         be_node(name, namespace)
         return run_node(
@@ -218,7 +238,9 @@ def _run_robot(plan: Plan, robot: str, namespace: str, options: NodeOptions, end
     return _run_robots(plan, {robot: namespace}, options, ending, checked=True)
 
 
-def _serve_robot(plan: Plan, robot: str, namespace: str, options: NodeOptions, ending: Ending) -> int:
+def _serve_robot(
+    plan: Plan, robot: str, namespace: str, options: NodeOptions, ending: Ending
+) -> int:
     return _serve_places(plan, robot, namespace, ending)
 
 
@@ -227,9 +249,14 @@ def _own_namespace() -> str:
 
 
 def _run_robots(
-    plan: Plan, namespaces: Dict[str, str], options: NodeOptions, ending: Ending, checked: bool = False
+    plan: Plan,
+    namespaces: Dict[str, str],
+    options: NodeOptions,
+    ending: Ending,
+    checked: bool = False,
 ) -> int:
-    """Execute a plan for some robots, each with its own replica, until the run is over for all of them.
+    """Execute a plan for some robots, each with its own replica, until the run is over for all of
+    them.
 
     :param namespaces: robot -> its absolute namespace.
     :param checked: the plan has been checked.
@@ -245,12 +272,19 @@ def _run_robots(
     nodes: List[ExecutionNode] = []
     try:
         with registered_together():
-            nodes += [ExecutionNode(plan, robot, namespace, options) for robot, namespace in namespaces.items()]
+            nodes += [
+                ExecutionNode(plan, robot, namespace, options)
+                for robot, namespace in namespaces.items()
+            ]
         for robot in namespaces:
             rospy.loginfo(
                 "%s: plan %s, run %s, %d robots; log: %s",
-                robot, plan.name, options.run, len(plan.robots), options.log_file(robot),
-            )  # fmt: skip
+                robot,
+                plan.name,
+                options.run,
+                len(plan.robots),
+                options.log_file(robot),
+            )
         if options.check:
             servers = {server for node in nodes for server in node.foreign_servers}
             await_servers(servers, options.server_timeout, ending)

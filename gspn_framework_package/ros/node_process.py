@@ -1,4 +1,5 @@
-"""A process that is a ROS node: waits for the master, ends in order, and says in one line what is wrong."""
+"""A process that is a ROS node: waits for the master, ends in order, and says in one line what is
+wrong."""
 
 from __future__ import annotations
 
@@ -28,15 +29,20 @@ ERRORS = (GspnError, rospy.ROSException, *MASTER_ERRORS)
 """What a node may end with, told in one line."""
 
 SHUTDOWN_TIME = 5.0
-"""Seconds that the node has to unregister at its end; a master that does not answer is not waited for any longer."""
+"""Seconds that the node has to unregister at its end; a master that does not answer is not waited
+for any longer."""
 
 
-def run_node(name: str, body: Callable[[Ending], int], before: Callable[[], None] = lambda: None) -> int:
+def run_node(
+    name: str, body: Callable[[Ending], int], before: Callable[[], None] = lambda: None
+) -> int:
     """Start a ROS node, and end it in order on SIGINT, SIGTERM and ``rosnode kill``.
 
     :param name: of the node, where nobody gives it another.
-    :param body: what the node does; given what tells when the node shall end. Its errors are told in one line.
-    :param before: called when there is a master, before the node takes its name from a node that has it.
+    :param body: what the node does; given what tells when the node shall end. Its errors are told
+      in one line.
+    :param before: called when there is a master, before the node takes its name from a node that
+      has it.
     :returns: the exit code: that of ``body`` or of its error, or 128 + the signal.
     """
     raise_descriptor_limit()
@@ -68,8 +74,9 @@ def run_node(name: str, body: Callable[[Ending], int], before: Callable[[], None
 
 
 def _await_shutdown() -> None:
-    """Wait until another thread has shut the node down, if one does: after ``rosnode kill``, rospy unregisters the
-    node on a thread that dies with the process, and the master would know the node for ever."""
+    """Wait until another thread has shut the node down, if one does: after ``rosnode kill``, rospy
+    unregisters the node on a thread that dies with the process, and the master would know the node
+    for ever."""
     if rospy.core._shutdown_lock.acquire(timeout=SHUTDOWN_TIME):
         rospy.core._shutdown_lock.release()
 
@@ -114,11 +121,14 @@ def be_node(name: str, namespace: str) -> None:
 
 
 def share_log_configuration() -> None:
-    """Look up once, for all nodes that this process will fork, where rospy's logging is configured: to find it, each
-    would search all packages."""
+    """Look up once, for all nodes that this process will fork, where rospy's logging is configured:
+    to find it, each would search all packages."""
     if "ROS_PYTHON_LOG_CONFIG_FILE" not in os.environ:
-        for folder in (os.path.join(rospkg.get_ros_home(), "config"), rospkg.get_etc_ros_dir(),
-                       os.path.join(rospkg.RosPack().get_path("rosgraph"), "conf")):  # fmt: skip
+        for folder in (
+            os.path.join(rospkg.get_ros_home(), "config"),
+            rospkg.get_etc_ros_dir(),
+            os.path.join(rospkg.RosPack().get_path("rosgraph"), "conf"),
+        ):
             for name in ("python_logging.conf", "python_logging.yaml"):
                 file = os.path.join(folder, name)
                 if os.path.isfile(file):
@@ -135,7 +145,10 @@ def await_master(ending: Ending) -> None:
             return
         except MASTER_ERRORS as error:
             if not told:
-                print("waits for the ROS master at %s (%s)" % (rosgraph.get_master_uri(), error), file=sys.stderr)
+                print(
+                    "waits for the ROS master at %s (%s)" % (rosgraph.get_master_uri(), error),
+                    file=sys.stderr,
+                )
             told = True
         ending.wait(0.5)
 
@@ -149,8 +162,8 @@ def raise_descriptor_limit(wanted: int = 65536) -> None:
 
 
 def say_nothing_of_sockets_after_the_end() -> None:
-    """A node that ends closes its sockets under threads of rospy that are about to use them: that is no news, and
-    what else has to be said does not get lost among tracebacks."""
+    """A node that ends closes its sockets under threads of rospy that are about to use them: that
+    is no news, and what else has to be said does not get lost among tracebacks."""
     tell = threading.excepthook
 
     def tell_unless_ended(args: Any) -> None:
@@ -169,11 +182,13 @@ class _Lines(logging.handlers.QueueHandler):
 
 
 def publish_log_lines_on_a_thread() -> None:
-    """Publish on ``/rosout`` from a thread of its own. rospy asks the master for a parameter at every line, with no
-    limit of time: a master that is out of reach (a partition, not a death) would hold whoever logs, for minutes.
+    """Publish on ``/rosout`` from a thread of its own. rospy asks the master for a parameter at
+    every line, with no limit of time: a master that is out of reach (a partition, not a death)
+    would hold whoever logs, for minutes.
 
-    The parameter is ``/rosout_disable_topics_generation``: whether a line goes without the names of all topics of the
-    node. It is asked for once here, and taken for true where nobody has set it: a robot has five topics for each place.
+    The parameter is ``/rosout_disable_topics_generation``: whether a line goes without the names of
+    all topics of the node. It is asked for once here, and taken for true where nobody has set it: a
+    robot has five topics for each place.
     """
     parameter = "/rosout_disable_topics_generation"
     get_param_server_cache().set(parameter, rospy.get_param(parameter, True))
@@ -186,8 +201,8 @@ def publish_log_lines_on_a_thread() -> None:
 
 
 def accept_many_connections() -> None:
-    """Let a whole team connect to this node at once. rospy lets five connections wait; the sixth is dropped, and its
-    robot tries again after a second, or three."""
+    """Let a whole team connect to this node at once. rospy lets five connections wait; the sixth is
+    dropped, and its robot tries again after a second, or three."""
     tcpros_base.start_tcpros_server()
     tcpros_base._tcpros_server.tcp_ros_server.server_sock.listen(1024)
 

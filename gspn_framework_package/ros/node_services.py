@@ -70,7 +70,9 @@ class Worker:
         """Hand a peer's protocol message to the replica; on the worker thread."""
         raise NotImplementedError
 
-    def order(self, entry: Optional[log.Entry], force_evict: str, answer: Callable[[Any], None]) -> None:
+    def order(
+        self, entry: Optional[log.Entry], force_evict: str, answer: Callable[[Any], None]
+    ) -> None:
         """Give an operator's order to the replica; on the worker thread."""
         raise NotImplementedError
 
@@ -162,7 +164,11 @@ class NodeServices:
         """Why a call that means ``run`` is refused here; "" where it is meant for this node."""
         if run in ("", self._worker.run):
             return ""
-        return "%s is in run '%s', not in run '%s': nothing was done" % (self._worker.robot, self._worker.run, run)
+        return "%s is in run '%s', not in run '%s': nothing was done" % (
+            self._worker.robot,
+            self._worker.run,
+            run,
+        )
 
     def _command(self, request: Any) -> CommandResponse:
         other = self._other_run(request.run)
@@ -179,7 +185,9 @@ class NodeServices:
             return CommandResponse(*self._order(None, robot))
         entry = order_entry(request.command, request.robot, robot, request.argument)
         if entry is None:
-            return CommandResponse(False, "there is no command '%s'; there are: %s" % (request.command, _COMMANDS))
+            return CommandResponse(
+                False, "there is no command '%s'; there are: %s" % (request.command, _COMMANDS)
+            )
         return CommandResponse(*self._order(entry))
 
     # -- through the worker ------------------------------------------------------------------------

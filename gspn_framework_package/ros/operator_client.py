@@ -37,8 +37,9 @@ class Answer(NamedTuple):
 
 
 def status_in(namespace: str) -> Optional[Dict[str, Any]]:
-    """The status of the execution node in a namespace; None where there is none, or it does not answer. May be called
-    before this process is a node itself. :raises OSError: no master answers; and others of ``MASTER_ERRORS``."""
+    """The status of the execution node in a namespace; None where there is none, or it does not
+    answer. May be called before this process is a node itself. :raises OSError: no master answers;
+    and others of ``MASTER_ERRORS``."""
     name = rospy.names.ns_join(namespace, "command")
     master: Any = master_proxy()
     code, _, uri = master.lookupService("/gspn_operator", name)
@@ -49,7 +50,8 @@ def status_in(namespace: str) -> Optional[Dict[str, Any]]:
     try:
         calls.call(namespace, uri, name, Command, CommandRequest(command="status"), answers.put)
         deadline = time.monotonic() + PATIENCE
-        while time.monotonic() < deadline and not calls.failures:  # nobody there: the master has not noticed yet
+        # nobody there: the master has not noticed yet
+        while time.monotonic() < deadline and not calls.failures:
             with contextlib.suppress(queue.Empty):
                 return read_status(answers.get(timeout=0.02).message)
         return None
@@ -69,7 +71,9 @@ class OperatorClient:
         self.nodes = self._find()  # before rospy speaks to the master, without any limit of time
         self._calls = ServiceCalls(deadline=ORDER_TIME + PATIENCE)
         if not rospy.core.is_initialized():
-            rospy.init_node("gspn_operator", anonymous=True, disable_signals=True, disable_rosout=True)
+            rospy.init_node(
+                "gspn_operator", anonymous=True, disable_signals=True, disable_rosout=True
+            )
 
     def close(self) -> None:
         """End the threads of the calls."""
@@ -87,12 +91,18 @@ class OperatorClient:
                     _, _, uri = master.lookupService("/gspn_operator", name)
                     nodes.append(NodeAddress(namespace or "/", uri))
         except MASTER_ERRORS as error:
-            raise ExecutionError("no ROS master answers at %s (%s)" % (rosgraph.get_master_uri(), error)) from None
+            raise ExecutionError(
+                "no ROS master answers at %s (%s)" % (rosgraph.get_master_uri(), error)
+            ) from None
         if not nodes:
-            raise ExecutionError("no execution node is known to the ROS master at %s" % rosgraph.get_master_uri())
+            raise ExecutionError(
+                "no execution node is known to the ROS master at %s" % rosgraph.get_master_uri()
+            )
         return sorted(nodes)
 
-    def ask_all(self, command: str, seconds: float = PATIENCE) -> Dict[NodeAddress, Optional[Answer]]:
+    def ask_all(
+        self, command: str, seconds: float = PATIENCE
+    ) -> Dict[NodeAddress, Optional[Answer]]:
         """The answers of all nodes to a command without arguments; None for one that is silent."""
         answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
         for node in self.nodes:
@@ -124,9 +134,13 @@ class OperatorClient:
         there = {n: s for n, s in self.statuses().items() if s and run in ("", s["run"])}
         runs = sorted({status["run"] for status in there.values()})
         if not there:
-            raise ExecutionError("no execution node answers%s" % (" of run '%s'" % run if run else ""))
+            raise ExecutionError(
+                "no execution node answers%s" % (" of run '%s'" % run if run else "")
+            )
         if len(runs) > 1:
-            raise ExecutionError("there are nodes of several runs: %s" % ", ".join(runs), hint="say which: --run")
+            raise ExecutionError(
+                "there are nodes of several runs: %s" % ", ".join(runs), hint="say which: --run"
+            )
         # its own node first, except where that node is to be cast out; then one with a vote
         own_last = command in ("evict", "force_evict")
         node = min(

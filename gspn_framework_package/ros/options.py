@@ -37,12 +37,13 @@ class NodeOptions(NamedTuple):
     place_servers: bool = True
     """Whether this node serves the plan's Python actions itself."""
     place_server_nodes: bool = False
-    """A team of processes: whether each robot's place servers are started as a node of their own."""
+    """A team of processes: whether each robot's place servers are started as a node of their
+    own."""
     respawn: bool = False
     """A team of processes: whether a node of it is started again when it dies."""
     direct_actions: bool = True
-    """Whether goals for this node's own place servers are handed to them inside the process; otherwise they go over
-    topics, as to any other action server."""
+    """Whether goals for this node's own place servers are handed to them inside the process;
+    otherwise they go over topics, as to any other action server."""
     check: bool = True
     """Whether the plan is checked before the robot moves."""
     stay: bool = False
@@ -87,7 +88,8 @@ def read_options(name: str = "~") -> NodeOptions:
 
 
 def read_options_of(node: str) -> NodeOptions:
-    """The options of a node that is not initialised (yet): its parameters, and those of the command line.
+    """The options of a node that is not initialised (yet): its parameters, and those of the command
+    line.
 
     :param node: its absolute name.
     :raises UsageError: see :func:`read_options`.
@@ -102,8 +104,9 @@ def read_options_of(node: str) -> NodeOptions:
 
 
 def launched_file(given: str, parameter: str) -> str:
-    """The file or folder that a parameter names: ``~`` is the home folder, and what is relative is looked for where
-    the node runs and then where ``roslaunch`` was started, which has nodes run in a folder of its own.
+    """The file or folder that a parameter names: ``~`` is the home folder, and what is relative is
+    looked for where the node runs and then where ``roslaunch`` was started, which has nodes run in
+    a folder of its own.
 
     :raises UsageError: it is in neither.
     """
@@ -116,7 +119,7 @@ def launched_file(given: str, parameter: str) -> str:
         "there is no '%s' in %s, where this node runs%s"
         % (given, os.getcwd(), ", nor in %s" % shell if shell not in ("", os.getcwd()) else ""),
         element=parameter,
-        hint="give an absolute path, such as \"$PWD/%s\"" % given,
+        hint='give an absolute path, such as "$PWD/%s"' % given,
     )
 
 
@@ -126,18 +129,17 @@ def options_from(given: Dict[str, Any]) -> NodeOptions:
     for key, value in given.items():
         if key not in NodeOptions._fields:
             raise UsageError(
-                "there is no such parameter", element="~" + key,
+                "there is no such parameter",
+                element="~" + key,
                 hint="there are: %s" % ", ".join(NodeOptions._fields),
-            )  # fmt: skip
+            )
         wanted = type(NodeOptions._field_defaults[key])
         if wanted is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         if wanted is str and not isinstance(value, (str, bool)):
             value = str(value)  # YAML makes a number of a run that is called 42
         if not isinstance(value, wanted) or wanted is int and isinstance(value, bool):
-            raise UsageError(
-                "%r is not of type %s" % (value, wanted.__name__), element="~" + key
-            )  # fmt: skip
+            raise UsageError("%r is not of type %s" % (value, wanted.__name__), element="~" + key)
         fields[key] = value
     options = NodeOptions(**fields)
     if not options.plan:

@@ -51,7 +51,9 @@ class PlaceServers:
     :raises PlanError: a function that is not there or is no action.
     """
 
-    def __init__(self, plan: Plan, robot: str, namespace: str, pool: Optional[WorkerPool] = None) -> None:
+    def __init__(
+        self, plan: Plan, robot: str, namespace: str, pool: Optional[WorkerPool] = None
+    ) -> None:
         self.robot = robot
         self._pool = pool or WorkerPool("action")
         self._lock = threading.Lock()
@@ -83,9 +85,9 @@ class PlaceServers:
         self._timer.start()
 
     def stop(self) -> None:
-        """Cancel what runs, and take no more goals. No results are told: nobody asked for the end of these goals, and
-        a robot whose servers end a moment before itself must not take it for a failure of the action. A robot that
-        goes on sees that the server has gone."""
+        """Cancel what runs, and take no more goals. No results are told: nobody asked for the end
+        of these goals, and a robot whose servers end a moment before itself must not take it for a
+        failure of the action. A robot that goes on sees that the server has gone."""
         self._stopping.set()
         with self._lock:
             running = list(self._running.values())
@@ -141,11 +143,17 @@ class PlaceServers:
         except BaseException as error:  # even sys.exit() in an action ends only the action
             failure = "%s: %s" % (type(error).__name__, error_text(error))
             if not goal.cancellation():
-                rospy.logerr("%s in %s: %s", goal.action.name, goal.place, traceback.format_exc()[-TRACEBACK_LIMIT:])
+                rospy.logerr(
+                    "%s in %s: %s",
+                    goal.action.name,
+                    goal.place,
+                    traceback.format_exc()[-TRACEBACK_LIMIT:],
+                )
         finally:
             with self._lock:
                 self._running.pop(goal_id, None)
-        if self._stopping.is_set() or rospy.is_shutdown():  # the node's end has ended it, see stop()
+        # the node's end has ended it, see stop()
+        if self._stopping.is_set() or rospy.is_shutdown():
             return
         try:
             self._tell_result(goal, result, failure)
@@ -214,8 +222,8 @@ class _RunningGoal:
 
 
 class PlaceServer(ActionServer):
-    """An action server without a thread of its own and without questions to the master, whose goals may also come
-    from its own process.
+    """An action server without a thread of its own and without questions to the master, whose goals
+    may also come from its own process.
 
     The library's ``initialize`` asks the master six times for each server, and starts a timer for
     each: with 13 robots of 7 places that is what a start takes its time for.
@@ -241,12 +249,21 @@ class PlaceServer(ActionServer):
         """Make the topics."""
         self.status_list_timeout = rospy.Duration(5.0)
         topic = self.ns + "/"
-        self.status_pub = rospy.Publisher(topic + "status", GoalStatusArray, latch=True, queue_size=50)
-        # latched: a client knows of its connection a moment earlier than this side; what is told between gets lost
-        self.result_pub = rospy.Publisher(topic + "result", self.ActionResult, latch=True, queue_size=50)
+        self.status_pub = rospy.Publisher(
+            topic + "status", GoalStatusArray, latch=True, queue_size=50
+        )
+        # latched: a client knows of its connection a moment earlier than this side; what is told
+        # between gets lost
+        self.result_pub = rospy.Publisher(
+            topic + "result", self.ActionResult, latch=True, queue_size=50
+        )
         self.feedback_pub = rospy.Publisher(topic + "feedback", self.ActionFeedback, queue_size=50)
-        self.goal_sub = rospy.Subscriber(topic + "goal", self.ActionGoal, self.internal_goal_callback, tcp_nodelay=True)
-        self.cancel_sub = rospy.Subscriber(topic + "cancel", GoalID, self.internal_cancel_callback, tcp_nodelay=True)
+        self.goal_sub = rospy.Subscriber(
+            topic + "goal", self.ActionGoal, self.internal_goal_callback, tcp_nodelay=True
+        )
+        self.cancel_sub = rospy.Subscriber(
+            topic + "cancel", GoalID, self.internal_cancel_callback, tcp_nodelay=True
+        )
 
     def stop(self) -> None:
         """Take no more goals, and unregister from the topics."""
@@ -255,13 +272,17 @@ class PlaceServer(ActionServer):
                 return
             self.started = False
         for topic in (
-            self.goal_sub, self.cancel_sub, self.status_pub, self.feedback_pub, self.result_pub
-        ):  # fmt: skip
+            self.goal_sub,
+            self.cancel_sub,
+            self.status_pub,
+            self.feedback_pub,
+            self.result_pub,
+        ):
             topic.unregister()
 
     def take(self, goal: Any, told: Callable[[str, Any, Any], None]) -> None:
-        """Take a goal that comes from this process. :param told: told ("feedback" or "result", status, message) of
-        the goal, besides the topics."""
+        """Take a goal that comes from this process. :param told: told ("feedback" or "result",
+        status, message) of the goal, besides the topics."""
         with self.lock:
             self._direct[goal.goal_id.id] = told
             self._caller = ""

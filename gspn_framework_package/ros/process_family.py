@@ -1,4 +1,5 @@
-"""Processes that are forked from one parent, which has imported everything, and that live and die with it."""
+"""Processes that are forked from one parent, which has imported everything, and that live and die
+with it."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ import traceback
 from typing import Callable, Dict, List, NamedTuple, Optional
 
 PATIENCE = 10.0
-"""Seconds that processes have to end in order when the parent is told to; ``roslaunch`` gives it 15."""
+"""Seconds that processes have to end in order when the parent is told to; ``roslaunch`` gives it
+15."""
 
 RESPAWN_DELAY = 1.0
 """Seconds until a process that died is started again, as the launch files say of nodes."""
@@ -30,10 +32,11 @@ class Member(NamedTuple):
 
 
 def run_family(members: List[Member], respawn: bool = False) -> int:
-    """Fork a process for each member, and wait until all have ended; SIGINT and SIGTERM are handed on to all of them.
-    When this process is killed, they are told to end.
+    """Fork a process for each member, and wait until all have ended; SIGINT and SIGTERM are handed
+    on to all of them. When this process is killed, they are told to end.
 
-    The parent must have no other thread: a fork takes none of them along, only the locks that they hold.
+    The parent must have no other thread: a fork takes none of them along, only the locks that they
+    hold.
 
     :param respawn: whether a process is started again when it ends, for whatever reason.
     :returns: the largest exit code; 128 + the signal where a signal ended it all.
@@ -116,7 +119,11 @@ class _Parent:
             if self._ended_by is not None:
                 continue
             if code:
-                how = "was killed by signal %d" % -code if code < 0 else "ended with exit code %d" % code
+                how = (
+                    "was killed by signal %d" % -code
+                    if code < 0
+                    else "ended with exit code %d" % code
+                )
                 print("%s %s" % (member.name, how), file=sys.stderr, flush=True)
             if self._respawn:
                 self._due.setdefault(time.monotonic() + RESPAWN_DELAY, []).append(member)

@@ -1,7 +1,7 @@
 """Registers topics and services with the ROS master together, in place of one call for each.
 
-rospy asks the master once for every publisher, subscriber and service. A robot with a thousand action servers has five
-thousand of those; one after the other they took over a minute.
+rospy asks the master once for every publisher, subscriber and service. A robot with a thousand
+action servers has five thousand of those; one after the other they took over a minute.
 """
 
 from __future__ import annotations
@@ -15,7 +15,12 @@ from typing import Any, Iterator, List, NamedTuple, Sequence, Tuple
 
 import rosgraph
 import rospy
-from rospy.impl.registration import Registration, RegistrationListener, RegManager, get_registration_listeners
+from rospy.impl.registration import (
+    Registration,
+    RegistrationListener,
+    RegManager,
+    get_registration_listeners,
+)
 
 from gspn_framework_package.model.errors import ExecutionError
 
@@ -26,12 +31,13 @@ RETRY = 0.2
 """Seconds until the master is asked again that did not answer (as rospy does)."""
 
 MASTER_ERRORS = (OSError, http.client.HTTPException, xmlrpc.client.Error)
-"""What a call of :func:`master_proxy` may raise: there is no master, or it does not answer in time or in order."""
+"""What a call of :func:`master_proxy` may raise: there is no master, or it does not answer in time
+or in order."""
 
 
 class Entry(NamedTuple):
-    """Something to register: ``kind`` is a value of rospy's ``Registration``; ``detail``: the type of a topic, the
-    address of a service."""
+    """Something to register: ``kind`` is a value of rospy's ``Registration``; ``detail``: the type
+    of a topic, the address of a service."""
 
     kind: str
     name: str
@@ -68,7 +74,8 @@ def require_master(timeout: float = 2.0) -> None:
 
 
 def published_topics(timeout: float = 2.0) -> List[Tuple[str, str]]:
-    """The topics that anybody publishes, with their types; rospy's own question has no limit of time.
+    """The topics that anybody publishes, with their types; rospy's own question has no limit of
+    time.
 
     :raises OSError: the master does not answer; and others of :data:`MASTER_ERRORS`.
     """
@@ -78,7 +85,8 @@ def published_topics(timeout: float = 2.0) -> List[Tuple[str, str]]:
 
 
 def found_parameter(name: str, default: Any, timeout: float = 2.0) -> Any:
-    """The parameter of that name that is nearest to this node; ``default`` where there is none, or no master."""
+    """The parameter of that name that is nearest to this node; ``default`` where there is none, or
+    no master."""
     try:
         master: Any = master_proxy(timeout)
         code, _, key = master.searchParam(rospy.get_name(), name)
@@ -92,14 +100,16 @@ def found_parameter(name: str, default: Any, timeout: float = 2.0) -> Any:
 
 @contextlib.contextmanager
 def registered_together() -> Iterator[None]:
-    """What is made inside the ``with`` block is registered at its end, with as few calls as may be; as with rospy's
-    own registrations, that waits for a master which does not answer."""
+    """What is made inside the ``with`` block is registered at its end, with as few calls as may be;
+    as with rospy's own registrations, that waits for a master which does not answer."""
     listeners = get_registration_listeners()
     collected = _Collected()
     with listeners.lock:
         managers = _managers()
         if managers:
-            listeners.listeners = [item for item in listeners.listeners if item not in managers] + [collected]
+            listeners.listeners = [item for item in listeners.listeners if item not in managers] + [
+                collected
+            ]
     if not managers:  # no node yet, or inside another such block, which then registers for both
         yield
         return
@@ -138,14 +148,16 @@ def _register_for_sure(entries: Sequence[Entry]) -> None:
             return
         except MASTER_ERRORS as error:
             if not told:
-                logging.getLogger("rospy.registration").error("the master does not register: %s", error)
+                logging.getLogger("rospy.registration").error(
+                    "the master does not register: %s", error
+                )
             told = True
             time.sleep(RETRY)
 
 
 def register(entries: Sequence[Entry], timeout: float = 30.0) -> None:
-    """Have the master register these, and connect to whoever publishes on the topics among them that this node
-    subscribes to. :raises OSError: no master."""
+    """Have the master register these, and connect to whoever publishes on the topics among them
+    that this node subscribes to. :raises OSError: no master."""
     caller, uri = rospy.get_name(), rospy.get_node_uri()
     for begin in range(0, len(entries), CALLS):
         some = entries[begin : begin + CALLS]

@@ -41,7 +41,9 @@ class TeamMonitor:
     def __init__(self, robots: Sequence[Tuple[str, str, str]], run: str) -> None:
         self._lock = threading.Lock()
         self._run = run
-        self.doing: Dict[str, Doing] = {name: Doing(place, "", 0, "not heard of yet") for name, _, place in robots}
+        self.doing: Dict[str, Doing] = {
+            name: Doing(place, "", 0, "not heard of yet") for name, _, place in robots
+        }
         self.transitions: Counter[str] = Counter()
         self.moves: Counter[str] = Counter()
         self.marking: Dict[str, int] = {}

@@ -1,12 +1,14 @@
-"""The node ``thesis_interface``: a team in the words of the thesis (4.3.3), for programs that were written for it.
+"""The node ``thesis_interface``: a team in the words of the thesis (4.3.3), for programs that were
+written for it.
 
-Publishes every firing on ``/TRANSITIONS_FIRED`` (GSPNFiringData), and serves, for each robot N in its namespace,
-``current_place_robot_N`` (CurrentPlace) and ``fire_sync_transition_N`` (FireSyncTransition). It only translates: it
-keeps no marking, and no robot waits for it. What others publish on ``/TRANSITIONS_FIRED`` it does not hear, since the
-robots alone agree on what fires.
+Publishes every firing on ``/TRANSITIONS_FIRED`` (GSPNFiringData), and serves, for each robot N in
+its namespace, ``current_place_robot_N`` (CurrentPlace) and ``fire_sync_transition_N``
+(FireSyncTransition). It only translates: it keeps no marking, and no robot waits for it. What
+others publish on ``/TRANSITIONS_FIRED`` it does not hear, since the robots alone agree on what
+fires.
 
-Private parameters: ``robots`` (how many), ``prefix`` (what their namespaces begin with), ``run`` (name of the run; ""
-takes the first that is heard).
+Private parameters: ``robots`` (how many), ``prefix`` (what their namespaces begin with), ``run``
+(name of the run; "" takes the first that is heard).
 """
 
 from __future__ import annotations
@@ -48,7 +50,9 @@ def _translate(ending: Ending) -> int:
     robots = rospy.get_param("~robots", 0)
     if not isinstance(robots, int) or isinstance(robots, bool) or robots < 1:
         raise UsageError("%r is not a number of robots" % (robots,), element="parameter ~robots")
-    interface = ThesisInterface(robots, str(rospy.get_param("~prefix", "robot_")), str(rospy.get_param("~run", "")))
+    interface = ThesisInterface(
+        robots, str(rospy.get_param("~prefix", "robot_")), str(rospy.get_param("~run", ""))
+    )
     ending.wait()
     interface.close()
     return 0
@@ -74,7 +78,9 @@ class ThesisInterface:
             ):
                 whole = self._service(number, name % number)
                 self._services.append(rospy.Service(whole, service_class, _bound(serve, number)))
-        self._subscriber = rospy.Subscriber(FIRED_TOPIC, FiredTransition, self._on_fired, tcp_nodelay=True)
+        self._subscriber = rospy.Subscriber(
+            FIRED_TOPIC, FiredTransition, self._on_fired, tcp_nodelay=True
+        )
 
     def close(self) -> None:
         """End the threads of the calls."""
@@ -90,7 +96,9 @@ class ThesisInterface:
 
     def _current_place(self, number: int, request: Any) -> CurrentPlaceResponse:
         state = self._ask(number, "get_state", GetState, GetStateRequest())
-        return CurrentPlaceResponse(state.place, "DOING" if state.state == "Doing" else "DONE", number)
+        return CurrentPlaceResponse(
+            state.place, "DOING" if state.state == "Doing" else "DONE", number
+        )
 
     def _fire_sync(self, number: int, request: Any) -> FireSyncTransitionResponse:
         order = SetPlaceRequest(place=request.place_to_go, run=self._run)

@@ -31,8 +31,17 @@ STATES = 2_000_000
 WORKER = [sys.executable, "-m", "gspn_framework_package.visualizer.analysis_worker"]
 
 QUESTIONS = (
-    "structure", "timing", "policy", "at", "reach", "cover", "mean_time_to", "settling", "rewards", "simulate",
-)  # fmt: skip
+    "structure",
+    "timing",
+    "policy",
+    "at",
+    "reach",
+    "cover",
+    "mean_time_to",
+    "settling",
+    "rewards",
+    "simulate",
+)
 
 
 class _Job:
@@ -63,7 +72,8 @@ class _Job:
         threading.Thread(target=self._follow, name="analysis", daemon=True).start()
 
     def _follow(self) -> None:
-        """On a thread: take in what the process says, until it has ended. Whatever goes wrong, the job ends with it."""
+        """On a thread: take in what the process says, until it has ended. Whatever goes wrong, the
+        job ends with it."""
         process = self._process
         try:
             self._listen()

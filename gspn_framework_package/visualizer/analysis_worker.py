@@ -68,7 +68,9 @@ def _analyse(request: Dict[str, Any]) -> None:
         _say(part={"simulation": _simulate(subject, request["simulate"], progress)})
         return
     questions = _questions(request)
-    limits = Limits(states=request["limit"], seconds=float(request["seconds"]), memory=MEMORY_BYTES // 2)
+    limits = Limits(
+        states=request["limit"], seconds=float(request["seconds"]), memory=MEMORY_BYTES // 2
+    )
     analysis = Analysis(subject, limits=limits, structure=questions.structure, progress=progress)
     if questions.structure or questions.timing:
         first = Questions(structure=questions.structure, timing=False)
@@ -104,13 +106,16 @@ def _simulate(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str,
 
 def _number(asked: Dict[str, Any], key: str, default: Optional[float] = None) -> Optional[float]:
     value = asked.get(key, default)
-    if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0):
+    if value is not None and (
+        isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0
+    ):
         raise UsageError("'%s' is a number of at least 0" % key)
     return value
 
 
 def _likely_states(analysis: Analysis) -> List[Dict[str, Any]]:
-    """The most probable tangible states: marking, steady-state probability, mean time (s) of one stay."""
+    """The most probable tangible states: marking, steady-state probability, mean time (s) of one
+    stay."""
     measures = analysis.measures
     stays, graph = measures.sojourn_times, measures.graph
     found = []

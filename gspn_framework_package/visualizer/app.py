@@ -59,7 +59,9 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.before_request
     def check() -> Optional[Answer]:
-        verdict = guard.check(request.method, request.path, request.headers, request.cookies, _peer())
+        verdict = guard.check(
+            request.method, request.path, request.headers, request.cookies, _peer()
+        )
         if verdict.refusal is not None:
             return {"error": verdict.refusal.reason}, verdict.refusal.status
         flask.g.role = verdict.role
@@ -88,7 +90,9 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     @app.errorhandler(OSError)
     def no_means(error: OSError) -> Answer:
         app.logger.warning("a request failed: %s", error)
-        return {"error": "the server's computer cannot do that now: %s" % (error.strerror or "an error")}, 503
+        return {
+            "error": "the server's computer cannot do that now: %s" % (error.strerror or "an error")
+        }, 503
 
     @app.errorhandler(404)
     @app.errorhandler(405)
@@ -197,7 +201,11 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     def analyse() -> Dict[str, Any]:
         opened, fields = session(), _body()
         hub = opened.hub
-        board = hub.board_at(whole_number(fields, "event", 0, 0, 10**15)) if "event" in fields else hub.board()
+        board = (
+            hub.board_at(whole_number(fields, "event", 0, 0, 10**15))
+            if "event" in fields
+            else hub.board()
+        )
         return {"job": jobs.start(opened.document, board.marking, fields), "event": board.n}
 
     @app.route("/api/analysis/<job>")
@@ -223,7 +231,9 @@ def body_limit(path: str) -> int:
 def too_large_text(path: str) -> str:
     """What to tell whoever posts more to ``path``."""
     if path == "/api/upload":
-        return "that is too large: files of up to %d MB in all can be uploaded" % (UPLOAD_BYTES * 2 // 3_000_000)
+        return "that is too large: files of up to %d MB in all can be uploaded" % (
+            UPLOAD_BYTES * 2 // 3_000_000
+        )
     if path == "/api/login":
         return "that is too large for a token"
     return "that is too large: a command has up to %d MB" % (COMMAND_BYTES // 1_000_000)
@@ -258,7 +268,8 @@ def _number(key: str, default: int = 0) -> int:
 
 
 class Streams:
-    """The streams that are under way, at most ``limit``, and of them at most half for one peer elsewhere."""
+    """The streams that are under way, at most ``limit``, and of them at most half for one peer
+    elsewhere."""
 
     def __init__(self, limit: int) -> None:
         self._condition = threading.Condition()
@@ -319,7 +330,10 @@ class _Stream:
                 yield b"event: ping\ndata: {}\n\n"
                 continue
             if self._hub.closed is not None:
-                yield b"event: closed\ndata: %s\n\n" % json.dumps({"reason": self._hub.closed}).encode()
+                yield (
+                    b"event: closed\ndata: %s\n\n"
+                    % json.dumps({"reason": self._hub.closed}).encode()
+                )
                 return
             news = self._hub.news(self._cursor)
             self._cursor = news.cursor

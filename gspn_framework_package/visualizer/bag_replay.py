@@ -19,7 +19,8 @@ EVENTS = 400_000
 
 
 class BagReplay(Activity):
-    """The firings that a bag recorded, of the first run in it. A bag holds no plan: it is found by its hash.
+    """The firings that a bag recorded, of the first run in it. A bag holds no plan: it is found by
+    its hash.
 
     :param path: the bag.
     :param plans: plans that may be the one.
@@ -80,7 +81,9 @@ class BagReplay(Activity):
             events += [{**event, "t": t} for event in rest]
             rest = follower.give_up("firings are missing in the bag")
         if self.left_out:
-            text = "the bag holds other runs of this plan too, which are not shown: %s" % ", ".join(self.left_out)
+            text = "the bag holds other runs of this plan too, which are not shown: %s" % ", ".join(
+                self.left_out
+            )
             events.append({"k": "note", "level": "warning", "robot": "", "text": text, "t": t})
         hub.publish(*events)
 

@@ -5,22 +5,22 @@ An *event* is a JSON object that a source hands to the hub; ``k`` is its kind:
 ``fire``
     ``tr`` transition (index) fired; ``d`` pairs (place index, change of its count); ``m`` moves
     (robot, from, to) by place index, None for "from nowhere" and "to nowhere"; ``en``, ``dis``
-    transitions that became enabled or ceased to be; ``who`` the robot that asked; ``s`` (slot, index)
-    in the log, in a run that has one.
+    transitions that became enabled or ceased to be; ``who`` the robot that asked; ``s`` (slot,
+    index) in the log, in a run that has one.
 ``undo``
     as ``fire``, for a firing that was taken back.
 ``mark``
     the whole ``marking`` and ``enabled`` replaced (reset, clear, resynchronised), ``why`` says why.
-    With ``restart`` the time and the counts of firings begin anew; with ``back`` a reset or a clear was
-    taken back, and ``counts`` are those before the reset.
+    With ``restart`` the time and the counts of firings begin anew; with ``back`` a reset or a clear
+    was taken back, and ``counts`` are those before the reset.
 ``robots``
     ``r`` robots that changed (objects with ``name``), ``gone`` names of those that are no more.
 ``note``
     ``text`` for people, of a ``level`` (info, warning, fault), about ``robot`` or nobody.
 ``status``
-    fields of the status that changed: ``run`` (the name of the run that is shown, "" where there is none or it is
-    not known yet), ``running``, ``paused``, ``ended`` (why, None before), ``finished``, ``stalled``, ``fault`` (whether
-    the run ended because something broke).
+    fields of the status that changed: ``run`` (the name of the run that is shown, "" where there is
+    none or it is not known yet), ``running``, ``paused``, ``ended`` (why, None before),
+    ``finished``, ``stalled``, ``fault`` (whether the run ended because something broke).
 
 The hub adds ``n`` (number, from 1) and ``t`` (seconds since the beginning, where the source gave
 none).
@@ -43,7 +43,12 @@ _SINCE = ("place", "phase")
 
 
 def fire_event(
-    net: Net, t: int, change: Change, who: str = "", moves: Sequence[Sequence[Any]] = (), back: bool = False
+    net: Net,
+    t: int,
+    change: Change,
+    who: str = "",
+    moves: Sequence[Sequence[Any]] = (),
+    back: bool = False,
 ) -> Event:
     """Transition ``t`` fired, or was taken ``back``.
 
@@ -64,7 +69,12 @@ def fire_event(
 
 def mark_event(enabled: EnabledSet, why: str) -> Event:
     """The whole marking of ``enabled``, and what is enabled in it."""
-    return {"k": "mark", "marking": list(enabled.marking), "enabled": sorted(enabled.now), "why": why}
+    return {
+        "k": "mark",
+        "marking": list(enabled.marking),
+        "enabled": sorted(enabled.now),
+        "why": why,
+    }
 
 
 class Board:

@@ -1,10 +1,12 @@
-"""The web server's connections, so that a few peers that are slow on purpose cannot use them all up.
+"""The web server's connections, so that a few peers that are slow on purpose cannot use them all
+up.
 
-Waitress serves a request in a thread when all of it has come. What is added here is what it does before and after
-that. Before the body of a request is taken in, the guard is asked, from the header alone, and the length is looked at:
-who may not ask makes the server keep nothing. A request has a deadline. Where there are more connections than there may
-be, a new one takes the place of one that is waited for: of the peer that has most of them, the one that was heard
-longest ago. And a peer that does not read its answer is cut off, so that it holds no thread for long.
+Waitress serves a request in a thread when all of it has come. What is added here is what it does
+before and after that. Before the body of a request is taken in, the guard is asked, from the header
+alone, and the length is looked at: who may not ask makes the server keep nothing. A request has a
+deadline. Where there are more connections than there may be, a new one takes the place of one that
+is waited for: of the peer that has most of them, the one that was heard longest ago. And a peer
+that does not read its answer is cut off, so that it holds no thread for long.
 """
 
 from __future__ import annotations
@@ -41,8 +43,8 @@ STALLED_SECONDS = 30.0
 """Time after which a peer that takes nothing of its answer is cut off."""
 
 DISCARDED = 64_000_000
-"""Bytes of a request that is too large, up to which it is taken in and thrown away, so that the peer, which does not
-listen before it has sent everything, gets the answer."""
+"""Bytes of a request that is too large, up to which it is taken in and thrown away, so that the
+peer, which does not listen before it has sent everything, gets the answer."""
 
 _ASKED = ("Host", "Origin", "Sec-Fetch-Site", HEADER, TOKEN_HEADER)
 
@@ -227,7 +229,9 @@ class Rules:
     :param too_large: what to tell whoever sends more.
     """
 
-    def __init__(self, guard: Guard, body_limit: Callable[[str], int], too_large: Callable[[str], str]) -> None:
+    def __init__(
+        self, guard: Guard, body_limit: Callable[[str], int], too_large: Callable[[str], str]
+    ) -> None:
         self.guard, self.body_limit, self.too_large = guard, body_limit, too_large
 
 
@@ -245,7 +249,8 @@ class Server(TcpWSGIServer):
         self._limit = limit
         super().__init__(
             application,
-            connection_limit=limit + 50,  # here it is not reached: it would have the server take no new connection
+            # here it is not reached: it would have the server take no new connection
+            connection_limit=limit + 50,
             cleanup_interval=1,
             asyncore_use_poll=True,  # select() ends with the 1024th file
             max_request_body_size=1 << 62,  # each request is looked at by its path
@@ -265,10 +270,14 @@ class Server(TcpWSGIServer):
         if len(self.active_channels) <= self._limit:
             return
         held = Counter(connection.peer for connection in self.active_channels.values())
-        waited_for: List[Connection] = [c for n, c in self.active_channels.items() if n in known and c.waited_for]
+        waited_for: List[Connection] = [
+            c for n, c in self.active_channels.items() if n in known and c.waited_for
+        ]
         if waited_for:
             most = max(held[c.peer] for c in waited_for)
-            min((c for c in waited_for if held[c.peer] == most), key=lambda c: c.last_activity).cut_off()
+            min(
+                (c for c in waited_for if held[c.peer] == most), key=lambda c: c.last_activity
+            ).cut_off()
         else:
             for new in set(self.active_channels) - known:
                 self.active_channels[new].cut_off()

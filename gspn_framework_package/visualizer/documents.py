@@ -75,7 +75,9 @@ class Folder:
                     kind = self._kind(whole)
                     if kind and self._inside(whole):
                         found.append(
-                            FileEntry(os.path.relpath(whole, self.root), kind, os.path.getsize(whole))
+                            FileEntry(
+                                os.path.relpath(whole, self.root), kind, os.path.getsize(whole)
+                            )
                         )
             if len(found) >= FILES_LISTED:
                 break
@@ -99,8 +101,8 @@ class Folder:
         return whole
 
     def name(self, path: str) -> str:
-        """The one name that the file at ``path`` goes by, however that is written: from the folder on, without links;
-        of a plan's folder its plan file.
+        """The one name that the file at ``path`` goes by, however that is written: from the folder
+        on, without links; of a plan's folder its plan file.
 
         :raises GspnError: as :meth:`resolve`.
         """
@@ -167,9 +169,17 @@ def _check_files(whole: str) -> None:
     if not isinstance(plan, dict):
         return
     net = plan.get("net")
-    named = [net.get("file") if isinstance(net, dict) else net, plan.get("policy"), plan.get("gspn")]
+    named = [
+        net.get("file") if isinstance(net, dict) else net,
+        plan.get("policy"),
+        plan.get("gspn"),
+    ]
     for name in named:
-        path = os.path.join(os.path.dirname(whole), name) if isinstance(name, str) and "\0" not in name else whole
+        path = (
+            os.path.join(os.path.dirname(whole), name)
+            if isinstance(name, str) and "\0" not in name
+            else whole
+        )
         if isinstance(name, str) and os.path.exists(path) and not os.path.isfile(path):
             raise InputError("it names '%s', which is no file" % name, file=whole)
 

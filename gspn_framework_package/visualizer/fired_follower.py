@@ -1,10 +1,12 @@
-"""Follows a team by ``fired_transitions`` alone: firings as they are heard, late, twice, out of order or
-not at all. No ROS in here: live messages and recorded ones (rosbag) come as :class:`FiredNews`.
+"""Follows a team by ``fired_transitions`` alone: firings as they are heard, late, twice, out of
+order or not at all. No ROS in here: live messages and recorded ones (rosbag) come as
+:class:`FiredNews`.
 
-In full synchronisation a message carries the marking that the whole team agrees on: a firing is taken
-over when it leads from the marking shown to the one it carries. In partial synchronisation each robot
-only knows its own marking: a firing is taken over when it ends the visit that its robot is known to be
-in. What does not fit waits a moment for what is missing, and then the team has to be asked.
+In full synchronisation a message carries the marking that the whole team agrees on: a firing is
+taken over when it leads from the marking shown to the one it carries. In partial synchronisation
+each robot only knows its own marking: a firing is taken over when it ends the visit that its robot
+is known to be in. What does not fit waits a moment for what is missing, and then the team has to be
+asked.
 """
 
 from __future__ import annotations
@@ -120,7 +122,11 @@ class FiredFollower:
         if self.full:
             return team.slots - 1 > self._last[0] and team.marking != self.marking
         known = {name: seen.visit or 0 for name, seen in self.robots.items()}
-        further = {n: seen.visit - known.get(n, -1) for n, seen in team.robots.items() if seen.visit is not None}
+        further = {
+            n: seen.visit - known.get(n, -1)
+            for n, seen in team.robots.items()
+            if seen.visit is not None
+        }
         if any(steps > 0 for steps in further.values()):
             return True
         # what moves counters only is no robot's visit

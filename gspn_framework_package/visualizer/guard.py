@@ -1,11 +1,11 @@
 """Who may ask this server for what. A browser on a robot network visits other pages too.
 
 Every request: the Host header must be one that the server was started with (a page that rebinds its
-name to this machine has another), and what is asked of ``/api/`` must not come from another site, as
-Sec-Fetch-Site tells. Every POST: from this very page, as Origin tells too, and with a header that a
-form of another page cannot send. Beyond loopback: a token. There are two: the operator's, and the
-viewer's, which may only look. Every answer: a content security policy that allows nothing from
-elsewhere.
+name to this machine has another), and what is asked of ``/api/`` must not come from another site,
+as Sec-Fetch-Site tells. Every POST: from this very page, as Origin tells too, and with a header
+that a form of another page cannot send. Beyond loopback: a token. There are two: the operator's,
+and the viewer's, which may only look. Every answer: a content security policy that allows nothing
+from elsewhere.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ SHORTEST_TOKEN = 16
 """Characters."""
 
 GUESSES = 10
-"""Wrong tokens that a peer may give within :data:`GUESS_TIME`; what it gives beyond is not looked at."""
+"""Wrong tokens that a peer may give within :data:`GUESS_TIME`; what it gives beyond is not looked
+at."""
 
 GUESS_TIME = 60.0
 """Seconds."""
@@ -82,7 +83,9 @@ def is_loopback(host: str) -> bool:
 def check_tokens(token: Optional[str], viewer_token: Optional[str]) -> None:
     """See that the tokens that were given will do. :raises UsageError: they will not."""
     for given in (token, viewer_token):
-        if given is not None and (len(given) < SHORTEST_TOKEN or not given.isascii() or not given.isprintable()):
+        if given is not None and (
+            len(given) < SHORTEST_TOKEN or not given.isascii() or not given.isprintable()
+        ):
             raise UsageError(
                 "a token has at least %d characters, all of them ASCII" % SHORTEST_TOKEN,
                 hint="leave it out: one is made up",
@@ -124,7 +127,8 @@ class Guard:
         needed = not local or viewer_token is not None
         self.token = token or (secrets.token_urlsafe(18) if needed else None)
         self.viewer_token = viewer_token or (None if local else secrets.token_urlsafe(18))
-        self.cookie = "gspn_token_%d" % port  # cookies do not keep ports apart, and two servers may run on one machine
+        # cookies do not keep ports apart, and two servers may run on one machine
+        self.cookie = "gspn_token_%d" % port
         self._guesses, self._cookie_guesses = _Guesses(time_source), _Guesses(time_source)
         self._logins: OrderedDict[str, str] = OrderedDict()
         self._lock = threading.Lock()
@@ -151,7 +155,10 @@ class Guard:
         host = headers.get("Host", "").lower()
         if host not in self._hosts:
             return _refused(421, "this server does not go by the name '%s'" % host[:80])
-        if path.startswith("/api/") and headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none"):
+        if path.startswith("/api/") and headers.get("Sec-Fetch-Site", "same-origin") not in (
+            "same-origin",
+            "none",
+        ):
             return _refused(403, "a page of another site may not do that")
         if method not in ("GET", "HEAD"):
             refusal = self._check_origin(host, headers)
@@ -203,9 +210,10 @@ class Guard:
         return found
 
     def _role_of_cookie(self, cookie: str, peer: str) -> Optional[str]:
-        """A cookie is a number used once and a seal that only who knows the token can make. It outlives a server that
-        is started again with the same token. One that was right is known again, however much its peer guesses. Wrong
-        ones are counted by themselves: a page that still has the cookie of another start keeps nobody from a login."""
+        """A cookie is a number used once and a seal that only who knows the token can make. It
+        outlives a server that is started again with the same token. One that was right is known
+        again, however much its peer guesses. Wrong ones are counted by themselves: a page that
+        still has the cookie of another start keeps nobody from a login."""
         with self._lock:
             if not cookie or cookie in self._logins:
                 return self._logins.get(cookie)
@@ -228,7 +236,9 @@ class Guard:
     def _seal(self, nonce: str, role: str) -> str:
         token = self.token if role == OPERATOR else self.viewer_token
         key = (token or secrets.token_hex(16)).encode()
-        return hmac.new(key, ("gspn page %s %s" % (nonce, role)).encode(), hashlib.sha256).hexdigest()
+        return hmac.new(
+            key, ("gspn page %s %s" % (nonce, role)).encode(), hashlib.sha256
+        ).hexdigest()
 
     def _check_origin(self, host: str, headers: Mapping[str, str]) -> Optional[Refusal]:
         origin = headers.get("Origin")
@@ -271,7 +281,11 @@ class _Guesses:
         """Whether its next one is not to be looked at."""
         with self._lock:
             times = self._wrong.get(_network(peer))
-            return times is not None and len(times) >= GUESSES and times[0] > self._clock() - GUESS_TIME
+            return (
+                times is not None
+                and len(times) >= GUESSES
+                and times[0] > self._clock() - GUESS_TIME
+            )
 
 
 def _network(peer: str) -> str:
@@ -286,7 +300,8 @@ def _network(peer: str) -> str:
 
 
 def read_tokens(path: str) -> Tuple[Optional[str], Optional[str]]:
-    """The operator's token and the viewers', from the first two lines of a file; None for a line that is not there.
+    """The operator's token and the viewers', from the first two lines of a file; None for a line
+    that is not there.
 
     :raises InputError: it cannot be read, holds no token, or others may read it too.
     """

@@ -23,7 +23,8 @@ RING = 20_000
 run."""
 
 NEWS = 1000
-"""Most events in one message to a viewer: one that has stalled holds a message of that size, and no more."""
+"""Most events in one message to a viewer: one that has stalled holds a message of that size, and no
+more."""
 
 KEYFRAME = 500
 """A board is kept every so many events, so that any moment in the ring is found at once."""
@@ -97,8 +98,8 @@ class Hub:
 
         :param info: what else the page should know of this run (its clock, its length, its name).
         :param ring: another number of events to keep.
-        :param history: where the events are looked up. Viewers are told then how far there are any, rather than
-            each event.
+        :param history: where the events are looked up. Viewers are told then how far there are any,
+            rather than each event.
         """
         with self._condition:
             self._history = history
@@ -158,7 +159,8 @@ class Hub:
 
     def change_info(self, **info: Any) -> None:
         """Change what the page knows of this run; told as a latest value."""
-        with self._condition:  # one step: nobody sees the change before it counts as news, nor half of two changes
+        # one step: nobody sees the change before it counts as news, nor half of two changes
+        with self._condition:
             self.info.update(info)
             self.set_latest("info", self.info)
 
@@ -173,7 +175,9 @@ class Hub:
         """Wait until there is something that ``cursor`` lacks; False when there is not, after
         ``timeout`` seconds."""
         with self._condition:
-            return self._condition.wait_for(lambda: self.closed is not None or self._has_news(cursor), timeout)
+            return self._condition.wait_for(
+                lambda: self.closed is not None or self._has_news(cursor), timeout
+            )
 
     def close(self, why: str = "it was closed") -> None:
         """Nothing will come any more: wake all that wait."""
@@ -190,8 +194,8 @@ class Hub:
         )
 
     def news(self, cursor: Optional[Cursor]) -> News:
-        """What ``cursor`` lacks: events if they are all still there (the first :data:`NEWS` of them, and the
-        word that there are ``more``), a snapshot otherwise."""
+        """What ``cursor`` lacks: events if they are all still there (the first :data:`NEWS` of
+        them, and the word that there are ``more``), a snapshot otherwise."""
         with self._condition:
             now = Cursor(self.epoch, self._board.n, self._latest_number)
             fresh = (

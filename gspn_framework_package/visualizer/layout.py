@@ -1,8 +1,8 @@
 """Where the nodes of a net are drawn, and how its arcs run.
 
 Positions in the file are used when every node has one. Otherwise Graphviz lays the net out: ``dot``
-in layers, with a deadline; ``sfdp`` where that takes too long; a grid when all else fails, and where
-there are no arcs. A layout is computed once for a net and kept by its hash.
+in layers, with a deadline; ``sfdp`` where that takes too long; a grid when all else fails, and
+where there are no arcs. A layout is computed once for a net and kept by its hash.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ SCREEN = (1000.0, 620.0)
 """Room for the net on a usual screen, in pixels."""
 
 LEGIBLE = 0.35
-"""A layout that fits on the screen at this zoom is taken; otherwise the next engine is tried too, and its
-layout is taken if it comes out :data:`MUCH_LARGER`."""
+"""A layout that fits on the screen at this zoom is taken; otherwise the next engine is tried too,
+and its layout is taken if it comes out :data:`MUCH_LARGER`."""
 
 MUCH_LARGER = 1.5
 

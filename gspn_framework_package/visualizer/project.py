@@ -38,7 +38,9 @@ class Project:
         self.sessions = Sessions()
         self._folder = folder
         self._start_execution = start_execution
-        self._first = FILE_KEY + folder.name(first) if first is not None and folder is not None else None
+        self._first = (
+            FILE_KEY + folder.name(first) if first is not None and folder is not None else None
+        )
         self._server = secrets.token_hex(8)
         self._runs = runs
         self._cut = cut_runs(runs) if runs is not None else []
@@ -48,8 +50,8 @@ class Project:
         self._first = self.sessions.get_or_open(session.key, lambda: session).key
 
     def to_json(self) -> Dict[str, Any]:
-        """What the opening screen shows; ``server`` tells one start of a server from another, ``cut`` the runs that
-        were cut off when an earlier one died."""
+        """What the opening screen shows; ``server`` tells one start of a server from another,
+        ``cut`` the runs that were cut off when an earlier one died."""
         entries = self._folder.entries() if self._folder is not None else []
         return {
             "server": self._server,
@@ -57,7 +59,10 @@ class Project:
             "first": self._first,
             "can_open": self._folder is not None,
             "files": [entry._asdict() for entry in entries],
-            "cut": [{"path": r.path, "log": self._log_name(r.log), "events": r.events} for r in self._cut],
+            "cut": [
+                {"path": r.path, "log": self._log_name(r.log), "events": r.events}
+                for r in self._cut
+            ],
         }
 
     def _log_name(self, log: str) -> Optional[str]:
@@ -89,7 +94,9 @@ class Project:
         """A message without the folders of this machine, which are no viewer's business."""
         for folder in (self._folder.root if self._folder is not None else None, self._runs):
             if folder is not None and len(folder) > 1:
-                text = text.replace(folder.rstrip(os.sep) + os.sep, "").replace(folder, "the folder")
+                text = text.replace(folder.rstrip(os.sep) + os.sep, "").replace(
+                    folder, "the folder"
+                )
         return text
 
     def _make(self, folder: Folder, path: str) -> Session:

@@ -1,4 +1,5 @@
-"""Why a transition cannot fire, by the rules of the token game: the page works out none of it itself."""
+"""Why a transition cannot fire, by the rules of the token game: the page works out none of it
+itself."""
 
 from __future__ import annotations
 
@@ -18,15 +19,17 @@ def reasons_in(session: Session, transition: str, at: Optional[int] = None) -> D
 
     :param transition: its name.
     :param at: number of the event after which it is asked about; None for now.
-    :returns: ``transition``, whether it is ``enabled``, the ``reasons`` as texts (of an enabled one: which robots
-        it still waits for), and ``at``: the number of the event after which this holds.
+    :returns: ``transition``, whether it is ``enabled``, the ``reasons`` as texts (of an enabled
+        one: which robots it still waits for), and ``at``: the number of the event after which this
+        holds.
     :raises NetError: the net has no transition of that name.
     """
     net, plan, hub = session.document.net, session.document.plan, session.hub
     t = net.transition_number(transition)
     board = hub.board() if at is None else hub.board_at(at)
     reasons = net.why_disabled(board.marking, t)
-    if not reasons and hub.mode == "SIMULATE":  # in a run actions take time, and priorities do not count
+    # in a run actions take time, and priorities do not count
+    if not reasons and hub.mode == "SIMULATE":
         reasons = _who_goes_first(net, board, t)
     enabled = not reasons
     if enabled and plan is not None and hub.mode != "SIMULATE":
@@ -42,7 +45,10 @@ def _who_goes_first(net: Net, board: Board, t: int) -> List[str]:
     if len(first) > NAMED:
         names += " and %d more" % (len(first) - NAMED)
     verb = "goes" if len(first) == 1 else "go"
-    return ["%s %s first (%s)" % (names, verb, "immediate" if net.transitions[t].timed else "higher priority")]
+    return [
+        "%s %s first (%s)"
+        % (names, verb, "immediate" if net.transitions[t].timed else "higher priority")
+    ]
 
 
 def _robots_awaited(net: Net, plan: Plan, board: Board, t: int) -> List[str]:

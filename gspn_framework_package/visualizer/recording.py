@@ -1,8 +1,9 @@
-"""An event log as a history that is looked up in the file: of a long run only an index is kept in memory.
+"""An event log as a history that is looked up in the file: of a long run only an index is kept in
+memory.
 
-The log is read once from its beginning to its end. At every so many of its lines the state of the run is kept, a few
-kilobytes, and where in the file that was. The events between two such *marks* are made again from the file when
-somebody asks for them.
+The log is read once from its beginning to its end. At every so many of its lines the state of the
+run is kept, a few kilobytes, and where in the file that was. The events between two such *marks*
+are made again from the file when somebody asks for them.
 """
 
 from __future__ import annotations
@@ -28,15 +29,16 @@ LINES_BETWEEN = 250
 """Lines between two marks, at first."""
 
 MARKS = 2048
-"""Marks that are kept; in a longer log half of them go, and the others are as many lines apart again."""
+"""Marks that are kept; in a longer log half of them go, and the others are as many lines apart
+again."""
 
 AT_HAND = 20_000
 """Most events of the stretches between two marks that are kept, since they were asked for last."""
 
 
 class Mark(NamedTuple):
-    """``n`` events came before the line ``line`` of the file, which begins at byte ``offset``; ``packed`` is what
-    there was then."""
+    """``n`` events came before the line ``line`` of the file, which begins at byte ``offset``;
+    ``packed`` is what there was then."""
 
     n: int
     line: int
@@ -45,10 +47,12 @@ class Mark(NamedTuple):
 
 
 class _Clock:
-    """Seconds since the run began, as its log tells: by the monotonic clock of the host, by the wall clock over a
-    restart of the host. They do not run backwards."""
+    """Seconds since the run began, as its log tells: by the monotonic clock of the host, by the
+    wall clock over a restart of the host. They do not run backwards."""
 
-    def __init__(self, t: float = 0.0, mono: Optional[float] = None, wall: Optional[float] = None) -> None:
+    def __init__(
+        self, t: float = 0.0, mono: Optional[float] = None, wall: Optional[float] = None
+    ) -> None:
         self.t, self.mono, self.wall = t, mono, wall
 
     def read(self, record: Record) -> float:
@@ -126,7 +130,9 @@ class _Reader:
         try:
             step = self._replayer.take(record)
             if step is not None:
-                return self._events.step(step.entries, step.firings, step.state, self._clock.read(record))
+                return self._events.step(
+                    step.entries, step.firings, step.state, self._clock.read(record)
+                )
             if record["kind"] == "ended":
                 t = round(self._clock.read(record), 4)
                 ended = str(record.get("reason", ""))
@@ -165,7 +171,8 @@ class Recording(History):
         return _Reader(self._file).board
 
     def read(self) -> Iterator[Tuple[Board, float]]:
-        """Go through the log: now and then the board as far as it has been read, and the share of the file that has.
+        """Go through the log: now and then the board as far as it has been read, and the share of
+        the file that has.
 
         What is wrong with the log becomes a note at its end.
         """
@@ -183,9 +190,13 @@ class Recording(History):
                 self._append(reader, "warning", "the last line of the log was cut off")
         except GspnError as error:
             where = "%s:%d: " % (os.path.basename(self._file.path), error.line or reader.line)
-            self._append(reader, "fault", "the log cannot be followed further: %s%s" % (where, error.message))
+            self._append(
+                reader, "fault", "the log cannot be followed further: %s%s" % (where, error.message)
+            )
         except Exception as error:
-            self._append(reader, "fault", "the log cannot be followed further: %s" % type(error).__name__)
+            self._append(
+                reader, "fault", "the log cannot be followed further: %s" % type(error).__name__
+            )
         with self._lock:
             self._known = reader.board.n
         yield reader.board.copy(), 1.0
@@ -202,7 +213,14 @@ class Recording(History):
     def _append(self, reader: _Reader, level: str, text: str) -> None:
         """A note behind all events of the file."""
         t = round(reader.board.t, 4)
-        event = {"k": "note", "t": t, "level": level, "robot": "", "text": text, "n": reader.board.n + 1}
+        event = {
+            "k": "note",
+            "t": t,
+            "level": level,
+            "robot": "",
+            "text": text,
+            "n": reader.board.n + 1,
+        }
         reader.board.apply(event)
         self._last.append(event)
 
@@ -239,7 +257,8 @@ class Recording(History):
         return found
 
     def _stretch(self, n: int) -> Tuple[Board, List[Event]]:
-        """The stretch between two marks that event ``n`` is in: the board before it, and its events.
+        """The stretch between two marks that event ``n`` is in: the board before it, and its
+        events.
 
         :raises LogError: the file is not what it was when it was read.
         """
@@ -271,11 +290,14 @@ class Recording(History):
                         events += new
                         if reader.board.n >= last:
                             break
-                except LogError:  # of which the last event tells, where it was so when the log was read
+                # of which the last event tells, where it was so when the log was read
+                except LogError:
                     pass
             events += [event for event in self._last if event["n"] == reader.board.n + 1]
             if (events[-1]["n"] if events else mark.n) < last:
-                raise LogError("the log is no longer what it was when it was opened", hint="open it again")
+                raise LogError(
+                    "the log is no longer what it was when it was opened", hint="open it again"
+                )
             self._stretches[mark.offset] = (before, events)
             self._stretches.move_to_end(mark.offset)
             while len(self._stretches) > 1 and self._at_hand() > AT_HAND:

@@ -48,7 +48,9 @@ class Replay(Activity):
         recording = Recording(self._file)
         info: Dict[str, Any] = {"says": who, "loading": True, "progress": 0.0}
         hub.restart(self.mode, recording.first_board(), info, history=recording)
-        threading.Thread(target=self._read, args=(hub, recording), name="replay", daemon=True).start()
+        threading.Thread(
+            target=self._read, args=(hub, recording), name="replay", daemon=True
+        ).start()
 
     def end(self) -> None:
         """Stop reading."""

@@ -1,11 +1,13 @@
 """The node ``visualizer``: the page for a team on ROS.
 
-Private parameters: ``plan`` (file or folder), ``robots`` (size of the team that begins; 0: as in the
-plan), ``run`` (name of the run; "" takes the first that is heard), ``host``, ``port``, ``names``
-(further names of this machine, with commas), ``token``, ``viewer_token``, ``token_file``, ``viewers``.
+Private parameters: ``plan`` (file or folder), ``robots`` (size of the team that begins; 0: as in
+the plan), ``run`` (name of the run; "" takes the first that is heard), ``host``, ``port``,
+``names`` (further names of this machine, with commas), ``token``, ``viewer_token``, ``token_file``,
+``viewers``.
 
-Whoever can reach the master can read parameters: the tokens are taken off it once they have been read, and do not go
-to /rosout. ``token_file`` (its first line is the operator's token, its second the viewers') keeps them off it.
+Whoever can reach the master can read parameters: the tokens are taken off it once they have been
+read, and do not go to /rosout. ``token_file`` (its first line is the operator's token, its second
+the viewers') keeps them off it.
 """
 
 from __future__ import annotations
@@ -37,7 +39,8 @@ def main() -> int:
         return error.exit_code
     server.start()
     rospy.loginfo("the page is at %s", server.address)
-    for role, address in server.invitations.items():  # on the terminal, and not in /rosout: it may hold a token
+    # on the terminal, and not in /rosout: it may hold a token
+    for role, address in server.invitations.items():
         print("The page is at %s (%s)" % (address, role), flush=True)
     rospy.spin()
     server.stop()

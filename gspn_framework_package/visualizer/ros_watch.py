@@ -60,7 +60,8 @@ SILENT = 3
 """Questions without any answer, after which the run is taken to be over."""
 
 UNHEARD = 3
-"""Answers in a row by which the team has moved without a firing that was heard, after which the page warns of it."""
+"""Answers in a row by which the team has moved without a firing that was heard, after which the
+page warns of it."""
 
 TOLD_BY_OTHERS = ("lost", "left")
 """Phases that a robot does not tell itself."""
@@ -115,7 +116,9 @@ class RosWatch(Activity):
         self._heard = True
         self._unheard = 0
         self.commands = {
-            "stop": self._ordered(lambda f: ("stop", "", text_field(f, "reason", "") or "stopped on the page")),
+            "stop": self._ordered(
+                lambda f: ("stop", "", text_field(f, "reason", "") or "stopped on the page")
+            ),
             "pause": self._ordered(lambda f: ("pause", text_field(f, "robot", ""), "")),
             "resume": self._ordered(lambda f: ("resume", text_field(f, "robot", ""), "")),
             "retry": self._ordered(lambda f: ("retry", text_field(f, "robot"), "")),
@@ -190,13 +193,17 @@ class RosWatch(Activity):
             self._hub.publish(*self._follower.take(fired_news(message, time.monotonic())))
 
     def _is_shown(self, plan: str, run: str) -> bool:
-        """Whether what was heard is of the plan and the run that the page shows; a note for the first of another."""
+        """Whether what was heard is of the plan and the run that the page shows; a note for the
+        first of another."""
         if (plan, run) == (self._hash, self._run):
             return True
         if (plan, run) not in self._others:
             self._others.add((plan, run))
             if run == self._run:
-                text = "run '%s' has another plan, or another number of robots, than this page was given"
+                text = (
+                    "run '%s' has another plan, or another number of robots, "
+                    "than this page was given"
+                )
             elif plan == self._hash:
                 text = "run '%s' on this master has the same plan; it is not shown"
             else:
@@ -205,7 +212,8 @@ class RosWatch(Activity):
         return False
 
     def _show_run(self, run: str) -> None:
-        """It was not said which run is to be shown: it is this one. What its robots told before is shown now."""
+        """It was not said which run is to be shown: it is this one. What its robots told before is
+        shown now."""
         self._run = run
         self._set_status(run=run)
         early, self._early = self._early, {}
@@ -230,7 +238,9 @@ class RosWatch(Activity):
         waits = str(activity.get("waits_for", ""))
         self._show_robot(
             name,
-            phase="failed" if activity["needs_operator"] and state != "Lost" else PHASES.get(state, ""),
+            phase="failed"
+            if activity["needs_operator"] and state != "Lost"
+            else PHASES.get(state, ""),
             paused=state == "Paused",
             visit=activity.get("visit"),
             attempt=activity.get("attempt"),
@@ -244,7 +254,11 @@ class RosWatch(Activity):
 
     def _show_end(self, told: Dict[str, Any]) -> None:
         self._set_status(
-            running=False, ended=told["ended"], finished=told["finished"], fault=told["fault"], stalled=""
+            running=False,
+            ended=told["ended"],
+            finished=told["finished"],
+            fault=told["fault"],
+            stalled="",
         )
 
     def _is_ours(self, namespace: str, name: str) -> None:
@@ -259,8 +273,8 @@ class RosWatch(Activity):
         self._hub.set_latest("world", json.loads(message.data))
 
     def _on_obeyed(self, order: Order) -> None:
-        """An order is in the team's log: the page soon shows what came of it. After a stop the robots leave, and
-        there may be nobody left to ask."""
+        """An order is in the team's log: the page soon shows what came of it. After a stop the
+        robots leave, and there may be nobody left to ask."""
         command, _, argument = order
         if command == "stop":
             self._set_status(running=False, ended=argument, stalled="")
@@ -303,7 +317,9 @@ class RosWatch(Activity):
             if lost_track:
                 self._hub.publish(*self._follower.give_up("firings were missed"))
             if self._silent >= SILENT and self._status["running"]:
-                self._set_status(running=False, ended="no robot answers any more", stalled="", fault=True)
+                self._set_status(
+                    running=False, ended="no robot answers any more", stalled="", fault=True
+                )
             return
         self._silent = 0
         newest = max(answers, key=lambda a: int(a["log_length"]))
@@ -323,7 +339,8 @@ class RosWatch(Activity):
         self._show_status(newest)
 
     def _note_deafness(self, team: TeamSeen, before: Optional[TeamSeen]) -> None:
-        """Warn, once, where the team goes on and none of its firings is heard: the topic may have another name here."""
+        """Warn, once, where the team goes on and none of its firings is heard: the topic may have
+        another name here."""
         if self._heard:
             self._unheard = 0
         elif before is not None and team.marking != before.marking:
@@ -331,14 +348,18 @@ class RosWatch(Activity):
             if self._unheard == UNHEARD:
                 topic = rospy.resolve_name(FIRED_TOPIC)
                 self._note(
-                    "warning", "",
-                    "the team moves, but no firing is heard on %s: the page shows what robots answer every %g s. "
-                    "Is the topic remapped, or cannot this machine reach the robots?" % (topic, LOOK_AROUND),
-                )  # fmt: skip
+                    "warning",
+                    "",
+                    "the team moves, but no firing is heard on %s: the page shows what robots "
+                    "answer every %g s. "
+                    "Is the topic remapped, or cannot this machine reach the robots?"
+                    % (topic, LOOK_AROUND),
+                )
         self._heard = False
 
     def _askable(self) -> List[str]:
-        """Whom to ask: in full synchronisation one robot knows all, in partial each knows itself."""
+        """Whom to ask: in full synchronisation one robot knows all, in partial each knows
+        itself."""
         names, strangers = self._names, self._strangers
         namespaces = sorted(self._topics - strangers)
         if self._follower.full and self._before is not None and not self._silent:
@@ -370,18 +391,31 @@ class RosWatch(Activity):
             return [(namespace, status)]
         if namespace not in self._unread:
             self._unread.add(namespace)
-            rospy.logwarn("the page: the answer of %s to 'status' cannot be read: %.80r" % (namespace, message))
+            rospy.logwarn(
+                "the page: the answer of %s to 'status' cannot be read: %.80r"
+                % (namespace, message)
+            )
         return []
 
     def _call(
-        self, namespace: str, request: Any, calls: ServiceCalls, answers: queue.SimpleQueue[Tuple[str, Any]]
+        self,
+        namespace: str,
+        request: Any,
+        calls: ServiceCalls,
+        answers: queue.SimpleQueue[Tuple[str, Any]],
     ) -> bool:
-        """Call a robot's ``command`` service; whether an answer may come. :raises OSError: no master answers."""
+        """Call a robot's ``command`` service; whether an answer may come. :raises OSError: no
+        master answers."""
         name = rospy.names.ns_join(namespace, "command")
         master: Any = master_proxy(ANSWER_TIME)
         code, _, uri = master.lookupService(rospy.get_name(), name)
         return code == 1 and calls.call(
-            namespace, uri, name, Command, request, lambda response: answers.put((namespace, response))
+            namespace,
+            uri,
+            name,
+            Command,
+            request,
+            lambda response: answers.put((namespace, response)),
         )
 
     def _team_seen(self, newest: Dict[str, Any], answers: List[Dict[str, Any]]) -> TeamSeen:
@@ -465,7 +499,8 @@ class RosWatch(Activity):
         return "fire", "", name
 
     def _order(self, order: Order) -> Dict[str, Any]:
-        """Give an order to the first robot of the run that answers. :raises RefusedError: it was not carried out."""
+        """Give an order to the first robot of the run that answers. :raises RefusedError: it was
+        not carried out."""
         command, robot, argument = order
         request = CommandRequest(command, robot, argument, self._run)
         for namespace in self._first_to_order(command, robot):
@@ -483,12 +518,14 @@ class RosWatch(Activity):
             self._queue.put(("obeyed", order))
             return {"message": response.message}
         raise RefusedError(
-            "no robot of run '%s' answers" % self._run if self._names else "no robot of the run has been heard of yet"
+            "no robot of run '%s' answers" % self._run
+            if self._names
+            else "no robot of the run has been heard of yet"
         )
 
     def _first_to_order(self, command: str, robot: str) -> List[str]:
-        """The namespaces of the run's robots, in the order in which they are to be tried: first the one that is meant
-        (last, where it is to be cast out), and those that are gone at the end."""
+        """The namespaces of the run's robots, in the order in which they are to be tried: first the
+        one that is meant (last, where it is to be cast out), and those that are gone at the end."""
         names, gone = self._names, self._follower.gone
         own_last = command == "evict"
         return sorted(names, key=lambda n: (names[n] in gone, (names[n] == robot) == own_last, n))

@@ -1,7 +1,8 @@
-"""Marks of the runs that go on in a folder, so that a server that was started again knows which were cut off.
+"""Marks of the runs that go on in a folder, so that a server that was started again knows which
+were cut off.
 
-A mark is a hidden file beside the event log, locked for as long as its process lives. A run that ends takes its
-mark away; a mark that nobody holds is of a run whose server died.
+A mark is a hidden file beside the event log, locked for as long as its process lives. A run that
+ends takes its mark away; a mark that nobody holds is of a run whose server died.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ ENDING = ".running"
 
 
 class CutRun(NamedTuple):
-    """A run that was cut off: ``path`` of its plan in the served folder, its event ``log`` (whole path), how many
-    ``events`` (records) that holds, and the file of its ``mark``."""
+    """A run that was cut off: ``path`` of its plan in the served folder, its event ``log`` (whole
+    path), how many ``events`` (records) that holds, and the file of its ``mark``."""
 
     path: str
     log: str

@@ -77,7 +77,8 @@ def _kind(place: str, plan: Optional[Plan]) -> str:
 
 
 def _is_environment(net: Net, plan: Plan, t: int) -> bool:
-    """Whether the environment, or the operator in its name, may fire transition ``t``: it takes no robot."""
+    """Whether the environment, or the operator in its name, may fire transition ``t``: it takes no
+    robot."""
     return all(net.places[p].name in plan.resource_places for p, _ in net.inputs[t])
 
 

@@ -10,7 +10,13 @@ from typing import Any, Callable, Dict, Optional, Sequence
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.visualizer.app import body_limit, create_app, too_large_text
 from gspn_framework_package.visualizer.connections import WAITING, Rules, Server
-from gspn_framework_package.visualizer.guard import OPERATOR, VIEWER, Guard, check_tokens, is_loopback
+from gspn_framework_package.visualizer.guard import (
+    OPERATOR,
+    VIEWER,
+    Guard,
+    check_tokens,
+    is_loopback,
+)
 from gspn_framework_package.visualizer.project import Project
 
 DEFAULT_PORT = 8090
@@ -88,12 +94,16 @@ class WebServer:
 
     @property
     def invitations(self) -> Dict[str, str]:
-        """The address for each role, with the token it asks for: for the terminal of who started the server, and for
-        nothing that others read."""
+        """The address for each role, with the token it asks for: for the terminal of who started
+        the server, and for nothing that others read."""
         tokens = {OPERATOR: self.guard.token, VIEWER: self.guard.viewer_token}
         if self.guard.token is None:
             return {OPERATOR: self.address}
-        return {role: "%s#token=%s" % (self.address, token) for role, token in tokens.items() if token is not None}
+        return {
+            role: "%s#token=%s" % (self.address, token)
+            for role, token in tokens.items()
+            if token is not None
+        }
 
     def run(self) -> None:
         """Serve until interrupted."""
@@ -116,9 +126,10 @@ class WebServer:
         self._app.extensions["gspn_jobs"].close()
         self.project.close()  # which wakes the streams
         streams.wait(1.0)
-        # Waitress knows only the end of a process. A thread of its own that outlives a request writes to the pipe that
-        # wakes the server's thread, by the number of the file: were the pipe closed before, the byte would go to
-        # whatever file has the number since. So: no more requests, then the end of all threads, then the pipe.
+        # Waitress knows only the end of a process. A thread of its own that outlives a request
+        # writes to the pipe that wakes the server's thread, by the number of the file: were the
+        # pipe closed before, the byte would go to whatever file has the number since. So: no more
+        # requests, then the end of all threads, then the pipe.
         self._do(self._hang_up)
         self._server.task_dispatcher.shutdown(cancel_pending=False, timeout=LAST_REQUESTS)
         if not self._server.task_dispatcher.threads:
@@ -129,8 +140,8 @@ class WebServer:
                 self._server.close()
 
     def _do(self, action: Callable[[], None]) -> None:
-        """Do something with the sockets, on the thread that watches them: from another they must not be closed. It may
-        be done before this has returned, or later."""
+        """Do something with the sockets, on the thread that watches them: from another they must
+        not be closed. It may be done before this has returned, or later."""
         if self._thread is None:
             action()
         else:
@@ -149,7 +160,8 @@ class WebServer:
 
 
 def _one_address(host: str) -> str:
-    """The first address of a name, IPv4 before IPv6: ``localhost`` is both, and a server has one port at one address.
+    """The first address of a name, IPv4 before IPv6: ``localhost`` is both, and a server has one
+    port at one address.
 
     :raises OSError: nobody knows the name.
     """

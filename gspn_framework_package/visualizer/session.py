@@ -74,8 +74,9 @@ class Session:
     def command(self, name: str, fields: Fields) -> Dict[str, Any]:
         """Do what the page asks: start and stop of an execution, and what the activity offers.
 
-        An order for a run names it in the field ``run``: one that another run has taken the place of gets no orders.
-        What takes long (a layout, the check before a start) holds nobody else's commands.
+        An order for a run names it in the field ``run``: one that another run has taken the place
+        of gets no orders. What takes long (a layout, the check before a start) holds nobody else's
+        commands.
 
         :raises GspnError: it cannot be done, and why.
         """
@@ -92,7 +93,10 @@ class Session:
             if meant not in ("", shown):
                 raise RefusedError(
                     "the order is for run '%s'; %s: nothing was done"
-                    % (meant, "the page shows run '%s'" % shown if shown else "the page shows no run")
+                    % (
+                        meant,
+                        "the page shows run '%s'" % shown if shown else "the page shows no run",
+                    )
                 )
             activity = self.activity
         return activity.command(name, fields)
@@ -148,8 +152,8 @@ class Session:
 
     @property
     def loss(self) -> Optional[int]:
-        """How much is lost if it is closed, from 0 (nothing: it is a file, and as it was opened) to 3 (somebody
-        looks at it); None where it must not be closed, since it runs."""
+        """How much is lost if it is closed, from 0 (nothing: it is a file, and as it was opened) to
+        3 (somebody looks at it); None where it must not be closed, since it runs."""
         with self._lock:
             if self._starting or self._is_running():
                 return None
@@ -189,7 +193,8 @@ class Sessions:
     def get_or_open(self, key: str, make: Callable[[], Session], room: bool = True) -> Session:
         """The session of that key, made if there is none.
 
-        :param room: where too many are open, close the one that is missed least; otherwise it is refused.
+        :param room: where too many are open, close the one that is missed least; otherwise it is
+          refused.
         :raises RefusedError: there is no room for it.
         """
         with self._lock:
@@ -216,12 +221,17 @@ class Sessions:
     def _check_room(self, room: bool) -> None:
         full = len(self._sessions) >= self._limit
         if full and not room:
-            raise RefusedError("%d nets are open already" % self._limit, hint="open it from the list of files")
+            raise RefusedError(
+                "%d nets are open already" % self._limit, hint="open it from the list of files"
+            )
         if full and all(session.loss is None for session in self._sessions.values()):
-            raise RefusedError("%d plans are being executed already" % self._limit, hint="stop one of them")
+            raise RefusedError(
+                "%d plans are being executed already" % self._limit, hint="stop one of them"
+            )
 
     def _surplus(self, new: str) -> List[Session]:
-        """Those to be closed for a new one: where least is lost, and of these the one used least recently."""
+        """Those to be closed for a new one: where least is lost, and of these the one used least
+        recently."""
         closed: List[Session] = []
         while len(self._sessions) > self._limit:
             known = [(s.loss, key) for key, s in self._sessions.items() if key != new]

@@ -27,8 +27,8 @@ STEPS_BACK = 20_000
 
 
 class _Past(NamedTuple):
-    """``marking`` and ``time`` before ``transition`` fired; -1 for a reset or a clear. ``counts``: how
-    often those transitions that had fired had done so, before a reset."""
+    """``marking`` and ``time`` before ``transition`` fired; -1 for a reset or a clear. ``counts``:
+    how often those transitions that had fired had done so, before a reset."""
 
     transition: int
     marking: Marking
@@ -120,7 +120,9 @@ class Simulation(Activity):
             if past.transition < 0:
                 event = {**self._whole("step back"), "back": True}
                 if past.counts is not None:
-                    event["counts"] = [past.counts.get(t, 0) for t in range(len(self.net.transitions))]
+                    event["counts"] = [
+                        past.counts.get(t, 0) for t in range(len(self.net.transitions))
+                    ]
                 events.append(event)
                 continue
             undone = fire_event(self.net, past.transition, self._simulator.change, back=True)
@@ -156,11 +158,11 @@ class Simulation(Activity):
             try:
                 probabilities[self.net.transition_number(name)] = float(value)
             except OverflowError:
-                raise UsageError("the firing probability of '%s' is too large" % name[:80]) from None
+                raise UsageError(
+                    "the firing probability of '%s' is too large" % name[:80]
+                ) from None
         self._simulator.set_probabilities(probabilities)
-        self._hub.change_info(
-            probabilities={str(t): p for t, p in probabilities.items()}
-        )
+        self._hub.change_info(probabilities={str(t): p for t, p in probabilities.items()})
         self._hub.set_latest("choices", self._choices())
         return {}
 

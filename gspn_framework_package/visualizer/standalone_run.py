@@ -134,8 +134,8 @@ class StandaloneRun(Activity, Listener):
             self._gave_way(text % (reason, seconds))
 
     def _order(self, message: str, entry: Callable[[Fields], log.Entry]) -> Handler:
-        """The handler of a command that becomes an entry of the log; ``message`` says what was done, with the fields
-        of the entry."""
+        """The handler of a command that becomes an entry of the log; ``message`` says what was
+        done, with the fields of the entry."""
 
         def run(fields: Fields) -> Dict[str, Any]:
             if self._told_end:

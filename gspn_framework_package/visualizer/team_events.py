@@ -76,7 +76,11 @@ class TeamEvents:
 
     def to_json(self) -> Dict[str, Any]:
         """What it goes on from, as a JSON object."""
-        return {"marking": list(self._enabled.marking), "robots": self._robots, "status": self._status}
+        return {
+            "marking": list(self._enabled.marking),
+            "robots": self._robots,
+            "status": self._status,
+        }
 
     def restore(self, data: Dict[str, Any]) -> None:
         """Go on from what :meth:`to_json` gave."""

@@ -8,8 +8,8 @@
     the way from a pose to a goal: global path, velocity among other robots, making room for them,
     the navigator of one robot.
 ``team``, ``patrol``, ``traffic``, ``referee``
-    the world without ROS: robots that drive, the patrol's actions, the rule of the plan, and the one
-    who watches.
+    the world without ROS: robots that drive, the patrol's actions, the rule of the plan, and the
+    one who watches.
 ``node``, ``messages``, ``move_base``, ``base_client``, ``patrol_actions``
     the world as a ROS node, and plan actions on it.
 ``camera``, ``recording``, ``film``, ``window``

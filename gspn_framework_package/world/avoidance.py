@@ -1,4 +1,5 @@
-"""The next velocity of one robot among walls and other robots: a dynamic window over directions and speeds.
+"""The next velocity of one robot among walls and other robots: a dynamic window over directions and
+speeds.
 
 A robot that turns on the spot is a disc that can leave in any direction after a turn, so the
 window is taken over directions and speeds of the disc (as velocity obstacles do; Fiorini and
@@ -176,7 +177,8 @@ def brake(
 ) -> float:
     """The speed, cut so that the robot can stop before it touches anything.
 
-    Others may come nearer at their present speed meanwhile. Driving away from something too near is allowed.
+    Others may come nearer at their present speed meanwhile. Driving away from something too near is
+    allowed.
 
     :param speed: metres per second forward, wanted.
     :param dt: seconds until the next command.

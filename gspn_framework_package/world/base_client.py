@@ -1,4 +1,5 @@
-"""A robot as its own actions see it over ROS: ``move_base``, ``amcl_pose``, ``temperature``; simulated or real.
+"""A robot as its own actions see it over ROS: ``move_base``, ``amcl_pose``, ``temperature``;
+simulated or real.
 
 All names are relative: they are resolved in the namespace of the node that runs the actions.
 """
@@ -27,12 +28,14 @@ DISCOVERY_PERIOD = 2.0
 """Seconds of wall time between two looks for other robots."""
 
 POSES_DEADLINE = 3.0
-"""Seconds of wall time that other robots are given to tell where they are; a dead one's name may still be known."""
+"""Seconds of wall time that other robots are given to tell where they are; a dead one's name may
+still be known."""
 
 SILENCE_DEADLINE = 15.0
 """Seconds of wall time without a word from ``move_base`` after which a goal is given up.
 
-A server that dies leaves its client waiting for ever (``actionlib`` never says that a server is lost).
+A server that dies leaves its client waiting for ever (``actionlib`` never says that a server is
+lost).
 """
 
 
@@ -44,8 +47,8 @@ def _robot_of(topic: str) -> str:
 class BaseClient:
     """One robot; follows :class:`.patrol.Robot`.
 
-    Subscribes to ``amcl_pose`` and ``temperature``, and to every ``/*/amcl_pose`` there is (the other robots); a client
-    of ``move_base``.
+    Subscribes to ``amcl_pose`` and ``temperature``, and to every ``/*/amcl_pose`` there is (the
+    other robots); a client of ``move_base``.
 
     :param name: of the robot.
     """
@@ -131,7 +134,8 @@ class BaseClient:
         )
 
     def _await_others(self) -> None:
-        """Wait for the poses of the robots that are new, which ``amcl_pose`` keeps for those who come later.
+        """Wait for the poses of the robots that are new, which ``amcl_pose`` keeps for those who
+        come later.
 
         Whoever does not know yet where the others are must not enter a location.
         """

@@ -15,7 +15,8 @@ from gspn_framework_package.world.room import Cylinder, Obstacle, Pose, RobotTyp
 
 @contextlib.contextmanager
 def quiet(stream: int) -> Iterator[None]:
-    """Keep PyBullet's own chatter off standard output (1) or standard error (2), which belong to others."""
+    """Keep PyBullet's own chatter off standard output (1) or standard error (2), which belong to
+    others."""
     sys.stdout.flush()
     sys.stderr.flush()
     kept = os.dup(stream)
@@ -70,10 +71,7 @@ def rgba(color: str) -> Tuple[float, float, float, float]:
 def make_floor(client: Any, room: Room) -> int:
     """The floor, a little larger than the room; its id."""
     bounds = room.bounds()
-    half = [
-        (high - low) / 2 + room.wall_thickness
-        for low, high in zip(bounds.low, bounds.high)
-    ]
+    half = [(high - low) / 2 + room.wall_thickness for low, high in zip(bounds.low, bounds.high)]
     middle = [(high + low) / 2 for low, high in zip(bounds.low, bounds.high)]
     extents = [half[0] + 0.3, half[1] + 0.3, 0.05]
     look = client.createVisualShape(
@@ -122,8 +120,8 @@ def make_solid(client: Any, solid: Obstacle) -> None:
 def make_robot(client: Any, kind: RobotType, pose: Pose, color: str) -> int:
     """A robot: a disc on two wheels (joints 0, left, and 1, right) and two casters; its id."""
     dark, light = [0.13, 0.14, 0.16, 1.0], rgba(color)
-    # the casters are part of the base, without friction, and hang a millimetre above the floor, so that the
-    # wheels carry the robot
+    # the casters are part of the base, without friction, and hang a millimetre above the floor, so
+    # that the wheels carry the robot
     ball, lift = 0.01, 0.001
     front = kind.radius * 0.7
     body = client.createCollisionShapeArray(
@@ -184,7 +182,5 @@ def make_robot(client: Any, kind: RobotType, pose: Pose, color: str) -> int:
     )
     for link in (0, 1):
         client.changeDynamics(unique_id, link, lateralFriction=1.0, jointDamping=0.0)
-    client.changeDynamics(
-        unique_id, -1, lateralFriction=0.0, linearDamping=0.0, angularDamping=0.0
-    )
+    client.changeDynamics(unique_id, -1, lateralFriction=0.0, linearDamping=0.0, angularDamping=0.0)
     return int(unique_id)

@@ -31,7 +31,8 @@ _SKY = (245, 247, 250)
 
 
 class Camera:
-    """Takes pictures of a world: the bodies, and painted on the floor the locations, the waiting bays and the heat.
+    """Takes pictures of a world: the bodies, and painted on the floor the locations, the waiting
+    bays and the heat.
 
     :param physics: the world.
     :param width: pixels.
@@ -39,23 +40,38 @@ class Camera:
     :param view: a key of :data:`VIEWS`.
     """
 
-    def __init__(self, physics: Physics, width: int = 960, height: int = 720, view: str = "corner") -> None:
+    def __init__(
+        self, physics: Physics, width: int = 960, height: int = 720, view: str = "corner"
+    ) -> None:
         self._physics = physics
         self._size = (width, height)
         bounds = physics.room.bounds()
         yaw, pitch = VIEWS[view]
         middle = [(high + low) / 2 for low, high in zip(bounds.low, bounds.high)]
-        across = max(high - low for low, high in zip(bounds.low, bounds.high)) + 2 * physics.room.wall_thickness
-        distance = across / 2 / math.tan(math.radians(FIELD_OF_VIEW / 2)) * (1.04 if pitch < -80 else 1.3)
+        across = (
+            max(high - low for low, high in zip(bounds.low, bounds.high))
+            + 2 * physics.room.wall_thickness
+        )
+        distance = (
+            across / 2 / math.tan(math.radians(FIELD_OF_VIEW / 2)) * (1.04 if pitch < -80 else 1.3)
+        )
         target = [middle[0], middle[1], 0.0]
-        self._view = self._physics.client.computeViewMatrixFromYawPitchRoll(target, distance, yaw, pitch, 0, 2)
+        self._view = self._physics.client.computeViewMatrixFromYawPitchRoll(
+            target, distance, yaw, pitch, 0, 2
+        )
         far = 3 * distance
-        self._projection = self._physics.client.computeProjectionMatrixFOV(FIELD_OF_VIEW, width / height, 0.5, far)
+        self._projection = self._physics.client.computeProjectionMatrixFOV(
+            FIELD_OF_VIEW, width / height, 0.5, far
+        )
         # both are stored column by column
         self._matrix = np.reshape(self._projection, (4, 4)).T @ np.reshape(self._view, (4, 4)).T
         self._font = _font(max(12, height // 42))
-        self._trails: Dict[str, Deque[Point]] = {name: deque(maxlen=TRAIL) for name in physics.robots}
-        self._heat = [self._disc(spot.radius, _HEAT_COLOR) for spot in physics.room.temperature.hot_spots]
+        self._trails: Dict[str, Deque[Point]] = {
+            name: deque(maxlen=TRAIL) for name in physics.robots
+        }
+        self._heat = [
+            self._disc(spot.radius, _HEAT_COLOR) for spot in physics.room.temperature.hot_spots
+        ]
         self._paint_floor()
 
     def _paint_floor(self) -> None:
@@ -124,7 +140,9 @@ class Camera:
             shadow=0,
             renderer=self._physics.client.ER_TINY_RENDERER,
         )
-        pixels = np.reshape(np.asarray(taken[2], dtype=np.uint8), (height, width, 4))[:, :, :3].copy()
+        pixels = np.reshape(np.asarray(taken[2], dtype=np.uint8), (height, width, 4))[
+            :, :, :3
+        ].copy()
         pixels[np.reshape(np.asarray(taken[4]), (height, width)) < 0] = _SKY
         image = Image.fromarray(pixels)
         self._write(ImageDraw.Draw(image, "RGBA"), time, caption)
@@ -145,9 +163,21 @@ class Camera:
             for age, (start, end) in enumerate(zip(points, points[1:])):
                 draw.line([start, end], fill=(*color, 40 + 150 * age // TRAIL), width=3)
             x, y = self.pixel(pose.x, pose.y, 0.15)
-            self._text(draw, (x, y - height / 28), name.rpartition("_")[2], (*color, 255), back=(255, 255, 255, 210))
+            self._text(
+                draw,
+                (x, y - height / 28),
+                name.rpartition("_")[2],
+                (*color, 255),
+                back=(255, 255, 255, 210),
+            )
         line = "%d:%04.1f" % (int(time // 60), time % 60)
-        draw.text((12, height - 14), line + ("   " + caption if caption else ""), (40, 45, 55), self._font, "ls")
+        draw.text(
+            (12, height - 14),
+            line + ("   " + caption if caption else ""),
+            (40, 45, 55),
+            self._font,
+            "ls",
+        )
 
     def _text(
         self,
@@ -168,6 +198,8 @@ def _font(size: int) -> Any:
     try:
         import matplotlib
 
-        return ImageFont.truetype(os.path.join(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans-Bold.ttf"), size)
+        return ImageFont.truetype(
+            os.path.join(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans-Bold.ttf"), size
+        )
     except (ImportError, OSError):
         return ImageFont.load_default()

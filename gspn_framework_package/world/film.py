@@ -16,7 +16,8 @@ MOVING_PICTURES = (".gif", ".webp")
 
 
 def find_ffmpeg() -> Optional[str]:
-    """The program ffmpeg: the system's, or the one that the Python package imageio-ffmpeg brings."""
+    """The program ffmpeg: the system's, or the one that the Python package imageio-ffmpeg
+    brings."""
     found = shutil.which("ffmpeg")
     if found:
         return found
@@ -51,13 +52,17 @@ class Film:
                 raise InputError("there is no such folder", file=str(target.parent))
         elif kind:
             raise InputError(
-                "'%s' is no kind of film" % kind, file=str(target), hint="give .mp4, .gif, .webp, or a folder"
+                "'%s' is no kind of film" % kind,
+                file=str(target),
+                hint="give .mp4, .gif, .webp, or a folder",
             )
         else:
             try:
                 target.mkdir(parents=True, exist_ok=True)
             except OSError as error:
-                raise InputError("cannot make the folder: %s" % error.strerror, file=str(target)) from None
+                raise InputError(
+                    "cannot make the folder: %s" % error.strerror, file=str(target)
+                ) from None
 
     def _start_encoder(self, width: int, height: int) -> Any:
         ffmpeg = find_ffmpeg()
@@ -101,9 +106,16 @@ class Film:
             _, errors = encoder.communicate()
             if encoder.returncode:
                 raise ExecutionError(
-                    "ffmpeg failed: %s" % errors.decode(errors="replace").strip(), file=str(self._target)
+                    "ffmpeg failed: %s" % errors.decode(errors="replace").strip(),
+                    file=str(self._target),
                 )
         elif self._frames:
             first, *rest = self._frames
-            first.save(self._target, save_all=True, append_images=rest, duration=round(1000 / self._rate), loop=0)
+            first.save(
+                self._target,
+                save_all=True,
+                append_images=rest,
+                duration=round(1000 / self._rate),
+                loop=0,
+            )
             self._frames = []

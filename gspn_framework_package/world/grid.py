@@ -1,7 +1,8 @@
 """The room as a grid: how far it is from everywhere to a goal, and which way.
 
-A robot's path costs its length, dearer near walls. ``Grid.field`` finds the cheapest ways from every cell to one goal
-with SciPy's Dijkstra; a robot that leaves its path therefore needs no new search.
+A robot's path costs its length, dearer near walls. ``Grid.field`` finds the cheapest ways from
+every cell to one goal with SciPy's Dijkstra; a robot that leaves its path therefore needs no new
+search.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ RESOLUTION = 0.05
 """Metres along the side of a cell."""
 
 SPARE = 0.02
-"""Metres that a robot in the middle of a cell has to walls and obstacles, at least, if a way is to lead through it."""
+"""Metres that a robot in the middle of a cell has to walls and obstacles, at least, if a way is to
+lead through it."""
 
 COMFORT = 0.12
 """Metres from a wall or obstacle (beyond the robot's radius) from which on a way costs no more."""
@@ -34,7 +36,8 @@ class Field:
     :param grid: the grid.
     :param goal: the goal, metres.
     :param cost: for each cell, metres of (weighted) way; infinite where no way leads.
-    :param following: for each cell, the next cell on the way; negative at the goal and where no way leads.
+    :param following: for each cell, the next cell on the way; negative at the goal and where no way
+      leads.
     """
 
     def __init__(self, grid: Grid, goal: Point, cost: np.ndarray, following: np.ndarray) -> None:
@@ -171,14 +174,16 @@ class Grid:
             weights[inside[self._heads] | inside[self._tails]] = np.inf
         count = self.columns * self.rows
         graph = csr_matrix((weights, self._heads, self._rows_start), shape=(count, count))
-        # edges go both ways, so the predecessor on the way from the goal is the next cell on the way to it
+        # edges go both ways, so the predecessor on the way from the goal is the next cell on the
+        # way to it
         cost, following = dijkstra(
             graph, indices=self.cell(goal), return_predecessors=True, directed=True
         )
         return Field(self, goal, cost, following)
 
     def is_clear(self, start: Point, end: Point, spare: float) -> bool:
-        """Whether a robot can go straight, with ``spare`` metres beyond its radius to everything."""
+        """Whether a robot can go straight, with ``spare`` metres beyond its radius to
+        everything."""
         count = max(2, math.ceil(math.dist(start, end) / RESOLUTION) + 1)
         xs = np.linspace(start[0], end[0], count)
         ys = np.linspace(start[1], end[1], count)

@@ -1,7 +1,7 @@
 """``move_base`` of a simulated robot: an action server in front of its navigator.
 
-It answers as move_base does (a new goal preempts the old one; blocked and unreachable goals are aborted and say why),
-so that plan actions need not know whether the robot is real.
+It answers as move_base does (a new goal preempts the old one; blocked and unreachable goals are
+aborted and say why), so that plan actions need not know whether the robot is real.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ FEEDBACK_PERIOD = 0.5
 class MoveBase:
     """Serves the action ``ROBOT/move_base`` (move_base_msgs/MoveBaseAction).
 
-    Callbacks of ROS only hand off; goals and cancellations are taken up by :meth:`update`, in the thread that steps
-    the world.
+    Callbacks of ROS only hand off; goals and cancellations are taken up by :meth:`update`, in the
+    thread that steps the world.
 
     :param robot: name of the robot, which is its namespace.
     :param team: the team that it drives in.

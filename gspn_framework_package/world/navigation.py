@@ -1,4 +1,5 @@
-"""The navigator of one robot: from where it is to a goal, among walls, parked, dead and moving robots.
+"""The navigator of one robot: from where it is to a goal, among walls, parked, dead and moving
+robots.
 
 Pure: ``step`` takes what the robot knows and gives the command for its motors. Its parts:
 
@@ -42,8 +43,8 @@ ESCAPE_AFTER = 14.0
 """Seconds without progress after which it steps aside at random."""
 
 GIVE_UP_AFTER = 60.0
-"""Seconds without progress, or without any way, after which the goal is given up; making room for others does not
-count."""
+"""Seconds without progress, or without any way, after which the goal is given up; making room for
+others does not count."""
 
 _LOOK_AHEAD = 0.9  # metres of path looked at for a target in sight
 _NEIGHBOURHOOD = 1.4  # metres within which others count
@@ -244,7 +245,8 @@ class Navigator:
             step = 0.03 if peer.active else 0.01
             x, y = round(peer.pose.x / step) * step, round(peer.pose.y / step) * step
             if not peer.active:
-                # more than what is kept from it, or the way would lead where the robot does not dare to go
+                # more than what is kept from it, or the way would lead where the robot does not
+                # dare to go
                 blocked.append((x, y, reach + STANDING_GAP + 0.012))
                 dear.append((x, y, reach + 0.06))
             elif self._standing(peer, seen.time, 2.0 if detour else 4.0):

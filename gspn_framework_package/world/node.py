@@ -1,19 +1,21 @@
-"""The world as a ROS node: one process that plays the room and the robots' bodies, sensors and navigation.
+"""The world as a ROS node: one process that plays the room and the robots' bodies, sensors and
+navigation.
 
 For each robot, in its namespace, what a real one has:
 
 - serves ``move_base`` (move_base_msgs/MoveBaseAction);
-- publishes ``odom`` (nav_msgs/Odometry), ``amcl_pose`` (geometry_msgs/PoseWithCovarianceStamped, latched, in the frame
-  ``map``), ``temperature`` (sensor_msgs/Temperature), ``scan`` (sensor_msgs/LaserScan, while anyone listens);
+- publishes ``odom`` (nav_msgs/Odometry), ``amcl_pose`` (geometry_msgs/PoseWithCovarianceStamped,
+  latched, in the frame ``map``), ``temperature`` (sensor_msgs/Temperature), ``scan``
+  (sensor_msgs/LaserScan, while anyone listens);
 - subscribes to ``cmd_vel`` (geometry_msgs/Twist), which drives the robot while it has no goal.
 
-For all: ``/clock``, ``/tf`` (map -> ROBOT/odom -> ROBOT/base_footprint), ``/map`` (latched), and for the page
-``/world/room`` (std_msgs/String, JSON, latched), ``/world/state`` (JSON, ten a second of wall time at most) and
-``/world/referee`` (JSON, what the referee has counted, once a second).
+For all: ``/clock``, ``/tf`` (map -> ROBOT/odom -> ROBOT/base_footprint), ``/map`` (latched), and
+for the page ``/world/room`` (std_msgs/String, JSON, latched), ``/world/state`` (JSON, ten a second
+of wall time at most) and ``/world/referee`` (JSON, what the referee has counted, once a second).
 
-Private parameters: ``room`` (file), ``robots`` (how many: robot_1 to robot_N; or their names, with commas),
-``real_time_factor`` (1 is real time, 0 as fast as it goes), ``gui``, ``duration`` (seconds of world time, 0 without
-end), ``record`` (file to record the run in, for ``gspn film``).
+Private parameters: ``room`` (file), ``robots`` (how many: robot_1 to robot_N; or their names, with
+commas), ``real_time_factor`` (1 is real time, 0 as fast as it goes), ``gui``, ``duration`` (seconds
+of world time, 0 without end), ``record`` (file to record the run in, for ``gspn film``).
 """
 
 from __future__ import annotations
@@ -213,10 +215,16 @@ def robot_names(value: Union[int, str, List[str]]) -> List[str]:
     names = value.replace(",", " ").split() if isinstance(value, str) else [str(v) for v in value]
     names = [name.strip("/") for name in names]
     wrong = [name for name in names if not re.match(r"^[A-Za-z]\w*(/[A-Za-z]\w*)*$", name)]
-    trouble = "'%s' is no name for a robot" % wrong[0] if wrong else "no robots, or one twice: %r" % (value,)
+    trouble = (
+        "'%s' is no name for a robot" % wrong[0]
+        if wrong
+        else "no robots, or one twice: %r" % (value,)
+    )
     if wrong or not names or len(set(names)) != len(names):
         raise InputError(
-            trouble, element="parameter ~robots", hint="give how many, or their names, e.g. robot_1,robot_2"
+            trouble,
+            element="parameter ~robots",
+            hint="give how many, or their names, e.g. robot_1,robot_2",
         )
     return names
 
@@ -224,7 +232,11 @@ def robot_names(value: Union[int, str, List[str]]) -> List[str]:
 def _number(parameter: str, default: float) -> float:
     """A private parameter that is a number, 0 or more. :raises InputError: it is none."""
     value = rospy.get_param("~" + parameter, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < math.inf:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, (int, float))
+        or not 0.0 <= value < math.inf
+    ):
         raise InputError("%r is no number, 0 or more" % (value,), element="parameter ~" + parameter)
     return float(value)
 

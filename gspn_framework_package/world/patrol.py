@@ -1,9 +1,9 @@
 """The actions of the patrol (thesis 6.2), as a robot does them: drive, look, measure, wait.
 
-Each action is a generator: it yields feedback, one line at a time, while it goes on, and returns the name of a
-transition, or None when the policy decides. It asks nothing but a :class:`Robot`: a base that goes to poses
-(``move_base``), a thermometer, and the poses of the others. The same actions therefore run on simulated and on
-real robots, and without ROS in tests and benchmarks.
+Each action is a generator: it yields feedback, one line at a time, while it goes on, and returns
+the name of a transition, or None when the policy decides. It asks nothing but a :class:`Robot`: a
+base that goes to poses (``move_base``), a thermometer, and the poses of the others. The same
+actions therefore run on simulated and on real robots, and without ROS in tests and benchmarks.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ def check_temperature(
 ) -> Action:
     """Sweep a location and read the thermometer.
 
-    It enters only once nobody else is in the location, seen from the poses, and waits at the entry until then: a
-    robot that is leaving, or one that was lost there, still occupies it.
+    It enters only once nobody else is in the location, seen from the poses, and waits at the entry
+    until then: a robot that is leaving, or one that was lost there, still occupies it.
 
     :param location: name of the location.
     :param threshold: degrees Celsius above which it is too hot.
@@ -92,7 +92,8 @@ def check_temperature(
     radius = room.robot.radius
     who = occupant(place, robot.others(), radius)
     if who is not None:
-        # if the entry cannot be reached, because a lost robot stands there, any place outside will do
+        # if the entry cannot be reached, because a lost robot stands there, any place outside will
+        # do
         robot.go(place.entry)
     while who is not None:
         yield "waiting at the entry of %s, %s is in it" % (location, who)
@@ -130,8 +131,8 @@ def wait(robot: Robot, room: Room, location: str, seconds: float, first_slot: in
 
 
 def preferred_slot(robot: str) -> int:
-    """The slot of a bay for a robot to try first: another for each, the same one each time, whatever they are
-    called."""
+    """The slot of a bay for a robot to try first: another for each, the same one each time,
+    whatever they are called."""
     number = re.search(r"(\d{1,6})$", robot)
     return int(number.group(1)) if number is not None else zlib.crc32(robot.encode())
 

@@ -96,7 +96,8 @@ def _connect(robot: str, location: str) -> Tuple[BaseClient, Room]:
     """The robot and the room, made once in each process.
 
     :param location: that the room must have.
-    :raises ActionFailed: no room is told, or it cannot be read, or lacks the location, or the robot is not there.
+    :raises ActionFailed: no room is told, or it cannot be read, or lacks the location, or the robot
+      is not there.
     """
     file = _parameter("room", "")
     if not file:
@@ -112,7 +113,9 @@ def _connect(robot: str, location: str) -> Tuple[BaseClient, Room]:
         client, room = _clients[robot], _rooms[file]
     if location not in room.locations:
         known = ", ".join(room.locations) or "none"
-        raise ActionFailed("the room '%s' has no location '%s'; it has: %s" % (file, location, known))
+        raise ActionFailed(
+            "the room '%s' has no location '%s'; it has: %s" % (file, location, known)
+        )
     client.connect()
     return client, room
 

@@ -1,7 +1,8 @@
 """The room and its robots as PyBullet bodies: wheels, motors, contacts, a laser scanner, encoders.
 
-Robots are differential-drive discs of TurtleBot3 Burger's size. They move because their wheels turn on the floor;
-nothing here ever sets a pose after the start. Stepping is by a fixed time step, as fast as the caller asks for it.
+Robots are differential-drive discs of TurtleBot3 Burger's size. They move because their wheels turn
+on the floor; nothing here ever sets a pose after the start. Stepping is by a fixed time step, as
+fast as the caller asks for it.
 """
 
 from __future__ import annotations
@@ -93,8 +94,11 @@ class Physics:
             self._bodies[name] = _Body(unique_id, odometry=pose)
         self._names = {body.unique_id: name for name, body in self._bodies.items()}
         if gui:
-            set_up_window(self._client, room, {name: body.unique_id for name, body in self._bodies.items()})
-        # let the bodies settle on their wheels, so that the first measured second is like the others
+            set_up_window(
+                self._client, room, {name: body.unique_id for name, body in self._bodies.items()}
+            )
+        # let the bodies settle on their wheels, so that the first measured second is like the
+        # others
         for body in self._bodies.values():
             self._let_sleep(body)
             self._turn_wheels(body)

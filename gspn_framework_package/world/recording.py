@@ -1,4 +1,5 @@
-"""Recorded runs of the world: JSON lines, the first with the room and the robots, then one for each moment."""
+"""Recorded runs of the world: JSON lines, the first with the room and the robots, then one for each
+moment."""
 
 from __future__ import annotations
 
@@ -30,7 +31,9 @@ class Recorder:
         try:
             self._out: TextIO = open(file, "w", encoding="utf-8")  # noqa: SIM115  # closed by close()
         except OSError as error:
-            raise InputError("cannot write the recording: %s" % error.strerror, file=str(file)) from None
+            raise InputError(
+                "cannot write the recording: %s" % error.strerror, file=str(file)
+            ) from None
         head = {"format": FORMAT, "robots": list(team.robots), "room": room_text}
         self._out.write(json.dumps(head) + "\n")
 

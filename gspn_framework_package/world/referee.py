@@ -1,4 +1,5 @@
-"""Watches a team and counts: laps, distance, touches, minutes stuck, two in one location, overtakings.
+"""Watches a team and counts: laps, distance, touches, minutes stuck, two in one location,
+overtakings.
 
 It judges by the true poses of the world, not by any robot's or plan's belief.
 """
@@ -41,7 +42,8 @@ class Tally:
 
 
 class EntryOrder:
-    """Holds the order in which robots enter locations against the order in which the plan sends them there.
+    """Holds the order in which robots enter locations against the order in which the plan sends
+    them there.
 
     Nothing is judged before the first grant.
     """
@@ -49,7 +51,8 @@ class EntryOrder:
     def __init__(self) -> None:
         self._granted: Dict[str, Deque[str]] = {}
         self.out_of_turn: List[Tuple[float, str, str]] = []
-        """Time, location and robot of each entry that was not the next one granted: an overtaking."""
+        """Time, location and robot of each entry that was not the next one granted: an
+        overtaking."""
 
     def grant(self, robot: str, location: str) -> None:
         """The plan sends a robot into a location."""

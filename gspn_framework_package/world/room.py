@@ -1,7 +1,7 @@
 """The room: what a world looks like, where robots work and wait, how hot it is.
 
-Lengths are metres, angles radians, temperatures degrees Celsius, times seconds; x points east, y north, yaw counts
-counter-clockwise from east (REP 103). ``room_file`` reads rooms from YAML.
+Lengths are metres, angles radians, temperatures degrees Celsius, times seconds; x points east, y
+north, yaw counts counter-clockwise from east (REP 103). ``room_file`` reads rooms from YAML.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Box:
-    """A box on the floor; ``size`` is its length along its own x and y before it is turned by ``yaw``."""
+    """A box on the floor; ``size`` is its length along its own x and y before it is turned by
+    ``yaw``."""
 
     at: Point
     size: Tuple[float, float]

@@ -1,7 +1,8 @@
 """What a room must be for robots to use it, which a schema cannot say.
 
-Every pose that a robot is to stand in is free; locations have an inside, their sweeps lie in it, and their waiting
-poses outside; poses of one group do not overlap; and ways lead from everywhere to everywhere.
+Every pose that a robot is to stand in is free; locations have an inside, their sweeps lie in it,
+and their waiting poses outside; poses of one group do not overlap; and ways lead from everywhere to
+everywhere.
 """
 
 from __future__ import annotations
@@ -69,7 +70,9 @@ def _check_location(room: Room, place: Location, document: YamlDocument) -> List
                 element=path_text(path),
                 hint="move it away from the area by the radius of a robot, %g m, or more" % radius,
             )
-    sweep: List[Tuple[Path, Pose]] = [((*where, "sweep", i), Pose(*point)) for i, point in enumerate(place.sweep)]
+    sweep: List[Tuple[Path, Pose]] = [
+        ((*where, "sweep", i), Pose(*point)) for i, point in enumerate(place.sweep)
+    ]
     for path, pose in sweep:
         if place.area.distance((pose.x, pose.y)) > 0.0:
             raise InputError(
@@ -86,7 +89,8 @@ def _check_fits(room: Room, path: Path, pose: Pose, document: YamlDocument) -> N
     clearance = float(room.clearance(pose.x, pose.y))
     if clearance < room.robot.radius:
         raise InputError(
-            "a robot does not fit there: the nearest wall or obstacle is %.3f m away" % max(clearance, 0.0),
+            "a robot does not fit there: the nearest wall or obstacle is %.3f m away"
+            % max(clearance, 0.0),
             file=document.file,
             line=document.line(path),
             element=path_text(path),
@@ -94,7 +98,9 @@ def _check_fits(room: Room, path: Path, pose: Pose, document: YamlDocument) -> N
         )
 
 
-def _check_apart(room: Room, group: Path, members: Tuple[Pose, ...], document: YamlDocument) -> None:
+def _check_apart(
+    room: Room, group: Path, members: Tuple[Pose, ...], document: YamlDocument
+) -> None:
     for i, pose in enumerate(members):
         for j, other in enumerate(members[:i]):
             if pose.distance(other) < 2 * room.robot.radius:

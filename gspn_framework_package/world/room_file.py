@@ -1,6 +1,7 @@
 """The room file: reads a room from YAML, so that users describe their own.
 
-docs/world.md lists every field; the critical room of thesis Figure 6.7 is plans/patrol/critical_room.yaml.
+docs/world.md lists every field; the critical room of thesis Figure 6.7 is
+plans/patrol/critical_room.yaml.
 """
 
 from __future__ import annotations
@@ -109,7 +110,10 @@ SCHEMA: Dict[str, Any] = _record(
 
 def _is_finite_number(_checker: Any, value: Any) -> bool:
     # for YAML .nan and .inf are numbers too
-    return bool(jsonschema.Draft7Validator.TYPE_CHECKER.is_type(value, "number")) and abs(value) < math.inf
+    return (
+        bool(jsonschema.Draft7Validator.TYPE_CHECKER.is_type(value, "number"))
+        and abs(value) < math.inf
+    )
 
 
 _extend: Any = jsonschema.validators.extend
@@ -119,8 +123,12 @@ _VALIDATOR = _extend(
 )
 
 _KINDS = {
-    "array": "list", "object": "mapping", "number": "finite number", "integer": "whole number", "string": "text"
-}  # fmt: skip
+    "array": "list",
+    "object": "mapping",
+    "number": "finite number",
+    "integer": "whole number",
+    "string": "text",
+}
 """What the types of the schema are called in messages."""
 
 _LONGEST = 160  # characters of a message that may quote what was given
@@ -146,7 +154,9 @@ def parse_room(text: str, file: Optional[str] = None) -> Room:
     problems = list(_VALIDATOR(SCHEMA).iter_errors(document.data))
     if problems:
         # a misspelt name is also a missing one: tell the misspelling first
-        first = min(problems, key=lambda p: (p.validator != "additionalProperties", document.line(p.path)))
+        first = min(
+            problems, key=lambda p: (p.validator != "additionalProperties", document.line(p.path))
+        )
         raise _refusal(first, document, len(problems) - 1)
     data = document.data
     room = _build(data)
@@ -170,7 +180,13 @@ def _refusal(problem: Any, document: YamlDocument, more: int) -> InputError:
     elif problem.validator in ("minItems", "maxItems"):
         few = problem.schema.get("minItems", 0)
         most = problem.schema.get("maxItems")
-        wanted = "%d or more" % few if most is None else "%d" % few if few == most else "%d to %d" % (few, most)
+        wanted = (
+            "%d or more" % few
+            if most is None
+            else "%d" % few
+            if few == most
+            else "%d to %d" % (few, most)
+        )
         message = "it has %d entries, and needs %s" % (len(problem.instance), wanted)
     elif problem.validator == "type":
         message = "%r is no %s" % (problem.instance, _KINDS[rule])

@@ -1,7 +1,9 @@
-"""The patrol without ROS: robots that really drive, under the rule of the plan, decided in one place.
+"""The patrol without ROS: robots that really drive, under the rule of the plan, decided in one
+place.
 
-Stands in for the execution nodes when the world itself is tested and measured: each robot checks a location, decides,
-waits in the bay or goes on to the next location, and no location is ever granted to two.
+Stands in for the execution nodes when the world itself is tested and measured: each robot checks a
+location, decides, waits in the bay or goes on to the next location, and no location is ever granted
+to two.
 """
 
 from __future__ import annotations

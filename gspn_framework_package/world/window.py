@@ -1,4 +1,5 @@
-"""PyBullet's window, for who has a display: the room from a corner, the names of locations and robots in it."""
+"""PyBullet's window, for who has a display: the room from a corner, the names of locations and
+robots in it."""
 
 from __future__ import annotations
 
@@ -31,11 +32,20 @@ def set_up_window(client: Any, room: Room, robots: Mapping[str, int]) -> None:
     client.resetDebugVisualizerCamera(across * 0.9, YAW, PITCH, [*middle, 0.0])
     for name, place in room.locations.items():
         (west, south), (east, north) = place.area.low, place.area.high
-        corners = [(west, south, 0.01), (east, south, 0.01), (east, north, 0.01), (west, north, 0.01)]
+        corners = [
+            (west, south, 0.01),
+            (east, south, 0.01),
+            (east, north, 0.01),
+            (west, north, 0.01),
+        ]
         for start, end in zip(corners, corners[1:] + corners[:1]):
             client.addUserDebugLine(start, end, _LINE, lineWidth=2)
-        client.addUserDebugText(name, [(west + east) / 2, (south + north) / 2, 0.02], _LINE, textSize=1.5)
+        client.addUserDebugText(
+            name, [(west + east) / 2, (south + north) / 2, 0.02], _LINE, textSize=1.5
+        )
     for name, body in robots.items():
         # a window shows all parts of a body in one colour, that of the first
         client.changeVisualShape(body, -1, rgbaColor=rgba(colour_of(name)))
-        client.addUserDebugText(name, [0.0, 0.0, 0.25], _TEXT, textSize=1.2, parentObjectUniqueId=body)
+        client.addUserDebugText(
+            name, [0.0, 0.0, 0.25], _TEXT, textSize=1.2, parentObjectUniqueId=body
+        )

@@ -1,7 +1,8 @@
-"""YAML texts as plain data, with the lines of their elements, and with errors that tell file and line.
+"""YAML texts as plain data, with the lines of their elements, and with errors that tell file and
+line.
 
-PyYAML's safe loader builds plain data only; on top of that keys that stand twice are refused, and aliases that would
-unfold without end, or into far more than anyone writes by hand.
+PyYAML's safe loader builds plain data only; on top of that keys that stand twice are refused, and
+aliases that would unfold without end, or into far more than anyone writes by hand.
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ class YamlDocument:
             raise InputError("not YAML: %s" % ", ".join(words), file=file, line=line) from None
         except yaml.reader.ReaderError as error:
             line = text.count("\n", 0, error.position) + 1
-            raise InputError("not YAML: the character #x%04x" % error.character, file=file, line=line) from None
+            raise InputError(
+                "not YAML: the character #x%04x" % error.character, file=file, line=line
+            ) from None
         except RecursionError:
             raise InputError("it is nested too deeply", file=file) from None
 
@@ -71,10 +74,14 @@ class YamlDocument:
                     loader.construct_object(node)
                 except ValueError:
                     raise InputError(
-                        "not YAML: '%.40s' is no value of its kind" % node.value, file=self.file, line=line
+                        "not YAML: '%.40s' is no value of its kind" % node.value,
+                        file=self.file,
+                        line=line,
                     ) from None
             if total > MOST_ELEMENTS:
-                raise InputError("it has more than %d elements" % MOST_ELEMENTS, file=self.file, line=line)
+                raise InputError(
+                    "it has more than %d elements" % MOST_ELEMENTS, file=self.file, line=line
+                )
             open_.discard(id(node))
             sizes[id(node)] = total
             return total
@@ -93,7 +100,8 @@ class YamlDocument:
             seen.add((key.tag, key.value))
 
     def line(self, path: Iterable[Step], key: Optional[str] = None) -> int:
-        """The line of the element at ``path``, or of the nearest one around it that is written there.
+        """The line of the element at ``path``, or of the nearest one around it that is written
+        there.
 
         :param path: keys and indices.
         :param key: a key of that element whose own line is asked for.
@@ -111,7 +119,9 @@ class YamlDocument:
                 return int(line)
             node, line = child, child.start_mark.line + 1
         if key is not None and isinstance(node, yaml.MappingNode):
-            line = next((name.start_mark.line + 1 for name, _ in node.value if name.value == key), line)
+            line = next(
+                (name.start_mark.line + 1 for name, _ in node.value if name.value == key), line
+            )
         return int(line)
 
 

@@ -1,4 +1,5 @@
-"""Where to step aside: the spots that the navigator looks for when it makes room for another robot."""
+"""Where to step aside: the spots that the navigator looks for when it makes room for another
+robot."""
 
 from __future__ import annotations
 
@@ -24,7 +25,9 @@ def standing_for(other: Peer, peers: Sequence[Peer], apart: float) -> Sequence[D
     ]
 
 
-def spot_off_the_path(grid: Grid, here: Point, other: Peer, peers: Sequence[Peer]) -> Optional[Point]:
+def spot_off_the_path(
+    grid: Grid, here: Point, other: Peer, peers: Sequence[Peer]
+) -> Optional[Point]:
     """The nearest spot that is off the path which ``other`` announces; None if there is none.
 
     :param peers: all other robots, ``other`` among them.
@@ -47,7 +50,9 @@ def spot_off_the_path(grid: Grid, here: Point, other: Peer, peers: Sequence[Peer
     return (float(grid.xs[best]), float(grid.ys[best]))
 
 
-def spot_at_random(grid: Grid, here: Point, peers: Sequence[Peer], source: random.Random) -> Optional[Point]:
+def spot_at_random(
+    grid: Grid, here: Point, peers: Sequence[Peer], source: random.Random
+) -> Optional[Point]:
     """Some free spot close by; None if there is none."""
     apart = 2 * grid.room.robot.radius
     cells = grid.cells_near(here, 0.7)

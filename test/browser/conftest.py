@@ -1,5 +1,5 @@
-"""A real browser (Debian's Chromium) on a real server. Whatever a page logs as an error, or asks for elsewhere,
-fails its test."""
+"""A real browser (Debian's Chromium) on a real server. Whatever a page logs as an error, or asks
+for elsewhere, fails its test."""
 
 import os
 import shutil
@@ -16,7 +16,12 @@ from gspn_framework_package.visualizer.standalone_run import StandaloneRun
 sync_api = pytest.importorskip("playwright.sync_api")
 
 CHROMIUM = next((p for p in map(shutil.which, ("chromium", "chromium-browser")) if p), None)
-FLAGS = ["--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--force-device-scale-factor=1"]
+FLAGS = [
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+    "--disable-gpu",
+    "--force-device-scale-factor=1",
+]
 ROOT = Path(__file__).resolve().parents[2]
 PICTURES = ROOT / ".workspace" / "screenshots"
 DEADLINE = 90_000  # ms that any condition may take: other jobs of run_tests run beside these
@@ -81,7 +86,10 @@ def _serve_folder(site, tmp_path):
     def make(folder=None, **options):
         folder = folder or ROOT / "plans"
         runs = str(tmp_path / "runs")
-        return site(Project(Folder(str(folder)), lambda document: StandaloneRun(document, runs), runs=runs), **options)
+        return site(
+            Project(Folder(str(folder)), lambda document: StandaloneRun(document, runs), runs=runs),
+            **options,
+        )
 
     return make
 
@@ -103,11 +111,15 @@ def _open_page(browser):
         page.on("dialog", lambda dialog: faults.append("a dialog: %s" % dialog.message))
         page.on(
             "request",
-            lambda request: request.url.startswith((origin, "blob:", "data:"))
-            or faults.append("asked for %s" % request.url),
+            lambda request: (
+                request.url.startswith((origin, "blob:", "data:"))
+                or faults.append("asked for %s" % request.url)
+            ),
         )
         if not expect_errors:
-            page.on("console", lambda m: m.type == "error" and faults.append("console: %s" % m.text))
+            page.on(
+                "console", lambda m: m.type == "error" and faults.append("console: %s" % m.text)
+            )
         page.goto(address)
         if ready:
             page.wait_for_selector("body[data-ready]")

@@ -19,15 +19,22 @@ MARKING = "() => window.gspn.model.board.marking"
 def settle(page, n=None):
     """Wait until the page shows event ``n`` (or whatever is the latest) and nothing moves."""
     if n is not None:
-        page.wait_for_function("(n) => window.gspn.model.board && window.gspn.model.board.n >= n", arg=n)
+        page.wait_for_function(
+            "(n) => window.gspn.model.board && window.gspn.model.board.n >= n", arg=n
+        )
     page.wait_for_function(SETTLED)
 
 
 def resize(page, width, height):
-    """Give the page a size, and wait until it has taken note: its observers of sizes are called between two frames."""
+    """Give the page a size, and wait until it has taken note: its observers of sizes are called
+    between two frames."""
     page.set_viewport_size({"width": width, "height": height})
-    page.wait_for_function("([width, height]) => innerWidth === width && innerHeight === height", arg=[width, height])
-    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(null))))")
+    page.wait_for_function(
+        "([width, height]) => innerWidth === width && innerHeight === height", arg=[width, height]
+    )
+    page.evaluate(
+        "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(null))))"
+    )
 
 
 def dots(page):
@@ -65,6 +72,9 @@ def overlaps(found, slack=1.0):
     pairs = []
     for i, a in enumerate(found):
         for b in found[i + 1 :]:
-            if min(a[2], b[2]) - max(a[0], b[0]) > slack and min(a[3], b[3]) - max(a[1], b[1]) > slack:
+            if (
+                min(a[2], b[2]) - max(a[0], b[0]) > slack
+                and min(a[3], b[3]) - max(a[1], b[1]) > slack
+            ):
                 pairs.append((a, b))
     return pairs

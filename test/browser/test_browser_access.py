@@ -34,14 +34,24 @@ def _axe():
         for (width, height), theme, rules in LOOKS:
             resize(page, width, height)
             if panel is not None:
-                page.wait_for_selector("body[data-form='%s']" % ("narrow" if width < 640 else "wide"))
+                page.wait_for_selector(
+                    "body[data-form='%s']" % ("narrow" if width < 640 else "wide")
+                )
             page.evaluate("(theme) => { document.documentElement.dataset.theme = theme; }", theme)
-            if panel is not None and page.get_attribute("#fold-" + panel, "aria-expanded") == "false":
+            if (
+                panel is not None
+                and page.get_attribute("#fold-" + panel, "aria-expanded") == "false"
+            ):
                 page.click("#fold-" + panel)
             if not page.evaluate("() => Boolean(window.axe)"):
                 page.evaluate(source)
             found = page.evaluate(AXE, rules)
-            assert not found, "%s, %d px, %s: %s" % (state, width, theme, json.dumps(found, indent=1))
+            assert not found, "%s, %d px, %s: %s" % (
+                state,
+                width,
+                theme,
+                json.dumps(found, indent=1),
+            )
 
     return check
 
@@ -71,7 +81,9 @@ def test_axe_finds_nothing_in_any_mode(serve_folder, open_page, axe, tmp_path):
     page.keyboard.press("3")
     page.click("#an-all")
     page.wait_for_selector("[data-state='done']", timeout=60_000)
-    page.evaluate("() => document.querySelectorAll('#analysis details').forEach((d) => { d.open = true; })")
+    page.evaluate(
+        "() => document.querySelectorAll('#analysis details').forEach((d) => { d.open = true; })"
+    )
     axe(page, "SIMULATE, the analysis", "right")
 
     resize(page, 1280, 720)
@@ -89,7 +101,9 @@ def test_axe_finds_nothing_in_any_mode(serve_folder, open_page, axe, tmp_path):
     axe(page, "LIVE, at the end", "left")
 
     log = next((tmp_path / "runs").iterdir())
-    replay = open_page(serve_folder(tmp_path / "runs").address + "#file-" + log.name, reduced_motion="reduce")
+    replay = open_page(
+        serve_folder(tmp_path / "runs").address + "#file-" + log.name, reduced_motion="reduce"
+    )
     replay.wait_for_function("() => window.gspn.model.info.loading === false")
     replay.keyboard.press("End")
     replay.wait_for_selector("body[data-mode='REPLAY']")
@@ -97,7 +111,8 @@ def test_axe_finds_nothing_in_any_mode(serve_folder, open_page, axe, tmp_path):
 
 
 def hidden_controls(page):
-    """Controls that cannot be got at: of no size, or outside of the page when they are scrolled to."""
+    """Controls that cannot be got at: of no size, or outside of the page when they are scrolled
+    to."""
     return page.evaluate(
         """(selector) => [...document.querySelectorAll(selector)].filter((e) => {
           e.scrollIntoView({ block: "nearest", inline: "nearest" });
@@ -129,17 +144,21 @@ def test_everything_is_reached_at_every_width(serve_folder, open_page, picture):
     for width, height in FORMS.items():
         resize(page, width, height)
         page.wait_for_function("() => window.gspn.page.view.camera.now")
-        page.wait_for_selector("body[data-form='%s']" % ("narrow" if width < 640 else "medium" if width < 1000 else "wide"))
+        page.wait_for_selector(
+            "body[data-form='%s']"
+            % ("narrow" if width < 640 else "medium" if width < 1000 else "wide")
+        )
         page.wait_for_function("() => document.querySelectorAll('.label').length > 0")
         settle(page)
         assert not hidden_controls(page), width
         assert not off_the_page(page), width
-        assert not overlaps(boxes(page, "header > button, .what, .state > *, header .group button, #tools"), slack=1), (
-            width
-        )
+        assert not overlaps(
+            boxes(page, "header > button, .what, .state > *, header .group button, #tools"), slack=1
+        ), width
         assert size(page, "#net")[1] >= 0.5 * height, width
         picture(page, "width_%d" % width)
-    for width, form in ((390, "narrow"), (800, "medium")):  # every panel can be had there, and leaves room for the net
+    # every panel can be had there, and leaves room for the net
+    for width, form in ((390, "narrow"), (800, "medium")):
         resize(page, width, FORMS[width])
         page.wait_for_selector("body[data-form='%s']" % form)
         for panel in ("left", "right", "bottom"):
@@ -228,7 +247,9 @@ def test_the_log_and_the_time_line_are_used_by_keyboard(show_net, open_page):
         raise AssertionError("#%s is not reached by Tab" % element)
 
     def at(n):
-        page.wait_for_function("(n) => window.gspn.model.board.n === n && !window.gspn.model.following", arg=n)
+        page.wait_for_function(
+            "(n) => window.gspn.model.board.n === n && !window.gspn.model.following", arg=n
+        )
         settle(page)
 
     reach("log")
@@ -245,11 +266,20 @@ def test_the_log_and_the_time_line_are_used_by_keyboard(show_net, open_page):
     page.keyboard.press("1")
     page.focus("#open-screen")
     reach("lanes")
-    for key, n in (("ArrowLeft", 9), ("ArrowLeft", 8), ("ArrowRight", 9), ("Home", 0), ("End", 10), ("PageDown", None)):
+    for key, n in (
+        ("ArrowLeft", 9),
+        ("ArrowLeft", 8),
+        ("ArrowRight", 9),
+        ("Home", 0),
+        ("End", 10),
+        ("PageDown", None),
+    ):
         page.keyboard.press(key)
         if n is not None:
             at(n)
-            page.wait_for_selector("#lanes[aria-valuenow='%d'][aria-valuetext*='event %d of 10']" % (n, n))
+            page.wait_for_selector(
+                "#lanes[aria-valuenow='%d'][aria-valuetext*='event %d of 10']" % (n, n)
+            )
     page.wait_for_function("() => window.gspn.model.board.n < 10")
     page.keyboard.press("+")
     chosen = page.input_value("#span")

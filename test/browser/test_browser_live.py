@@ -1,4 +1,5 @@
-"""LIVE and REPLAY in a browser, without ROS: start, watch, stop, replay; alarms; lost connections."""
+"""LIVE and REPLAY in a browser, without ROS: start, watch, stop, replay; alarms; lost
+connections."""
 
 import json
 import socket
@@ -42,7 +43,9 @@ def test_a_plan_is_executed_recorded_and_replayed(serve_folder, open_page, pictu
 
     start(page)
     assert page.inner_text("#mode") == "LIVE"
-    settle_n = "() => window.gspn.model.board.n > 30 && document.querySelectorAll('.robot').length >= 2"
+    settle_n = (
+        "() => window.gspn.model.board.n > 30 && document.querySelectorAll('.robot').length >= 2"
+    )
     page.wait_for_function(settle_n)
     page.wait_for_selector("#robots .robot-card >> nth=3")
     picture(page, "live")
@@ -73,7 +76,8 @@ def test_a_plan_is_executed_recorded_and_replayed(serve_folder, open_page, pictu
     picture(replay, "replay")
     middle = total // 2
     replay.evaluate(
-        "(n) => { const s = document.querySelector('#scrubber'); s.value = n; s.dispatchEvent(new Event('input')); }", middle
+        "(n) => { const s = document.querySelector('#scrubber'); s.value = n; s.dispatchEvent(new Event('input')); }",
+        middle,
     )
     replay.wait_for_function("(n) => window.gspn.model.board.n === n", arg=middle)
     assert sum(marking(replay)) == 4
@@ -93,9 +97,20 @@ def test_robots_are_drawn_with_colour_and_id(serve_folder, open_page):
         assert name == "robot_" + short
     assert len({colour for _, _, colour in seen}) == len(seen)
     # in films and in the window of the world they have the same ones
-    names = ["robot_1", "robot_12", "robot_13", "r0", "scout", "\u00e9claireur \U0001f916", "99999999", "", "constructor"]
+    names = [
+        "robot_1",
+        "robot_12",
+        "robot_13",
+        "r0",
+        "scout",
+        "\u00e9claireur \U0001f916",
+        "99999999",
+        "",
+        "constructor",
+    ]
     shown = page.evaluate(
-        "async (names) => { const { colourOf } = await import('/static/js/colours.js'); return names.map(colourOf); }", names
+        "async (names) => { const { colourOf } = await import('/static/js/colours.js'); return names.map(colourOf); }",
+        names,
     )
     assert shown == [colour_of(name) for name in names]
     stop(page)
@@ -114,7 +129,9 @@ def test_pausing_the_view_never_pauses_the_robots(serve_folder, open_page):
     assert page.evaluate("() => window.gspn.model.board.n") == shown
     assert page.is_visible("#back-to-live")
     page.click("#back-to-live")
-    page.wait_for_function("() => window.gspn.model.following && window.gspn.model.board.n === window.gspn.model.head.n")
+    page.wait_for_function(
+        "() => window.gspn.model.following && window.gspn.model.board.n === window.gspn.model.head.n"
+    )
     stop(page)
     page.wait_for_selector("#stop", state="hidden")
     settle(page, site.session("file-" + PATROL).hub.board().n)
@@ -136,7 +153,12 @@ class Told(Activity):
         board = Board(len(net.transitions), net.initial_marking, [], {"running": True})
         for robot in self.plan.robots:
             place = net.place_index[robot.place]
-            board.robots[robot.name] = {"name": robot.name, "place": place, "phase": "doing", "since": 0.0}
+            board.robots[robot.name] = {
+                "name": robot.name,
+                "place": place,
+                "phase": "doing",
+                "since": 0.0,
+            }
         hub.restart("LIVE", board, {"commands": ["stop"]})
 
 
@@ -174,7 +196,9 @@ def test_a_lost_robot_and_a_stalled_plan_are_seen_at_a_glance(told, open_page, p
     page.wait_for_selector("#net .lost-mark[data-lost='robot_3']")
     # a long reason crowds nothing out
     title = boxes(page, "#title")
-    told.told.hub.publish({"k": "status", "status": {"stalled": "the gripper of robot_1 says: " + "no " * 400}})
+    told.told.hub.publish(
+        {"k": "status", "status": {"stalled": "the gripper of robot_1 says: " + "no " * 400}}
+    )
     page.wait_for_selector(".alarm:has-text('the gripper')")
     assert boxes(page, "#title") == title
     assert not overlaps(boxes(page, "#title, #subtitle, #mode, #connection, #alarms, #frame"))
@@ -191,13 +215,22 @@ def test_feedback_and_the_room_are_shown(told, open_page, picture):
     page.wait_for_selector(".robot-card:has-text('feedback: 7')")
     assert page.is_hidden("#room")
     locations = {"L1": {"area": [[1, 1], [3, 3]], "entry": [1, 1, 0], "sweep": [], "bay": []}}
-    room = {"bounds": [[0, 0], [10, 8]], "boxes": [{"at": [5, 0], "size": [10, 0.2], "yaw": 0}], "cylinders": []}
+    room = {
+        "bounds": [[0, 0], [10, 8]],
+        "boxes": [{"at": [5, 0], "size": [10, 0.2], "yaw": 0}],
+        "cylinders": [],
+    }
     told.told.hub.set_latest("room", {**room, "locations": locations, "robot_radius": 0.3})
-    told.told.hub.set_latest("world", {"time": 1.0, "robots": {"robot_1": {"pose": [4, 4, 0.5], "path": [[4, 4], [6, 6]]}}})
+    told.told.hub.set_latest(
+        "world",
+        {"time": 1.0, "robots": {"robot_1": {"pose": [4, 4, 0.5], "path": [[4, 4], [6, 6]]}}},
+    )
     page.wait_for_selector("#room canvas")
     inked = """() => { const c = document.querySelector('#room canvas'); const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
       let n = 0; for (let i = 3; i < d.length; i += 4) n += d[i] > 0; return n; }"""
-    page.wait_for_function("(script) => eval(script)() > 500".replace("eval(script)", "(%s)" % inked), arg=0)
+    page.wait_for_function(
+        "(script) => eval(script)() > 500".replace("eval(script)", "(%s)" % inked), arg=0
+    )
     picture(page, "room")
     page.click("#room-close")
     assert page.is_hidden("#room")
@@ -205,19 +238,30 @@ def test_feedback_and_the_room_are_shown(told, open_page, picture):
 
 def test_the_age_of_the_last_event_is_told_and_the_end_of_all_events(told, open_page):
     page = open_page(told.address)
-    told.told.hub.publish({"k": "note", "level": "fault", "robot": "robot_1", "text": "its action failed"})
+    told.told.hub.publish(
+        {"k": "note", "level": "fault", "robot": "robot_1", "text": "its action failed"}
+    )
     page.wait_for_selector("#connection:has-text('last event')")
     page.wait_for_selector("#log li.fault:has-text('its action failed')")
     # before a robot was heard, nothing is known
     silent = [{"name": "robot_%d" % i, "phase": ""} for i in (1, 2, 3, 4)]
-    told.told.hub.publish({"k": "status", "status": {"running": False, "ended": None}}, {"k": "robots", "r": silent})
-    page.wait_for_selector("body[data-stale] #frame-name:has-text('no robot of the team has been heard yet')")
+    told.told.hub.publish(
+        {"k": "status", "status": {"running": False, "ended": None}}, {"k": "robots", "r": silent}
+    )
+    page.wait_for_selector(
+        "body[data-stale] #frame-name:has-text('no robot of the team has been heard yet')"
+    )
     page.wait_for_selector(".robot-card[data-robot='robot_1'] .badge:has-text('not heard yet')")
     assert page.inner_text(".robot-card[data-robot='robot_1'] .since") == ""
     lanes = "() => { const { line, model } = window.gspn.page; return line.segments(model.board.t, model.board.t + 9).get('robot_1').parts; }"
     assert page.evaluate(lanes) == []
-    told.told.hub.publish({"k": "status", "status": {"running": True}}, {"k": "robots", "r": [{"name": "robot_1", "phase": "doing"}]})
-    page.wait_for_selector("body:not([data-stale]) .robot-card[data-robot='robot_1'] .badge:has-text('acts')")
+    told.told.hub.publish(
+        {"k": "status", "status": {"running": True}},
+        {"k": "robots", "r": [{"name": "robot_1", "phase": "doing"}]},
+    )
+    page.wait_for_selector(
+        "body:not([data-stale]) .robot-card[data-robot='robot_1'] .badge:has-text('acts')"
+    )
     assert page.evaluate(lanes)
     told.told.hub.publish({"k": "robots", "r": [{"name": "robot_1", "phase": "left"}], "gone": []})
     page.wait_for_selector(".robot-card[data-robot='robot_1'] .badge:has-text('has left')")
@@ -245,7 +289,14 @@ def test_more_viewers_than_streams_poll_and_agree(show_net, open_page):
 
 
 def feed(port):
-    command = [sys.executable, "-m", "gspn_framework_package.benchmark.page.feed", "100", "100", str(port)]
+    command = [
+        sys.executable,
+        "-m",
+        "gspn_framework_package.benchmark.page.feed",
+        "100",
+        "100",
+        str(port),
+    ]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert process.stdout.readline().strip() == b"ready"
     return process
@@ -266,9 +317,14 @@ def test_a_server_that_is_killed_and_started_again_is_followed_with_no_gap(open_
         server.kill()
         server.wait()
         page.wait_for_selector("#connection[data-state='lost']")
-        page.wait_for_selector("#announce-now[aria-live='assertive']:has-text('connection lost')", state="attached")
+        page.wait_for_selector(
+            "#announce-now[aria-live='assertive']:has-text('connection lost')", state="attached"
+        )
         server = feed(port)
-        page.wait_for_function("(epoch) => window.gspn.model.epoch !== epoch && window.gspn.model.board.n > 100", arg=first)
+        page.wait_for_function(
+            "(epoch) => window.gspn.model.epoch !== epoch && window.gspn.model.board.n > 100",
+            arg=first,
+        )
         page.wait_for_selector("#connection[data-state='open']")
         page.wait_for_selector("#announce-now:has-text('connected')", state="attached")
         assert page.evaluate("() => window.gaps") == 0
@@ -290,8 +346,11 @@ def test_a_viewer_that_stalls_holds_up_nobody(open_page):
         with socket.socket() as stalled:
             stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             stalled.connect(("127.0.0.1", port))
-            stalled.sendall(b"GET /api/stream?id=feed HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n\r\n" % port)
-            page = open_page("http://127.0.0.1:%d/" % port, expect_errors=True)  # the server ends before the page
+            stalled.sendall(
+                b"GET /api/stream?id=feed HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n\r\n" % port
+            )
+            # the server ends before the page
+            page = open_page("http://127.0.0.1:%d/" % port, expect_errors=True)
             begin = page.evaluate("() => window.gspn.model.board.n")
             page.wait_for_function("(n) => window.gspn.model.board.n > n + 300", arg=begin)
     finally:

@@ -36,10 +36,17 @@ class Team(Activity):
         self.hub = hub
         net = self.plan.net
         status = {"running": True, "paused": False, "ended": None, "run": "run_7"}
-        board = Board(len(net.transitions), net.initial_marking, [net.transition_number("rain")], status)
+        board = Board(
+            len(net.transitions), net.initial_marking, [net.transition_number("rain")], status
+        )
         for robot in self.plan.robots:
             place = net.place_index[robot.place]
-            board.robots[robot.name] = {"name": robot.name, "place": place, "phase": "doing", "since": 0.0}
+            board.robots[robot.name] = {
+                "name": robot.name,
+                "place": place,
+                "phase": "doing",
+                "since": 0.0,
+            }
         hub.restart(self.mode, board, {"commands": COMMANDS})
 
     def robot(self, name, **fields):
@@ -49,7 +56,9 @@ class Team(Activity):
 @pytest.fixture(name="team")
 def _team(show_net):
     net = NetBuilder("garden").place("here", 2).place("there").place("sky", 1).place("wet")
-    net.immediate("go", inputs="here", outputs="there").exponential("rain", inputs="sky", outputs="wet")
+    net.immediate("go", inputs="here", outputs="there").exponential(
+        "rain", inputs="sky", outputs="wet"
+    )
     robots = (RobotSpec("robot_1", "here"), RobotSpec("robot_2", "here"))
     plan = Plan(net.build(), "garden", resource_places=frozenset({"sky", "wet"}), robots=robots)
     team = Team(plan)
@@ -83,7 +92,9 @@ def test_every_order_names_its_run_and_its_answer_is_shown(team, open_page, pict
     team.robot("robot_1", phase="doing", why="")
     # the button that was pressed has gone, and the panel goes on
     page.wait_for_selector(".robot-card.is-doing[data-robot='robot_1'] .badge:has-text('acts')")
-    assert page.locator(".robot-card[data-robot='robot_1'] button:has-text('Try again')").count() == 0
+    assert (
+        page.locator(".robot-card[data-robot='robot_1'] button:has-text('Try again')").count() == 0
+    )
 
     order(page, "robot_1", "More")
     page.wait_for_selector("dialog[open] h2:has-text('robot_1')")
@@ -103,7 +114,9 @@ def test_every_order_names_its_run_and_its_answer_is_shown(team, open_page, pict
     x0, y0, x1, y1 = boxes(page, "#inspector [data-order='fire']")[0]
     page.mouse.move((x0 + x1) / 2, (y0 + y1) / 2)
     page.mouse.down()
-    page.evaluate("() => { for (const part of ['inspector', 'robots']) window.gspn.page[part].refresh?.(); }")
+    page.evaluate(
+        "() => { for (const part of ['inspector', 'robots']) window.gspn.page[part].refresh?.(); }"
+    )
     page.mouse.up()
     page.wait_for_selector("#toast:has-text('Fire rain')")
     page.click("#stop")
@@ -124,15 +137,23 @@ def test_every_order_names_its_run_and_its_answer_is_shown(team, open_page, pict
         {"command": "stop", "reason": "smoke", "run": "run_7"},
     ]
     # what broke is told apart from what was stopped; after the end nobody acts
-    team.hub.publish({"k": "status", "status": {"running": False, "ended": "the disk is full", "fault": True}})
+    team.hub.publish(
+        {"k": "status", "status": {"running": False, "ended": "the disk is full", "fault": True}}
+    )
     page.wait_for_selector(".alarm:has-text('Broke off: the disk is full')")
     page.keyboard.press("2")
     page.wait_for_selector(".robot-card[data-robot='robot_1'] .badge:has-text('stopped')")
-    assert page.is_hidden("#stop") and page.is_hidden("#pause-team") and page.locator(".robot-card button").count() == 0
+    assert (
+        page.is_hidden("#stop")
+        and page.is_hidden("#pause-team")
+        and page.locator(".robot-card button").count() == 0
+    )
 
 
 def test_who_may_only_look_is_told_why_nothing_can_be_pressed(team, show_net, open_page):
-    site = show_net(team.plan.net, team.plan, Team(team.plan), viewer_token="only-for-looking-at-it")
+    site = show_net(
+        team.plan.net, team.plan, Team(team.plan), viewer_token="only-for-looking-at-it"
+    )
     page = open_page(site.server.invitations["viewer"])
     page.wait_for_selector("#robots:has-text('may only look')")
     for button in ("#stop", "#pause-team", ".robot-card[data-robot='robot_1'] button >> nth=0"):

@@ -34,14 +34,26 @@ def test_everything_is_analysed_and_painted(show_net, open_page, picture):
     page.click("#an-all")
     analysed(page)
     text = page.inner_text("#analysis")
-    for expected in ("Conservative", "Siphons", "P-invariants", "Deadlocks", "Live", "Mean", "Throughput"):
+    for expected in (
+        "Conservative",
+        "Siphons",
+        "P-invariants",
+        "Deadlocks",
+        "Live",
+        "Mean",
+        "Throughput",
+    ):
         assert expected.lower() in text.lower()
     assert "never" in text
     page.click("text=Show the dead transitions")
-    assert page.evaluate("() => [...document.querySelectorAll('.paint-bad')].map((g) => g.dataset.transition)") == ["3"]
+    assert page.evaluate(
+        "() => [...document.querySelectorAll('.paint-bad')].map((g) => g.dataset.transition)"
+    ) == ["3"]
     assert "never fire" in page.inner_text("#legend")
     page.click("text=Show mean tokens")
-    assert page.evaluate("() => [...document.querySelectorAll('.value')].map((v) => v.textContent)") == ["0", "0", "2"]
+    assert page.evaluate(
+        "() => [...document.querySelectorAll('.value')].map((v) => v.textContent)"
+    ) == ["0", "0", "2"]
     picture(page, "analysis")
     page.click("#legend button")
     assert page.locator(".value, .paint-bad").count() == 0
@@ -81,13 +93,17 @@ def test_questions_are_answered(show_net, open_page):
     page.wait_for_selector("#answers:has-text(\"'b = 2.5E2x' is not of the form\")")
     page.fill("#an-rewards", "a = 1e-3, b = 2.5E2")
     page.click("button:has-text('Reward per second')")
-    page.wait_for_selector("#answers .asked:has-text('a = 0.001, b = 250 · from the initial marking')")
+    page.wait_for_selector(
+        "#answers .asked:has-text('a = 0.001, b = 250 · from the initial marking')"
+    )
     page.wait_for_selector("#answers dt:has-text('Reward')")
 
 
 def test_runs_are_simulated_with_confidence_intervals(show_net, open_page):
     net = NetBuilder("machine").place("up", 1).place("down")
-    net.exponential("fail", 1.0, inputs="up", outputs="down").exponential("repair", 3.0, inputs="down", outputs="up")
+    net.exponential("fail", 1.0, inputs="up", outputs="down").exponential(
+        "repair", 3.0, inputs="down", outputs="up"
+    )
     page = open_page(show_net(net.build()).address)
     page.keyboard.press("3")
     page.click("summary:has-text('Simulated runs')")
@@ -116,11 +132,22 @@ def test_every_property_of_the_thesis_is_answered(show_net, open_page):
     analysed(page)
     page.wait_for_selector("#answers:has-text('a stay (s)')")
     text = page.inner_text("#answers").lower()
-    for expected in ("bounded", "k-safe", "deadlocks", "live", "reversible", "mean", "throughput", "distribution of tokens"):
+    for expected in (
+        "bounded",
+        "k-safe",
+        "deadlocks",
+        "live",
+        "reversible",
+        "mean",
+        "throughput",
+        "distribution of tokens",
+    ):
         assert expected in text
     page.click("summary:has-text('How does it evolve?')")
     page.click("button:has-text('Tokens over time')")
-    page.wait_for_selector("#answers:has-text('Distribution of tokens over time') svg.plot >> nth=1")
+    page.wait_for_selector(
+        "#answers:has-text('Distribution of tokens over time') svg.plot >> nth=1"
+    )
     analysed(page)
     page.click("button:has-text('Time to steady state')")
     page.wait_for_selector("#answers:has-text('Time to steady state')")
@@ -133,9 +160,15 @@ def test_every_property_of_the_thesis_is_answered(show_net, open_page):
 
 
 def test_home_states_say_which_counters_they_are_told_without(show_net, open_page):
-    net = (NetBuilder("counting").place("up", tokens=1).place("down").place("failures")
-           .exponential("fail", inputs="up", outputs=["down", "failures"])
-           .exponential("repair", inputs="down", outputs="up").build())  # fmt: skip
+    net = (
+        NetBuilder("counting")
+        .place("up", tokens=1)
+        .place("down")
+        .place("failures")
+        .exponential("fail", inputs="up", outputs=["down", "failures"])
+        .exponential("repair", inputs="down", outputs="up")
+        .build()
+    )
     page = open_page(show_net(net).address)
     page.keyboard.press("3")
     page.click("button:has-text('State space')")
@@ -147,7 +180,8 @@ def test_home_states_say_which_counters_they_are_told_without(show_net, open_pag
 @pytest.fixture(name="open_long_analysis")
 def _open_long_analysis(show_net, open_page, monkeypatch):
     """A site, and a page whose state space takes most of a minute."""
-    monkeypatch.setattr(analysis_jobs, "STATES", 10**9)  # the limit that ships is reached in two seconds
+    # the limit that ships is reached in two seconds
+    monkeypatch.setattr(analysis_jobs, "STATES", 10**9)
     site = show_net(kanban(7))
     page = open_page(site.address)
     page.keyboard.press("3")
@@ -211,14 +245,17 @@ def test_a_net_is_uploaded_simulated_and_never_executed(serve_folder, open_page,
     settle(page, 1)
 
 
-def test_a_broken_upload_says_what_is_wrong_and_is_chosen_again_when_mended(serve_folder, open_page, tmp_path):
+def test_a_broken_upload_says_what_is_wrong_and_is_chosen_again_when_mended(
+    serve_folder, open_page, tmp_path
+):
     file = tmp_path / "mine.xml"
     file.write_text("<pnml><net>")
     page = open_page(serve_folder().address, ready=False, expect_errors=True)
     page.wait_for_selector("#chooser", state="attached")
     page.set_input_files("#chooser", str(file))
     page.wait_for_selector("#toast:has-text('mine.xml')")
-    page.wait_for_function("() => document.querySelector('#chooser').value === ''")  # or the browser would tell of no change
+    # or the browser would tell of no change
+    page.wait_for_function("() => document.querySelector('#chooser').value === ''")
     write_net(flawed(), file)
     page.set_input_files("#chooser", str(file))
     page.wait_for_selector("body[data-ready]")

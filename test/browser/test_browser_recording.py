@@ -25,7 +25,10 @@ def test_a_log_is_shown_while_it_is_read(serve_folder, open_page, tmp_path, monk
     page = open_page(site.address + "#file-long.jsonl")
     assert half.wait(60)
     page.wait_for_selector("#position:has-text('reading the log:')")
-    assert page.inner_text("#mode") == "REPLAY" and page.evaluate("() => window.gspn.model.head.n") > 100
+    assert (
+        page.inner_text("#mode") == "REPLAY"
+        and page.evaluate("() => window.gspn.model.head.n") > 100
+    )
     page.keyboard.press("ArrowRight")
     page.wait_for_function("() => window.gspn.model.board.n > 0")
     go_on.set()

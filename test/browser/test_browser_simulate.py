@@ -159,7 +159,10 @@ def test_dots_up_to_nine_then_a_number(show_net, open_page):
         for x, y in centres:
             assert (x * x + y * y) ** 0.5 + 3.4 < 20
         assert all(
-            ((a - x) ** 2 + (b - y) ** 2) ** 0.5 > 6.8 for a, b in centres for x, y in centres if (a, b) != (x, y)
+            ((a - x) ** 2 + (b - y) ** 2) ** 0.5 > 6.8
+            for a, b in centres
+            for x, y in centres
+            if (a, b) != (x, y)
         )
 
 
@@ -178,9 +181,13 @@ def test_every_node_has_its_name_and_nothing_overlaps(show_net, open_page, folde
     if folder == "patrol":
         for transition in ("1", "21"):
             page.click("#list li[data-key='t%s']" % transition)
-            page.wait_for_selector("[data-transition='%s'].selected > .label" % transition, state="attached")
+            page.wait_for_selector(
+                "[data-transition='%s'].selected > .label" % transition, state="attached"
+            )
             settle(page)
-            assert page.locator("[data-transition='%s'].selected > .label" % transition).count() == 1
+            assert (
+                page.locator("[data-transition='%s'].selected > .label" % transition).count() == 1
+            )
 
 
 def test_a_large_net_has_the_names_that_there_is_room_for(show_net, open_page):
@@ -216,8 +223,11 @@ def test_what_is_drawn_can_be_made_out(show_net, open_page):
         net.exponential(name, 1.0, inputs=source, outputs=target)
     page = open_page(show_net(net.build()).address)
     settle(page)
-    listed = page.evaluate("() => [...document.querySelectorAll('#list li .name')].map((e) => e.textContent)")
-    assert listed == ["t10", "p10", "p1", "p2", "t1", "t9"]  # the enabled, the marked, and then in natural order
+    listed = page.evaluate(
+        "() => [...document.querySelectorAll('#list li .name')].map((e) => e.textContent)"
+    )
+    # the enabled, the marked, and then in natural order
+    assert listed == ["t10", "p10", "p1", "p2", "t1", "t9"]
     page.fill("#n-steps", "10000")
     assert page.evaluate(
         "() => { const e = document.querySelector('#n-steps'); return e.scrollWidth <= e.clientWidth; }"
@@ -241,7 +251,10 @@ def test_what_is_drawn_can_be_made_out(show_net, open_page):
 def test_the_panels_do_not_overlap(show_net, open_page):
     page = open_page(show_net(cycle()).address)
     assert not overlaps(boxes(page, "header, .left, .centre, .right, .timeline, .log"))
-    assert not overlaps(boxes(page, "header > button, header .what, header .state > *, header .group button"), slack=2)
+    assert not overlaps(
+        boxes(page, "header > button, header .what, header .state > *, header .group button"),
+        slack=2,
+    )
     assert not overlaps(boxes(page, "#tools > *"))
     assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth")
     assert page.evaluate(
@@ -311,7 +324,9 @@ def test_the_log_is_filtered(show_net, open_page):
     page.click("#steps")
     settle(page, 10)
     page.fill("#log-filter", "u")
-    page.wait_for_function("(n) => document.querySelectorAll('#log li.fire').length === n", arg=site.board().counts[2])
+    page.wait_for_function(
+        "(n) => document.querySelectorAll('#log li.fire').length === n", arg=site.board().counts[2]
+    )
 
 
 def test_names_are_text_only(show_net, open_page):
@@ -320,14 +335,18 @@ def test_names_are_text_only(show_net, open_page):
         NetBuilder("<script>alert(2)</script>")
         .place(hostile, 1)
         .place("'\"><svg onload=alert(3)>")
-        .exponential("</text><script>alert(4)</script>", inputs=hostile, outputs="'\"><svg onload=alert(3)>")
+        .exponential(
+            "</text><script>alert(4)</script>", inputs=hostile, outputs="'\"><svg onload=alert(3)>"
+        )
         .build()
     )
     page = open_page(show_net(net).address)
     page.click("#step")
     settle(page, 1)
     page.click("#list li[data-key='p0']")
-    page.wait_for_function("(name) => document.querySelector('#inspector h2').textContent === name", arg=hostile)
+    page.wait_for_function(
+        "(name) => document.querySelector('#inspector h2').textContent === name", arg=hostile
+    )
     page.keyboard.press("3")
     page.click("#an-all")
     page.wait_for_selector("[data-state='done']")
@@ -347,4 +366,7 @@ def test_pictures_of_the_simulation(show_net, open_page, picture):
     large.click("#steps")
     settle(large, 10)
     picture(large, "net_of_1000_nodes")
-    assert large.evaluate("() => document.querySelectorAll('#net .place, #net .transition').length") >= 980
+    assert (
+        large.evaluate("() => document.querySelectorAll('#net .place, #net .transition').length")
+        >= 980
+    )

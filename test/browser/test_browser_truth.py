@@ -22,13 +22,21 @@ def test_names_of_the_language_are_names_and_reasons_are_those_of_the_rules(show
     for name in BUILT_IN:
         net.place(name, 1)
     net.exponential("valueOf", 2.0, inputs=BUILT_IN, outputs=BUILT_IN)
-    net.exponential("two", inputs="one", outputs="one").exponential("loop", inputs={"full": 1, "one": 2}, outputs="full")
-    page = open_page(show_net(net.build().with_arc(Arc("one", "two", 1))).address, expect_errors=True)
+    net.exponential("two", inputs="one", outputs="one").exponential(
+        "loop", inputs={"full": 1, "one": 2}, outputs="full"
+    )
+    page = open_page(
+        show_net(net.build().with_arc(Arc("one", "two", 1))).address, expect_errors=True
+    )
     assert dots(page) == [1] * 6
     page.click("#list li[data-key='t1']")
-    page.wait_for_function("() => document.querySelector('#inspector .reasons')?.textContent === 'one has 1 of 2 tokens'")
+    page.wait_for_function(
+        "() => document.querySelector('#inspector .reasons')?.textContent === 'one has 1 of 2 tokens'"
+    )
     page.click("#list li[data-key='t2']")
-    page.wait_for_function("() => document.querySelector('#inspector .reasons')?.textContent === 'one has 1 of 2 tokens'")
+    page.wait_for_function(
+        "() => document.querySelector('#inspector .reasons')?.textContent === 'one has 1 of 2 tokens'"
+    )
     page.click("#list li[data-key='p3']")
     page.wait_for_selector("#inspector h2:has-text('__proto__')")
     page.click("#probabilities")
@@ -56,7 +64,15 @@ def test_names_of_the_language_are_names_and_reasons_are_those_of_the_rules(show
 
 def serve(folder, port):
     """``gspn serve`` as a process of its own, that can be killed."""
-    command = [sys.executable, "-m", "gspn_framework_package", "serve", str(folder), "--port", str(port)]
+    command = [
+        sys.executable,
+        "-m",
+        "gspn_framework_package",
+        "serve",
+        str(folder),
+        "--port",
+        str(port),
+    ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE)
     assert process.stdout.readline()
     return process
@@ -70,14 +86,19 @@ STANDS_STILL = """async () => {
 }"""
 
 # what was under way is drawn once more
-COMES_TO_REST = """async () => {
+COMES_TO_REST = (
+    """async () => {
   const still = %s, deadline = performance.now() + 20000;
   while (performance.now() < deadline) if (await still()) return true;
   return false;
-}""" % STANDS_STILL
+}"""
+    % STANDS_STILL
+)
 
 
-def test_when_the_server_dies_in_mid_run_the_page_says_so_and_offers_the_log(open_page, tmp_path, picture):
+def test_when_the_server_dies_in_mid_run_the_page_says_so_and_offers_the_log(
+    open_page, tmp_path, picture
+):
     folder = tmp_path / "plans"
     shutil.copytree("plans/patrol", folder / "patrol")
     port = free_port()
@@ -86,7 +107,9 @@ def test_when_the_server_dies_in_mid_run_the_page_says_so_and_offers_the_log(ope
         page = open_page("http://127.0.0.1:%d/#file-patrol%%2Fplan.json" % port, expect_errors=True)
         page.click("#start")
         page.click("dialog button.primary")
-        page.wait_for_function("() => window.gspn.model.mode === 'LIVE' && window.gspn.model.board.n > 12")
+        page.wait_for_function(
+            "() => window.gspn.model.mode === 'LIVE' && window.gspn.model.board.n > 12"
+        )
         assert not page.evaluate(STANDS_STILL)
         server.kill()
         server.wait()
@@ -98,7 +121,9 @@ def test_when_the_server_dies_in_mid_run_the_page_says_so_and_offers_the_log(ope
 
         server = serve(folder, port)
         page.wait_for_selector("body[data-mode='SIMULATE']:not([data-stale])")
-        page.wait_for_selector("#notice:has-text('The server was started again'):has-text('was cut off')")
+        page.wait_for_selector(
+            "#notice:has-text('The server was started again'):has-text('was cut off')"
+        )
         picture(page, "cut_off")
         page.click("#notice button:has-text('Replay its log')")
         page.wait_for_selector("body[data-mode='REPLAY'][data-ready]")
@@ -123,7 +148,9 @@ def test_after_a_reset_the_time_line_begins_anew_and_the_reset_is_taken_back(sho
     page.click("#step")
     settle(page, 9)
     course = page.evaluate(COURSE)
-    assert [k for k, _ in course] == ["mark", "fire"] and [t for _, t in course] == sorted(t for _, t in course)
+    assert [k for k, _ in course] == ["mark", "fire"] and [t for _, t in course] == sorted(
+        t for _, t in course
+    )
     page.wait_for_function("() => document.querySelectorAll('#log li.past').length === 7")
     page.keyboard.press("ArrowLeft")
     settle(page, 10)
@@ -138,11 +165,14 @@ def test_after_a_reset_the_time_line_begins_anew_and_the_reset_is_taken_back(sho
     page.keyboard.press(" ")
     page.wait_for_function("() => !window.gspn.page.tools.running")
     page.wait_for_function("() => document.querySelectorAll('#log li.fire.past').length === 7")
-    assert [bool(e.get("restart")) for e in site.session("net").hub.events(11, 10**6)].count(True) == 1
+    assert [bool(e.get("restart")) for e in site.session("net").hub.events(11, 10**6)].count(
+        True
+    ) == 1
 
 
 class Dense(Activity):
-    """A recorded run with an event every 2 ms for 24 s: robot_1 goes to and fro, robot_2 waits from 0.5 s on."""
+    """A recorded run with an event every 2 ms for 24 s: robot_1 goes to and fro, robot_2 waits from
+    0.5 s on."""
 
     mode = "REPLAY"
     STEP = 0.002
@@ -164,9 +194,15 @@ class Dense(Activity):
         return {"k": "fire", "tr": there, "who": "robot_1", **move, "en": [], "dis": [], "t": t}
 
 
-def test_the_clock_of_a_dense_recording_is_that_of_the_board_and_no_lane_is_invented(show_net, open_page):
+def test_the_clock_of_a_dense_recording_is_that_of_the_board_and_no_lane_is_invented(
+    show_net, open_page
+):
     net = NetBuilder("there and back").place("here", 2).place("there")
-    net = net.immediate("go", inputs="here", outputs="there").immediate("return", inputs="there", outputs="here").build()
+    net = (
+        net.immediate("go", inputs="here", outputs="there")
+        .immediate("return", inputs="there", outputs="here")
+        .build()
+    )
     page = open_page(show_net(net, activity=Dense()).address)
     page.wait_for_function("(n) => window.gspn.model.head.n === n", arg=Dense.EVENTS)
 
@@ -187,7 +223,9 @@ def test_the_clock_of_a_dense_recording_is_that_of_the_board_and_no_lane_is_inve
     assert page.evaluate("() => window.ahead") == []
     assert page.evaluate("() => window.gspn.model.now()") == 24.0
     page.evaluate("() => window.gspn.model.show(9000)")
-    page.wait_for_function("() => window.gspn.model.board.n === 9000 && window.gspn.model.base?.n < 9000 && !window.gspn.model.fetching")
+    page.wait_for_function(
+        "() => window.gspn.model.board.n === 9000 && window.gspn.model.base?.n < 9000 && !window.gspn.model.fetching"
+    )
     lanes = page.evaluate("() => Object.fromEntries(window.gspn.page.line.segments(8, 18))")
     assert lanes["robot_2"]["parts"] == [[8, 18, 0, "done"]]
     known = page.evaluate("() => window.gspn.model.base.t")

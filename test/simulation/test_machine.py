@@ -68,7 +68,9 @@ class Team(RuleBasedStateMachine):
     def weather(self, loss: float, duplication: float) -> None:
         self.world.weather = Weather(loss=loss, duplication=duplication, late=0.2)
 
-    @rule(i=st.integers(0, 2), j=st.integers(0, 2), what=st.sampled_from(["pause", "place", "evict"]))
+    @rule(
+        i=st.integers(0, 2), j=st.integers(0, 2), what=st.sampled_from(["pause", "place", "evict"])
+    )
     def order(self, i: int, j: int, what: str) -> None:
         victim = self.node(j).name
         entry: log.Entry = log.Pause(victim)
@@ -102,7 +104,9 @@ class Team(RuleBasedStateMachine):
             voters = [n.name for n in world.alive() if n.replica.active]
             assert any(n.old_disks for n in world.nodes.values()), "not settled"
             assert not is_quorum(voters, best.state.members()), "not settled"
-        logs = [EventLog(d.header["log"], d.header, d.records(), plan=world.plan) for d in world.logs()]
+        logs = [
+            EventLog(d.header["log"], d.header, d.records(), plan=world.plan) for d in world.logs()
+        ]
         verdict = verify(logs, settled=settled and not world.given_up)
         assert verdict.violation is None, verdict.violation
 

@@ -1,4 +1,5 @@
-"""A team whose network fails, in network namespaces; skipped, with the reason, where those are not allowed."""
+"""A team whose network fails, in network namespaces; skipped, with the reason, where those are not
+allowed."""
 
 import subprocess
 

@@ -11,11 +11,13 @@ from gspn_framework_package.execution.event_log import EventLogWriter, header, r
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 
 sys.path.append(str(Path(__file__).parent))
-sys.path.append(str(Path(__file__).parents[1] / "rostest" / "support"))  # "waiting", which needs no ROS
+# "waiting", which needs no ROS
+sys.path.append(str(Path(__file__).parents[1] / "rostest" / "support"))
 
 
 settings.register_profile("unit", deadline=None)  # no test times speed: the machine may be busy
-settings.register_profile("libraries", settings.get_profile("unit"), max_examples=30)  # for what has run with 100 before
+# for what has run with 100 before
+settings.register_profile("libraries", settings.get_profile("unit"), max_examples=30)
 settings.load_profile("unit")
 
 
@@ -33,7 +35,9 @@ class _Slots(Listener):
 
 def _record_run(plan, path, slots):
     listener = _Slots(slots)
-    executor = StandaloneExecutor(plan, listener, EventLogWriter(path, header(plan, "run", "", "log", agents=True)))
+    executor = StandaloneExecutor(
+        plan, listener, EventLogWriter(path, header(plan, "run", "", "log", agents=True))
+    )
     executor.start()
     assert listener.filled.wait(30)
     executor.stop()
@@ -43,6 +47,6 @@ def _record_run(plan, path, slots):
 
 @pytest.fixture(scope="session", name="record_run")
 def _recorder():
-    """``record_run(plan, path, slots)``: run a plan on threads until its event log at ``path`` has more than so many
-    slots; the replayed steps."""
+    """``record_run(plan, path, slots)``: run a plan on threads until its event log at ``path`` has
+    more than so many slots; the replayed steps."""
     return _record_run

@@ -46,7 +46,11 @@ class Command(NamedTuple):
 
 def documents() -> List[Path]:
     """Every document that a user reads."""
-    return [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "plans").glob("*/README.md"))]
+    return [
+        ROOT / "README.md",
+        *sorted((ROOT / "docs").glob("*.md")),
+        *sorted((ROOT / "plans").glob("*/README.md")),
+    ]
 
 
 def steps(document: Path) -> Iterator[object]:
@@ -76,7 +80,9 @@ def steps(document: Path) -> Iterator[object]:
 
 def _block(name: str, info: str, begin: int, body: List[str]) -> Iterator[object]:
     if info.startswith("{code-block}"):
-        caption = [line.split(":caption:", 1)[1].strip() for line in body if line.startswith(":caption:")]
+        caption = [
+            line.split(":caption:", 1)[1].strip() for line in body if line.startswith(":caption:")
+        ]
         if caption:
             text = [line for line in body if not line.startswith(":")]
             yield File(caption[0], "\n".join(text).strip() + "\n")
@@ -85,7 +91,18 @@ def _block(name: str, info: str, begin: int, body: List[str]) -> Iterator[object
 
 
 def _looks_like_shell(body: List[str]) -> bool:
-    starts = ("./", "python3 ", "gspn ", "ros", "source ", "sudo ", "git ", "catkin_make", "mkdir ", "export ")
+    starts = (
+        "./",
+        "python3 ",
+        "gspn ",
+        "ros",
+        "source ",
+        "sudo ",
+        "git ",
+        "catkin_make",
+        "mkdir ",
+        "export ",
+    )
     lines = [line for line in body if line.strip()]
     return bool(lines) and lines[0].lstrip("$ ").startswith(starts)
 

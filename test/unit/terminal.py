@@ -24,9 +24,14 @@ class Terminal:
     def __init__(self, folder: Path, environment: Mapping[str, str]) -> None:
         self._master, slave = pty.openpty()
         self._shell = subprocess.Popen(
-            ["bash", "--norc", "--noediting", "-i"], cwd=str(folder), env={**environment, "PS1": "", "TERM": "xterm"},
-            stdin=slave, stdout=slave, stderr=slave, preexec_fn=_take_terminal,
-        )  # fmt: skip
+            ["bash", "--norc", "--noediting", "-i"],
+            cwd=str(folder),
+            env={**environment, "PS1": "", "TERM": "xterm"},
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            preexec_fn=_take_terminal,
+        )
         os.close(slave)
 
     def __enter__(self) -> Terminal:
@@ -60,7 +65,8 @@ class Terminal:
         os.write(self._master, b"\x03")
 
     def end(self, patience: float = 120.0) -> Tuple[int, str]:
-        """Wait for the end of the line that was begun: its exit code, and what the terminal showed since."""
+        """Wait for the end of the line that was begun: its exit code, and what the terminal showed
+        since."""
         shown = self._read(ENDED, patience)
         ended = re.search(ENDED, shown)
         assert ended

@@ -9,8 +9,16 @@ from gspn_framework_package.cli.main import main
 PLAN = {
     "net": {
         "places": [{"name": "P", "tokens": 1}, {"name": "Q"}],
-        "transitions": [{"name": "T", "timed": True, "rate": 1}, {"name": "U", "timed": True, "rate": 1}],
-        "arcs": [{"from": "P", "to": "T"}, {"from": "T", "to": "Q"}, {"from": "Q", "to": "U"}, {"from": "U", "to": "P"}],
+        "transitions": [
+            {"name": "T", "timed": True, "rate": 1},
+            {"name": "U", "timed": True, "rate": 1},
+        ],
+        "arcs": [
+            {"from": "P", "to": "T"},
+            {"from": "T", "to": "Q"},
+            {"from": "Q", "to": "U"},
+            {"from": "U", "to": "P"},
+        ],
     },
     "actions": {"P": "work.go", "Q": None},
 }
@@ -40,17 +48,23 @@ def test_a_function_that_is_not_there_is_refused(tmp_path, capsys, source):
 
 
 def test_a_module_that_is_not_there_is_refused(tmp_path, capsys):
-    (tmp_path / "plan.json").write_text(json.dumps(dict(PLAN, actions={"P": "in_no_folder.go", "Q": None})))
+    (tmp_path / "plan.json").write_text(
+        json.dumps(dict(PLAN, actions={"P": "in_no_folder.go", "Q": None}))
+    )
     assert main(["check", str(tmp_path)]) == 1
     assert "there is no in_no_folder.py beside the plan" in capsys.readouterr().out
-    (tmp_path / "plan.json").write_text(json.dumps(dict(PLAN, actions={"P": "os.getcwd", "Q": None})))
+    (tmp_path / "plan.json").write_text(
+        json.dumps(dict(PLAN, actions={"P": "os.getcwd", "Q": None}))
+    )
     assert main(["check", str(tmp_path)]) == 0
 
 
 def test_the_modules_of_another_plan_are_not_taken(tmp_path, capsys):
     for name in ("has", "lacks"):
         (tmp_path / name).mkdir()
-        (tmp_path / name / "plan.json").write_text(json.dumps(dict(PLAN, actions={"P": "only_here.go", "Q": None})))
+        (tmp_path / name / "plan.json").write_text(
+            json.dumps(dict(PLAN, actions={"P": "only_here.go", "Q": None}))
+        )
     (tmp_path / "has" / "only_here.py").write_text("def go():\n    pass\n")
     assert main(["run", str(tmp_path / "has"), "--seconds", "0.1", "--quiet"]) == 0
     capsys.readouterr()
@@ -64,7 +78,9 @@ def test_a_net_is_told_as_a_net(tmp_path, capsys):
     assert main(["convert", _net(tmp_path), str(tmp_path / "net.pnml")]) == 0
     capsys.readouterr()
     assert main(["check", str(tmp_path / "net.pnml")]) == 2
-    assert "this is a net, not a plan (gspn analyse says what a net can do)" in capsys.readouterr().err
+    assert (
+        "this is a net, not a plan (gspn analyse says what a net can do)" in capsys.readouterr().err
+    )
     assert main(["run", str(tmp_path / "net.pnml")]) == 2
     assert "this is a net, not a plan" in capsys.readouterr().err
     (tmp_path / "broken.pnml").write_text("<pnml")

@@ -1,4 +1,5 @@
-"""``gspn demo``: when it ends, and what it says then. That a team runs is tested by the node tests."""
+"""``gspn demo``: when it ends, and what it says then. That a team runs is tested by the node
+tests."""
 
 from __future__ import annotations
 
@@ -16,7 +17,12 @@ def ended_demo(node: str, code: Optional[int], ended: str = "", fault: bool = Fa
     """A demo of three robots, of which roslaunch has said that a process ended."""
     demo = _Demo(read_plan("plans/patrol").for_robots(3), "plans/patrol", 0, None, 8090, False)
     demo._monitor = SimpleNamespace(
-        ended=ended, fault=fault, firings=5, doing=["robot_1"], moves=Counter(), transitions=Counter(t=5)
+        ended=ended,
+        fault=fault,
+        firings=5,
+        doing=["robot_1"],
+        moves=Counter(),
+        transitions=Counter(t=5),
     )
     demo._node_ended(node, code)
     assert demo._ending.is_set()
@@ -24,9 +30,12 @@ def ended_demo(node: str, code: Optional[int], ended: str = "", fault: bool = Fa
 
 
 @pytest.mark.parametrize(
-    ("code", "ended"), [(0, "every robot is in a place without output arcs"), (1, "stopped on the page")]
+    ("code", "ended"),
+    [(0, "every robot is in a place without output arcs"), (1, "stopped on the page")],
 )
-def test_the_demo_ends_when_its_team_has(code: int, ended: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_demo_ends_when_its_team_has(
+    code: int, ended: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The robots are one process for roslaunch, however many they are."""
     demo = ended_demo("gspn_team_demo_1f00-2", code, ended)
     assert demo.summary() == 0

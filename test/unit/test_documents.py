@@ -1,8 +1,9 @@
 """Every command in the documents works, and every link leads somewhere.
 
-What needs no ROS is run, in a folder that holds what the document has written down so far. What needs ROS is checked
-against the launch files, scripts and interfaces that it names; ``test/rostest/documents`` runs it on a live team. What
-sets up a machine is in :data:`SET_UP`, and not run. A command that is none of these fails.
+What needs no ROS is run, in a folder that holds what the document has written down so far. What
+needs ROS is checked against the launch files, scripts and interfaces that it names;
+``test/rostest/documents`` runs it on a live team. What sets up a machine is in :data:`SET_UP`, and
+not run. A command that is none of these fails.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ SET_UP = (
     r"mkdir -p ~/greenhouse",
     r"cd ~",
     r'ln -s "\$PWD" ~/catkin_ws/src/gspn_framework_package',
-    # installing and building: ./run_tests does it from scripts/, see scripts/prepare.sh and scripts/check_install.sh
+    # installing and building: ./run_tests does it from scripts/, see scripts/prepare.sh and
+    # scripts/check_install.sh
     r"sudo apt-get install .+",
     r"rosdep install --from-paths src --ignore-src -y",
     r"catkin_make( install)?( -DPYTHON_EXECUTABLE=/usr/bin/python3)?",
@@ -49,12 +51,18 @@ SET_UP = (
 """Commands that change the machine or need another: read, not run."""
 
 ENDLESS = {"serve", "replay", "record"}
-"""Verbs that end at Ctrl-C, or follow a live team: their arguments are parsed, the rest is tested elsewhere."""
+"""Verbs that end at Ctrl-C, or follow a live team: their arguments are parsed, the rest is tested
+elsewhere."""
 
 LONG = {"bench", "film"}
 """Verbs that take minutes: their arguments are parsed, the rest is tested elsewhere."""
 
-SERVICES = {"get_place": "GetPlace", "get_state": "GetState", "set_place": "SetPlace", "command": "Command"}
+SERVICES = {
+    "get_place": "GetPlace",
+    "get_state": "GetState",
+    "set_place": "SetPlace",
+    "command": "Command",
+}
 TOPICS = {"fired_transitions", "gspn_agreement", "activity", "diagnostics", "clock", "rosout"}
 
 SECONDS = 1.0
@@ -74,7 +82,9 @@ def sandbox(tmp_path):
     """A folder that looks like a checkout, whose files a command may write over."""
     for name in os.listdir(ROOT):
         if name == "plans":
-            shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(
+                ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__")
+            )
         elif not name.startswith(".") and name not in ("docs", "build"):
             (tmp_path / name).symlink_to(ROOT / name)
     return tmp_path
@@ -126,11 +136,19 @@ def _try_gspn(command: Command, words: list, sandbox: Path) -> None:
         return
     line = SHORTER.sub(lambda match: match.group(1) + "%g" % SECONDS, command.line)
     line = re.sub(r"^(gspn|python3 -m %s)(?= |$)" % PACKAGE, '"$PYTHON" -m ' + PACKAGE, line)
-    environment = dict(os.environ, PYTHON=sys.executable, PYTHONPATH=str(ROOT), PYTHONDONTWRITEBYTECODE="1")
+    environment = dict(
+        os.environ, PYTHON=sys.executable, PYTHONPATH=str(ROOT), PYTHONDONTWRITEBYTECODE="1"
+    )
     ended = subprocess.run(
-        ["bash", "-c", line], cwd=str(sandbox), env=environment, timeout=120, stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-    )  # fmt: skip
+        ["bash", "-c", line],
+        cwd=str(sandbox),
+        env=environment,
+        timeout=120,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
     assert ended.returncode == command.exit_code, "%s\n%s" % (command, ended.stdout)
     assert "Traceback" not in ended.stdout, "%s\n%s" % (command, ended.stdout)
 
@@ -146,14 +164,21 @@ def _parses(command: Command, words: list) -> None:
 def _options_exist(command: Command, program: list, words: list) -> None:
     """The program's help speaks of every option."""
     told = subprocess.run(
-        program + ["--help"], cwd=str(ROOT), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, timeout=120, text=True,
-    )  # fmt: skip
+        program + ["--help"],
+        cwd=str(ROOT),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        timeout=120,
+        text=True,
+    )
     assert told.returncode == 0, "%s\n%s" % (command, told.stdout)
     for word in words:
         option = word.split("=")[0]
         if option.startswith("-"):
-            assert re.search(r"(?<![\w-])%s(?![\w-])" % re.escape(option), told.stdout), str(command)
+            assert re.search(r"(?<![\w-])%s(?![\w-])" % re.escape(option), told.stdout), str(
+                command
+            )
 
 
 # -- typed in a terminal ---------------------------------------------------------------------------
@@ -167,8 +192,8 @@ def _terminal(folder: Path, home: Path) -> Terminal:
 
 
 def test_the_first_plan_typed_in_a_terminal(tmp_path):
-    """From the first line to the last that needs no ROS: each command ends well, and the check says what is promised.
-    It begins in the checkout; the document says how to go on from there."""
+    """From the first line to the last that needs no ROS: each command ends well, and the check says
+    what is promised. It begins in the checkout; the document says how to go on from there."""
     said = []
     with _terminal(ROOT, home=tmp_path) as terminal:
         for step in steps(ROOT / "docs/first_plan.md"):
@@ -183,14 +208,18 @@ def test_the_first_plan_typed_in_a_terminal(tmp_path):
                 said.append((step.words[3:4], text))
     checks = [text for verb, text in said if verb == ["check"]]
     assert len(checks) == 2
-    assert "the policy has no row, so that the weights decide for a robot in Look in (Look: 2, Tap: 1" in checks[0]
+    assert (
+        "the policy has no row, so that the weights decide for a robot in Look in (Look: 2, Tap: 1"
+        in checks[0]
+    )
     assert "no row" not in checks[1]
     assert not any("warning" in text for text in checks[1:])
     assert not any("not decided" in text or "without bound" in text for text in checks)
 
 
 def test_the_readme_typed_in_a_terminal(sandbox, tmp_path):
-    """What its five minutes need no ROS for, in a checkout: each command ends as it says, the page at Ctrl-C."""
+    """What its five minutes need no ROS for, in a checkout: each command ends as it says, the page
+    at Ctrl-C."""
     typed = []
     with _terminal(sandbox, home=tmp_path) as terminal:
         for step in steps(ROOT / "README.md"):
@@ -229,7 +258,9 @@ def _try_roslaunch(command: Command, words: list) -> None:
     if "--ros-args" in command.line:
         return
     for name, arg in known.items():
-        assert name in given or "default" in arg.attrib or "value" in arg.attrib, "%s: needs %s:=" % (command, name)
+        assert name in given or "default" in arg.attrib or "value" in arg.attrib, (
+            "%s: needs %s:=" % (command, name)
+        )
 
 
 def _try_rosrun(command: Command, words: list) -> None:
@@ -245,7 +276,9 @@ def _try_rosservice(command: Command, words: list) -> None:
     assert name in SERVICES, str(command)
     request = (ROOT / "srv" / (SERVICES[name] + ".srv")).read_text(encoding="utf-8").split("---")[0]
     fields = re.findall(r"^\w+(?:\[\])? (\w+)", request, re.MULTILINE)
-    assert len(words) > 2, "%s: in a terminal rosservice asks for arguments, for {} where there are none" % command
+    assert len(words) > 2, (
+        "%s: in a terminal rosservice asks for arguments, for {} where there are none" % command
+    )
     if len(words) > 2:
         import yaml
 
@@ -313,7 +346,9 @@ def test_every_launch_file_and_argument_is_documented():
 
 def test_every_parameter_is_documented():
     source = (ROOT / PACKAGE / "ros/options.py").read_text(encoding="utf-8")
-    fields = re.search(r"class NodeOptions\(NamedTuple\):(.*?)\n    @property", source, re.DOTALL).group(1)
+    fields = re.search(
+        r"class NodeOptions\(NamedTuple\):(.*?)\n    @property", source, re.DOTALL
+    ).group(1)
     names = re.findall(r"^    (\w+): ", fields, re.MULTILINE)
     assert "plan" in names
     text = _text("ros_interface.md")
@@ -326,7 +361,11 @@ def test_the_example_of_the_thesis_form_is_read(tmp_path):
     from gspn_framework_package.formats.registry import write_net
     from gspn_framework_package.model.builder import NetBuilder
 
-    written = [s for s in steps(ROOT / "docs/plan_file.md") if isinstance(s, File) and s.path.startswith("thesis_input")]
+    written = [
+        s
+        for s in steps(ROOT / "docs/plan_file.md")
+        if isinstance(s, File) and s.path.startswith("thesis_input")
+    ]
     path = tmp_path / "input.json"
     path.write_text(written[0].text, encoding="utf-8")
     net = NetBuilder().place("A", tokens=2).place("B")

@@ -1,4 +1,5 @@
-"""Numbers that nobody can mean are refused in one line with exit code 2, wherever they are given."""
+"""Numbers that nobody can mean are refused in one line with exit code 2, wherever they are
+given."""
 
 import json
 import os
@@ -26,8 +27,12 @@ def write(tmp_path, tokens):
     return str(path)
 
 
-@pytest.mark.parametrize("tokens", [2**53 + 1, 2**63, 2**64, 10**200], ids=lambda tokens: "%.3g" % tokens)
-@pytest.mark.parametrize("verb", ["analyse", "simulate --time 1", "convert - --to pnml", "draw -o x.svg"])
+@pytest.mark.parametrize(
+    "tokens", [2**53 + 1, 2**63, 2**64, 10**200], ids=lambda tokens: "%.3g" % tokens
+)
+@pytest.mark.parametrize(
+    "verb", ["analyse", "simulate --time 1", "convert - --to pnml", "draw -o x.svg"]
+)
 def test_more_tokens_than_anything_can_count(tmp_path, capsys, tokens, verb):
     name, *words = verb.split()
     assert main([name, write(tmp_path, tokens), *words]) == 2
@@ -96,7 +101,9 @@ OPTIONS = [
 ]
 
 
-@pytest.mark.parametrize("words", OPTIONS, ids=lambda words: " ".join(words)[:60].encode("ascii", "replace").decode())
+@pytest.mark.parametrize(
+    "words", OPTIONS, ids=lambda words: " ".join(words)[:60].encode("ascii", "replace").decode()
+)
 def test_options_have_bounds(tmp_path, capsys, monkeypatch, words):
     monkeypatch.chdir(tmp_path)
     known = {"NET": write(tmp_path, 3), "PLAN": MEASURE}
@@ -110,8 +117,16 @@ def test_options_have_bounds(tmp_path, capsys, monkeypatch, words):
 PLAN = {
     "net": {
         "places": [{"name": "P", "tokens": 1}, {"name": "Q"}],
-        "transitions": [{"name": "T", "timed": True, "rate": 1}, {"name": "U", "timed": True, "rate": 1}],
-        "arcs": [{"from": "P", "to": "T"}, {"from": "T", "to": "Q"}, {"from": "Q", "to": "U"}, {"from": "U", "to": "P"}],
+        "transitions": [
+            {"name": "T", "timed": True, "rate": 1},
+            {"name": "U", "timed": True, "rate": 1},
+        ],
+        "arcs": [
+            {"from": "P", "to": "T"},
+            {"from": "T", "to": "Q"},
+            {"from": "Q", "to": "U"},
+            {"from": "U", "to": "P"},
+        ],
     },
     "actions": {"P": None, "Q": None},
 }

@@ -50,8 +50,8 @@ ROS = re.compile(
 #: Libraries that the package does without: only the modules that use them fail to import.
 OPTIONAL = ["numba"]
 
-#: What the package imports that is not Python's own nor a ROS package of that name -> its rosdep key, "" for what rosdep
-#: does not have and the package does without.
+# : What the package imports that is not Python's own nor a ROS package of that name -> its rosdep
+# key, "" for what rosdep : does not have and the package does without.
 ROSDEP_KEYS = {
     "PIL": "python3-pil",
     "flask": "python3-flask",
@@ -235,7 +235,9 @@ def test_version_and_license_agree_everywhere():
     assert license_file.read_text("utf-8").startswith("BSD 3-Clause")
 
 
-@pytest.mark.skipif(sys.version_info < (3, 10), reason="Python does not say what its own modules are")
+@pytest.mark.skipif(
+    sys.version_info < (3, 10), reason="Python does not say what its own modules are"
+)
 def test_the_manifest_names_all_that_the_package_imports():
     manifest = ElementTree.parse(str(ROOT / "package.xml")).getroot()
     named = {element.text for tag in ("depend", "exec_depend") for element in manifest.findall(tag)}
@@ -261,8 +263,12 @@ def test_the_action_keeps_the_fields_of_the_thesis():
     text = (ROOT / "action" / "ExecGSPN.action").read_text("utf-8")
     fields = [line.split("#")[0].split() for line in text.splitlines()]
     assert [" ".join(words) for words in fields if words] == [
-        "string place", "---", "string transition", "---", "int32[] time_passed",
-    ]  # fmt: skip
+        "string place",
+        "---",
+        "string transition",
+        "---",
+        "int32[] time_passed",
+    ]
 
 
 # --- command line
@@ -320,8 +326,9 @@ def test_help_lists_every_verb_and_imports_none():
 def test_version():
     shown = gspn("--version")
     assert (shown.returncode, shown.stdout.split()) == (
-        0, ["gspn", gspn_framework_package.__version__],
-    )  # fmt: skip
+        0,
+        ["gspn", gspn_framework_package.__version__],
+    )
 
 
 @pytest.mark.parametrize("words", [[], ["no-such-verb"], ["--no-such-option"]])
@@ -402,8 +409,11 @@ sys.exit(main.main(["verb"]))
 def test_an_interrupt_while_a_library_is_imported_is_no_fault(when):
     process = subprocess.run(
         [sys.executable, "-c", INTERRUPTED_IMPORT, when],
-        cwd=str(ROOT), env=clean_environment(), stderr=subprocess.PIPE, timeout=60,
-    )  # fmt: skip
+        cwd=str(ROOT),
+        env=clean_environment(),
+        stderr=subprocess.PIPE,
+        timeout=60,
+    )
     assert (process.returncode, process.stderr) == (130, b"gspn: interrupted\n")
 
 

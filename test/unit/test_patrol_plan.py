@@ -90,7 +90,9 @@ def test_a_robot_leaves_the_bay_when_the_next_location_is_free_whoever_is_in_its
 
     def waiting_is_done(*places: str) -> bool:
         marking = [sum(place.name == name for name in places) for place in net.places]
-        return net.transition_index["t5:Wait_Done_L1"] in net.enabled(tuple(marking), by_priority=False)
+        return net.transition_index["t5:Wait_Done_L1"] in net.enabled(
+            tuple(marking), by_priority=False
+        )
 
     assert waiting_is_done("p4:Wait_L1")
     assert waiting_is_done("p4:Wait_L1", "p1:Check_Temperature_L1", "p9:Check_Temperature_L3")

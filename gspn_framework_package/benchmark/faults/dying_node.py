@@ -1,7 +1,8 @@
 """A robot's process that can be told to die while it writes its log.
 
-``python3 -m gspn_framework_package.benchmark.faults.dying_node`` is ``gspn_executor`` but for two signals. Nobody can
-kill a process from outside at the very moment of a write; so the process does it itself, with SIGKILL:
+``python3 -m gspn_framework_package.benchmark.faults.dying_node`` is ``gspn_executor`` but for two
+signals. Nobody can kill a process from outside at the very moment of a write; so the process does
+it itself, with SIGKILL:
 
 - :data:`CUT`: in the next write, of which only a part gets into the file;
 - :data:`UNSENT`: after the next write, before anything that rests on it has left the process.

@@ -1,6 +1,7 @@
-"""Every robot of a team in turn: killed in mid-plan, killed in the middle of a write of its log, killed between a write
-and what it would have sent, each time started again; stopped beyond its eviction. Then the ROS master is killed and
-started again, a robot joins (and is killed while it writes the first line of its log), and the first robot leaves."""
+"""Every robot of a team in turn: killed in mid-plan, killed in the middle of a write of its log,
+killed between a write and what it would have sent, each time started again; stopped beyond its
+eviction. Then the ROS master is killed and started again, a robot joins (and is killed while it
+writes the first line of its log), and the first robot leaves."""
 
 from __future__ import annotations
 
@@ -46,7 +47,9 @@ class EachInTurn:
     :ivar woken: seconds from the end of a stop to the first goal, each time.
     """
 
-    def __init__(self, master: Master, robots: int, mode: Synchronisation, source: random.Random, tell: Tell) -> None:
+    def __init__(
+        self, master: Master, robots: int, mode: Synchronisation, source: random.Random, tell: Tell
+    ) -> None:
         self._master, self._source, self._tell = master, source, tell
         self.injected: Counter[str] = Counter()
         self.torn: Counter[str] = Counter()
@@ -56,13 +59,15 @@ class EachInTurn:
         self.team = Team(robots, mode, EVICT_AFTER)
 
     def run(self) -> None:
-        """Inject every fault, then wait until the team rests. :raises ExecutionError: it did not go on as it must."""
+        """Inject every fault, then wait until the team rests. :raises ExecutionError: it did not go
+        on as it must."""
         self.team.wait_until(self.team.is_complete, "the start")
         self.team.wait_for_moves(self.team.first, MOVES)
         for fault, kill in (
-            ("killed", self._anywhere), ("killed in a write", self._in_a_write),
+            ("killed", self._anywhere),
+            ("killed in a write", self._in_a_write),
             ("killed before a send", self._before_a_send),
-        ):  # fmt: skip
+        ):
             for name in self.team.first:
                 self._kill(name, fault, kill)
         for name in self.team.first:
@@ -112,22 +117,29 @@ class EachInTurn:
         again = self.team.read(name).of("goal", began)[0]
         self.back.append(again["mono"] - began)
         evicted = any(self.team.entries("evict", name, began))
-        require(again["incarnation"] > goals[-1]["incarnation"], "%s has its old incarnation" % name)
+        require(
+            again["incarnation"] > goals[-1]["incarnation"], "%s has its old incarnation" % name
+        )
         resumed = again["visit"] - goals[-1]["visit"] in (0, 1)
-        require(evicted or resumed, "%s came back at visit %d after %d" % (
-            name, again["visit"], goals[-1]["visit"]))  # fmt: skip
+        require(
+            evicted or resumed,
+            "%s came back at visit %d after %d" % (name, again["visit"], goals[-1]["visit"]),
+        )
         if evicted:
             self.injected["evicted before it was back"] += 1
         self._tell("%s %s%s, back after %.1f s" % (name, fault, how, self.back[-1]))
 
     def _stop_beyond_eviction(self, name: str) -> None:
-        """SIGSTOP: the others evict it and go on, or wait where they are no quorum; then SIGCONT."""
+        """SIGSTOP: the others evict it and go on, or wait where they are no quorum; then
+        SIGCONT."""
         others = [n for n in self.team.present() if n != name]
         members = self.team.statuses()[others[0]]["members"]
         stopped, evicted = time.monotonic(), 0.0
         self.team.signal(name, signal.SIGSTOP)
         if is_quorum(others, members):
-            self.team.wait_until(lambda: any(self.team.entries("evict", name, stopped)), "the eviction of " + name)
+            self.team.wait_until(
+                lambda: any(self.team.entries("evict", name, stopped)), "the eviction of " + name
+            )
             evicted = time.monotonic()
             self.team.wait_for_moves(others, MOVES, evicted)
             self.injected["stopped beyond its eviction"] += 1

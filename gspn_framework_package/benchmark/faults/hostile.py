@@ -1,6 +1,6 @@
-"""What a hostile or broken program on the ROS network can send to a team: messages of the protocol that are malformed,
-forged, replayed or come in a flood, rubbish in service calls, and bytes that are no ROS at all. After each kind every
-node must be alive and every robot must move on."""
+"""What a hostile or broken program on the ROS network can send to a team: messages of the protocol
+that are malformed, forged, replayed or come in a flood, rubbish in service calls, and bytes that
+are no ROS at all. After each kind every node must be alive and every robot must move on."""
 
 from __future__ import annotations
 
@@ -46,25 +46,33 @@ class Hostile:
         self._early: List[Any] = []
 
     def run(self) -> None:
-        """Send everything, then wait until the team rests. :raises ExecutionError: it did not go on as it must."""
+        """Send everything, then wait until the team rests. :raises ExecutionError: it did not go on
+        as it must."""
         import rospy
 
         from gspn_framework_package.msg import Agreement
 
         team = self.team
         if not rospy.core.is_initialized():
-            rospy.init_node("gspn_hostile", anonymous=True, disable_signals=True, disable_rosout=True)
+            rospy.init_node(
+                "gspn_hostile", anonymous=True, disable_signals=True, disable_rosout=True
+            )
         self._publisher = rospy.Publisher("/gspn_agreement", Agreement, queue_size=10_000)
         listener = rospy.Subscriber("/gspn_agreement", Agreement, self._listen)
         try:
             team.wait_until(team.is_complete, "the start")
             team.wait_for_moves(team.first, MOVES)
             team.wait_until(lambda: ("hello", team.first[0]) in self._heard, "a greeting")
-            team.wait_until(lambda: self._publisher.get_num_connections() >= len(team.first), "the connections")
+            team.wait_until(
+                lambda: self._publisher.get_num_connections() >= len(team.first), "the connections"
+            )
             for name, send in self._attacks():
                 self.injected[name] += send()
                 team.wait_for_moves(team.first, MOVES)
-                require(not team.ended(), "%s: the nodes of %s have ended" % (name, ", ".join(team.ended())))
+                require(
+                    not team.ended(),
+                    "%s: the nodes of %s have ended" % (name, ", ".join(team.ended())),
+                )
                 self._tell("%s: all alive, and move" % name)
             team.rest()
             require(not team.tracebacks(), "a traceback in %s" % ", ".join(team.tracebacks()))
@@ -90,17 +98,30 @@ class Hostile:
             "brackets in brackets": lambda: "[" * DEEP,
             "a number of a million digits": lambda: '{"kind": %s}' % ("9" * 10**6),
             "no fields": lambda: {"kind": "hello"},
-            "not a number": lambda: {**self._hello(), "length": float("nan"), "records": float("inf")},
+            "not a number": lambda: {
+                **self._hello(),
+                "length": float("nan"),
+                "records": float("inf"),
+            },
             "half a character": lambda: {**self._hello(), "log": "\ud800", "hash": "\0"},
             "another version": lambda: {**self._hello(), "version": 1},
             "an unknown kind": lambda: {**self._hello(), "kind": "bye"},
-            "a ballot of 4,300 digits": lambda: self._in_name("prepare", ballot=[10**4299, "x", "x"], frozen=True),
+            "a ballot of 4,300 digits": lambda: self._in_name(
+                "prepare", ballot=[10**4299, "x", "x"], frozen=True
+            ),
             "a negative ballot": lambda: self._in_name("accept", ballot=[-1, "x", "x"], batch=[]),
-            "a batch of numbers": lambda: self._in_name("accept", ballot=[99, "x", "x"], batch=[1, 2]),
-            "a broken snapshot": lambda: self._in_name("learn", snapshot={"slot": self._length() + 9, "state": {}}),
+            "a batch of numbers": lambda: self._in_name(
+                "accept", ballot=[99, "x", "x"], batch=[1, 2]
+            ),
+            "a broken snapshot": lambda: self._in_name(
+                "learn", snapshot={"slot": self._length() + 9, "state": {}}
+            ),
             "a wrong hash": lambda: {**self._hello(), "hash": "0" * 32},
             "ten ghosts": lambda: self._event(
-                *(Item(log.Join("g%d" % i, 0, "p1", "x"), Origin("g%d" % i, 0, 1, "x")) for i in range(10))
+                *(
+                    Item(log.Join("g%d" % i, 0, "p1", "x"), Origin("g%d" % i, 0, 1, "x"))
+                    for i in range(10)
+                )
             ),
             "a later life": lambda: self._event(self._done(self._last(), 1, incarnation=99)),
             "number a million": lambda: self._event(self._done(self._last(), 10**6)),
@@ -110,7 +131,10 @@ class Hostile:
         for name, body in bodies.items():
             yield name, lambda body=body: self._send_all(body())  # type: ignore[misc]
         yield "what was sent before", self._replay
-        yield "a flood of greetings", lambda: self._flood(lambda i: {**self._hello(), "from": "ghost%d" % i})
+        yield (
+            "a flood of greetings",
+            lambda: self._flood(lambda i: {**self._hello(), "from": "ghost%d" % i}),
+        )
         yield "a flood of rubbish", lambda: self._flood(lambda i: "[" * 1000)
         yield "services elsewhere", self._elsewhere
         yield "rubbish in service calls", self._calls
@@ -128,7 +152,14 @@ class Hostile:
         from gspn_framework_package.msg import Agreement
 
         self._publisher.publish(
-            Agreement(run=RUN, sender=sender, namespace="/" + sender, service_uri=service_uri, to="", body=body)
+            Agreement(
+                run=RUN,
+                sender=sender,
+                namespace="/" + sender,
+                service_uri=service_uri,
+                to="",
+                body=body,
+            )
         )
 
     def _replay(self) -> int:
@@ -156,7 +187,13 @@ class Hostile:
 
         from gspn_framework_package.srv import Command, GetPlace, GetState, SetPlace
 
-        texts = ["{", "[" * DEEP, '{"kind": "hello"}', json.dumps({**self._hello(), "records": -1}), "\ud7ff" * 1000]
+        texts = [
+            "{",
+            "[" * DEEP,
+            '{"kind": "hello"}',
+            json.dumps({**self._hello(), "records": -1}),
+            "\ud7ff" * 1000,
+        ]
         sent = 0
         for name in self.team.first:
             for text in texts:
@@ -165,7 +202,11 @@ class Hostile:
                     ("get_state", GetState, {"from_robot": text[:1000], "agreement": text}),
                     ("set_place", SetPlace, {"place": text, "run": RUN}),
                     ("set_place", SetPlace, {"agreement": text}),
-                    ("command", Command, {"command": text, "robot": text, "argument": text, "run": RUN}),
+                    (
+                        "command",
+                        Command,
+                        {"command": text, "robot": text, "argument": text, "run": RUN},
+                    ),
                     ("command", Command, {"command": "evict", "robot": text, "run": RUN}),
                     ("command", Command, {"command": "fire", "argument": text, "run": RUN}),
                 ):
@@ -181,11 +222,21 @@ class Hostile:
         master = rosgraph.Master("/gspn_hostile")
         sent = 0
         for name in self.team.first:
-            addresses = [master.lookupNode("/%s/executor" % name), master.lookupService("/%s/command" % name)]
+            addresses = [
+                master.lookupNode("/%s/executor" % name),
+                master.lookupService("/%s/command" % name),
+            ]
             for address in addresses:
                 found = urlparse(address)
-                for data in (b"\xff\xff\xff\xff", b"\x05\x00\x00\x00hello", b"GET / HTTP/1.1\r\n\r\n", b"\0" * 10_000):
-                    with socket.create_connection((found.hostname or "", found.port or 0), 5) as connection:
+                for data in (
+                    b"\xff\xff\xff\xff",
+                    b"\x05\x00\x00\x00hello",
+                    b"GET / HTTP/1.1\r\n\r\n",
+                    b"\0" * 10_000,
+                ):
+                    with socket.create_connection(
+                        (found.hostname or "", found.port or 0), 5
+                    ) as connection:
                         connection.settimeout(0.5)
                         with contextlib.suppress(OSError):  # it says nothing, or has hung up
                             connection.sendall(data)
@@ -208,7 +259,12 @@ class Hostile:
         """A message with the true envelope of the first robot."""
         envelope = ("version", "from", "team", "log", "incarnation", "records", "length", "hash")
         true = self._hello()
-        return {**{key: true[key] for key in envelope}, "kind": kind, "slot": true["length"], **fields}
+        return {
+            **{key: true[key] for key in envelope},
+            "kind": kind,
+            "slot": true["length"],
+            **fields,
+        }
 
     def _event(self, *items: Item) -> Body:
         return self._in_name("event", items=[item.to_json() for item in items], vote=True)

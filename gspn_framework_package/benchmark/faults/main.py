@@ -1,9 +1,11 @@
-"""The command: faults on teams of real nodes, and what the history checker says of their logs. Needs ROS.
+"""The command: faults on teams of real nodes, and what the history checker says of their logs.
+Needs ROS.
 
-``python3 -m gspn_framework_package.benchmark.faults --each-in-turn`` does everything of :mod:`.each_in_turn` to a team
-of each size in each mode, ``--operators ROUNDS`` everything of :mod:`.operators`, ``--hostile`` everything of
-:mod:`.hostile`; ``--minutes 30`` runs rounds of :mod:`.soak` with fresh teams until the time is over. The ROS master is
-the command's own. Each team ends paused, at rest, and verified.
+``python3 -m gspn_framework_package.benchmark.faults --each-in-turn`` does everything of
+:mod:`.each_in_turn` to a team of each size in each mode, ``--operators ROUNDS`` everything of
+:mod:`.operators`, ``--hostile`` everything of :mod:`.hostile`; ``--minutes 30`` runs rounds of
+:mod:`.soak` with fresh teams until the time is over. The ROS master is the command's own. Each team
+ends paused, at rest, and verified.
 """
 
 from __future__ import annotations
@@ -35,23 +37,44 @@ MOST_COLUMNS = 12
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Run a scenario; 0: no violation, and every team came to rest, 1: not so, 2: wrong usage, or no ROS."""
+    """Run a scenario; 0: no violation, and every team came to rest, 1: not so, 2: wrong usage, or
+    no ROS."""
     parser = argparse.ArgumentParser(
         prog="benchmark.faults",
-        description="Kills, cuts off, stops and restarts the processes of robot teams, and verifies their logs.",
-        epilog="Exit codes: 0 all valid, 1 a violation or a team that did not go on, 2 wrong usage or no ROS.",
+        description="Kills, cuts off, stops and restarts the processes of robot teams, and "
+        "verifies their logs.",
+        epilog="Exit codes: 0 all valid, 1 a violation or a team that did not go on, 2 wrong "
+        "usage or no ROS.",
     )
     scenario = parser.add_mutually_exclusive_group()
-    scenario.add_argument("--each-in-turn", action="store_true", help="every fault to every robot, in each mode, once")
     scenario.add_argument(
-        "--operators", type=int, metavar="ROUNDS",
+        "--each-in-turn", action="store_true", help="every fault to every robot, in each mode, once"
+    )
+    scenario.add_argument(
+        "--operators",
+        type=int,
+        metavar="ROUNDS",
         help="evictions by force, returns with more log, lost logs, so many times each",
-    )  # fmt: skip
-    scenario.add_argument("--hostile", action="store_true", help="malformed, forged, replayed and flooding messages")
-    scenario.add_argument("--minutes", type=float, default=30.0, metavar="M", help="of random faults (30)")
-    parser.add_argument("--round", type=float, default=45.0, metavar="S", help="seconds of random faults a team (45)")
-    parser.add_argument("--robots", type=int, nargs="+", default=[2, 3, 5], metavar="N", help="sizes of the teams")
-    parser.add_argument("--mode", choices=[m.value for m in Synchronisation], help="only this synchronisation")
+    )
+    scenario.add_argument(
+        "--hostile", action="store_true", help="malformed, forged, replayed and flooding messages"
+    )
+    scenario.add_argument(
+        "--minutes", type=float, default=30.0, metavar="M", help="of random faults (30)"
+    )
+    parser.add_argument(
+        "--round",
+        type=float,
+        default=45.0,
+        metavar="S",
+        help="seconds of random faults a team (45)",
+    )
+    parser.add_argument(
+        "--robots", type=int, nargs="+", default=[2, 3, 5], metavar="N", help="sizes of the teams"
+    )
+    parser.add_argument(
+        "--mode", choices=[m.value for m in Synchronisation], help="only this synchronisation"
+    )
     parser.add_argument("--seed", type=int, default=None, help="of the faults (new)")
     parser.add_argument("--keep", action="store_true", help="keep the logs of good teams too")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -77,7 +100,11 @@ def _report(args: argparse.Namespace) -> int:
     master = Master()
     began = time.monotonic()
     rows: List[Row] = []
-    chosen = {"each in turn": args.each_in_turn, "operators": args.operators, "hostile": args.hostile}
+    chosen = {
+        "each in turn": args.each_in_turn,
+        "operators": args.operators,
+        "hostile": args.hostile,
+    }
     name = next((scenario for scenario, asked in chosen.items() if asked), "soak")
     interrupted = False
     try:
@@ -87,7 +114,16 @@ def _report(args: argparse.Namespace) -> int:
                 for mode in modes:
                     rows.append(_scenario(master, robots, mode, source, args))
         while name == "soak" and time.monotonic() - began < args.minutes * 60:
-            rows.append(_soak(master, source.choice(args.robots), source.choice(modes), source, args.round, args.keep))
+            rows.append(
+                _soak(
+                    master,
+                    source.choice(args.robots),
+                    source.choice(modes),
+                    source,
+                    args.round,
+                    args.keep,
+                )
+            )
     except KeyboardInterrupt:
         _tell("interrupted; what was done until then:")
         interrupted = True
@@ -98,11 +134,17 @@ def _report(args: argparse.Namespace) -> int:
         injected.update(row["injected"])
     bad = [row for row in rows if row["fault"]]
     report = {
-        "machine": describe_machine(), "scenario": name, "seed": seed,
-        "minutes": round((time.monotonic() - began) / 60, 1), "teams": len(rows), "injected": dict(injected),
-        "firings": sum(r["firings"] for r in rows), "slots": sum(r["slots"] for r in rows),
-        "bad": len(bad), "rows": rows,
-    }  # fmt: skip
+        "machine": describe_machine(),
+        "scenario": name,
+        "seed": seed,
+        "minutes": round((time.monotonic() - began) / 60, 1),
+        "teams": len(rows),
+        "injected": dict(injected),
+        "firings": sum(r["firings"] for r in rows),
+        "slots": sum(r["slots"] for r in rows),
+        "bad": len(bad),
+        "rows": rows,
+    }
     if args.json:
         print(json.dumps(report))
     else:
@@ -110,14 +152,25 @@ def _report(args: argparse.Namespace) -> int:
     return 130 if interrupted else 1 if bad else 0
 
 
-def _soak(master: Master, robots: int, mode: Synchronisation, source: random.Random, seconds: float, keep: bool) -> Row:
+def _soak(
+    master: Master,
+    robots: int,
+    mode: Synchronisation,
+    source: random.Random,
+    seconds: float,
+    keep: bool,
+) -> Row:
     soak = Soak(master, robots, mode, source)
     row = _run(soak, lambda: soak.run(seconds), keep)
     return _told({"robots": robots, "mode": mode.value, "injected": dict(soak.injected), **row})
 
 
 def _scenario(
-    master: Master, robots: int, mode: Synchronisation, source: random.Random, args: argparse.Namespace
+    master: Master,
+    robots: int,
+    mode: Synchronisation,
+    source: random.Random,
+    args: argparse.Namespace,
 ) -> Row:
     def tell(step: str) -> None:
         _tell("%d robots, %s: %s" % (robots, mode.value, step))
@@ -131,7 +184,15 @@ def _scenario(
         scenario = EachInTurn(master, robots, mode, source, tell)
     row = _run(scenario, scenario.run, args.keep)
     details = scenario.details() if isinstance(scenario, EachInTurn) else {}
-    return _told({"robots": robots, "mode": mode.value, "injected": dict(scenario.injected), **details, **row})
+    return _told(
+        {
+            "robots": robots,
+            "mode": mode.value,
+            "injected": dict(scenario.injected),
+            **details,
+            **row,
+        }
+    )
 
 
 def _run(scenario: Any, run: Callable[[], None], keep: bool) -> Row:
@@ -172,13 +233,24 @@ def _print(report: Row, bad: List[Row]) -> None:
         faults = []
     columns = ["robots", "mode", *(faults or ["kinds", "sent"]), "firings", "logs", "verdict"]
     lines = [
-        [r["robots"], r["mode"],
-         *([r["injected"].get(f, 0) for f in faults] or [len(r["injected"]), sum(r["injected"].values())]),
-         r["firings"], r["logs"], "bad" if r["fault"] else "valid"]
+        [
+            r["robots"],
+            r["mode"],
+            *(
+                [r["injected"].get(f, 0) for f in faults]
+                or [len(r["injected"]), sum(r["injected"].values())]
+            ),
+            r["firings"],
+            r["logs"],
+            "bad" if r["fault"] else "valid",
+        ]
         for r in report["rows"]
-    ]  # fmt: skip
+    ]
     print(table(columns, lines))
-    print("%(teams)d teams, %(firings)d firings in %(slots)d slots, %(bad)d bad, %(minutes).1f minutes" % report)
+    print(
+        "%(teams)d teams, %(firings)d firings in %(slots)d slots, %(bad)d bad, %(minutes).1f "
+        "minutes" % report
+    )
     for row in bad:
         print("bad: %(robots)d robots, %(mode)s: %(fault)s; logs: %(folder)s" % row)
     print(machine_line(report["machine"]))

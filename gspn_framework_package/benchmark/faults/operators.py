@@ -1,6 +1,6 @@
-"""What an operator does to a team that cannot help itself, again and again: a robot that is off is evicted by force,
-and comes back; the only robot that is left goes on alone, and the others return with more of the log than it knows; so
-many robots lose their logs that no quorum remembers."""
+"""What an operator does to a team that cannot help itself, again and again: a robot that is off is
+evicted by force, and comes back; the only robot that is left goes on alone, and the others return
+with more of the log than it knows; so many robots lose their logs that no quorum remembers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ class Operators:
         self.team = Team(robots, mode, evict_after=0.0)  # nobody is evicted but by the operator
 
     def run(self) -> None:
-        """Do it all, then wait until the team rests. :raises ExecutionError: it did not go on as it must."""
+        """Do it all, then wait until the team rests. :raises ExecutionError: it did not go on as it
+        must."""
         team = self.team
         team.wait_until(team.is_complete, "the start")
         team.wait_for_moves(team.first, MOVES)
@@ -45,8 +46,8 @@ class Operators:
     # -- what is done ------------------------------------------------------------------------------
 
     def _restart_after_force(self, number: int) -> str:
-        """A robot dies, is evicted by force and joins again; another one restarts, and is left alone for a while: it
-        must not count quorums without the first any more."""
+        """A robot dies, is evicted by force and joins again; another one restarts, and is left
+        alone for a while: it must not count quorums without the first any more."""
         team = self.team
         names = self._turned(number)
         restarted, dead = names[0], names[-1]
@@ -65,13 +66,16 @@ class Operators:
         for name in others:
             team.signal(name, signal.SIGCONT)
         require(not slots, "%s decided the slots %s alone" % (restarted, slots))
-        require(bool(self._missing("evict", [dead], restarted, began)), "%s was evicted again" % dead)
+        require(
+            bool(self._missing("evict", [dead], restarted, began)), "%s was evicted again" % dead
+        )
         team.wait_for_moves(names, MOVES)
         return "restarted after an eviction by force"
 
     def _return_with_more(self, number: int) -> str:
-        """All robots but one die, and that one knows least. It goes on alone, by the operator's word, and
-        restarts. Then the others return, with what it never heard of: they have to give that up, and join."""
+        """All robots but one die, and that one knows least. It goes on alone, by the operator's
+        word, and restarts. Then the others return, with what it never heard of: they have to give
+        that up, and join."""
         team = self.team
         names = self._turned(number)
         left, others = names[0], names[1:]
@@ -90,14 +94,16 @@ class Operators:
         for name in others:
             team.start(name)
         # not their moves: before they heard of it, they went on where they were
-        team.wait_until(lambda: not self._missing("join", others, left, began), "the others to join anew")
+        team.wait_until(
+            lambda: not self._missing("join", others, left, began), "the others to join anew"
+        )
         team.wait_for_moves(names, MOVES)
         self._tell("%s were up to %d slots ahead of %s" % (", ".join(others), ahead, left))
         return "returned after the rest went on alone"
 
     def _lose_logs(self, number: int) -> str:
-        """A quorum loses its logs. Nobody may decide anything, and all say why, until the operator switches those
-        robots off, asserts it, and starts them again."""
+        """A quorum loses its logs. Nobody may decide anything, and all say why, until the operator
+        switches those robots off, asserts it, and starts them again."""
         team = self.team
         names = self._turned(number)
         quorum = len(names) // 2 + 1
@@ -110,12 +116,16 @@ class Operators:
         for name in forgetful:
             team.start(name)
         team.wait_until(
-            lambda: all(status["stuck"] for status in team.statuses().values()), "all robots to say that they are stuck"
+            lambda: all(status["stuck"] for status in team.statuses().values()),
+            "all robots to say that they are stuck",
         )
         time.sleep(HELD_UP)
         for name in names:
             length = team.read(name).length
-            require(length <= known, "%s decided up to slot %d, where only %d were known" % (name, length, known))
+            require(
+                length <= known,
+                "%s decided up to slot %d, where only %d were known" % (name, length, known),
+            )
         for name in forgetful:
             team.kill(name)
         self._force(remembering[0], forgetful)

@@ -1,5 +1,6 @@
-"""A round of random faults: a robot is killed (anywhere, or while it writes) and restarted with or without its log,
-stopped for a moment or beyond its eviction, the ROS master is killed and restarted, a robot joins, one leaves."""
+"""A round of random faults: a robot is killed (anywhere, or while it writes) and restarted with or
+without its log, stopped for a moment or beyond its eviction, the ROS master is killed and
+restarted, a robot joins, one leaves."""
 
 from __future__ import annotations
 
@@ -27,7 +28,9 @@ class Soak:
     :ivar injected: how often each fault was.
     """
 
-    def __init__(self, master: Master, robots: int, mode: Synchronisation, source: random.Random) -> None:
+    def __init__(
+        self, master: Master, robots: int, mode: Synchronisation, source: random.Random
+    ) -> None:
         self._master, self._source = master, source
         self.injected: Counter[str] = Counter()
         self.team = Team(robots, mode, EVICT_AFTER)
@@ -38,9 +41,16 @@ class Soak:
         self.team.wait_until(self.team.is_complete, "the start")
         deadline = time.monotonic() + seconds
         faults: List[Callable[[], bool]] = [
-            self._kill, self._kill_in_write, self._kill_before_send, self._kill_without_log, self._stop_briefly,
-            self._stop_long, self._kill_master, self._join, self._leave,
-        ]  # fmt: skip
+            self._kill,
+            self._kill_in_write,
+            self._kill_before_send,
+            self._kill_without_log,
+            self._stop_briefly,
+            self._stop_long,
+            self._kill_master,
+            self._join,
+            self._leave,
+        ]
         while time.monotonic() < deadline:
             time.sleep(self._source.uniform(0.5, 3.0))
             fault = self._source.choice(faults)
@@ -80,7 +90,8 @@ class Soak:
         return in_write
 
     def _kill_without_log(self) -> bool:
-        # only one at a time may have lost its memory, and the others must be able to let it in again
+        # only one at a time may have lost its memory, and the others must be able to let it in
+        # again
         try:
             told = self.team.statuses()
         except ExecutionError:

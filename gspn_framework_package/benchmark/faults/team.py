@@ -1,4 +1,5 @@
-"""A ROS master and a team of real nodes, each a process that can be killed, stopped and started again."""
+"""A ROS master and a team of real nodes, each a process that can be killed, stopped and started
+again."""
 
 from __future__ import annotations
 
@@ -24,7 +25,13 @@ from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.history import Verdict, verify
 from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.errors import ExecutionError
-from gspn_framework_package.model.plan import FailureKind, FailureRule, FunctionAction, Synchronisation, Timing
+from gspn_framework_package.model.plan import (
+    FailureKind,
+    FailureRule,
+    FunctionAction,
+    Synchronisation,
+    Timing,
+)
 
 RUN = "faults"
 BRIEF = "gspn_framework_package.benchmark.load.brief"
@@ -52,8 +59,10 @@ class Master:
 
         self._process = subprocess.Popen(
             ["rosmaster", "--core", "-p", str(self._port)],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-        )  # fmt: skip
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
         deadline = time.monotonic() + 30
         while not rosgraph.is_master_online():
             if time.monotonic() > deadline:
@@ -80,12 +89,16 @@ class Team:
         self.folder = tempfile.mkdtemp(prefix="gspn_faults_")
         plan = tokens_plan().for_robots(robots)
         actions = {place: FunctionAction(BRIEF, place) for place in plan.actions}
-        # on a busy machine an action server may be slow to take a goal; by default its robot would wait for a person
+        # on a busy machine an action server may be slow to take a goal; by default its robot would
+        # wait for a person
         again = FailureRule(FailureKind.RETRY, 1000)
         plan = replace(
-            plan, actions=actions, on_failure={"*": again}, synchronisation=mode,
+            plan,
+            actions=actions,
+            on_failure={"*": again},
+            synchronisation=mode,
             timing=Timing(evict_after=evict_after),
-        )  # fmt: skip
+        )
         with open(os.path.join(self.folder, "plan.json"), "w", encoding="utf-8") as file:
             json.dump(plan_to_json(plan), file)
         self.first = [robot.name for robot in plan.robots]
@@ -98,14 +111,23 @@ class Team:
     # -- processes ---------------------------------------------------------------------------------
 
     def start(self, name: str, place: str = "", *arguments: str) -> None:
-        """Start a robot's node, again or for the first time; ``place``: where it comes in when it joins."""
-        words = ["_plan:=" + self.folder, "_robot:=" + name, "_run:=" + RUN, "_log_dir:=" + self.folder]
+        """Start a robot's node, again or for the first time; ``place``: where it comes in when it
+        joins."""
+        words = [
+            "_plan:=" + self.folder,
+            "_robot:=" + name,
+            "_run:=" + RUN,
+            "_log_dir:=" + self.folder,
+        ]
         words += ["__ns:=/" + name, "__name:=executor", "_place:=" + place, *arguments]
         with open(os.path.join(self.folder, name + ".txt"), "ab") as output:
             self._processes[name] = subprocess.Popen(
-                [sys.executable, "-m", dying_node.__name__, *words], start_new_session=True,
-                stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
-            )  # fmt: skip
+                [sys.executable, "-m", dying_node.__name__, *words],
+                start_new_session=True,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+            )
         self.logs.setdefault(name, LogTail(self.log_file(name)))
 
     def alive(self) -> List[str]:
@@ -114,7 +136,11 @@ class Team:
 
     def ended(self) -> List[str]:
         """The robots whose processes have ended, though they have not left."""
-        return [n for n, process in self._processes.items() if process.poll() is not None and n not in self.gone]
+        return [
+            n
+            for n, process in self._processes.items()
+            if process.poll() is not None and n not in self.gone
+        ]
 
     def signal(self, name: str, number: int) -> None:
         """Send a signal to a robot's process."""
@@ -126,7 +152,8 @@ class Team:
         self._processes[name].wait()
 
     def kill_at_write(self, name: str, told: int) -> str:
-        """SIGKILL in the middle of a write of its log, or right after one; what was written: the kind of the record.
+        """SIGKILL in the middle of a write of its log, or right after one; what was written: the
+        kind of the record.
 
         :param told: see :mod:`.dying_node`.
         :raises ExecutionError: it wrote nothing for a long time.
@@ -136,7 +163,8 @@ class Team:
         return self.last_written(name)
 
     def await_death(self, name: str, seconds: float = PATIENCE) -> int:
-        """Wait until a robot's process has ended; its exit code. :raises ExecutionError: it goes on."""
+        """Wait until a robot's process has ended; its exit code. :raises ExecutionError: it goes
+        on."""
         try:
             return int(self._processes[name].wait(seconds))
         except subprocess.TimeoutExpired:
@@ -147,7 +175,8 @@ class Team:
         return os.path.join(self.folder, RUN, name + ".jsonl")
 
     def lose_log(self, name: str) -> None:
-        """The log of a robot that does not run is gone; it is kept beside, for the history checker."""
+        """The log of a robot that does not run is gone; it is kept beside, for the history
+        checker."""
         log = self.log_file(name)
         if os.path.exists(log):
             os.replace(log, "%s.%d.jsonl" % (log[: -len(".jsonl")], time.monotonic_ns()))
@@ -187,7 +216,9 @@ class Team:
 
         try:
             with contextlib.closing(OperatorClient()) as client:
-                client.nodes = [node for node in client.nodes if at in ("", node.namespace.strip("/"))]
+                client.nodes = [
+                    node for node in client.nodes if at in ("", node.namespace.strip("/"))
+                ]
                 return client.order(command, robot, "", RUN)[0]
         except ExecutionError:
             return False
@@ -211,7 +242,9 @@ class Team:
         """A robot's log as far as it is written."""
         return self.logs[name].read()
 
-    def wait_until(self, condition: Callable[[], bool], what: str, seconds: float = PATIENCE) -> None:
+    def wait_until(
+        self, condition: Callable[[], bool], what: str, seconds: float = PATIENCE
+    ) -> None:
         """Wait for a condition on the team. :raises ExecutionError: it did not hold in time."""
         deadline = time.monotonic() + seconds
         last = ""
@@ -240,9 +273,11 @@ class Team:
     def entries(self, kind: str, robot: str, since: float) -> List[Dict[str, Any]]:
         """The entries of a kind about a robot that any log has got after a time."""
         return [
-            entry for log in self.present() for entry in self.read(log).entries(kind, since)
+            entry
+            for log in self.present()
+            for entry in self.read(log).entries(kind, since)
             if entry["robot"] == robot
-        ]  # fmt: skip
+        ]
 
     def rest(self) -> None:
         """Pause the team, and wait until nothing changes any more."""
@@ -269,8 +304,11 @@ class Team:
         return found
 
     def verdict(self) -> Verdict:
-        """What the history checker says of all logs, once the team has come to rest and its nodes have ended."""
-        logs = [read_log(path) for path in sorted(glob.glob(os.path.join(self.folder, RUN, "*.jsonl")))]
+        """What the history checker says of all logs, once the team has come to rest and its nodes
+        have ended."""
+        logs = [
+            read_log(path) for path in sorted(glob.glob(os.path.join(self.folder, RUN, "*.jsonl")))
+        ]
         return verify(logs, settled=True)
 
 

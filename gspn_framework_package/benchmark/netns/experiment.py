@@ -27,27 +27,32 @@ PATIENCE = 40.0
 
 
 def plan_for(robots: int, mode: str, evict_after: float) -> Plan:
-    """The net of thesis Figure 6.1 with short actions: of its places, those before a resource or a choice of the
-    policy need the team's agreement in partial synchronisation, the others are private."""
+    """The net of thesis Figure 6.1 with short actions: of its places, those before a resource or a
+    choice of the policy need the team's agreement in partial synchronisation, the others are
+    private."""
     plan = tokens_plan().for_robots(robots)
     return replace(
         plan,
-        actions={p: None if a is None else FunctionAction(WORK, p) for p, a in plan.actions.items()},
+        actions={
+            p: None if a is None else FunctionAction(WORK, p) for p, a in plan.actions.items()
+        },
         synchronisation=Synchronisation(mode),
         timing=Timing(evict_after, 0.0),
     )
 
 
 class Experiment:
-    """A team that works, in a network that can be cut; ends with the ``with`` block, which keeps the logs of one that
-    failed.
+    """A team that works, in a network that can be cut; ends with the ``with`` block, which keeps
+    the logs of one that failed.
 
     :param mode: ``full`` or ``partial``.
     :param evict_after: see :class:`~gspn_framework_package.model.plan.Timing`.
     :param delay: seconds from any node to any other.
     """
 
-    def __init__(self, mode: str, *, robots: int = 3, evict_after: float = 15.0, delay: float = 0.0) -> None:
+    def __init__(
+        self, mode: str, *, robots: int = 3, evict_after: float = 15.0, delay: float = 0.0
+    ) -> None:
         self.partial = mode == "partial"
         self.began = self.cut_at = self.healed_at = 0.0
         plan = plan_for(robots, mode, evict_after)
@@ -91,35 +96,46 @@ class Experiment:
         return self.read()[robot].moves(begin, end)
 
     def slots(self, robots: Sequence[str], begin: float, end: float = float("inf")) -> int:
-        """Slots that got into the logs of these robots between two times, repetitions counted once."""
+        """Slots that got into the logs of these robots between two times, repetitions counted
+        once."""
         logs = self.read()
         return len({s["slot"] for r in robots for s in logs[r].of("slot", begin, end)})
 
     # -- waiting -----------------------------------------------------------------------------------
 
     def wait(self, condition: Callable[[], bool], what: str, seconds: float = 0.0) -> float:
-        """Wait for a condition; when it came true. :raises ExecutionError: it did not within ``seconds``, or the usual
-        time: after a fault TCP may keep still for as long again as the fault lasted."""
+        """Wait for a condition; when it came true. :raises ExecutionError: it did not within
+        ``seconds``, or the usual time: after a fault TCP may keep still for as long again as the
+        fault lasted."""
         seconds = seconds or PATIENCE + self.healed_at - self.cut_at
         deadline = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > deadline:
-                raise ExecutionError("waited %g s in vain for %s" % (seconds, what), file=self.folder)
+                raise ExecutionError(
+                    "waited %g s in vain for %s" % (seconds, what), file=self.folder
+                )
             time.sleep(0.02)
         return time.monotonic()
 
     def wait_for_moves(self, robots: Sequence[str], number: int, what: str) -> float:
         """Wait until each of these robots has moved ``number`` times from now on; when that was."""
         now = time.monotonic()
-        return self.wait(lambda: all(self.moves(r, now) >= number for r in robots), "%d moves %s" % (number, what))
+        return self.wait(
+            lambda: all(self.moves(r, now) >= number for r in robots),
+            "%d moves %s" % (number, what),
+        )
 
     def warm_up(self, moves: int = 8) -> None:
         """Wait until every robot has moved a few times."""
         self.wait_for_moves(self.robots, moves, "of each robot before the fault")
 
     def all_were_everywhere(self) -> bool:
-        """Whether each robot has begun an action in every action place: it is connected to all of its servers."""
-        return all({g["place"] for g in log.of("goal")} >= set(self._places) for log in self.read().values())
+        """Whether each robot has begun an action in every action place: it is connected to all of
+        its servers."""
+        return all(
+            {g["place"] for g in log.of("goal")} >= set(self._places)
+            for log in self.read().values()
+        )
 
     def pass_time(self, seconds: float, since: float = 0.0) -> Tuple[float, float]:
         """Let time pass while the nodes are watched: (begin, end).
@@ -127,7 +143,11 @@ class Experiment:
         :param since: when it began; 0: now.
         """
         begin = since or time.monotonic()
-        self.wait(lambda: bool(self.read()) and time.monotonic() >= begin + seconds, "the time to pass", seconds + 60)
+        self.wait(
+            lambda: bool(self.read()) and time.monotonic() >= begin + seconds,
+            "the time to pass",
+            seconds + 60,
+        )
         return begin, begin + seconds
 
     # -- the network -------------------------------------------------------------------------------
@@ -157,7 +177,8 @@ class Experiment:
         self.network.verify()
 
     def fault(self) -> Tuple[float, float]:
-        """(begin, end) of the time in which nothing that was under way before the cut can still be written."""
+        """(begin, end) of the time in which nothing that was under way before the cut can still be
+        written."""
         return self.cut_at + SETTLE, self.healed_at
 
     # -- what must hold ----------------------------------------------------------------------------
@@ -168,15 +189,21 @@ class Experiment:
             raise ExecutionError(what, file=self.folder)
 
     def catch_up(self, behind: Sequence[str], ahead: Sequence[str]) -> float:
-        """Wait until the logs of some robots hold all that others knew when the network was healed; the seconds that it
-        took from there."""
+        """Wait until the logs of some robots hold all that others knew when the network was healed;
+        the seconds that it took from there."""
         logs = self.read()
-        known = max(1 + max((s["slot"] for s in logs[r].of("slot", 0, self.healed_at)), default=-1) for r in ahead)
-        caught = self.wait(lambda: all(self.read()[r].length >= known for r in behind), "the others to catch up")
+        known = max(
+            1 + max((s["slot"] for s in logs[r].of("slot", 0, self.healed_at)), default=-1)
+            for r in ahead
+        )
+        caught = self.wait(
+            lambda: all(self.read()[r].length >= known for r in behind), "the others to catch up"
+        )
         return caught - self.healed_at
 
     def finish(self) -> History:
-        """Have everybody move on, pause the team, see that all replicas end alike, end it, and check the history.
+        """Have everybody move on, pause the team, see that all replicas end alike, end it, and
+        check the history.
 
         :raises GspnError: they do not, or the history is not a valid one.
         """

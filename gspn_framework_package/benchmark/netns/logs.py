@@ -1,6 +1,7 @@
 """What the event logs of a team say when all is over.
 
-The logs are files of one host, with one monotonic clock: whoever reads them needs no way through the network.
+The logs are files of one host, with one monotonic clock: whoever reads them needs no way through
+the network.
 """
 
 from __future__ import annotations
@@ -23,9 +24,11 @@ class History(NamedTuple):
 
 
 def check_history(paths: Sequence[str]) -> History:
-    """Replay each log, compare all pairwise, slot by slot, and have ``gspn verify`` check the rules.
+    """Replay each log, compare all pairwise, slot by slot, and have ``gspn verify`` check the
+    rules.
 
-    :raises ExecutionError: they tell different histories, or do not end at the same slot and marking.
+    :raises ExecutionError: they tell different histories, or do not end at the same slot and
+      marking.
     :raises LogError: a log contradicts itself.
     """
     hashes: List[Dict[int, str]] = []
@@ -53,7 +56,10 @@ def check_history(paths: Sequence[str]) -> History:
 def _verify(paths: Sequence[str]) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "gspn_framework_package", "verify", *paths],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=300,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=300,
+    )
     if done.returncode != 0:
         raise ExecutionError("gspn verify says no: %s" % done.stdout.strip())

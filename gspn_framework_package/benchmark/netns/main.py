@@ -11,7 +11,13 @@ from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line
 from gspn_framework_package.benchmark.netns.network import why_impossible
-from gspn_framework_package.benchmark.netns.scenarios import DELAY, HOLD, NEED_DELAY, SCENARIOS, TAKE_HOLD
+from gspn_framework_package.benchmark.netns.scenarios import (
+    DELAY,
+    HOLD,
+    NEED_DELAY,
+    SCENARIOS,
+    TAKE_HOLD,
+)
 from gspn_framework_package.benchmark.netns.team import why_no_ros
 from gspn_framework_package.model.errors import GspnError
 
@@ -25,15 +31,26 @@ def why_not(scenarios: Sequence[str] = ()) -> str:
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Run the scenarios; 0: the team did as it must in all, 1: it did not, 2: not possible here, or wrong usage."""
+    """Run the scenarios; 0: the team did as it must in all, 1: it did not, 2: not possible here, or
+    wrong usage."""
     parser = argparse.ArgumentParser(
         prog="benchmark.netns",
-        description="Cuts and slows the network of a robot team, each node in its own network namespace (needs root).",
-        epilog="Exit codes: 0 all as it must be, 1 not so, 2 not possible on this machine, or wrong usage.",
+        description="Cuts and slows the network of a robot team, each node in its own network "
+        "namespace (needs root).",
+        epilog="Exit codes: 0 all as it must be, 1 not so, 2 not possible on this machine, or "
+        "wrong usage.",
     )
-    parser.add_argument("--scenario", action="append", choices=list(SCENARIOS), help="only this one (repeatable)")
+    parser.add_argument(
+        "--scenario", action="append", choices=list(SCENARIOS), help="only this one (repeatable)"
+    )
     parser.add_argument("--mode", action="append", choices=MODES, help="only this synchronisation")
-    parser.add_argument("--hold", type=float, default=HOLD, metavar="S", help="keep the network cut for S seconds (4)")
+    parser.add_argument(
+        "--hold",
+        type=float,
+        default=HOLD,
+        metavar="S",
+        help="keep the network cut for S seconds (4)",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args(arguments)
     if args.hold < 2:
@@ -43,12 +60,18 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     if reason:
         print("not possible here: %s" % reason, file=sys.stderr)
         return 2
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that everything is cleaned up
+    # so that everything is cleaned up
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     results: List[Dict[str, Any]] = []
     try:
         for name in scenarios:
             for mode in args.mode or MODES:
-                print("%s, %s synchronisation ..." % (name, mode), end=" ", file=sys.stderr, flush=True)
+                print(
+                    "%s, %s synchronisation ..." % (name, mode),
+                    end=" ",
+                    file=sys.stderr,
+                    flush=True,
+                )
                 results.append(_run(name, mode, args.hold))
                 print("%(outcome)s, %(seconds).0f s" % results[-1], file=sys.stderr)
     except KeyboardInterrupt:
@@ -75,7 +98,9 @@ def _run(name: str, mode: str, hold: float) -> Dict[str, Any]:
 
 
 def _line(result: Dict[str, Any]) -> str:
-    numbers = {k: v for k, v in result.items() if k not in ("scenario", "mode", "outcome", "seconds")}
+    numbers = {
+        k: v for k, v in result.items() if k not in ("scenario", "mode", "outcome", "seconds")
+    }
     told = ", ".join(
         "%s %s" % (key.replace("_", " "), "%.3g" % value if isinstance(value, float) else value)
         for key, value in numbers.items()

@@ -1,4 +1,5 @@
-"""Network namespaces joined by a bridge. The bridge is in a namespace too: the host's own network is not touched."""
+"""Network namespaces joined by a bridge. The bridge is in a namespace too: the host's own network
+is not touched."""
 
 from __future__ import annotations
 
@@ -28,12 +29,13 @@ _numbers = itertools.count(1)
 _libc = ctypes.CDLL(None, use_errno=True)
 
 ARRIVAL = 5.0
-"""Seconds that a datagram may take which must arrive, on a busy machine; what must not is not waited for as long."""
+"""Seconds that a datagram may take which must arrive, on a busy machine; what must not is not
+waited for as long."""
 
 
 class Network:
-    """Nodes with an address each, which can be kept from reaching one another; ends with the ``with`` block, and with
-    it whatever still runs in its namespaces.
+    """Nodes with an address each, which can be kept from reaching one another; ends with the
+    ``with`` block, and with it whatever still runs in its namespaces.
 
     :param nodes: names, at most 15 characters each.
     :param delay: seconds that a frame takes from any node to any other.
@@ -76,13 +78,28 @@ class Network:
         _run("ip", "-n", self._hub, "link", "add", "name", "bridge", "type", "bridge")
         _run("ip", "-n", self._hub, "link", "set", "bridge", "up")
         if self.delay:
-            self._relay = relay.Relay([self._taps(n) for n in self.nodes], self.delay / 2)  # each frame passes twice
+            # each frame passes twice
+            self._relay = relay.Relay([self._taps(n) for n in self.nodes], self.delay / 2)
             self._relay.start()
         for node in self.nodes:
             here = self.namespace(node)
             if not self.delay:
-                _run("ip", "-n", self._hub, "link", "add", "name", node, "type", "veth",
-                     "peer", "name", "eth0", "netns", here)  # fmt: skip
+                _run(
+                    "ip",
+                    "-n",
+                    self._hub,
+                    "link",
+                    "add",
+                    "name",
+                    node,
+                    "type",
+                    "veth",
+                    "peer",
+                    "name",
+                    "eth0",
+                    "netns",
+                    here,
+                )
             _run("ip", "-n", self._hub, "link", "set", "dev", node, "master", "bridge", "up")
             _run("ip", "-n", here, "addr", "add", self.address(node) + "/24", "dev", "eth0")
             _run("ip", "-n", here, "link", "set", "eth0", "up")
@@ -95,7 +112,9 @@ class Network:
             with inside(self._hub):
                 return end, relay.open_tap(node)
         except OSError as error:
-            raise ExecutionError("no TAP device (%s)" % error.strerror, element=relay.DEVICE) from None
+            raise ExecutionError(
+                "no TAP device (%s)" % error.strerror, element=relay.DEVICE
+            ) from None
 
     def _remove(self) -> None:
         remove_namespaces([self.namespace(n) for n in self.nodes] + [self._hub])
@@ -117,11 +136,16 @@ class Network:
         return [_program("ip"), "netns", "exec", self.namespace(node), *words]
 
     def travel_time(self, source: str, target: str, patience: float = ARRIVAL) -> Optional[float]:
-        """Seconds that a datagram takes from one node to the other; None: it did not arrive within ``patience``."""
-        with inside(self.namespace(target)), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        """Seconds that a datagram takes from one node to the other; None: it did not arrive within
+        ``patience``."""
+        with inside(self.namespace(target)), socket.socket(
+            socket.AF_INET, socket.SOCK_DGRAM
+        ) as receiver:
             receiver.bind((self.address(target), PROBE_PORT))
             receiver.settimeout(patience)
-            with inside(self.namespace(source)), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            with inside(self.namespace(source)), socket.socket(
+                socket.AF_INET, socket.SOCK_DGRAM
+            ) as sender:
                 sent = time.monotonic()
                 sender.sendto(b"probe", (self.address(target), PROBE_PORT))
             try:
@@ -131,7 +155,8 @@ class Network:
             return time.monotonic() - sent
 
     def verify(self) -> None:
-        """See that exactly what is cut does not get through. :raises ExecutionError: it is otherwise."""
+        """See that exactly what is cut does not get through. :raises ExecutionError: it is
+        otherwise."""
         for source in self.nodes:
             for target in self.nodes:
                 if source == target:
@@ -141,7 +166,8 @@ class Network:
                 arrived = self.travel_time(source, target, patience) is not None
                 if arrived == cut:
                     raise ExecutionError(
-                        "a datagram from %s to %s %s" % (source, target, "arrived" if arrived else "was lost")
+                        "a datagram from %s to %s %s"
+                        % (source, target, "arrived" if arrived else "was lost")
                     )
 
 
@@ -162,7 +188,8 @@ def why_impossible(delay: float = 0.0) -> str:
 
 @contextmanager
 def inside(namespace: str) -> Iterator[None]:
-    """This thread is in a network namespace for a while: sockets and devices that it makes there stay there."""
+    """This thread is in a network namespace for a while: sockets and devices that it makes there
+    stay there."""
     home = os.open("/proc/thread-self/ns/net", os.O_RDONLY)
     try:
         there = os.open("/run/netns/" + namespace, os.O_RDONLY)
@@ -223,11 +250,17 @@ def _run(*words: str, given: str = "") -> str:
     environment: Dict[str, str] = dict(os.environ, PATH=_PATH)
     try:
         done = subprocess.run(
-            [_program(words[0]), *words[1:]], input=given, capture_output=True, text=True,
-            env=environment, timeout=20,
-        )  # fmt: skip
+            [_program(words[0]), *words[1:]],
+            input=given,
+            capture_output=True,
+            text=True,
+            env=environment,
+            timeout=20,
+        )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise ExecutionError("'%s' failed: %s" % (" ".join(words), error)) from None
     if done.returncode != 0:
-        raise ExecutionError("'%s' failed: %s" % (" ".join(words), done.stderr.strip() or done.stdout.strip()))
+        raise ExecutionError(
+            "'%s' failed: %s" % (" ".join(words), done.stderr.strip() or done.stdout.strip())
+        )
     return done.stdout

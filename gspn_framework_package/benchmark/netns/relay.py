@@ -1,4 +1,5 @@
-"""Delay without the kernel's netem: a relay that carries Ethernet frames between pairs of TAP devices."""
+"""Delay without the kernel's netem: a relay that carries Ethernet frames between pairs of TAP
+devices."""
 
 from __future__ import annotations
 
@@ -19,13 +20,16 @@ _TAP_WITHOUT_HEADER = 0x0002 | 0x1000  # IFF_TAP | IFF_NO_PI
 
 
 def open_tap(name: str) -> int:
-    """Make the TAP device ``name`` in the network namespace of this thread; it goes when the descriptor is closed.
+    """Make the TAP device ``name`` in the network namespace of this thread; it goes when the
+    descriptor is closed.
 
     :raises OSError: not allowed, or the kernel has none.
     """
     descriptor = os.open(DEVICE, os.O_RDWR | os.O_NONBLOCK)
     try:
-        fcntl.ioctl(descriptor, _TUNSETIFF, struct.pack("16sH22x", name.encode(), _TAP_WITHOUT_HEADER))
+        fcntl.ioctl(
+            descriptor, _TUNSETIFF, struct.pack("16sH22x", name.encode(), _TAP_WITHOUT_HEADER)
+        )
     except OSError:
         os.close(descriptor)
         raise
@@ -64,10 +68,13 @@ class Relay(threading.Thread):
                 return
             now = time.monotonic()
             for descriptor in ready:
-                waiting.extend((now + self._delay, self._other[descriptor], f) for f in _frames(descriptor))
+                waiting.extend(
+                    (now + self._delay, self._other[descriptor], f) for f in _frames(descriptor)
+                )
             while waiting and waiting[0][0] <= now:
                 _, descriptor, frame = waiting.popleft()
-                with contextlib.suppress(OSError):  # its queue is full, or it is down: a network loses such a frame
+                # its queue is full, or it is down: a network loses such a frame
+                with contextlib.suppress(OSError):
                     os.write(descriptor, frame)
 
 

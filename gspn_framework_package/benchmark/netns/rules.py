@@ -31,9 +31,15 @@ def partition(groups: Sequence[Sequence[str]]) -> Cuts:
 
 
 def ruleset(cuts: Cuts) -> str:
-    """The input of ``nft -f -`` that replaces, in one transaction, what was cut before. Each node's port of the bridge
-    has the node's name; whatever goes from port to port is dropped, ARP included."""
-    lines = ["add table bridge " + TABLE, "delete table bridge " + TABLE, "table bridge %s {" % TABLE, "  chain cuts {"]
+    """The input of ``nft -f -`` that replaces, in one transaction, what was cut before. Each node's
+    port of the bridge has the node's name; whatever goes from port to port is dropped, ARP
+    included."""
+    lines = [
+        "add table bridge " + TABLE,
+        "delete table bridge " + TABLE,
+        "table bridge %s {" % TABLE,
+        "  chain cuts {",
+    ]
     lines.append("    type filter hook forward priority 0; policy accept;")
     lines += ['    iifname "%s" oifname "%s" drop' % pair for pair in sorted(cuts)]
     return "\n".join(lines + ["  }", "}", ""])

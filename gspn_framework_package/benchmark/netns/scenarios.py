@@ -24,8 +24,9 @@ WINDOW = 10.0
 def minority(mode: str, hold: float = HOLD) -> Numbers:
     """One robot of three is cut off, for less than ``evict_after``.
 
-    It finishes its action and waits. With full synchronisation the other two go on; with partial synchronisation they
-    make private moves, but what needs everybody's answer waits. After healing it catches up, and nobody was evicted.
+    It finishes its action and waits. With full synchronisation the other two go on; with partial
+    synchronisation they make private moves, but what needs everybody's answer waits. After healing
+    it catches up, and nobody was evicted.
     """
     with _experiment(mode, hold) as lab:
         lab.warm_up()
@@ -34,8 +35,8 @@ def minority(mode: str, hold: float = HOLD) -> Numbers:
 
 
 def master_side(mode: str, hold: float = HOLD) -> Numbers:
-    """First the master is alone, and all robots go on; then it is with one robot, and the two others without it behave
-    as any majority."""
+    """First the master is alone, and all robots go on; then it is with one robot, and the two
+    others without it behave as any majority."""
     with _experiment(mode, hold) as lab:
         lab.warm_up()
         lab.part([MASTER], lab.robots)
@@ -47,14 +48,16 @@ def master_side(mode: str, hold: float = HOLD) -> Numbers:
 
 
 def eviction(mode: str, evict_after: float = 3.0) -> Numbers:
-    """One robot is cut off beyond ``evict_after``: it is evicted, the others go on, and after healing it joins with a
-    new incarnation."""
+    """One robot is cut off beyond ``evict_after``: it is evicted, the others go on, and after
+    healing it joins with a new incarnation."""
     with Experiment(mode, evict_after=evict_after) as lab:
         lab.warm_up()
         lab.part([MASTER, "robot_1", "robot_2"], ["robot_3"])
 
         def evicted() -> bool:
-            return any(e["robot"] == "robot_3" for e in lab.read()["robot_1"].entries("evict", lab.cut_at))
+            return any(
+                e["robot"] == "robot_3" for e in lab.read()["robot_1"].entries("evict", lab.cut_at)
+            )
 
         evicted_at = lab.wait(evicted, "the eviction")
         lab.wait_for_moves(["robot_1", "robot_2"], 10, "of the two that are left")
@@ -62,7 +65,10 @@ def eviction(mode: str, evict_after: float = 3.0) -> Numbers:
 
         def joined() -> bool:
             return all(
-                any(e["robot"] == "robot_3" and e["incarnation"] > 0 for e in log.entries("join", lab.healed_at))
+                any(
+                    e["robot"] == "robot_3" and e["incarnation"] > 0
+                    for e in log.entries("join", lab.healed_at)
+                )
                 for log in lab.read().values()
             )
 
@@ -71,22 +77,31 @@ def eviction(mode: str, evict_after: float = 3.0) -> Numbers:
         goals = lab.read()["robot_3"].of("goal", joined_at)
         lab.require(goals[-1]["incarnation"] > 0, "robot_3 acts under its old incarnation")
         begin, end = lab.fault()
-        lab.require(not list(lab.read()["robot_3"].of("slot", begin, end)), "robot_3 decided slots without a quorum")
-        return _finish(lab, {
-            "cut": end - lab.cut_at,
-            "evicted_after": evicted_at - lab.cut_at,
-            "joined_after": joined_at - lab.healed_at,
-            "moves_of_the_others": lab.moves("robot_1", evicted_at, end) + lab.moves("robot_2", evicted_at, end),
-        })  # fmt: skip
+        lab.require(
+            not list(lab.read()["robot_3"].of("slot", begin, end)),
+            "robot_3 decided slots without a quorum",
+        )
+        return _finish(
+            lab,
+            {
+                "cut": end - lab.cut_at,
+                "evicted_after": evicted_at - lab.cut_at,
+                "joined_after": joined_at - lab.healed_at,
+                "moves_of_the_others": lab.moves("robot_1", evicted_at, end)
+                + lab.moves("robot_2", evicted_at, end),
+            },
+        )
 
 
 def deaf(mode: str, hold: float = HOLD) -> Numbers:
-    """Nothing gets to robot_3, while what it sends arrives (but no acknowledgement of TCP comes back)."""
+    """Nothing gets to robot_3, while what it sends arrives (but no acknowledgement of TCP comes
+    back)."""
     return _one_way(mode, hold, hears=False)
 
 
 def mute(mode: str, hold: float = HOLD) -> Numbers:
-    """Nothing gets from robot_3 to the others, while it hears them: what it finishes cannot get into the log."""
+    """Nothing gets from robot_3 to the others, while it hears them: what it finishes cannot get
+    into the log."""
     return _one_way(mode, hold, hears=True)
 
 
@@ -104,8 +119,11 @@ def _one_way(mode: str, hold: float, hears: bool) -> Numbers:
         if hears:
             own = {(e["incarnation"], e["visit"]) for e in _finished(lab, "robot_3", begin, end)}
             for name in ("robot_1", "robot_2"):
-                got = {(e["incarnation"], e["visit"]) for e in lab.read()[name].entries("done", begin, end)
-                       if e["robot"] == "robot_3"}  # fmt: skip
+                got = {
+                    (e["incarnation"], e["visit"])
+                    for e in lab.read()[name].entries("done", begin, end)
+                    if e["robot"] == "robot_3"
+                }
                 lab.require(not own & got, "%s knows what robot_3 could not tell" % name)
         numbers = _progress_of_others(lab, ["robot_1", "robot_2"])
         numbers["moves_of_robot_3"] = lab.moves("robot_3", begin, end)
@@ -115,11 +133,16 @@ def _one_way(mode: str, hold: float, hears: bool) -> Numbers:
 
 
 def _finished(lab: Experiment, robot: str, begin: float, end: float) -> List[Any]:
-    return [r["entry"] for r in lab.read()[robot].of("invoked", begin, end) if r["entry"]["entry"] == "done"]
+    return [
+        r["entry"]
+        for r in lab.read()[robot].of("invoked", begin, end)
+        if r["entry"]["entry"] == "done"
+    ]
 
 
 def scattered(mode: str, hold: float = HOLD) -> Numbers:
-    """All three robots and the master are alone: nothing is decided anywhere, and after healing all go on."""
+    """All three robots and the master are alone: nothing is decided anywhere, and after healing all
+    go on."""
     with _experiment(mode, hold) as lab:
         lab.warm_up()
         lab.part([MASTER], *([name] for name in lab.robots))
@@ -135,7 +158,8 @@ def scattered(mode: str, hold: float = HOLD) -> Numbers:
 
 
 def delay(mode: str, window: float = WINDOW) -> Numbers:
-    """50 ms from any node to any other: the team works, slower; beside it the same team in the same layout without."""
+    """50 ms from any node to any other: the team works, slower; beside it the same team in the same
+    layout without."""
     numbers: Numbers = {}
     for name, seconds in (("none", 0.0), ("delayed", DELAY)):
         with Experiment(mode, delay=seconds) as lab:
@@ -146,7 +170,9 @@ def delay(mode: str, window: float = WINDOW) -> Numbers:
             begin, end = lab.pass_time(window)
             commits = [t for log in lab.read().values() for t in log.commit_times(begin, end)]
             moves = sum(lab.moves(r, begin, end) for r in lab.robots)
-            lab.require(all(lab.moves(r, begin, end) > 0 for r in lab.robots), "not every robot moves")
+            lab.require(
+                all(lab.moves(r, begin, end) > 0 for r in lab.robots), "not every robot moves"
+            )
             measured = {
                 "first_moves_after": began,
                 "one_way_ms": 1e3 * statistics.median(t for t in times if t is not None),
@@ -183,13 +209,19 @@ def _lose_robot_3(lab: Experiment, hold: float, majority: List[str], rest: List[
 
 
 def _progress_of_others(lab: Experiment, others: List[str]) -> Numbers:
-    """What the majority did meanwhile. With full synchronisation it must go on; with partial synchronisation it needs
-    the answers of all that are not evicted."""
+    """What the majority did meanwhile. With full synchronisation it must go on; with partial
+    synchronisation it needs the answers of all that are not evicted."""
     begin, end = lab.fault()
     slots = lab.slots(others, begin, end)
     moves = {name: lab.moves(name, begin, end) for name in others}
-    lab.require(lab.partial or all(n >= 3 for n in moves.values()), "the majority stood still: %s" % moves)
-    return {"cut": end - lab.cut_at, "slots_of_the_others": slots, "moves_of_the_others": sum(moves.values())}
+    lab.require(
+        lab.partial or all(n >= 3 for n in moves.values()), "the majority stood still: %s" % moves
+    )
+    return {
+        "cut": end - lab.cut_at,
+        "slots_of_the_others": slots,
+        "moves_of_the_others": sum(moves.values()),
+    }
 
 
 def _all_on_after(lab: Experiment) -> float:
@@ -212,8 +244,8 @@ SCENARIOS: Dict[str, Callable[..., Numbers]] = {
     "scattered": scattered,
     "delay": delay,
 }
-"""Name -> what is done, for a mode of synchronisation; those that take ``hold`` leave the network cut for so many
-seconds. :raises GspnError: the team did what it must not."""
+"""Name -> what is done, for a mode of synchronisation; those that take ``hold`` leave the network
+cut for so many seconds. :raises GspnError: the team did what it must not."""
 
 TAKE_HOLD = frozenset(SCENARIOS) - {"eviction", "delay"}
 NEED_DELAY = frozenset({"delay"})

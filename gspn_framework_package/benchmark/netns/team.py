@@ -26,9 +26,10 @@ MASTER_PORT = 11311
 RUN = "lab"
 _PACKAGE = "gspn_framework_package"
 _ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", "..", ".."))
-_NODE = (
-    "from gspn_framework_package.ros import node_main, node_process as p; p.exit_with(node_main.run_execution_node())"
-)
+_NODE = """
+from gspn_framework_package.ros import node_main, node_process
+node_process.exit_with(node_main.run_execution_node())
+"""
 
 
 def why_no_ros() -> str:
@@ -38,7 +39,10 @@ def why_no_ros() -> str:
             return "there is no program '%s': ROS is not installed, or not sourced" % program
     for module in ("rospy", "actionlib", _PACKAGE + ".msg"):
         if importlib.util.find_spec(module) is None:
-            return "there is no Python module %s (source the workspace in which this package was built)" % module
+            return (
+                "there is no Python module %s (source the workspace in which this package was "
+                "built)" % module
+            )
     return ""
 
 
@@ -52,7 +56,9 @@ class Team:
     def __init__(self, network: Network, plan: Plan, folder: str) -> None:
         self._network, self._plan, self._folder = network, plan, folder
         self.robots = [robot.name for robot in plan.robots]
-        self.logs = {name: LogTail(os.path.join(folder, RUN, name + ".jsonl")) for name in self.robots}
+        self.logs = {
+            name: LogTail(os.path.join(folder, RUN, name + ".jsonl")) for name in self.robots
+        }
         self._processes: Dict[str, Any] = {}
 
     def __enter__(self) -> Team:
@@ -64,7 +70,10 @@ class Team:
             for name in self.robots:
                 told = {"plan": self._folder, "robot": name, "run": RUN, "log_dir": self._folder}
                 words = ["_%s:=%s" % (key, json.dumps(value)) for key, value in told.items()]
-                self._start(name, [sys.executable, "-c", _NODE, "__ns:=/" + name, "__name:=executor", *words])
+                self._start(
+                    name,
+                    [sys.executable, "-c", _NODE, "__ns:=/" + name, "__name:=executor", *words],
+                )
         except BaseException:
             self.end()
             raise
@@ -77,20 +86,28 @@ class Team:
         """All logs, as far as they are written. :raises ExecutionError: a node has ended."""
         for name, process in self._processes.items():
             if process.poll() is not None:
-                raise ExecutionError("%s ended with %s: %s" % (name, process.returncode, self._said(name)))
+                raise ExecutionError(
+                    "%s ended with %s: %s" % (name, process.returncode, self._said(name))
+                )
         for log in self.logs.values():
             log.read()
         return self.logs
 
     def order(self, robot: str, command: str) -> str:
-        """Give the team an operator's command through a robot, from that robot's own namespace; "" when it was carried
-        out, else why not."""
-        words = self._network.command(robot, ["rosservice", "call", "/%s/command" % robot, "{command: %s}" % command])
+        """Give the team an operator's command through a robot, from that robot's own namespace; ""
+        when it was carried out, else why not."""
+        words = self._network.command(
+            robot, ["rosservice", "call", "/%s/command" % robot, "{command: %s}" % command]
+        )
         try:
             done = subprocess.run(
-                words, env=self._environment(robot), stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                text=True, timeout=20,
-            )  # fmt: skip
+                words,
+                env=self._environment(robot),
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                timeout=20,
+            )
         except subprocess.TimeoutExpired:
             return "no answer"
         return "" if "success: True" in done.stdout else done.stdout.strip()
@@ -115,9 +132,14 @@ class Team:
     def _start(self, node: str, words: Sequence[str]) -> None:
         with open(self._output(node), "wb") as output:
             self._processes[node] = subprocess.Popen(
-                self._network.command(node, words), env=self._environment(node), cwd=self._folder,
-                stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True,
-            )  # fmt: skip
+                self._network.command(node, words),
+                env=self._environment(node),
+                cwd=self._folder,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
 
     def _await_master(self) -> None:
         deadline = time.monotonic() + 20

@@ -1,10 +1,12 @@
 """The page under load.
 
-    python3 -m gspn_framework_package.benchmark.page [render] [viewers] [memory] [log] [team] [--json]
+    python3 -m gspn_framework_package.benchmark.page [render] [viewers] [memory] [log] [team]
+    [--json]
 
-*render*: first render, frames per second and firing to frame, in Chromium. *viewers*: many of them, without a screen.
-*memory*: of the server, with a viewer that has stalled. *log*: how a long event log opens. *team*: what the page costs
-five robots at full speed (needs ROS). Without a word, the first three.
+*render*: first render, frames per second and firing to frame, in Chromium. *viewers*: many of them,
+without a screen. *memory*: of the server, with a viewer that has stalled. *log*: how a long event
+log opens. *team*: what the page costs five robots at full speed (needs ROS). Without a word, the
+first three.
 """
 
 from __future__ import annotations
@@ -28,25 +30,46 @@ WORDS = ("render", "viewers", "memory", "log", "team")
 
 def main() -> int:
     """Measure, and print what came out."""
-    parser = argparse.ArgumentParser(prog="benchmark.page", description="Measure the page under load.")
-    parser.add_argument("what", nargs="*", metavar="WHAT", help="%s (default: the first three)" % ", ".join(WORDS))
-    parser.add_argument("--nodes", type=int, nargs="+", default=[100, 1000, 5000], help="sizes that are rendered")
+    parser = argparse.ArgumentParser(
+        prog="benchmark.page", description="Measure the page under load."
+    )
+    parser.add_argument(
+        "what", nargs="*", metavar="WHAT", help="%s (default: the first three)" % ", ".join(WORDS)
+    )
+    parser.add_argument(
+        "--nodes", type=int, nargs="+", default=[100, 1000, 5000], help="sizes that are rendered"
+    )
     parser.add_argument("--rate", type=float, default=100.0, help="firings a second")
     parser.add_argument("--seconds", type=float, default=10.0, help="length of a measurement")
     parser.add_argument("--viewers", type=int, default=20)
-    parser.add_argument("--events", type=int, default=200_000, help="events over which memory is watched")
-    parser.add_argument("--entries", type=int, default=1_000_000, help="length of the log that is opened")
-    parser.add_argument("--log", metavar="FILE", help="where that log is, or is written (default: a temporary file)")
+    parser.add_argument(
+        "--events", type=int, default=200_000, help="events over which memory is watched"
+    )
+    parser.add_argument(
+        "--entries", type=int, default=1_000_000, help="length of the log that is opened"
+    )
+    parser.add_argument(
+        "--log", metavar="FILE", help="where that log is, or is written (default: a temporary file)"
+    )
     parser.add_argument("--robots", type=int, default=5, help="size of the team")
-    parser.add_argument("--rounds", type=int, default=4, help="times that the page comes and goes beside the team")
-    parser.add_argument("--where", choices=ARRANGEMENTS, nargs="+", default=list(ARRANGEMENTS),
-                        help="on which processors the page runs beside the team")  # fmt: skip
+    parser.add_argument(
+        "--rounds", type=int, default=4, help="times that the page comes and goes beside the team"
+    )
+    parser.add_argument(
+        "--where",
+        choices=ARRANGEMENTS,
+        nargs="+",
+        default=list(ARRANGEMENTS),
+        help="on which processors the page runs beside the team",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args()
     for word in args.what:
         if word not in WORDS:
             parser.error("there is no '%s'; there are: %s" % (word, ", ".join(WORDS)))
-    result: Dict[str, Any] = {"machine": describe_machine(("flask", "waitress", "playwright", "psutil", "rospy"))}
+    result: Dict[str, Any] = {
+        "machine": describe_machine(("flask", "waitress", "playwright", "psutil", "rospy"))
+    }
     try:
         for name, found in _measurements(args, args.what or list(WORDS[:3])):
             result.setdefault(name, []).append(found)
@@ -59,7 +82,9 @@ def main() -> int:
     return 0
 
 
-def _measurements(args: argparse.Namespace, what: list[str]) -> Iterator[Tuple[str, Dict[str, Any]]]:
+def _measurements(
+    args: argparse.Namespace, what: list[str]
+) -> Iterator[Tuple[str, Dict[str, Any]]]:
     if "render" in what:
         for nodes in args.nodes:
             yield "render", measure_page(nodes, args.rate, args.seconds)

@@ -1,5 +1,5 @@
-"""What the page shows while it is measured: a net of any size whose transitions fire at a steady rate, served by a
-process of its own."""
+"""What the page shows while it is measured: a net of any size whose transitions fire at a steady
+rate, served by a process of its own."""
 
 from __future__ import annotations
 
@@ -59,9 +59,7 @@ def workshop(nodes: int) -> Net:
             if i == 6:
                 net.immediate("r%d_t%d" % (r, i), inputs=inputs, outputs=outputs, position=where)
             else:
-                net.exponential(
-                    "r%d_t%d" % (r, i), inputs=inputs, outputs=outputs, position=where
-                )
+                net.exponential("r%d_t%d" % (r, i), inputs=inputs, outputs=outputs, position=where)
     return net.build()
 
 
@@ -135,7 +133,9 @@ def served(nodes: int, rate: float) -> Iterator[Served]:
         try:
             said = process.stdout.readline().strip()
             if said != b"ready":
-                raise ExecutionError("the server of the benchmark did not start; it said: '%s'" % said.decode())
+                raise ExecutionError(
+                    "the server of the benchmark did not start; it said: '%s'" % said.decode()
+                )
             yield Served(port, process.pid)
         finally:
             process.stdin.close()

@@ -1,4 +1,5 @@
-"""How a long event log opens on the page: the first picture, the reading, the memory of the server."""
+"""How a long event log opens on the page: the first picture, the reading, the memory of the
+server."""
 
 from __future__ import annotations
 
@@ -28,14 +29,13 @@ ENTRY_SECONDS = 0.05
 
 
 def write_log(path: str, entries: int, plan_path: str = PLAN, seed: int = 1) -> None:
-    """Write the event log of a run of so many entries, in which robots finish in a random order, and now and then an
-    action fails and is tried again."""
+    """Write the event log of a run of so many entries, in which robots finish in a random order,
+    and now and then an action fails and is tried again."""
     plan = read_plan(plan_path)
     game, source = TokenGame(plan, agents=True), random.Random(seed)
     ledger = Ledger(game)
     doing: Dict[str, StartAction] = {}
     with open(path, "w", encoding="utf-8") as file:
-
         chain = ""
 
         def write(number: int, record: Record) -> None:
@@ -56,12 +56,18 @@ def write_log(path: str, entries: int, plan_path: str = PLAN, seed: int = 1) -> 
             failed = [r.name for r in ledger.state.robots.values() if r.phase.value == "failed"]
             if not doing and not failed:
                 raise ExecutionError("the run of the log came to its end after %d entries" % number)
-            batch = [log.Retry(failed[0]) if failed else _result(game, doing.pop(source.choice(list(doing))), source)]
+            batch = [
+                log.Retry(failed[0])
+                if failed
+                else _result(game, doing.pop(source.choice(list(doing))), source)
+            ]
 
 
 def _result(game: TokenGame, action: StartAction, source: random.Random) -> log.Entry:
     if source.random() < 0.001:
-        return log.Failed(action.robot, action.incarnation, action.visit, action.attempt, "aborted", "it slipped")
+        return log.Failed(
+            action.robot, action.incarnation, action.visit, action.attempt, "aborted", "it slipped"
+        )
     net = game.net
     timed = [t for t in net.consumers[net.place_number(action.place)] if net.transitions[t].timed]
     result = net.transitions[source.choice(timed)].name if timed else ""
@@ -69,12 +75,13 @@ def _result(game: TokenGame, action: StartAction, source: random.Random) -> log.
 
 
 def measure_log(entries: int, path: str) -> Dict[str, Any]:
-    """Open a log of so many entries, written to ``path`` where there is none, in a server of its own.
+    """Open a log of so many entries, written to ``path`` where there is none, in a server of its
+    own.
 
-    :returns: ``first_picture`` (s, from the start of the server to the marking and the first events), ``read`` (s,
-        until all of it has been read), both in processor time of the server too (``..._cpu``); ``state`` (s, the
-        slowest of some markings that were asked for while it was read, ``state_after`` after that), ``server_mb`` (the
-        most memory the server had).
+    :returns: ``first_picture`` (s, from the start of the server to the marking and the first
+        events), ``read`` (s, until all of it has been read), both in processor time of the server
+        too (``..._cpu``); ``state`` (s, the slowest of some markings that were asked for while it
+        was read, ``state_after`` after that), ``server_mb`` (the most memory the server had).
     """
     if not os.path.exists(path):
         write_log(path, entries)

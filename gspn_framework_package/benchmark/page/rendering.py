@@ -24,7 +24,9 @@ RENDERS = 5
 MEASURE = """async (seconds) => {
   const { model, page } = window.gspn;
   const waiting = [], delays = [], frames = [];
-  model.addEventListener("events", ({ detail }) => { for (const e of detail.events) if (e.w) waiting.push(e.w); });
+  model.addEventListener("events", ({ detail }) => {
+    for (const e of detail.events) if (e.w) waiting.push(e.w);
+  });
   page.view.addEventListener("frame", () => {
     const now = performance.timeOrigin + performance.now();
     while (waiting.length) delays.push(now - waiting.pop());
@@ -54,8 +56,8 @@ def chromium() -> Iterator[Any]:
 def measure_page(nodes: int, rate: float, seconds: float) -> Dict[str, Any]:
     """First render (ms), frames per second, 95th percentile of firing to frame (ms).
 
-    The first render is the time from the answer that describes the net to the first frame that shows its marking; the
-    whole page load, from the click on a link on, is told beside it."""
+    The first render is the time from the answer that describes the net to the first frame that
+    shows its marking; the whole page load, from the click on a link on, is told beside it."""
     with served(nodes, rate) as server, chromium() as browser:
         renders, loads = [], []
         for turn in range(RENDERS):
@@ -85,8 +87,8 @@ def measure_page(nodes: int, rate: float, seconds: float) -> Dict[str, Any]:
 
 
 def browser_seconds() -> float:
-    """Processor time of all of the browser's processes so far: unlike frames per second, it does not depend on
-    what else the machine does."""
+    """Processor time of all of the browser's processes so far: unlike frames per second, it does
+    not depend on what else the machine does."""
     total = 0.0
     for process in psutil.Process().children(recursive=True):
         with contextlib.suppress(psutil.Error):

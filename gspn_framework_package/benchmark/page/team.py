@@ -1,12 +1,13 @@
 """What the page costs a team of robots at full speed (plans/tokens, actions that return at once).
 
-One run; the page comes and goes in it, so that windows without it and windows with it alternate. Firings are counted
-from the robots' logs afterwards, whose monotonic clock all processes of one host share.
+One run; the page comes and goes in it, so that windows without it and windows with it alternate.
+Firings are counted from the robots' logs afterwards, whose monotonic clock all processes of one
+host share.
 
-The browser is not what is measured: it belongs to another computer. So it has a processor of its own, and its share is
-taken out: in the windows *without* the page the same browser shows another page, of a feed that fires as often as the
-team does. Beside that, firings per second of processor time *of the robots* are told, a figure that does not depend on
-who else uses their processor.
+The browser is not what is measured: it belongs to another computer. So it has a processor of its
+own, and its share is taken out: in the windows *without* the page the same browser shows another
+page, of a feed that fires as often as the team does. Beside that, firings per second of processor
+time *of the robots* are told, a figure that does not depend on who else uses their processor.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.model.errors import ExecutionError, UsageError
 
 ARRANGEMENTS = {
-    "apart": "the page's server and the browser on another processor than the robots, as on the operator's computer",
+    "apart": "the page's server and the browser on another processor than the robots, as on the "
+    "operator's computer",
     "beside": "the page's server on the robots' processor, the browser on another",
     "shared": "everything on all processors",
 }
@@ -50,7 +52,10 @@ START = 60.0
 COUNT = """() => {
   window.fired = window.marks = 0;
   window.gspn.model.addEventListener("events", ({ detail }) => {
-    for (const e of detail.events) { if (e.k === "fire") window.fired += 1; if (e.k === "mark") window.marks += 1; }
+    for (const e of detail.events) {
+      if (e.k === "fire") window.fired += 1;
+      if (e.k === "mark") window.marks += 1;
+    }
   });
 }"""
 
@@ -79,11 +84,14 @@ def measure_team(robots: int, where: str, rounds: int, seconds: float) -> Dict[s
     plan = tokens_plan(instant=True).for_robots(robots)
     without: List[Window] = []
     with_page: List[Window] = []
-    with _on(browser_cpus), chromium() as browser, _on(team_cpus), Master() as master, TeamRun(master, plan) as run:
+    with _on(browser_cpus), chromium() as browser, _on(team_cpus), Master() as master, TeamRun(
+        master, plan
+    ) as run:
         if not run.wait_all_fired(START):
             raise ExecutionError("not all robots fired within %g s" % START)
         others = {p.pid for p in [*descendants(master.pid), *_browser()]}
-        team = [p for p in descendants(os.getpid()) if p.pid not in others]  # with roslaunch, which only waits
+        # with roslaunch, which only waits
+        team = [p for p in descendants(os.getpid()) if p.pid not in others]
         began = time.monotonic()
         time.sleep(seconds)
         rate = sum(1 for at in _goals(run.folder) if at > began) / (time.monotonic() - began)
@@ -136,10 +144,21 @@ class _Server:
 
     def __init__(self, master: Master, plan: str, robots: int) -> None:
         self.port = free_port()
-        command = [sys.executable, "-m", "gspn_framework_package.visualizer.ros_node",
-                   "_plan:=" + plan, "_robots:=%d" % robots, "_port:=%d" % self.port]  # fmt: skip
-        self._process = subprocess.Popen(command, env=master.environment, stdin=subprocess.DEVNULL,
-                                         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
+        command = [
+            sys.executable,
+            "-m",
+            "gspn_framework_package.visualizer.ros_node",
+            "_plan:=" + plan,
+            "_robots:=%d" % robots,
+            "_port:=%d" % self.port,
+        ]
+        self._process = subprocess.Popen(
+            command,
+            env=master.environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         deadline = time.monotonic() + START
         while not self._answers():
             if self._process.poll() is not None or time.monotonic() > deadline:
@@ -169,7 +188,8 @@ class _Server:
 def _watched(
     port: int, server: Optional[_Server], browser: Any, team: List[psutil.Process], seconds: float
 ) -> Window:
-    """A window with the browser open at a page: that of the team, or another one (``server`` is None)."""
+    """A window with the browser open at a page: that of the team, or another one (``server`` is
+    None)."""
     page = browser.new_page(viewport=SCREEN)
     try:
         page.goto("http://127.0.0.1:%d/" % port)
@@ -200,7 +220,9 @@ def _browser() -> List[psutil.Process]:
     found = []
     for process in descendants(os.getpid()):
         with contextlib.suppress(psutil.Error):
-            if "chrom" in " ".join(process.cmdline()[:1]) or "playwright" in " ".join(process.cmdline()[:1]):
+            if "chrom" in " ".join(process.cmdline()[:1]) or "playwright" in " ".join(
+                process.cmdline()[:1]
+            ):
                 found.append(process)
     return found
 
@@ -209,7 +231,11 @@ def _goals(folder: str) -> List[float]:
     """Monotonic times at which robots entered places: a firing of this plan moves one robot."""
     times = []
     for path in glob.glob(os.path.join(folder, "*", "*.jsonl")):
-        times += [float(r["mono"]) for r in read_log(path, os.path.getsize(path)).records if r["kind"] == "goal"]
+        times += [
+            float(r["mono"])
+            for r in read_log(path, os.path.getsize(path)).records
+            if r["kind"] == "goal"
+        ]
     return times
 
 
@@ -224,7 +250,8 @@ def _compared(goals: List[float], without: List[Window], with_page: List[Window]
         return firings(window) / max(window.robots_cpu, 1e-9)
 
     def slower(rate: Callable[[Window], float]) -> List[float]:
-        """Percent, for each window with the page, against the mean of the windows before and after it."""
+        """Percent, for each window with the page, against the mean of the windows before and after
+        it."""
         return [
             100 * (1 - rate(window) / ((rate(before) + rate(after)) / 2))
             for before, window, after in zip(without, with_page, without[1:])

@@ -1,4 +1,5 @@
-"""Viewers without a screen: many at once, and one that stalls while the server's memory is watched."""
+"""Viewers without a screen: many at once, and one that stalls while the server's memory is
+watched."""
 
 from __future__ import annotations
 
@@ -21,8 +22,8 @@ SAMPLE = 0.1
 
 
 class Viewer:
-    """Reads the stream, and counts what a browser would show. ``gaps``: events that were missing without a word;
-    ``snapshots``: times that the server said that it fell behind."""
+    """Reads the stream, and counts what a browser would show. ``gaps``: events that were missing
+    without a word; ``snapshots``: times that the server said that it fell behind."""
 
     def __init__(self, port: int) -> None:
         self.seen, self.gaps, self.snapshots = -1, 0, 0
@@ -82,11 +83,12 @@ def measure_viewers(viewers: int, rate: float, seconds: float) -> Dict[str, Any]
 
 
 def measure_memory(events: int, nodes: int = 100) -> Dict[str, Any]:
-    """Resident memory of the server (MB) over many events, which come as quickly as it takes them, while one viewer
-    reads and one has stalled.
+    """Resident memory of the server (MB) over many events, which come as quickly as it takes them,
+    while one viewer reads and one has stalled.
 
-    :returns: ``curve`` is pairs (events so far, MB), evenly spaced; ``grown_mb`` the difference of the means over the
-        last quarter and over the first quarter after the ring of recent events was full.
+    :returns: ``curve`` is pairs (events so far, MB), evenly spaced; ``grown_mb`` the difference of
+        the means over the last quarter and over the first quarter after the ring of recent events
+        was full.
     """
     samples: List[Tuple[int, float]] = []
     with served(nodes, 0) as server, socket.socket() as stalled, following(server.port, 1) as found:

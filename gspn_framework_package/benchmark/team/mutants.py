@@ -8,7 +8,17 @@ from __future__ import annotations
 
 import contextlib
 import random
-from typing import Any, Callable, ContextManager, Dict, Iterator, List, NamedTuple, Optional, Sequence
+from typing import (
+    Any,
+    Callable,
+    ContextManager,
+    Dict,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+)
 from unittest import mock
 
 from gspn_framework_package.benchmark.team.schedule import Schedule, run_schedule
@@ -63,7 +73,9 @@ class Caught(NamedTuple):
     text: str
 
 
-def hunt(mutant: Mutant, limit: int, first_seed: int = 0, sizes: Sequence[int] = (2, 3, 5)) -> Caught:
+def hunt(
+    mutant: Mutant, limit: int, first_seed: int = 0, sizes: Sequence[int] = (2, 3, 5)
+) -> Caught:
     """Run schedules with the mutant until one fails, ``limit`` at most; mostly teams of three."""
     with mutant.apply():
         for i in range(limit):
@@ -215,7 +227,9 @@ def _everything_private() -> ContextManager[Any]:
             original(self, game, robot)
             resources = game.plan.resource_places
             for t, ends in enumerate(game.net.outputs):
-                places = [p for p, _ in game.net.inputs[t] if game.net.places[p].name not in resources]
+                places = [
+                    p for p, _ in game.net.inputs[t] if game.net.places[p].name not in resources
+                ]
                 targets = [p for p, _ in ends if game.net.places[p].name not in resources]
                 if len(places) == 1 and targets and game.net.transitions[t].timed:
                     self._target[places[0], t] = targets[0]
@@ -249,7 +263,9 @@ def _no_visit_check() -> ContextManager[Any]:
 
         return current
 
-    owner = next(c for c in vars(token_game_module).values() if isinstance(c, type) and "_current" in vars(c))
+    owner = next(
+        c for c in vars(token_game_module).values() if isinstance(c, type) and "_current" in vars(c)
+    )
     return _wrap(owner, "_current", make)
 
 
@@ -329,7 +345,9 @@ def _wrong_results() -> ContextManager[Any]:
     last: Dict[str, str] = {}
 
     def make(original: Any) -> Any:
-        def propose(self: Proposals, entry: log.Entry, order_id: str = "", suspect: str = "") -> None:
+        def propose(
+            self: Proposals, entry: log.Entry, order_id: str = "", suspect: str = ""
+        ) -> None:
             original(self, entry, order_id, suspect)
             name, own = self.config.name, self.state.own_proposals
             if isinstance(entry, log.Done):
@@ -343,7 +361,7 @@ def _wrong_results() -> ContextManager[Any]:
     return _wrap(Proposals, "propose", make)
 
 
-# -- memory, operators, limits ---------------------------------------------------------------------------
+# -- memory, operators, limits ---------------------------------------------------------------------
 
 
 def _persists_no_promise() -> ContextManager[Any]:
@@ -418,7 +436,9 @@ def _leaves_at_once() -> ContextManager[Any]:
 
 
 def _counts_its_own_sleep() -> ContextManager[Any]:
-    return mock.patch.object(Peers, "listen_anew", lambda self, now: setattr(self, "since", min(self.since, now)))
+    return mock.patch.object(
+        Peers, "listen_anew", lambda self, now: setattr(self, "since", min(self.since, now))
+    )
 
 
 def _skips_a_slot_of_a_chunk() -> ContextManager[Any]:
@@ -654,78 +674,282 @@ def _pulls_without_looking() -> ContextManager[Any]:
 MUTANTS = [
     Mutant("bare half", "protocol", "exactly half of the members is a quorum", _bare_half),
     Mutant("promises", "protocol", "an acceptor does not keep its promises", _forgets_promises),
-    Mutant("accepted values", "protocol", "a proposer ignores what others have accepted", _ignores_accepted),
+    Mutant(
+        "accepted values",
+        "protocol",
+        "a proposer ignores what others have accepted",
+        _ignores_accepted,
+    ),
     Mutant("amnesia", "protocol", "promises and votes are not read back after a restart", _amnesia),
     Mutant("any vote", "protocol", "votes of other slots and ballots count", _counts_any_vote),
-    Mutant("keeps leading", "protocol", "a leader does not notice that it was replaced", _keeps_leading, False),
-    Mutant("any next", "protocol", "any Accept of the next slot confirms what was held", _believes_any_next, False, 5),
-    Mutant("no memory", "protocol", "a robot that lost its log votes at once", _votes_without_memory),
+    Mutant(
+        "keeps leading",
+        "protocol",
+        "a leader does not notice that it was replaced",
+        _keeps_leading,
+        False,
+    ),
+    Mutant(
+        "any next",
+        "protocol",
+        "any Accept of the next slot confirms what was held",
+        _believes_any_next,
+        False,
+        5,
+    ),
+    Mutant(
+        "no memory", "protocol", "a robot that lost its log votes at once", _votes_without_memory
+    ),
     Mutant("repeats", "protocol", "repeated entries are not left out", _no_deduplication),
-    Mutant("dropped facts", "protocol", "a proposer that gives way forgets its facts", _drops_facts),
-    Mutant("quorum only", "partial", "the first phase does not wait for every member", _asks_only_a_quorum, True,
-           kinds=("freeze",)),
-    Mutant("no freeze", "partial", "local transitions do not stop for orders", _does_not_freeze, True,
-           kinds=("freeze",)),
-    Mutant("all private", "partial", "transitions that touch resources count as local", _everything_private, True),
-    Mutant("visit check", "token game", "a Done of any visit counts for the present one", _no_visit_check),
+    Mutant(
+        "dropped facts", "protocol", "a proposer that gives way forgets its facts", _drops_facts
+    ),
+    Mutant(
+        "quorum only",
+        "partial",
+        "the first phase does not wait for every member",
+        _asks_only_a_quorum,
+        True,
+        kinds=("freeze",),
+    ),
+    Mutant(
+        "no freeze",
+        "partial",
+        "local transitions do not stop for orders",
+        _does_not_freeze,
+        True,
+        kinds=("freeze",),
+    ),
+    Mutant(
+        "all private",
+        "partial",
+        "transitions that touch resources count as local",
+        _everything_private,
+        True,
+    ),
+    Mutant(
+        "visit check",
+        "token game",
+        "a Done of any visit counts for the present one",
+        _no_visit_check,
+    ),
     Mutant("order", "token game", "the robot done last moves first", _last_comes_first),
     Mutant("local dice", "token game", "draws are local randomness", _local_randomness),
     Mutant("loaded dice", "token game", "the first choice is always drawn", _biased_draw),
-    Mutant("enabling", "token game", "inhibitor arcs and capacities are not looked at", _forgets_inhibitors),
+    Mutant(
+        "enabling",
+        "token game",
+        "inhibitor arcs and capacities are not looked at",
+        _forgets_inhibitors,
+    ),
     Mutant("late writes", "host", "records are written after the messages went out", _writes_late),
     Mutant("two goals", "host", "a goal now and then goes out twice", _starts_goals_twice),
-    Mutant("early goals", "host", "a restarted robot acts before the team knows", _acts_before_joining),
+    Mutant(
+        "early goals", "host", "a restarted robot acts before the team knows", _acts_before_joining
+    ),
     Mutant("mixed results", "host", "a result is given for the wrong visit", _wrong_results),
     Mutant("lost promises", "memory", "promises are not written down", _persists_no_promise),
-    Mutant("returned followers", "protocol", "a leader counts on promises of a lost memory", _keeps_returned, False,
-           kinds=("archive",)),
-    Mutant("nack thaws", "partial", "a proposer that is beaten lets local transitions go on", _thaws_with_a_nack, True,
-           robots=5, kinds=("freeze",)),
-    Mutant("warm retry", "partial", "a first phase that is repeated does not freeze", _asks_again_without_freezing,
-           True, kinds=("freeze",)),
-    Mutant("numbers only", "memory", "facts count by their number, whatever life they are of", _numbers_only),
-    Mutant("no jury", "membership", "a robot is evicted though only one does not hear it", _evicts_alone,
-           kinds=("link",)),
-    Mutant("leaves at once", "membership", "a robot that leaves does not wait until others know", _leaves_at_once,
-           kinds=("leave",), robots=2),
-    Mutant("own sleep", "membership", "who was suspended takes the others to have been silent", _counts_its_own_sleep,
-           kinds=("sleep",)),
-    Mutant("short chunks", "limits", "the last slot of a full chunk is not sent", _skips_a_slot_of_a_chunk,
-           kinds=("tight",)),
-    Mutant("newest first", "limits", "a batch keeps the newest facts where it is full", _newest_first,
-           kinds=("tight",)),
-    Mutant("off for ever", "operator", "an assertion that a robot is off outlives its return", _off_for_ever,
-           kinds=("operator",)),
-    Mutant("rest decides", "operator", "a quorum of those who are left decides after an eviction by force",
-           _any_of_those_left, kinds=("operator",)),
-    Mutant("forgets cast out", "operator", "who was evicted by force is forgotten in a restart",
-           _forgets_who_was_cast_out, robots=2, kinds=("operator",)),
-    Mutant("any log", "memory", "votes count whatever log they are from", _counts_any_log, kinds=("spare", "amnesia")),
-    Mutant("plain ballots", "memory", "a robot that lost its log uses its ballots again", _ballots_without_log,
-           kinds=("amnesia", "")),
-    Mutant("trusts the end", "memory", "a log whose end is lost is trusted", _trusts_every_end, kinds=("power",)),
-    Mutant("no sync", "memory", "nothing is waited for until it is on the disk", _never_waits_for_the_disk,
-           kinds=("power",)),
-    Mutant("unsynced votes", "memory", "votes are told before they are on the disk", _waits_for_votes_only_sometimes,
-           kinds=("power",)),
-    Mutant("same id", "memory", "a robot that forgot its log goes by the same id", _keeps_its_log_id,
-           kinds=("power", "amnesia", "spare")),
-    Mutant("eager start", "membership", "a robot acts before it knows where the team is", _acts_before_it_knows_more,
-           kinds=("late",)),
-    Mutant("snapshot without seen", "limits", "a snapshot does not say whose facts are in it",
-           _snapshot_without("seen"), kinds=("tight",)),
-    Mutant("snapshot without logs", "limits", "a snapshot does not say whose logs count", _snapshot_without("logs"),
-           kinds=("archive",)),
-    Mutant("low promise", "protocol", "to accept a ballot does not promise it", _keeps_promised_low, False, robots=5,
-           kinds=("rivals",)),
-    Mutant("learns what it holds", "protocol", "that a slot is chosen confirms whatever was accepted",
-           _learns_what_it_holds, False, kinds=("rivals",)),
-    Mutant("moves while paused", "partial", "local transitions go on in a pause", _moves_while_paused, True,
-           kinds=("freeze",)),
-    Mutant("drops the first", "protocol", "of several facts the first is left out", _drops_the_first_fact),
-    Mutant("lost moves", "memory", "local transitions are not read back after a restart", _reads_no_facts_back, True),
-    Mutant("same incarnation", "membership", "a robot that starts again keeps its incarnation",
-           _takes_its_former_incarnation),
-    Mutant("blind learning", "protocol", "slots are learnt whatever log they stand on", _pulls_without_looking,
-           kinds=("operator", "")),
+    Mutant(
+        "returned followers",
+        "protocol",
+        "a leader counts on promises of a lost memory",
+        _keeps_returned,
+        False,
+        kinds=("archive",),
+    ),
+    Mutant(
+        "nack thaws",
+        "partial",
+        "a proposer that is beaten lets local transitions go on",
+        _thaws_with_a_nack,
+        True,
+        robots=5,
+        kinds=("freeze",),
+    ),
+    Mutant(
+        "warm retry",
+        "partial",
+        "a first phase that is repeated does not freeze",
+        _asks_again_without_freezing,
+        True,
+        kinds=("freeze",),
+    ),
+    Mutant(
+        "numbers only",
+        "memory",
+        "facts count by their number, whatever life they are of",
+        _numbers_only,
+    ),
+    Mutant(
+        "no jury",
+        "membership",
+        "a robot is evicted though only one does not hear it",
+        _evicts_alone,
+        kinds=("link",),
+    ),
+    Mutant(
+        "leaves at once",
+        "membership",
+        "a robot that leaves does not wait until others know",
+        _leaves_at_once,
+        kinds=("leave",),
+        robots=2,
+    ),
+    Mutant(
+        "own sleep",
+        "membership",
+        "who was suspended takes the others to have been silent",
+        _counts_its_own_sleep,
+        kinds=("sleep",),
+    ),
+    Mutant(
+        "short chunks",
+        "limits",
+        "the last slot of a full chunk is not sent",
+        _skips_a_slot_of_a_chunk,
+        kinds=("tight",),
+    ),
+    Mutant(
+        "newest first",
+        "limits",
+        "a batch keeps the newest facts where it is full",
+        _newest_first,
+        kinds=("tight",),
+    ),
+    Mutant(
+        "off for ever",
+        "operator",
+        "an assertion that a robot is off outlives its return",
+        _off_for_ever,
+        kinds=("operator",),
+    ),
+    Mutant(
+        "rest decides",
+        "operator",
+        "a quorum of those who are left decides after an eviction by force",
+        _any_of_those_left,
+        kinds=("operator",),
+    ),
+    Mutant(
+        "forgets cast out",
+        "operator",
+        "who was evicted by force is forgotten in a restart",
+        _forgets_who_was_cast_out,
+        robots=2,
+        kinds=("operator",),
+    ),
+    Mutant(
+        "any log",
+        "memory",
+        "votes count whatever log they are from",
+        _counts_any_log,
+        kinds=("spare", "amnesia"),
+    ),
+    Mutant(
+        "plain ballots",
+        "memory",
+        "a robot that lost its log uses its ballots again",
+        _ballots_without_log,
+        kinds=("amnesia", ""),
+    ),
+    Mutant(
+        "trusts the end",
+        "memory",
+        "a log whose end is lost is trusted",
+        _trusts_every_end,
+        kinds=("power",),
+    ),
+    Mutant(
+        "no sync",
+        "memory",
+        "nothing is waited for until it is on the disk",
+        _never_waits_for_the_disk,
+        kinds=("power",),
+    ),
+    Mutant(
+        "unsynced votes",
+        "memory",
+        "votes are told before they are on the disk",
+        _waits_for_votes_only_sometimes,
+        kinds=("power",),
+    ),
+    Mutant(
+        "same id",
+        "memory",
+        "a robot that forgot its log goes by the same id",
+        _keeps_its_log_id,
+        kinds=("power", "amnesia", "spare"),
+    ),
+    Mutant(
+        "eager start",
+        "membership",
+        "a robot acts before it knows where the team is",
+        _acts_before_it_knows_more,
+        kinds=("late",),
+    ),
+    Mutant(
+        "snapshot without seen",
+        "limits",
+        "a snapshot does not say whose facts are in it",
+        _snapshot_without("seen"),
+        kinds=("tight",),
+    ),
+    Mutant(
+        "snapshot without logs",
+        "limits",
+        "a snapshot does not say whose logs count",
+        _snapshot_without("logs"),
+        kinds=("archive",),
+    ),
+    Mutant(
+        "low promise",
+        "protocol",
+        "to accept a ballot does not promise it",
+        _keeps_promised_low,
+        False,
+        robots=5,
+        kinds=("rivals",),
+    ),
+    Mutant(
+        "learns what it holds",
+        "protocol",
+        "that a slot is chosen confirms whatever was accepted",
+        _learns_what_it_holds,
+        False,
+        kinds=("rivals",),
+    ),
+    Mutant(
+        "moves while paused",
+        "partial",
+        "local transitions go on in a pause",
+        _moves_while_paused,
+        True,
+        kinds=("freeze",),
+    ),
+    Mutant(
+        "drops the first",
+        "protocol",
+        "of several facts the first is left out",
+        _drops_the_first_fact,
+    ),
+    Mutant(
+        "lost moves",
+        "memory",
+        "local transitions are not read back after a restart",
+        _reads_no_facts_back,
+        True,
+    ),
+    Mutant(
+        "same incarnation",
+        "membership",
+        "a robot that starts again keeps its incarnation",
+        _takes_its_former_incarnation,
+    ),
+    Mutant(
+        "blind learning",
+        "protocol",
+        "slots are learnt whatever log they stand on",
+        _pulls_without_looking,
+        kinds=("operator", ""),
+    ),
 ]

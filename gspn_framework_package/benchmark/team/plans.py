@@ -148,7 +148,9 @@ _MAKERS: List[Callable[[], Tuple[Plan, Sequence[str]]]] = [_tour, _meet, _tokens
 
 
 @lru_cache(maxsize=None)
-def make_plan(kind: int, robots: int, partial: bool, evict_after: float, fence_after: float, witness: bool) -> Plan:
+def make_plan(
+    kind: int, robots: int, partial: bool, evict_after: float, fence_after: float, witness: bool
+) -> Plan:
     """A plan for a team. The seed of its draws is 0; ``kind`` counts through the small nets.
 
     :param robots: how many.

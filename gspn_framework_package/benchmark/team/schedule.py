@@ -33,7 +33,8 @@ BOUND = 6.0
 
 KINDS = {
     "": "crashes, pauses, partitions, lost logs, joins, leaves, evictions, orders",
-    "operator": "orders all the time; evictions by force, of robots that are off and of such that are not",
+    "operator": "orders all the time; evictions by force, of robots that are off and of such that "
+    "are not",
     "power": "every crash is a loss of power, which takes what was not written through to the disk",
     "spare": "a second process under the name of a robot that is out of reach, or comes back",
     "tight": "short histories, small chunks and batches, snapshots every few slots; long runs",
@@ -41,16 +42,27 @@ KINDS = {
     "calm": "nothing fails, so that orders meet a team that moves fast",
     "link": "one link is cut for longer than an eviction takes: nobody is evicted for that",
     "sleep": "all robots are stopped for longer than an eviction takes: nobody is evicted for that",
-    "freeze": "several operators pause and move a team whose moves are mostly private, at the same time",
+    "freeze": "several operators pause and move a team whose moves are mostly private, at the "
+    "same time",
     "leave": "robots leave while messages are lost: the others know it, and go on",
-    "rivals": "robots pass the leader over at once, messages are lost and late: many attempts at a slot",
+    "rivals": "robots pass the leader over at once, messages are lost and late: many attempts at "
+    "a slot",
     "late": "a robot is evicted by force before it ever started",
     "archive": "logs are lost, and snapshots taken every few slots; long runs",
 }
 """What goes wrong in a schedule."""
 
 
-MOST_FAULTS = {"freeze": 20, "operator": 14, "tight": 10, "calm": 14, "link": 0, "sleep": 0, "leave": 0, "late": 3}
+MOST_FAULTS = {
+    "freeze": 20,
+    "operator": 14,
+    "tight": 10,
+    "calm": 14,
+    "link": 0,
+    "sleep": 0,
+    "leave": 0,
+    "late": 3,
+}
 """How many faults are injected at most; seven where nothing is said."""
 
 
@@ -140,7 +152,9 @@ class _Run:
             self.world.mishaps = False
         if self.kind == "power":
             self.world.fsync = source.random() < 0.5
-        self.faults_end = FAULTS_END * (2.5 if self.kind in ("tight", "archive", "link", "sleep", "leave") else 1.0)
+        self.faults_end = FAULTS_END * (
+            2.5 if self.kind in ("tight", "archive", "link", "sleep", "leave") else 1.0
+        )
         self.faults: Dict[str, int] = {}
         self.lost_logs = False
         self.left: List[str] = []
@@ -208,7 +222,8 @@ class _Run:
         node = self.random.choice(up)
         if not self._can_lose(node):
             return
-        if self.kind == "amnesia" and self.random.random() < 0.5:  # it says something in another life, first
+        # it says something in another life, first
+        if self.kind == "amnesia" and self.random.random() < 0.5:
             node.crash()
             node.start()
             self._later(0.005, 0.1, lambda: self._lose(node))
@@ -234,7 +249,10 @@ class _Run:
         voters = {
             n.name
             for n in self.world.nodes.values()
-            if n.name != node.name and n.disk is not None and n.replica is not None and n.replica.may_vote()
+            if n.name != node.name
+            and n.disk is not None
+            and n.replica is not None
+            and n.replica.may_vote()
         }
         return is_quorum(voters, members)
 
@@ -253,7 +271,12 @@ class _Run:
             return
         side = set(self.random.sample(names, self.random.randint(1, len(names) - 1)))
         both = self.random.random() < 0.7
-        cut = {(a, b) for a in names for b in names if (a in side) != (b in side) and (both or a in side)}
+        cut = {
+            (a, b)
+            for a in names
+            for b in names
+            if (a in side) != (b in side) and (both or a in side)
+        }
         self.world.blocked |= cut
         self._count("partition" if both else "one-way partition")
         self._later(0.05, 0.5, lambda: self.world.blocked.difference_update(cut))
@@ -292,8 +315,8 @@ class _Run:
             self._count("evict by the operator")
 
     def _force_evict(self) -> None:
-        """The operator asserts that a robot is off: mostly one that is, or that seems to be. Sometimes
-        of several, since one assertion may not be enough."""
+        """The operator asserts that a robot is off: mostly one that is, or that seems to be.
+        Sometimes of several, since one assertion may not be enough."""
         up = self._up()
         if not up:
             return
@@ -323,7 +346,8 @@ class _Run:
             off = replica.asserted_off() | {victim.name}
             before = self.world.given_up
             if not is_quorum([m for m in members if m not in off], members):
-                self.world.given_up = True  # the operator took it on: what only those know does not count
+                # the operator took it on: what only those know does not count
+                self.world.given_up = True
             number = "f%d" % next(self.world._count)
             node.give(io.ForceEvict(number, victim.name))
             self._count("eviction by force")
@@ -338,8 +362,8 @@ class _Run:
             node.start()
 
     def _spare(self) -> None:
-        """A robot gets out of reach; a spare is started under its name, and later the first one comes
-        back into reach."""
+        """A robot gets out of reach; a spare is started under its name, and later the first one
+        comes back into reach."""
         world = self.world
         robots = [n for n in self._up() if n.name not in world.plan.witness and n.key == n.name]
         if len(robots) < 2 or world.spares:
@@ -456,7 +480,9 @@ class _Run:
         if not settled:
             blocked = self._is_blocked()
             if not blocked:
-                raise ViolationError("not settled %g s after the last fault: %s" % (BOUND, self._why()))
+                raise ViolationError(
+                    "not settled %g s after the last fault: %s" % (BOUND, self._why())
+                )
         return Outcome(
             world.steps,
             world.length(),
@@ -488,7 +514,9 @@ class _Run:
             assert node.replica is not None
             lost = [r.name for r in node.replica.ledger.state.robots.values() if r.incarnation > 0]
             if lost:
-                raise ViolationError("%s was evicted, though it ran and was heard" % ", ".join(lost))
+                raise ViolationError(
+                    "%s was evicted, though it ran and was heard" % ", ".join(lost)
+                )
 
     def _is_blocked(self) -> bool:
         """Whether a lost log, or robots that left while cut off, keep the team from a quorum."""
@@ -519,14 +547,19 @@ def check_logs(outcome: Outcome) -> None:
 
     :raises ViolationError: a rule was broken.
     """
-    logs = [EventLog(str(d.header["log"]), d.header, d.records(), plan=outcome.plan) for d in outcome.logs]
+    logs = [
+        EventLog(str(d.header["log"]), d.header, d.records(), plan=outcome.plan)
+        for d in outcome.logs
+    ]
     settled = not outcome.blocked and not outcome.given_up
     verdict = verify(logs, settled=settled, complete=not outcome.tails_lost)
     if verdict.violation is not None:
         raise ViolationError("rule %d: %s" % verdict.violation)
 
 
-def run_schedule(schedule: Schedule, replica_type: Type[Replica] = Replica, *, check: bool = True) -> Outcome:
+def run_schedule(
+    schedule: Schedule, replica_type: Type[Replica] = Replica, *, check: bool = True
+) -> Outcome:
     """Run a schedule.
 
     :param replica_type: the replica, or a mutant of it.

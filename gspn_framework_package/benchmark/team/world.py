@@ -193,7 +193,10 @@ class Node:
             for record in written:  # until here nobody could know of it
                 self.world.on_record(self, record)
             written = []
-            if isinstance(effect, (io.Send, io.Reply)) and effect.message.get("kind") in ("promise", "accepted"):
+            if isinstance(effect, (io.Send, io.Reply)) and effect.message.get("kind") in (
+                "promise",
+                "accepted",
+            ):
                 self._check_written(effect.message)
             if isinstance(effect, (io.Send, io.Reply)) and effect.message:
                 self.world.on_message(self, effect.message)
@@ -241,8 +244,14 @@ class Node:
             self.world.promised.add((self.log_id, tuple(record["ballot"])))
         elif record["kind"] == "reset":
             self.log_id = record["log"]
-        elif record["kind"] == "private" and self.replica and self.holds == self.replica.ledger.length:
-            raise ViolationError("%s moves on its own, though it said that it holds still" % self.key)
+        elif (
+            record["kind"] == "private"
+            and self.replica
+            and self.holds == self.replica.ledger.length
+        ):
+            raise ViolationError(
+                "%s moves on its own, though it said that it holds still" % self.key
+            )
 
     def _check_written(self, message: io.Message) -> None:
         """What a robot says that it promised or accepted is in its log, and on the disk."""
@@ -253,7 +262,9 @@ class Node:
         votes, ballot = self.disk.votes, tuple(message["ballot"])
         line = votes.get((kind, ballot)) or votes.get(("accepted", ballot))
         if line is None or line > (self.disk.synced if self.world.fsync else len(self.disk.lines)):
-            raise ViolationError("%s says %s of %s before it is on its disk" % (self.key, kind, message["ballot"]))
+            raise ViolationError(
+                "%s says %s of %s before it is on its disk" % (self.key, kind, message["ballot"])
+            )
 
 
 class World:
@@ -384,8 +395,13 @@ class World:
         low, high = self.action_time
         life = node.life
         replica = node.replica
-        if replica is not None and replica.ledger.length == goal.visit == 1:  # the first action that it ever starts
-            ahead = [name for name, p in replica.state.peers.all.items() if p.heard is not None and p.length > 1]
+        # the first action that it ever starts
+        if replica is not None and replica.ledger.length == goal.visit == 1:
+            ahead = [
+                name
+                for name, p in replica.state.peers.all.items()
+                if p.heard is not None and p.length > 1
+            ]
             if ahead:
                 raise ViolationError("%s acts, though %s is further" % (node.key, ", ".join(ahead)))
         time = goal.delay + low + (high - low) * self.random.random()
@@ -405,17 +421,20 @@ class World:
 
         self.at(self.now + time, end)
 
-    # -- what is watched while it goes on -----------------------------------------------------------
+    # -- what is watched while it goes on ----------------------------------------------------------
 
     def on_record(self, node: Node, record: Record) -> None:
         """A record counts: no two replicas may put different things into one slot."""
         if record["kind"] == "slot" and not self.given_up:
             known = self._chain.setdefault(record["slot"], record["hash"])
             if known != record["hash"]:
-                raise ViolationError("%s has another slot %d than somebody else" % (node.name, record["slot"]))
+                raise ViolationError(
+                    "%s has another slot %d than somebody else" % (node.name, record["slot"])
+                )
 
     def on_message(self, node: Node, message: io.Message) -> None:
-        """A message goes out: who says that he holds still has to, and who proposes has promises that count."""
+        """A message goes out: who says that he holds still has to, and who proposes has promises
+        that count."""
         if message["kind"] not in ("prepare", "promise", "accept"):
             return
         slot, ballot = message["slot"], tuple(message["ballot"])
@@ -428,7 +447,9 @@ class World:
             logs = node.replica.ledger.logs
             for name in node.replica.state.followers or ():
                 if logs.get(name) and (logs[name], ballot) not in self.promised:
-                    raise ViolationError("%s counts on a promise that %s does not remember" % (node.key, name))
+                    raise ViolationError(
+                        "%s counts on a promise that %s does not remember" % (node.key, name)
+                    )
 
     def on_fired(self, node: Node, fired: io.Fired) -> None:
         """A firing was told."""
@@ -448,7 +469,7 @@ class World:
         """A doomed process dies."""
         node.crash()
 
-    # -- two processes under one name -----------------------------------------------------------------
+    # -- two processes under one name --------------------------------------------------------------
 
     def add_spare(self, first: Node) -> Node:
         """A node for a second process under the name of the first, which is to give way to it."""

@@ -50,7 +50,13 @@ class Order(NamedTuple):
 
 def add_team_options(parser: argparse.ArgumentParser) -> None:
     """Declare what every verb that talks to a team takes."""
-    parser.add_argument("--run", dest="run_name", default="", metavar="NAME", help="the run, where there are several")
+    parser.add_argument(
+        "--run",
+        dest="run_name",
+        default="",
+        metavar="NAME",
+        help="the run, where there are several",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 

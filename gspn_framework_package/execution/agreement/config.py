@@ -35,17 +35,19 @@ class Pace(NamedTuple):
     """Over how many round trips those who want the next slot of partial synchronisation begin."""
 
     def for_team(self, size: int, timing: Timing) -> Pace:
-        """The pace for a team of that size. Broadcasts are less frequent in large teams, so that the
-        traffic per replica stays constant; and a leader that has so many to ask is given time, or all
-        want to take over from it at once. One millisecond for each robot that a small team would not
-        have is for gathering proposals: each slot costs messages to and from everybody, however much
-        is in it.
+        """The pace for a team of that size. Broadcasts are less frequent in large teams, so that
+        the traffic per replica stays constant; and a leader that has so many to ask is given time,
+        or all want to take over from it at once. One millisecond for each robot that a small team
+        would not have is for gathering proposals: each slot costs messages to and from everybody,
+        however much is in it.
 
         :param timing: of the plan: nobody shall seem silent for as long as it says only because
             heartbeats are so rare.
         """
         slower = max(1.0, size / SMALL_TEAM)
-        silence = min([t for t in (timing.evict_after, timing.fence_after) if t > 0], default=math.inf)
+        silence = min(
+            [t for t in (timing.evict_after, timing.fence_after) if t > 0], default=math.inf
+        )
         return self._replace(
             heartbeat=max(self.heartbeat, min(self.heartbeat * slower, silence / 4)),
             greeting=self.greeting * slower,

@@ -4,18 +4,19 @@ Each slot of the log is decided by single-decree Paxos (Lamport 1998) among the 
 before it names. A promise holds for its slot and all later ones; a replica has accepted nothing
 beyond its first open slot. Therefore a proposer whose value was just chosen may skip the first
 phase in the next slot, as long as those who promised are a quorum there too: in full
-synchronisation it *leads*, and takes the others' proposals until somebody else takes over. Before any
-ballot, the first member leads under ballot (0, its name), which every fresh replica counts as
+synchronisation it *leads*, and takes the others' proposals until somebody else takes over. Before
+any ballot, the first member leads under ballot (0, its name), which every fresh replica counts as
 promised.
 
-In partial synchronisation nobody leads: the first phase is how a proposer learns the local transitions
-of the others, and needs an answer of every member that it does not evict in the same slot.
+In partial synchronisation nobody leads: the first phase is how a proposer learns the local
+transitions of the others, and needs an answer of every member that it does not evict in the same
+slot.
 
 One slot is open at a time; batches carry the load.
 
 Owns the ballots, votes and the running attempt of the open slot (the fields of consensus in
-:class:`~gspn_framework_package.execution.agreement.state.ReplicaState`). Asks the electorate who may
-decide and the proposals what to propose, writes and sends through the outbox, and hands what is
+:class:`~gspn_framework_package.execution.agreement.state.ReplicaState`). Asks the electorate who
+may decide and the proposals what to propose, writes and sends through the outbox, and hands what is
 chosen to the log (:class:`Log`).
 """
 
@@ -42,7 +43,8 @@ from gspn_framework_package.execution.agreement.state import Attempt, ReplicaSta
 from gspn_framework_package.execution.ledger import Item
 
 LONGEST_ROUND_TRIP = 1.0
-"""Seconds: an answer that took longer came from a robot that was away, not through a slow network."""
+"""Seconds: an answer that took longer came from a robot that was away, not through a slow
+network."""
 
 MOST_BACKOFF = 20
 """Times that the wait before a message is repeated grows by half; it is bounded long before."""
@@ -63,7 +65,12 @@ class Consensus:
     """The protocol for the first open slot."""
 
     def __init__(
-        self, config: Config, state: ReplicaState, outbox: Outbox, electorate: Electorate, proposals: Proposals
+        self,
+        config: Config,
+        state: ReplicaState,
+        outbox: Outbox,
+        electorate: Electorate,
+        proposals: Proposals,
     ) -> None:
         self.config = config
         self.state = state
@@ -77,7 +84,7 @@ class Consensus:
         """Name the log that takes what is chosen."""
         self.log = log
 
-    # -- what the other parts ask and tell --------------------------------------------------------------
+    # -- what the other parts ask and tell ---------------------------------------------------------
 
     def lead_from_the_start(self, followers: Set[str]) -> None:
         """Everybody is fresh: ballot (0, our name) counts as promised by all."""
@@ -141,7 +148,8 @@ class Consensus:
         ballot = Ballot(state.highest.counter + 1, self.config.name, state.log_id)
         state.followers = None
         state.attempt = attempt = Attempt(slot, ballot, frozen, now, now)
-        if frozen:  # until the slot is decided, even if this attempt is beaten: its batch may still win
+        # until the slot is decided, even if this attempt is beaten: its batch may still win
+        if frozen:
             state.frozen_by = ballot
         self._promise(ballot)
         attempt.promises[self.config.name] = state.accepted
@@ -175,7 +183,8 @@ class Consensus:
         self._send_attempt(attempt, [m for m in self.electorate.others() if m not in answered])
 
     def ask_again(self, robot: str) -> None:
-        """A robot that was behind is sent what it lacks: what we asked it meanwhile it could not answer."""
+        """A robot that was behind is sent what it lacks: what we asked it meanwhile it could not
+        answer."""
         attempt = self.state.attempt
         if attempt is not None and robot in self.missing():
             self._send_attempt(attempt, [robot])
@@ -213,8 +222,15 @@ class Consensus:
         else:
             batch = self.proposals.batch(attempt.frozen)
             if self.config.partial:
-                evicted = {item.entry.robot for item in map(Item.from_json, batch) if isinstance(item.entry, log.Evict)}
-                if any(m not in attempt.answered and m not in evicted for m in self.electorate.members()):
+                evicted = {
+                    item.entry.robot
+                    for item in map(Item.from_json, batch)
+                    if isinstance(item.entry, log.Evict)
+                }
+                if any(
+                    m not in attempt.answered and m not in evicted
+                    for m in self.electorate.members()
+                ):
                     return False
         if not self.config.partial:
             state.followers = set(attempt.promises)
@@ -247,14 +263,18 @@ class Consensus:
         if ballot > state.promised:
             state.promised = ballot
             slot = state.ledger.length
-            self.outbox.persist({"kind": "promised", "slot": slot, "ballot": list(ballot)}, durable=True)
+            self.outbox.persist(
+                {"kind": "promised", "slot": slot, "ballot": list(ballot)}, durable=True
+            )
         if ballot.robot != self.config.name:
             state.followers = None
 
     def _persist_accepted(self, slot: int) -> None:
         assert self.state.accepted is not None
         ballot, batch = self.state.accepted
-        self.outbox.persist({"kind": "accepted", "slot": slot, "ballot": list(ballot), "batch": batch}, durable=True)
+        self.outbox.persist(
+            {"kind": "accepted", "slot": slot, "ballot": list(ballot), "batch": batch}, durable=True
+        )
 
     def _see(self, ballot: Ballot) -> None:
         self.state.highest = max(self.state.highest, ballot)
@@ -280,7 +300,9 @@ class Consensus:
 
     def _answer_prepare(self, message: Envelope, body: Prepare, vote: bool) -> None:
         items = self.proposals.own_items()
-        self.outbox.answer(message, Promise(body.slot, body.ballot, vote, self.state.accepted, items))
+        self.outbox.answer(
+            message, Promise(body.slot, body.ballot, vote, self.state.accepted, items)
+        )
 
     def on_accept(self, message: Envelope, body: Accept) -> None:
         """The second phase of another's attempt. That it goes on to the next slot under the same
@@ -309,7 +331,8 @@ class Consensus:
         held_items = {tuple(origin) for _, origin, _ in body.batch}
         waiting = [i for i in self.proposals.own_items() if i.origin not in held_items]
         self.outbox.answer(message, Accepted(body.slot, ballot, waiting))
-        if not self.config.partial and self.config.is_small:  # those who proposed it learn the outcome at first hand
+        # those who proposed it learn the outcome at first hand
+        if not self.config.partial and self.config.is_small:
             origins = {origin[0] for _, origin, _ in body.batch}
             known = {self.config.name, message.sender}
             told = [m for m in self.electorate.others() if m in origins and m not in known]
@@ -325,7 +348,11 @@ class Consensus:
         """An answer to our first phase."""
         self.proposals.add_others(body.items)
         attempt = self.state.attempt
-        if attempt is None or attempt.batch is not None or not self._answers(message, body, attempt):
+        if (
+            attempt is None
+            or attempt.batch is not None
+            or not self._answers(message, body, attempt)
+        ):
             return
         self._measure(attempt, now)
         attempt.answered.add(message.sender)
@@ -356,8 +383,9 @@ class Consensus:
         return True
 
     def _measure(self, attempt: Attempt, now: float) -> None:
-        """Take an answer into the mean round trip, as TCP does (RFC 6298). Where we asked more than once we do not
-        know which time is answered: then it says nothing, and the longer wait stays until one does (Karn)."""
+        """Take an answer into the mean round trip, as TCP does (RFC 6298). Where we asked more than
+        once we do not know which time is answered: then it says nothing, and the longer wait stays
+        until one does (Karn)."""
         state = self.state
         if attempt.tries:
             return
@@ -367,7 +395,9 @@ class Consensus:
 
     def _answers(self, message: Envelope, body: Promise, attempt: Attempt) -> bool:
         return (
-            body.slot == attempt.slot and message.hash == self.state.ledger.hash and body.ballot == attempt.ballot
+            body.slot == attempt.slot
+            and message.hash == self.state.ledger.hash
+            and body.ballot == attempt.ballot
         )
 
     def on_chosen(self, ballot: Ballot) -> bool:

@@ -22,9 +22,10 @@ class Electorate:
     def __init__(self, config: Config, state: ReplicaState) -> None:
         self.config = config
         self.state = state
-        self._members: Tuple[Optional[Ledger], int, List[str]] = (None, 0, [])  # as long as the log stays
+        # as long as the log stays
+        self._members: Tuple[Optional[Ledger], int, List[str]] = (None, 0, [])
 
-    # -- the others -----------------------------------------------------------------------------------
+    # -- the others --------------------------------------------------------------------------------
 
     def members(self) -> List[str]:
         """The members whose votes count in the open slot, in the order of the log."""
@@ -38,13 +39,15 @@ class Electorate:
         return [m for m in self.members() if m != self.config.name]
 
     def asserted_off(self) -> Set[str]:
-        """The members that an operator asserted to be off. An assertion is about one incarnation: it
-        ends when the robot joins again."""
+        """The members that an operator asserted to be off. An assertion is about one incarnation:
+        it ends when the robot joins again."""
         robots = self.state.ledger.state.robots
         return {
             name
             for name, incarnation in self.state.off.items()
-            if name in robots and robots[name].phase not in GONE and robots[name].incarnation == incarnation
+            if name in robots
+            and robots[name].phase not in GONE
+            and robots[name].incarnation == incarnation
         }
 
     def may_decide(self, voters: Collection[str]) -> bool:
@@ -88,7 +91,7 @@ class Electorate:
         state = self.state
         return state.peers.silent(self.members(), self.config.name, limit, state.now)
 
-    # -- ourselves --------------------------------------------------------------------------------------
+    # -- ourselves ---------------------------------------------------------------------------------
 
     def own_robot(self) -> Optional[RobotState]:
         """Our robot, as the log has it."""
@@ -106,7 +109,12 @@ class Electorate:
 
     def may_vote(self) -> bool:
         """Whether we are a member, and know what we promised before."""
-        return self.state.active and self.state.halted is None and self.is_member() and self.is_our_name()
+        return (
+            self.state.active
+            and self.state.halted is None
+            and self.is_member()
+            and self.is_our_name()
+        )
 
     def is_our_name(self) -> bool:
         """Whether it is with our log that the robot was let in last, if it was."""
@@ -117,7 +125,11 @@ class Electorate:
         if not self.state.active:
             return False
         robot = self.own_robot()
-        return robot is not None and robot.phase not in GONE and robot.incarnation == self.state.incarnation
+        return (
+            robot is not None
+            and robot.phase not in GONE
+            and robot.incarnation == self.state.incarnation
+        )
 
     def surely_a_member(self) -> bool:
         """Whether the others cannot have evicted us for our silence by now."""
@@ -131,22 +143,25 @@ class Electorate:
         incarnation, number, tag = state.ledger.seen.get(self.config.name, (-1, 0, ""))
         if self.known_incarnation() > state.incarnation:
             return True
-        return incarnation == state.incarnation and tag == state.log_id[:8] and number > state.number
+        return (
+            incarnation == state.incarnation and tag == state.log_id[:8] and number > state.number
+        )
 
-    # -- whose word counts ----------------------------------------------------------------------------
+    # -- whose word counts -------------------------------------------------------------------------
 
     def can_teach(self, robot: str) -> bool:
-        """Whether the log of a robot may hold what we have still to learn. One that was evicted by force, as far as our
-        log goes, can where its own log has that eviction: we shall learn that it joined again."""
+        """Whether the log of a robot may hold what we have still to learn. One that was evicted by
+        force, as far as our log goes, can where its own log has that eviction: we shall learn that
+        it joined again."""
         ledger = self.state.ledger
         slot = ledger.cast_out.get(robot, -1) if ledger.is_cast_out(robot) else -1
         return self.state.peers.get(robot).evicted_at >= slot
 
-    # -- what may go into the log -------------------------------------------------------------------------
+    # -- what may go into the log ------------------------------------------------------------------
 
     def not_given_up(self, message: Envelope, items: List[Item]) -> List[Item]:
-        """Leave out what a robot that was evicted by force wants, unless it is told by one who knows of
-        the eviction: what it said before was given up, even that it comes back."""
+        """Leave out what a robot that was evicted by force wants, unless it is told by one who
+        knows of the eviction: what it said before was given up, even that it comes back."""
         ledger = self.state.ledger
         if not ledger.cast_out:
             return items
@@ -154,28 +169,36 @@ class Electorate:
         return [
             i
             for i in items
-            if not ledger.is_cast_out(i.origin.robot) or (same and message.length > ledger.cast_out[i.origin.robot])
+            if not ledger.is_cast_out(i.origin.robot)
+            or (same and message.length > ledger.cast_out[i.origin.robot])
         ]
 
     def with_one_who_stays(self, items: List[Item]) -> List[Item]:
-        """Where nobody would be left, our own leave or eviction waits for a slot of its own, in which it
-        has no effect: the last one stays, and it has to be one who was asked for its local transitions."""
+        """Where nobody would be left, our own leave or eviction waits for a slot of its own, in
+        which it has no effect: the last one stays, and it has to be one who was asked for its local
+        transitions."""
         me, members = self.config.name, self.members()
         gone = {i.entry.robot for i in items if isinstance(i.entry, (log.Evict, log.Leave))}
         if len(members) < 2 or not gone.issuperset(members):
             return items
-        return [i for i in items if not (isinstance(i.entry, (log.Evict, log.Leave)) and i.entry.robot == me)]
+        return [
+            i
+            for i in items
+            if not (isinstance(i.entry, (log.Evict, log.Leave)) and i.entry.robot == me)
+        ]
 
     def without_ghosts(self, items: Sequence[Item]) -> List[Item]:
         """Leave robots out that want to join and are not heard themselves, or of which there are so
         many that those who are heard would be no quorum with them: a team must not lose its quorum
-        to names that nobody answers to. Nor does a robot come back in the slot that evicts it by force: it
-        does not know of it."""
+        to names that nobody answers to. Nor does a robot come back in the slot that evicts it by
+        force: it does not know of it."""
         me, peers = self.config.name, self.state.peers
         now = list(self.members())
         live = set(self.heard_of_late())
         refused: Set[Tuple[str, str]] = set()
-        cast_out = {i.entry.robot for i in items if isinstance(i.entry, log.Evict) and i.entry.forced}
+        cast_out = {
+            i.entry.robot for i in items if isinstance(i.entry, log.Evict) and i.entry.forced
+        }
         kept = []
         for item in items:
             entry = item.entry

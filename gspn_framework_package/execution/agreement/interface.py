@@ -45,7 +45,8 @@ from gspn_framework_package.execution.firing import (
 )
 
 Message = Dict[str, Any]
-"""A protocol message as a JSON object (see :mod:`~gspn_framework_package.execution.agreement.messages`)."""
+"""A protocol message as a JSON object (see
+:mod:`~gspn_framework_package.execution.agreement.messages`)."""
 
 SERVICE_OF_MESSAGE = {
     "prepare": "get_state",

@@ -2,8 +2,8 @@
 environment.
 
 The robot follows the log, ahead of it by the local transitions that are not in it yet. Owns
-``position``, ``started``, ``running`` and ``reported``. Proposes what its actions bring about, asks the
-electorate whether it may make a transition without asking, puts goals into the outbox.
+``position``, ``started``, ``running`` and ``reported``. Proposes what its actions bring about, asks
+the electorate whether it may make a transition without asking, puts goals into the outbox.
 """
 
 from __future__ import annotations
@@ -31,7 +31,12 @@ class LocalRobot:
     """Turns what happens here into proposals or local transitions, and the log into goals."""
 
     def __init__(
-        self, config: Config, state: ReplicaState, outbox: Outbox, electorate: Electorate, proposals: Proposals
+        self,
+        config: Config,
+        state: ReplicaState,
+        outbox: Outbox,
+        electorate: Electorate,
+        proposals: Proposals,
     ) -> None:
         self.config = config
         self.state = state
@@ -40,13 +45,15 @@ class LocalRobot:
         self.proposals = proposals
         alone = config.partial and not config.witness
         self._transitions = LocalTransitions(config.game, config.name) if alone else None
-        self._environment = Environment(config.game, random.Random("%d|%s" % (config.plan.seed, config.name)))
+        self._environment = Environment(
+            config.game, random.Random("%d|%s" % (config.plan.seed, config.name))
+        )
 
-    # -- the log and the position ---------------------------------------------------------------------
+    # -- the log and the position ------------------------------------------------------------------
 
     def follow(self) -> None:
-        """Take over where the log says that our robot is, and make our local transitions again on top
-        of it; those that it rules out are void."""
+        """Take over where the log says that our robot is, and make our local transitions again on
+        top of it; those that it rules out are void."""
         for own in self._follow():
             self.proposals.void(own, "the log rules it out")
 
@@ -69,7 +76,8 @@ class LocalRobot:
         return void
 
     def _go(self, entry: log.Done) -> Optional[Tuple[int, int, int]]:
-        """Make a local transition: (transition, place left, place entered), None if it cannot be."""
+        """Make a local transition: (transition, place left, place entered), None if it cannot
+        be."""
         at = self.state.position
         if self._transitions is None or at is None or not at.doing:
             return None
@@ -92,7 +100,7 @@ class LocalRobot:
         marking[at.place] += 1
         return tuple(marking)
 
-    # -- actions that end -----------------------------------------------------------------------------
+    # -- actions that end --------------------------------------------------------------------------
 
     def action_ended(self, given: Union[io.ActionDone, io.ActionFailed]) -> None:
         """An attempt at an action is over."""
@@ -160,7 +168,7 @@ class LocalRobot:
             net.fire(before, transition),
         )
 
-    # -- goals ----------------------------------------------------------------------------------------
+    # -- goals -------------------------------------------------------------------------------------
 
     def act(self, delays: Mapping[Tuple[int, int], float]) -> None:
         """Start and cancel actions as the log (and our local transitions) say.
@@ -202,7 +210,7 @@ class LocalRobot:
             out.append(StartAction(name, place, *at.goal, delay))
         return out
 
-    # -- the simulated environment ----------------------------------------------------------------------
+    # -- the simulated environment -----------------------------------------------------------------
 
     def want_environment(self) -> None:
         """Where the plan simulates its environment, the first member that runs fires its

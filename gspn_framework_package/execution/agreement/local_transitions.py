@@ -6,8 +6,8 @@ capacity. Such a firing has one writer and commutes with every firing of the oth
 Darondeau: a net is distributable where transitions at different locations share no input place), so
 that it needs no agreement about its order.
 
-Knows the plan alone: owns nothing that changes, calls nobody. In logs and messages such a transition
-is marked ``private``.
+Knows the plan alone: owns nothing that changes, calls nobody. In logs and messages such a
+transition is marked ``private``.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from gspn_framework_package.model.condition import parse_condition
 class LocalTransitions:
     """The private places of a plan, for one robot of it.
 
-    A transition is not local where the run would notice it: if ``until`` looks at one of its places, if
-    an inhibitor arc or a capacity does, if the robot would be done at once where it arrives (it
-    would then ask for more within the same step), or if the policy could withhold an immediate
-    transition.
+    A transition is not local where the run would notice it: if ``until`` looks at one of its
+    places, if an inhibitor arc or a capacity does, if the robot would be done at once where it
+    arrives (it would then ask for more within the same step), or if the policy could withhold an
+    immediate transition.
     """
 
     def __init__(self, game: TokenGame, robot: str) -> None:

@@ -1,12 +1,12 @@
-"""Who takes part: how replicas get to know each other, join, leave, are evicted, and lose and regain
-the right to vote.
+"""Who takes part: how replicas get to know each other, join, leave, are evicted, and lose and
+regain the right to vote.
 
-Owns who we are (log id, incarnation, whether we are active, amnesic, fenced, leaving, halted) and what
-is known of the others (peers, who is off, astray or a stranger, and for how long a fresh robot
+Owns who we are (log id, incarnation, whether we are active, amnesic, fenced, leaving, halted) and
+what is known of the others (peers, who is off, astray or a stranger, and for how long a fresh robot
 listens): the fields of membership in
-:class:`~gspn_framework_package.execution.agreement.state.ReplicaState`. Proposes joins and evictions,
-has the proposer give its attempts up and the local robot stop or act, and has the log begin anew
-(:class:`Log`) when what we know does not count.
+:class:`~gspn_framework_package.execution.agreement.state.ReplicaState`. Proposes joins and
+evictions, has the proposer give its attempts up and the local robot stop or act, and has the log
+begin anew (:class:`Log`) when what we know does not count.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Membership:
         """Name the log that begins anew where what we know does not count."""
         self.log = log
 
-    # -- lives and memory -----------------------------------------------------------------------------
+    # -- lives and memory --------------------------------------------------------------------------
 
     def begin_first_life(self) -> None:
         """Our log is new: listen before we take part, since somebody may know our name."""
@@ -82,7 +82,9 @@ class Membership:
 
     def new_life(self) -> None:
         """We start again, or come back: a new incarnation, which the log must hear of."""
-        self.state.incarnation = max(self.state.incarnation, self.electorate.known_incarnation()) + 1
+        self.state.incarnation = (
+            max(self.state.incarnation, self.electorate.known_incarnation()) + 1
+        )
         self.proposals.begin_life()
         self._note_life()
 
@@ -118,8 +120,8 @@ class Membership:
         self.robot.follow()
 
     def _renew_log_id(self) -> None:
-        """What our log says from here on is another memory: its votes must not be taken for those of
-        the one before."""
+        """What our log says from here on is another memory: its votes must not be taken for those
+        of the one before."""
         state = self.state
         text = "%s|%s|%r|%d" % (state.log_id, self.config.name, state.now, state.records)
         state.log_id = hashlib.sha256(text.encode()).hexdigest()[:32]
@@ -156,17 +158,21 @@ class Membership:
     def recall_is_over(self) -> None:
         """All records were read: begin the next life, where it has to be without memory."""
         if not self.config.trusted:
-            self.forget("the machine was started anew, and the end of the log may not have reached the disk")
+            self.forget(
+                "the machine was started anew, and the end of the log may not have reached the disk"
+            )
         elif self.state.active and not self.electorate.is_our_name():
             self.forget("another log was let in as %s" % self.config.name)
         self.new_life()
 
-    # -- hello ----------------------------------------------------------------------------------------
+    # -- hello -------------------------------------------------------------------------------------
 
     def greet(self) -> None:
         """Say hello, and when it is due again."""
         state, pace = self.state, self.config.pace
-        state.next_hello = state.now + (pace.heartbeat if state.active else min(pace.heartbeat, pace.greeting))
+        state.next_hello = state.now + (
+            pace.heartbeat if state.active else min(pace.heartbeat, pace.greeting)
+        )
         self.outbox.broadcast(self._hello())
 
     def _hello(self) -> Hello:
@@ -186,7 +192,8 @@ class Membership:
 
     def _greetings(self) -> Dict[str, Seen]:
         """What we know of those who wait to hear it: who does not take part yet, or would be
-        surprised. In a team at work there is nobody, so that a hello does not grow with the team."""
+        surprised. In a team at work there is nobody, so that a hello does not grow with the
+        team."""
         greets = {}
         for robot, peer in self.state.peers.all.items():
             if peer.surprise is not None:
@@ -264,7 +271,8 @@ class Membership:
         if self._is_given_up(hello.cast_out):
             self.forget("it was given up in an eviction by force, as %s knows" % sender)
         self.consider_active()
-        # in a large team answers to everybody's greetings would drown it: there the next hello will do
+        # in a large team answers to everybody's greetings would drown it: there the next hello will
+        # do
         waits = not hello.active or peer.surprise is not None
         rested = state.now >= peer.answered + min(pace.greeting, pace.heartbeat)
         if (not met or (waits and rested)) and (self.config.is_small or self.outbox.owes_reply):
@@ -275,9 +283,9 @@ class Membership:
     def _is_given_up(self, theirs: Dict[str, int]) -> bool:
         """Whether our log was given up in an eviction by force, as another's log says.
 
-        Where two logs each say so of the other (operators contradicted each other), the one that evicts
-        fewer is kept, else the one that does not evict the first robot. A log that a quorum went on
-        with is always kept: the other evicts all of that quorum.
+        Where two logs each say so of the other (operators contradicted each other), the one that
+        evicts fewer is kept, else the one that does not evict the first robot. A log that a quorum
+        went on with is always kept: the other evicts all of that quorum.
         """
         me, ledger = self.config.name, self.state.ledger
         mine = ledger.cast_out
@@ -288,7 +296,10 @@ class Membership:
         if len(by_us) != len(by_them):
             return len(by_us) > len(by_them) > 0
         team = [r.name for r in self.config.plan.robots]
-        return min(by_us | by_them, key=lambda r: (team.index(r) if r in team else len(team), r)) in by_us
+        return (
+            min(by_us | by_them, key=lambda r: (team.index(r) if r in team else len(team), r))
+            in by_us
+        )
 
     def _hear_of_ourselves(self, sender: str, seen: Seen) -> None:
         """What another remembers of us."""
@@ -302,19 +313,30 @@ class Membership:
             return
         ours = Life(state.incarnation, state.records)
         theirs = Life(seen.incarnation, seen.records)
-        if theirs > ours or (theirs.incarnation < state.incarnation and theirs.records > state.begin_records):
+        if theirs > ours or (
+            theirs.incarnation < state.incarnation and theirs.records > state.begin_records
+        ):
             self.forget("it is shorter than %s remembers" % sender)
 
     def consider_active(self) -> None:
         """Become active once every other member of the first team knows our log as the first one
         that we have, and nobody knows more than we do."""
         state = self.state
-        if state.active or state.joining or state.amnesic or state.ledger.length < 1 or state.now < state.listen_until:
+        if (
+            state.active
+            or state.joining
+            or state.amnesic
+            or state.ledger.length < 1
+            or state.now < state.listen_until
+        ):
             return
         others = [m for m in self.electorate.others() if m not in state.off]
         if any(state.peers.get(m).welcomes != state.log_id for m in others):
             return
-        if any(peer.length > state.ledger.length and peer.heard is not None for peer in state.peers.all.values()):
+        if any(
+            peer.length > state.ledger.length and peer.heard is not None
+            for peer in state.peers.all.values()
+        ):
             return  # nor act before we know where the team is
         self.become_active()
         team = self.electorate.members()
@@ -323,7 +345,7 @@ class Membership:
             self.proposer.lead_from_the_start(set(team) - set(state.off))
         self.robot.act({})
 
-    # -- logs that differ -------------------------------------------------------------------------------
+    # -- logs that differ --------------------------------------------------------------------------
 
     def _compare(self, message: Envelope) -> None:
         """Look whether the sender's log begins as ours does, or ours as its."""
@@ -348,14 +370,14 @@ class Membership:
         if other not in state.astray:
             state.astray[other] = slot
             self.outbox.fault(
-                "the log of %s differs from ours before slot %d: one of them is broken, and what it says does not count"
-                % (other, slot)
+                "the log of %s differs from ours before slot %d: one of them is broken, and what "
+                "it says does not count" % (other, slot)
             )
         members = self.electorate.members()
         if is_quorum([m for m in members if m in state.astray], members):
             self.forget("it differs from that of a quorum (%s)" % ", ".join(sorted(state.astray)))
 
-    # -- what the log says of us ------------------------------------------------------------------------
+    # -- what the log says of us -------------------------------------------------------------------
 
     def note_members(self, items: Sequence[Item]) -> None:
         """These are in the log now: somebody may have been let in, perhaps as us, or cast out."""
@@ -369,7 +391,8 @@ class Membership:
                 if mine and not state.active and (taken or self.config.witness):
                     self.become_active()
                 elif state.active and entry.robot == me and not self.electorate.is_our_name():
-                    # somebody was let in under our name: from here on its votes count, and ours do not
+                    # somebody was let in under our name: from here on its votes count, and ours do
+                    # not
                     state.superseded_at, state.rival_since = state.now, None
                     self.forget("another log was let in as %s" % me)
                     return
@@ -401,14 +424,21 @@ class Membership:
             self.proposals.keep_orders_only()
             self.new_life()
 
-    # -- joining, leaving -------------------------------------------------------------------------------
+    # -- joining, leaving --------------------------------------------------------------------------
 
     def want_to_join(self) -> None:
         """See that the log gets to know this incarnation of ours."""
         state, config = self.state, self.config
-        if state.fenced or state.leaving or state.ledger.length == 0 or self.electorate.is_settled():
+        if (
+            state.fenced
+            or state.leaving
+            or state.ledger.length == 0
+            or self.electorate.is_settled()
+        ):
             return
-        if (state.active and config.witness) or not (state.active or state.amnesic or state.joining):
+        if (state.active and config.witness) or not (
+            state.active or state.amnesic or state.joining
+        ):
             return
         if state.superseded_at is not None:
             if state.now < state.superseded_at + RIVAL * config.pace.heartbeat:
@@ -417,7 +447,8 @@ class Membership:
         if self.electorate.known_incarnation() >= state.incarnation:
             self.new_life()
         if any(
-            isinstance(own.item.entry, log.Join) and own.item.origin.incarnation == state.incarnation
+            isinstance(own.item.entry, log.Join)
+            and own.item.origin.incarnation == state.incarnation
             for own in state.own_proposals
         ):
             return
@@ -437,12 +468,16 @@ class Membership:
         if state.leaving_since is None:
             state.leaving_since = state.now
         lingered = state.now - state.leaving_since
-        if members and not is_quorum(know, members) and lingered < LINGER * self.config.pace.heartbeat:
+        if (
+            members
+            and not is_quorum(know, members)
+            and lingered < LINGER * self.config.pace.heartbeat
+        ):
             return
         state.halted = "%s has left the team" % self.config.name
         self.outbox.put(Ended(state.halted, True))
 
-    # -- silence ----------------------------------------------------------------------------------------
+    # -- silence -----------------------------------------------------------------------------------
 
     def watch(self) -> None:
         """Look for robots that seem lost, and whether we are out of contact ourselves."""
@@ -456,7 +491,9 @@ class Membership:
         if timing.evict_after > 0:
             silent = self.electorate.silent(timing.evict_after)
             own = state.own_proposals
-            self.proposals.withdraw_suspicion(o.suspect for o in own if o.suspect and o.suspect not in silent)
+            self.proposals.withdraw_suspicion(
+                o.suspect for o in own if o.suspect and o.suspect not in silent
+            )
             accused = {o.suspect for o in state.own_proposals}
             for robot in sorted(silent - accused):
                 known = state.ledger.state.robots.get(robot)
@@ -475,7 +512,7 @@ class Membership:
         elif self.electorate.is_settled():
             self.new_life()  # what it was doing is started again
 
-    # -- robots that are off ----------------------------------------------------------------------------
+    # -- robots that are off -----------------------------------------------------------------------
 
     def evict_by_force(self, robot: str, incarnation: int, order_id: str) -> None:
         """An operator asserts that a robot is off: want it evicted."""
@@ -494,7 +531,8 @@ class Membership:
         if not left or is_quorum(left, members):
             return ""
         return (
-            "%s could have decided without the others: what only they know is given up; they must stay off until "
+            "%s could have decided without the others: what only they know is given up; they must "
+            "stay off until "
             "they are evicted, for which the word of all others is needed (%s)"
             % (", ".join(m for m in members if m in off), ", ".join(left))
         )
@@ -503,7 +541,12 @@ class Membership:
         """Note that an operator asserted elsewhere that a robot is off."""
         state = self.state
         known = state.ledger.state.robots.get(robot)
-        if robot == self.config.name or known is None or known.phase in GONE or known.incarnation != incarnation:
+        if (
+            robot == self.config.name
+            or known is None
+            or known.phase in GONE
+            or known.incarnation != incarnation
+        ):
             return
         if state.off.get(robot) != incarnation and state.peers.get(robot).heard is None:
             self._assert_off(robot, incarnation)
@@ -528,7 +571,7 @@ class Membership:
         self.proposer.abandon()
         self.outbox.fault("%s was said to be off, and is heard: it is not evicted" % robot)
 
-    # -- who does not belong here -----------------------------------------------------------------------
+    # -- who does not belong here ------------------------------------------------------------------
 
     def hear_own_name(self, message: Envelope) -> None:
         """Another process runs under our name, or our own message came back."""
@@ -541,7 +584,8 @@ class Membership:
         elif state.superseded_at is not None and not same:
             if state.rival_since is None:
                 state.rival_since = state.now
-            elif state.now - state.rival_since > 1.5 * self.config.pace.heartbeat:  # a late message comes but once
+            # a late message comes but once
+            elif state.now - state.rival_since > 1.5 * self.config.pace.heartbeat:
                 self._halt("another process runs as %s, and was let in after it" % self.config.name)
 
     def hear_stranger(self, message: Envelope) -> None:

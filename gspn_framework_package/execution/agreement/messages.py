@@ -3,8 +3,8 @@ follow.
 
 What a peer sends is input. :func:`parse` takes nothing over that has a wrong type, is out of bounds
 or comes from another version of the protocol, and says by name what was wrong; a replica drops such
-a message and goes on. A message is a JSON object: the fields of :class:`Envelope`, its ``kind``, and
-the fields of its body.
+a message and goes on. A message is a JSON object: the fields of :class:`Envelope`, its ``kind``,
+and the fields of its body.
 """
 
 from __future__ import annotations
@@ -93,7 +93,9 @@ def _ballot(value: Any) -> Ballot:
     if not isinstance(value, list) or len(value) != 3:
         raise MessageError("'ballot' is not [number, robot, log]")
     counter, robot, log_id = value
-    return Ballot(_number_of(counter, "ballot"), _name_of(robot, "ballot"), _name_of(log_id, "ballot"))
+    return Ballot(
+        _number_of(counter, "ballot"), _name_of(robot, "ballot"), _name_of(log_id, "ballot")
+    )
 
 
 def _items(value: Any, name: str, *, start: bool = False) -> List[Item]:
@@ -121,8 +123,8 @@ def _batch(value: Any, *, start: bool = False) -> Batch:
 
 
 class Seen(NamedTuple):
-    """What the sender of a hello remembers of the robot that it greets: under which log it knows it,
-    and how many records of that log there were in incarnation ``incarnation``."""
+    """What the sender of a hello remembers of the robot that it greets: under which log it knows
+    it, and how many records of that log there were in incarnation ``incarnation``."""
 
     log: str
     incarnation: int
@@ -162,7 +164,9 @@ class Hello(NamedTuple):
             if len(_list(seen, "greets", 3)) != 3:
                 raise MessageError("'greets' does not hold [log, incarnation, records]")
             greets[robot] = Seen(
-                _name_of(seen[0], "greets"), _number_of(seen[1], "greets"), _number_of(seen[2], "greets")
+                _name_of(seen[0], "greets"),
+                _number_of(seen[1], "greets"),
+                _number_of(seen[2], "greets"),
             )
         return cls(
             _number(data, "begin"),
@@ -186,8 +190,8 @@ def _object(data: Dict[str, Any], name: str) -> Dict[str, Any]:
 
 
 class Event(NamedTuple):
-    """Proposals: what the sender wants in the log. To the leader (or, from a robot without a ``vote``, to
-    any member), again and again until they are in the log."""
+    """Proposals: what the sender wants in the log. To the leader (or, from a robot without a
+    ``vote``, to any member), again and again until they are in the log."""
 
     items: List[Item]
     vote: bool
@@ -274,12 +278,14 @@ class Accept(NamedTuple):
     @classmethod
     def from_json(cls, data: Dict[str, Any]) -> Accept:
         """The message of a JSON object. :raises MessageError: not one."""
-        return cls(_number(data, "slot"), _ballot(_field(data, "ballot")), _batch(_field(data, "batch")))
+        return cls(
+            _number(data, "slot"), _ballot(_field(data, "ballot")), _batch(_field(data, "batch"))
+        )
 
 
 class Accepted(NamedTuple):
-    """A vote, to the proposer, and in a small team to those whose proposals are voted on. ``items``: what
-    waits here that the batch does not hold."""
+    """A vote, to the proposer, and in a small team to those whose proposals are voted on.
+    ``items``: what waits here that the batch does not hold."""
 
     slot: int
     ballot: Ballot
@@ -287,12 +293,20 @@ class Accepted(NamedTuple):
 
     def to_json(self) -> Dict[str, Any]:
         """The fields as a JSON object."""
-        return {"slot": self.slot, "ballot": list(self.ballot), "items": [i.to_json() for i in self.items]}
+        return {
+            "slot": self.slot,
+            "ballot": list(self.ballot),
+            "items": [i.to_json() for i in self.items],
+        }
 
     @classmethod
     def from_json(cls, data: Dict[str, Any]) -> Accepted:
         """The message of a JSON object. :raises MessageError: not one."""
-        return cls(_number(data, "slot"), _ballot(_field(data, "ballot")), _items(_field(data, "items"), "items"))
+        return cls(
+            _number(data, "slot"),
+            _ballot(_field(data, "ballot")),
+            _items(_field(data, "items"), "items"),
+        )
 
 
 class Nack(NamedTuple):
@@ -332,9 +346,9 @@ class Chosen(NamedTuple):
 
 
 class Learn(NamedTuple):
-    """What is decided: that a slot is ``chosen``, to the others once a proposer knows; or, to one that
-    is behind, ``slots`` from ``at`` on as (ballot, batch, hash before it); or, where these are not
-    kept any more, a ``snapshot``."""
+    """What is decided: that a slot is ``chosen``, to the others once a proposer knows; or, to one
+    that is behind, ``slots`` from ``at`` on as (ballot, batch, hash before it); or, where these are
+    not kept any more, a ``snapshot``."""
 
     chosen: Optional[Chosen] = None
     at: int = 0
@@ -347,7 +361,10 @@ class Learn(NamedTuple):
             return {"slot": self.chosen.slot, "ballot": list(self.chosen.ballot)}
         if self.snapshot is not None:
             return {"snapshot": self.snapshot}
-        return {"at": self.at, "slots": [[list(ballot), batch, before] for ballot, batch, before in self.slots]}
+        return {
+            "at": self.at,
+            "slots": [[list(ballot), batch, before] for ballot, batch, before in self.slots],
+        }
 
     @classmethod
     def from_json(cls, data: Dict[str, Any]) -> Learn:
@@ -427,7 +444,9 @@ def parse(data: Any) -> Envelope:
         raise MessageError("it is not a JSON object")
     version = data.get("version", 1)
     if version != VERSION:
-        raise MessageError("it is of version %.20r of the protocol, this is %d" % (version, VERSION))
+        raise MessageError(
+            "it is of version %.20r of the protocol, this is %d" % (version, VERSION)
+        )
     kind = data.get("kind")
     body = _KINDS.get(kind) if isinstance(kind, str) else None
     if body is None:

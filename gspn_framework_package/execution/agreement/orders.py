@@ -41,7 +41,8 @@ class Orders:
     def order(self, order: io.Order) -> None:
         """Propose what an operator orders, where it makes sense."""
         if self.state.now < self.state.listen_until:
-            self.state.held_orders.append(order)  # we are not in the team yet, but for as long as we listen only
+            # we are not in the team yet, but for as long as we listen only
+            self.state.held_orders.append(order)
             return
         entry = order.entry
         if isinstance(entry, log.Evict) and entry.incarnation < 0:
@@ -106,5 +107,8 @@ class Orders:
         if state.peers.get(name).heard is not None:
             silence = state.peers.silence(name, state.now)
             if silence < 2 * self.config.pace.heartbeat:
-                return "%s was heard %.1f s ago: it is not off; use evict, or switch it off" % (name, silence)
+                return "%s was heard %.1f s ago: it is not off; use evict, or switch it off" % (
+                    name,
+                    silence,
+                )
         return ""

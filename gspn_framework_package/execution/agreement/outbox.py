@@ -1,7 +1,8 @@
 """The effects of a step, in order: records, messages, answers, what people should hear.
 
-Owns ``records`` and ``durable``, the length of our own log. Calls nobody; every part puts its effects
-in here, and :class:`~gspn_framework_package.execution.agreement.replica.Replica` takes them out.
+Owns ``records`` and ``durable``, the length of our own log. Calls nobody; every part puts its
+effects in here, and :class:`~gspn_framework_package.execution.agreement.replica.Replica` takes them
+out.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class Outbox:
         self._effects: List[io.Effect] = []
         self._request = ""
 
-    # -- a step begins and ends -----------------------------------------------------------------------
+    # -- a step begins and ends --------------------------------------------------------------------
 
     def begin(self, request_id: str) -> None:
         """The step takes a message; ``request_id`` as in
@@ -48,7 +49,7 @@ class Outbox:
         """Whether the message that is being taken is a call that was not answered yet."""
         return bool(self._request)
 
-    # -- effects --------------------------------------------------------------------------------------
+    # -- effects -----------------------------------------------------------------------------------
 
     def put(self, *effects: io.Effect) -> None:
         """Have these carried out after all before them."""

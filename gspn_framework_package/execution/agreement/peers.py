@@ -43,9 +43,11 @@ class Peer:
     silent: FrozenSet[str] = frozenset()
     """Whom it does not hear."""
     active: bool = True
-    """Whether it takes part, as far as it told: one that lost its log does not until it is let in."""
+    """Whether it takes part, as far as it told: one that lost its log does not until it is let
+    in."""
     answered: float = -math.inf
-    """When we answered a hello of it last (s); two that wait must not answer each other's answers."""
+    """When we answered a hello of it last (s); two that wait must not answer each other's
+    answers."""
     met: bool = False
     """It said hello before."""
     evicted_at: int = -1
@@ -106,7 +108,11 @@ class Peers:
 
     def near(self, members: Sequence[str], me: str, within: float, now: float) -> List[str]:
         """The members that were heard within that time, ourselves included."""
-        return [m for m in members if m == me or (self.get(m).heard is not None and self.silence(m, now) <= within)]
+        return [
+            m
+            for m in members
+            if m == me or (self.get(m).heard is not None and self.silence(m, now) <= within)
+        ]
 
     def silent(self, members: Sequence[str], me: str, limit: float, now: float) -> Set[str]:
         """The members that were silent for longer than ``limit``; one that never came up, for three

@@ -1,7 +1,7 @@
 """What waits to get into the log: what this robot proposes, and what others told it that they do.
 
-Owns ``own_proposals``, ``others_proposals`` and ``number``. Reads the electorate (what may go into the log),
-puts records and the answers to orders into the outbox.
+Owns ``own_proposals``, ``others_proposals`` and ``number``. Reads the electorate (what may go into
+the log), puts records and the answers to orders into the outbox.
 """
 
 from __future__ import annotations
@@ -23,14 +23,16 @@ from gspn_framework_package.execution.token_game import Step
 class Proposals:
     """The items on their way. Those of one origin stay in the order of their numbers."""
 
-    def __init__(self, config: Config, state: ReplicaState, outbox: Outbox, electorate: Electorate) -> None:
+    def __init__(
+        self, config: Config, state: ReplicaState, outbox: Outbox, electorate: Electorate
+    ) -> None:
         self.config = config
         self.state = state
         self.outbox = outbox
         self.electorate = electorate
         self._open: Dict[Origin, Item] = {}  # while our log is read back
 
-    # -- in -------------------------------------------------------------------------------------------
+    # -- in ----------------------------------------------------------------------------------------
 
     def propose(self, entry: log.Entry, order_id: str = "", suspect: str = "") -> None:
         """Want an entry in the log."""
@@ -75,7 +77,7 @@ class Proposals:
         """A new incarnation counts from 1."""
         self.state.number = 0
 
-    # -- out ------------------------------------------------------------------------------------------
+    # -- out ---------------------------------------------------------------------------------------
 
     def take_out_decided(self, fresh: Set[Origin], step: Optional[Step]) -> None:
         """Drop what is in the log, and answer those who ordered it.
@@ -109,7 +111,11 @@ class Proposals:
     def _without_effect(self, entry: log.Entry, step: Optional[Step]) -> str:
         """Why an order that is in the log changed nothing; "" if it did."""
         if isinstance(entry, (log.SetPlace, log.Fire)):
-            return "; ".join(c.message for c in (step.commands if step is not None else ()) if isinstance(c, Fault))
+            return "; ".join(
+                c.message
+                for c in (step.commands if step is not None else ())
+                if isinstance(c, Fault)
+            )
         if isinstance(entry, (log.Leave, log.Evict)) and self.electorate.members() == [entry.robot]:
             return "%s is the last one of the team, and stays; stop the run instead" % entry.robot
         return ""
@@ -154,7 +160,7 @@ class Proposals:
         self.state.own_proposals = []
         self.state.others_proposals = {}
 
-    # -- questions --------------------------------------------------------------------------------------
+    # -- questions ---------------------------------------------------------------------------------
 
     def own_items(self) -> List[Item]:
         """What we want in the log ourselves."""
@@ -167,7 +173,11 @@ class Proposals:
     def told_of(self, robots: Iterable[str]) -> List[Item]:
         """What others told of these robots."""
         others = self.state.others_proposals
-        return [item for robot in robots for item in sorted(others[robot].values(), key=lambda i: i.origin)]
+        return [
+            item
+            for robot in robots
+            for item in sorted(others[robot].values(), key=lambda i: i.origin)
+        ]
 
     def has_control(self) -> bool:
         """Whether an order waits that needs every robot to hold still."""
@@ -210,7 +220,7 @@ class Proposals:
                 (first if leading else rest).append(item)
         return (first + rest)[:most]
 
-    # -- our own log, read back ---------------------------------------------------------------------------
+    # -- our own log, read back --------------------------------------------------------------------
 
     def recall(self, record: Record) -> None:
         """Take over a record of our own log."""

@@ -1,5 +1,5 @@
-"""When to propose: as leader, after waiting for the leader, by a member where we have no vote; when to
-ask again, and when to give way to another's attempt. Nothing in here matters for safety.
+"""When to propose: as leader, after waiting for the leader, by a member where we have no vote; when
+to ask again, and when to give way to another's attempt. Nothing in here matters for safety.
 
 Owns the timers of the open slot (the fields of proposer in
 :class:`~gspn_framework_package.execution.agreement.state.ReplicaState`) and drives the
@@ -54,7 +54,7 @@ class Proposer:
         self.proposals = proposals
         self.consensus = consensus
 
-    # -- what came in ---------------------------------------------------------------------------------
+    # -- what came in ------------------------------------------------------------------------------
 
     def on_event(self, message: Envelope, body: Event) -> None:
         """Another wants something in the log."""
@@ -88,7 +88,7 @@ class Proposer:
         """A robot that was behind is sent what it lacks: repeat to it what it could not answer."""
         self.consensus.ask_again(robot)
 
-    # -- what became of the open slot -------------------------------------------------------------------
+    # -- what became of the open slot --------------------------------------------------------------
 
     def next_slot(self, mine: bool, returned: Set[str]) -> None:
         """The open slot was decided; see
@@ -100,7 +100,9 @@ class Proposer:
         state.wait_until = None
         state.gave_way = False
         if self.config.partial and not mine:  # several may want the next slot: not all at once
-            state.wait_until = state.now + max(self.config.pace.backoff, state.round_trip) * self._spread()
+            state.wait_until = (
+                state.now + max(self.config.pace.backoff, state.round_trip) * self._spread()
+            )
 
     def begin_anew(self) -> None:
         """Our log was replaced: what we wanted in its open slot does not count."""
@@ -124,7 +126,7 @@ class Proposer:
         attempt = self.state.attempt
         return attempt is not None and attempt.ballot == ballot
 
-    # -- as time passes -------------------------------------------------------------------------------
+    # -- as time passes ----------------------------------------------------------------------------
 
     def wants(self) -> bool:
         """Whether something should get into the log now."""
@@ -140,7 +142,9 @@ class Proposer:
         if origins and self.consensus.leads():
             return True
         members = set(self.electorate.members())
-        without_vote = [origin for origin in origins if origin not in members or origin in state.voteless]
+        without_vote = [
+            origin for origin in origins if origin not in members or origin in state.voteless
+        ]
         if without_vote and self.electorate.without_ghosts(self.proposals.told_of(without_vote)):
             return True
         if state.frozen_by is not None and state.frozen_since is not None:
@@ -162,7 +166,8 @@ class Proposer:
         if state.frozen_by is not None and state.frozen_since is None:
             state.frozen_since = state.now
         if not self.wants():
-            if not state.gave_way:  # else another's attempt is under way, which our next proposal must not defeat
+            # else another's attempt is under way, which our next proposal must not defeat
+            if not state.gave_way:
                 state.wait_until = None
             return
         if not self.electorate.may_vote():
@@ -182,7 +187,11 @@ class Proposer:
         leader = state.leader
         if state.wait_until is None:
             state.wait_until = state.now + self._patience()
-        if leader == self.config.name or leader not in self.electorate.others() or state.now >= state.wait_until:
+        if (
+            leader == self.config.name
+            or leader not in self.electorate.others()
+            or state.now >= state.wait_until
+        ):
             state.wait_until = state.now + self._patience()
             self.consensus.propose(state.now)
             return
@@ -225,19 +234,24 @@ class Proposer:
         if self.config.partial:
             state.gave_way = True
             needs = 2 * state.round_trip  # its two phases
-            wait = max(needs, self.config.pace.backoff * 2 ** min(state.defeats, 6)) * (1 + self._spread())
+            wait = max(needs, self.config.pace.backoff * 2 ** min(state.defeats, 6)) * (
+                1 + self._spread()
+            )
         else:
             wait = self._patience()
         state.wait_until = state.now + wait
 
     def _spread(self) -> float:
-        """A part of the time over which those who want a slot begin: in a large team more want it at a time."""
+        """A part of the time over which those who want a slot begin: in a large team more want it
+        at a time."""
         return self.config.pace.spread * self._draw()
 
     def _draw(self) -> float:
         """A number in [0, 1) that differs from robot to robot and from time to time."""
         state, seed = self.state, self.config.plan.seed
-        return uniform(seed, state.ledger.length, state.highest.counter, "wait of " + self.config.name)
+        return uniform(
+            seed, state.ledger.length, state.highest.counter, "wait of " + self.config.name
+        )
 
     def wake_times(self) -> List[float]:
         """When to look again (s)."""

@@ -1,6 +1,7 @@
 """The newest slots of the log, for those who are behind: they get slots, not a snapshot.
 
-A collection that :mod:`~gspn_framework_package.execution.agreement.replication` keeps; calls nobody.
+A collection that :mod:`~gspn_framework_package.execution.agreement.replication` keeps; calls
+nobody.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A replica's own log, read back when it starts again.
 
-Owns nothing: gives each record to the part whose it is (membership, replication, proposals, consensus),
-in the order of the log, and has the membership begin the next life.
+Owns nothing: gives each record to the part whose it is (membership, replication, proposals,
+consensus), in the order of the log, and has the membership begin the next life.
 """
 
 from __future__ import annotations
@@ -47,7 +47,9 @@ class Recovery:
 
         :raises LogError: the records contradict each other or the plan.
         """
-        begin = max((i for i, r in enumerate(records) if r["kind"] in ("snapshot", "reset")), default=0)
+        begin = max(
+            (i for i, r in enumerate(records) if r["kind"] in ("snapshot", "reset")), default=0
+        )
         for number, record in enumerate(records):
             try:
                 self._recall(record, number >= begin)
@@ -78,7 +80,9 @@ class Recovery:
         for number, record in enumerate(records):
             if record["kind"] in OF_CONSENSUS:
                 try:
-                    self.consensus.restore(record, self.state.ledger.length if number > last else -1)
+                    self.consensus.restore(
+                        record, self.state.ledger.length if number > last else -1
+                    )
                 except (KeyError, TypeError, ValueError, LogError) as error:
                     raise _damaged(record, number, error) from None
 

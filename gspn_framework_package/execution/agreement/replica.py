@@ -73,7 +73,14 @@ class Replica:
         trusted: bool = True,
     ) -> None:
         self.config = config = Config.make(
-            plan, robot, run, joining=joining, place=place, pace=pace, limits=limits, trusted=trusted
+            plan,
+            robot,
+            run,
+            joining=joining,
+            place=place,
+            pace=pace,
+            limits=limits,
+            trusted=trusted,
         )
         self.state = state = ReplicaState(
             ledger=Ledger(config.game),
@@ -92,7 +99,9 @@ class Replica:
         self.robot = local = LocalRobot(config, state, outbox, electorate, proposals)
         self.consensus = consensus = Consensus(config, state, outbox, electorate, proposals)
         self.proposer = proposer = Proposer(config, state, outbox, electorate, proposals, consensus)
-        self.membership = membership = Membership(config, state, outbox, electorate, proposals, proposer, local)
+        self.membership = membership = Membership(
+            config, state, outbox, electorate, proposals, proposer, local
+        )
         self.replication = replication = Replication(
             config, state, outbox, electorate, proposals, proposer, membership, local
         )
@@ -102,7 +111,7 @@ class Replica:
         self.orders = Orders(config, state, outbox, electorate, proposals, membership)
         self.people = Status(config, state, outbox, electorate, consensus, proposer, local)
 
-    # -- one input after the other ----------------------------------------------------------------------
+    # -- one input after the other -----------------------------------------------------------------
 
     def start(self, now: float) -> List[io.Effect]:
         """Begin (once, before any :meth:`step`).
@@ -206,10 +215,14 @@ class Replica:
                 self.membership.want_to_join()
                 self.robot.want_environment()
             self.proposer.drive()
-        times = [*self.membership.wake_times(), *self.proposer.wake_times(), *self.robot.wake_times()]
+        times = [
+            *self.membership.wake_times(),
+            *self.proposer.wake_times(),
+            *self.robot.wake_times(),
+        ]
         self.outbox.put(io.WakeAt(max(state.now + 0.001, min(times))))
 
-    # -- questions of the host ---------------------------------------------------------------------------
+    # -- questions of the host ---------------------------------------------------------------------
 
     @property
     def ledger(self) -> Ledger:

@@ -1,10 +1,10 @@
-"""The replicated log: slots that are decided, slots and snapshots that we catch up on, and the help for
-those who are behind.
+"""The replicated log: slots that are decided, slots and snapshots that we catch up on, and the help
+for those who are behind.
 
-Owns ``ledger``, ``recent``, ``first_hash`` and ``asked_until``. When a slot is in the log it tells, in
-this order, the proposer (the open slot is another), the membership (who was let in, or cast out), the proposals
-(what waits no longer) and the local robot (where it is). It is the log that consensus and membership
-ask for.
+Owns ``ledger``, ``recent``, ``first_hash`` and ``asked_until``. When a slot is in the log it tells,
+in this order, the proposer (the open slot is another), the membership (who was let in, or cast
+out), the proposals (what waits no longer) and the local robot (where it is). It is the log that
+consensus and membership ask for.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Replication:
         self.membership = membership
         self.robot = robot
 
-    # -- slots that are decided -----------------------------------------------------------------------
+    # -- slots that are decided --------------------------------------------------------------------
 
     def begin(self) -> None:
         """The first slot is the same for all who have the plan: nothing to agree on."""
@@ -69,8 +69,8 @@ class Replication:
             self._tell_chosen(slot, ballot, {origin[0] for _, origin, _ in batch}, alone)
 
     def _tell_chosen(self, slot: int, ballot: Ballot, origins: Set[str], alone: bool) -> None:
-        """Tell the others; but in a small team those whose proposals were in the batch saw each other's
-        votes."""
+        """Tell the others; but in a small team those whose proposals were in the batch saw each
+        other's votes."""
         voted = self.config.is_small and not self.config.partial and not alone
         told = [m for m in self.electorate.others() if not (voted and m in origins)]
         if alone:  # nobody else has seen the batch
@@ -111,7 +111,9 @@ class Replication:
         ):
             self.outbox.persist(state.ledger.snapshot())
 
-    def _after_slot(self, fresh: Set[Origin], delays: Dict[Tuple[int, int], float], step: Optional[Step]) -> None:
+    def _after_slot(
+        self, fresh: Set[Origin], delays: Dict[Tuple[int, int], float], step: Optional[Step]
+    ) -> None:
         self.proposals.take_out_decided(fresh, step)
         if self.state.active and self.electorate.spoken_for():
             self.membership.new_life()  # a former life of ours, late, or somebody else in our name
@@ -124,7 +126,7 @@ class Replication:
         self.state.ledger = Ledger(self.config.game)
         self.state.recent.clear(0)
 
-    # -- catching up, and helping others to ---------------------------------------------------------------
+    # -- catching up, and helping others to --------------------------------------------------------
 
     def is_open(self, message: Envelope) -> bool:
         """Whether a message is about the open slot, on top of the same log; where it is not, the
@@ -181,7 +183,9 @@ class Replication:
             if body.snapshot["slot"] >= state.ledger.length:
                 self._take_snapshot(message.sender, body.snapshot)
         elif body.chosen is not None:
-            if body.chosen.slot == state.ledger.length and not self.proposer.on_chosen(body.chosen.ballot):
+            if body.chosen.slot == state.ledger.length and not self.proposer.on_chosen(
+                body.chosen.ballot
+            ):
                 self.pull(message.sender)
         else:
             for slot, (ballot, batch, before) in enumerate(body.slots, body.at):
@@ -205,7 +209,7 @@ class Replication:
         self.membership.note_snapshot()
         self._after_slot(set(), {}, None)
 
-    # -- our own log, read back ---------------------------------------------------------------------------
+    # -- our own log, read back --------------------------------------------------------------------
 
     def recall(self, record: Record) -> None:
         """Take over a slot or a snapshot of our own log."""
@@ -217,7 +221,9 @@ class Replication:
 
     def _replay(self, record: Record) -> None:
         state = self.state
-        items = [Item(log.from_json(e), Origin(*o)) for e, o in zip(record["entries"], record["origins"])]
+        items = [
+            Item(log.from_json(e), Origin(*o)) for e, o in zip(record["entries"], record["origins"])
+        ]
         before = state.ledger.hash
         again, _ = state.ledger.append(items)
         if (again["slot"], again["hash"]) != (record["slot"], record["hash"]):
@@ -226,7 +232,9 @@ class Replication:
                 hint="the file was changed, or belongs to another version of the plan",
             )
         ballot = record.get("ballot", [0, ""])
-        state.recent.add(record["slot"], Ballot.from_json(ballot), [i.to_json() for i in items], before)
+        state.recent.add(
+            record["slot"], Ballot.from_json(ballot), [i.to_json() for i in items], before
+        )
 
     def recall_is_over(self, records: Sequence[Record]) -> None:
         """All records were read."""
@@ -239,6 +247,7 @@ def _was_local(firing: Firing, items: Sequence[Item]) -> bool:
     return any(
         i.private
         and isinstance(i.entry, log.Done)
-        and (i.entry.robot, i.entry.incarnation, i.entry.visit) == (firing.robot, firing.incarnation, firing.visit)
+        and (i.entry.robot, i.entry.incarnation, i.entry.visit)
+        == (firing.robot, firing.incarnation, firing.visit)
         for i in items
     )

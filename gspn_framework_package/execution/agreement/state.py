@@ -1,7 +1,8 @@
 """Everything that a replica remembers, in one place: :class:`ReplicaState`.
 
-Each field has one owner, the part that alone writes it; every part may read all of them. A test reads
-the source of the parts and finds assignments by anybody else. Owns nothing itself, calls nothing.
+Each field has one owner, the part that alone writes it; every part may read all of them. A test
+reads the source of the parts and finds assignments by anybody else. Owns nothing itself, calls
+nothing.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from gspn_framework_package.execution.agreement.recent_slots import RecentSlots
 from gspn_framework_package.execution.ledger import Item, Ledger, Origin
 
 CONTROLS = (log.Pause, log.Resume, log.SetPlace, log.Stop)
-"""Orders that local transitions must not pass: partial synchronisation decides them while every robot
-holds still."""
+"""Orders that local transitions must not pass: partial synchronisation decides them while every
+robot holds still."""
 
 
 class Proposal(NamedTuple):
@@ -90,22 +91,24 @@ class ReplicaState:
     # -- the log so far ---------------------------------------------------------------------------
 
     ledger: Ledger = field(metadata={"owner": "replication"})
-    """The agreed log as far as we have it: the state of the team, the hash chain, whose logs count."""
+    """The agreed log as far as we have it: the state of the team, the hash chain, whose logs
+    count."""
     recent: RecentSlots = field(metadata={"owner": "replication"})
     """The newest slots, for those who are behind."""
     first_hash: str = _owned("replication", "")
-    """Hash of the first slot; "" before we have it. Replicas of different first teams differ in it."""
+    """Hash of the first slot; "" before we have it. Replicas of different first teams differ in
+    it."""
     asked_until: Tuple[int, float] = _owned("replication", (-1, 0.0))
     """We asked for slots from this one on, and do not ask again before that time (s)."""
 
-    # -- our own record of it, in the file -----------------------------------------------------------
+    # -- our own record of it, in the file ---------------------------------------------------------
 
     records: int = _owned("outbox", 0)
     """How many records our log has."""
     durable: int = _owned("outbox", 0)
     """Up to which of them it outlives the power supply."""
 
-    # -- who we are ---------------------------------------------------------------------------------
+    # -- who we are --------------------------------------------------------------------------------
 
     log_id: str = _owned("membership", "")
     """Id of our log. Votes of one id are one memory: whoever forgets takes a new one."""
@@ -132,12 +135,13 @@ class ReplicaState:
     rival_since: Optional[float] = _owned("membership")
     """Since when we have heard another process of our name after that (s)."""
 
-    # -- who the others are -------------------------------------------------------------------------
+    # -- who the others are ------------------------------------------------------------------------
 
     peers: Peers = _owned("membership", make=Peers)
     """Who was heard when, and what they said of themselves."""
     off: Dict[str, int] = _owned("membership", make=dict)
-    """Robots that an operator asserted to be off, with the incarnation that the assertion is about."""
+    """Robots that an operator asserted to be off, with the incarnation that the assertion is
+    about."""
     astray: Dict[str, int] = _owned("membership", make=dict)
     """Robots whose log differs from ours, with a slot before which it does."""
     strangers: Set[str] = _owned("membership", make=set)
@@ -145,11 +149,12 @@ class ReplicaState:
     complaints: Set[Tuple[str, str]] = _owned("membership", make=set)
     """Messages that were not understood and named already: (sender, why)."""
     listen_until: float = _owned("membership", 0.0)
-    """Before that a fresh robot does not take part, since somebody may know its name (s); 0: over."""
+    """Before that a fresh robot does not take part, since somebody may know its name (s); 0:
+    over."""
     next_hello: float = _owned("membership", 0.0)
     """When the next hello is due (s)."""
 
-    # -- what waits to get into the log ---------------------------------------------------------------
+    # -- what waits to get into the log ------------------------------------------------------------
 
     own_proposals: List[Proposal] = _owned("proposals", make=list)
     """What this robot wants in the log, in the order of their numbers."""
@@ -158,7 +163,7 @@ class ReplicaState:
     number: int = _owned("proposals", 0)
     """The number of our newest proposal in this incarnation."""
 
-    # -- acceptor and proposer of the first open slot ---------------------------------------------------
+    # -- acceptor and proposer of the first open slot ----------------------------------------------
 
     promised: Ballot = _owned("consensus", Ballot(0, ""))
     """No ballot below it will be accepted."""
@@ -179,7 +184,7 @@ class ReplicaState:
     votes: Dict[Ballot, Set[str]] = _owned("consensus", make=dict)
     """Who accepted what in the open slot, as far as we heard."""
 
-    # -- when to propose ----------------------------------------------------------------------------
+    # -- when to propose ---------------------------------------------------------------------------
 
     wait_until: Optional[float] = _owned("proposer")
     """Before that we do not propose (s)."""
@@ -196,7 +201,7 @@ class ReplicaState:
     told: Tuple[Any, ...] = _owned("proposer", ())
     """Whom we sent our proposals last, which, and when we do it again."""
 
-    # -- our robot ------------------------------------------------------------------------------------
+    # -- our robot ---------------------------------------------------------------------------------
 
     position: Optional[Position] = _owned("local_robot")
     """Where our robot is, ahead of the log by its local transitions; None: not in the team."""
@@ -207,7 +212,7 @@ class ReplicaState:
     reported: Optional[Goal] = _owned("local_robot")
     """The last goal whose end was."""
 
-    # -- people ---------------------------------------------------------------------------------------
+    # -- people ------------------------------------------------------------------------------------
 
     held_orders: List[io.Order] = _owned("orders", make=list)
     """Orders that came while we only listened."""

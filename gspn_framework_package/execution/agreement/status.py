@@ -1,7 +1,7 @@
 """What people may ask of a replica, and what it says by itself when that changes.
 
-Owns ``told_status``. Reads the state and the electorate, and the local robot's marking; tells through
-the outbox.
+Owns ``told_status``. Reads the state and the electorate, and the local robot's marking; tells
+through the outbox.
 """
 
 from __future__ import annotations
@@ -70,7 +70,9 @@ class Status:
         if state.fenced:
             return "stopped: no contact to a quorum"
         if state.astray:
-            return "the log differs from that of %s; what differs does not count" % ", ".join(sorted(state.astray))
+            return "the log differs from that of %s; what differs does not count" % ", ".join(
+                sorted(state.astray)
+            )
         if state.attempt is not None and state.attempt.tries > 1:
             voteless = self._voteless()
             missing = [m for m in self.consensus.missing() if m not in voteless]
@@ -78,11 +80,15 @@ class Status:
                 return "waits for an answer of %s" % ", ".join(missing)
             return "has no quorum; without a vote: %s" % ", ".join(voteless) + self._nobody_left()
         if self.is_stuck():
-            return "has no quorum; without a vote: %s" % ", ".join(self._voteless()) + self._nobody_left()
+            return (
+                "has no quorum; without a vote: %s" % ", ".join(self._voteless())
+                + self._nobody_left()
+            )
         unheard = electorate.unheard()
         if not electorate.has_quorum():
             return "has no quorum; silent: %s" % ", ".join(unheard)
-        if self.config.partial and unheard and self.proposer.wants():  # whose attempt it is changes all the time
+        # whose attempt it is changes all the time
+        if self.config.partial and unheard and self.proposer.wants():
             return "waits for an answer of %s" % ", ".join(unheard)
         return ""
 
@@ -94,19 +100,30 @@ class Status:
         """Whether the team can never go on by itself: of too many members the logs, and with them
         the votes, are lost."""
         state, me = self.state, self.config.name
-        if state.ledger.length == 0 or state.ledger.state.ended is not None or (state.joining and not state.active):
+        if (
+            state.ledger.length == 0
+            or state.ledger.state.ended is not None
+            or (state.joining and not state.active)
+        ):
             return False
         members, peers = self.electorate.members(), state.peers
         here = [m for m in members if m == me or peers.get(m).heard is not None]
         silent = [m for m in members if m not in here]
         voters = [m for m in here if (state.active if m == me else peers.get(m).active)]
         started = any(peers.get(m).length > 1 for m in here) or state.ledger.length > 1
-        return started and not is_quorum([*voters, *silent], members) and not self.electorate.may_decide(voters)
+        return (
+            started
+            and not is_quorum([*voters, *silent], members)
+            and not self.electorate.may_decide(voters)
+        )
 
     def _nobody_left(self) -> str:
         if not self.is_stuck():
             return ""
-        return ": too many lost their logs, and those who remember are no quorum; force_evict those who do not"
+        return (
+            ": too many lost their logs, and those who remember are no quorum; "
+            "force_evict those who do not"
+        )
 
     def as_json(self) -> Dict[str, Any]:
         """Everything a person may ask, as a JSON object (ages in s)."""
@@ -147,7 +164,9 @@ class Status:
             "visit": at.visit if at else robot.visit,
             "attempt": at.attempt if at else robot.attempt,
             "log_length": state.ledger.length if mine else state.peers.get(robot.name).length,
-            "last_contact": 0.0 if mine else (None if heard is None else round(state.now - heard, 3)),
+            "last_contact": 0.0
+            if mine
+            else (None if heard is None else round(state.now - heard, 3)),
             "waits_for": self.config.game.why_waiting(state.ledger.state, robot),
         }
 
@@ -157,4 +176,6 @@ class Status:
             return "Lost" if robot.phase.value == "lost" else "Left"
         if robot.paused or self.state.ledger.state.paused:
             return "Paused"
-        return {"doing": "Doing", "done": "Waiting", "failed": "Failed"}.get(robot.phase.value, "Inactive")
+        return {"doing": "Doing", "done": "Waiting", "failed": "Failed"}.get(
+            robot.phase.value, "Inactive"
+        )

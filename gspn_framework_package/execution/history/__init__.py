@@ -73,7 +73,9 @@ def verify(logs: Sequence[EventLog], *, settled: bool = False, complete: bool = 
 
 
 class _Check:
-    def __init__(self, logs: Sequence[EventLog], settled: bool, complete: bool, notes: List[str]) -> None:
+    def __init__(
+        self, logs: Sequence[EventLog], settled: bool, complete: bool, notes: List[str]
+    ) -> None:
         self.logs = logs
         self.settled = settled
         self.complete = complete
@@ -87,7 +89,9 @@ class _Check:
             if log.cut:
                 self.notes.append("the last line of %s was cut off" % log.path)
         if self.length < len(merged.slots):
-            self.notes.append("no log has slot %d: what is after it cannot be checked" % self.length)
+            self.notes.append(
+                "no log has slot %d: what is after it cannot be checked" % self.length
+            )
         plan = self.logs[0].plan
         replay = Replay(plan, bool(self.logs[0].header.get("agents")))
         situations, members, markings = [], [], []
@@ -110,7 +114,9 @@ class _Check:
         invoked: Dict[Any, float] = {}
         newest = {log.robot: i for i, log in enumerate(self.logs)}
         for i, log in enumerate(self.logs):
-            check = RobotCheck(log, merged, facts, situations, markings, i, plan, ended_at, newest[log.robot] != i)
+            check = RobotCheck(
+                log, merged, facts, situations, markings, i, plan, ended_at, newest[log.robot] != i
+            )
             check.check()
             invoked.update(check.invoked)
             last = self.settled and newest[log.robot] == i and replay.ended is None
@@ -133,11 +139,15 @@ class _Check:
         none. Rule 9."""
         here = {log.robot for log in self.logs}
         said = {
-            origin[0] for slot in range(1, self.length) for origin in merged.slots[slot]["origins"] if origin[0]
+            origin[0]
+            for slot in range(1, self.length)
+            for origin in merged.slots[slot]["origins"]
+            if origin[0]
         }
         needed = {r.name for r in replay.robots.values() if r.here} | set(replay.witnesses) | said
         missing = sorted(needed - here)
         if missing:
             raise BrokenRuleError(
-                9, "the log of %s is missing; where it is lost, say --incomplete" % ", ".join(missing)
+                9,
+                "the log of %s is missing; where it is lost, say --incomplete" % ", ".join(missing),
             )

@@ -44,9 +44,19 @@ class Merged:
         self._last_forced = max((slot for _, slot in evictions), default=-1)
         memories = _memories(logs)
         # first what is left in the end; of what robots know who were said to be off, the newest
-        memories.sort(key=lambda m: (m.forgotten, logs[m.number].robot in cast_out, -m.time if cast_out else 0.0))
+        memories.sort(
+            key=lambda m: (
+                m.forgotten,
+                logs[m.number].robot in cast_out,
+                -m.time if cast_out else 0.0,
+            )
+        )
         for memory in memories:
-            self._add(memory, logs[memory.number], memory.forgotten or logs[memory.number].robot in cast_out)
+            self._add(
+                memory,
+                logs[memory.number],
+                memory.forgotten or logs[memory.number].robot in cast_out,
+            )
 
     def _add(self, memory: Memory, log: EventLog, may_differ: bool) -> None:
         """Compare what a robot remembered with what is there; rule 1.
@@ -67,16 +77,21 @@ class Merged:
                 if known is not None and known["hash"] != chain and not given_up:
                     raise BrokenRuleError(
                         1,
-                        "%s took a snapshot after slot %d that does not fit the log" % (log.robot, record["slot"]),
+                        "%s took a snapshot after slot %d that does not fit the log"
+                        % (log.robot, record["slot"]),
                     )
             elif kind == "slot":
                 slot = record["slot"]
                 if slot != length:
-                    raise BrokenRuleError(1, "%s has slot %d where slot %d should be" % (log.robot, slot, length))
+                    raise BrokenRuleError(
+                        1, "%s has slot %d where slot %d should be" % (log.robot, slot, length)
+                    )
                 self._check_origins(log, record)
                 chain = _link(chain, record)
                 if chain != record["hash"]:
-                    raise BrokenRuleError(1, "slot %d of %s breaks the hash chain" % (slot, log.robot))
+                    raise BrokenRuleError(
+                        1, "slot %d of %s breaks the hash chain" % (slot, log.robot)
+                    )
                 length += 1
                 known = self.slots.get(slot)
                 if known is not None and any(known[k] != record[k] for k in COMPARED):
@@ -108,7 +123,9 @@ class Merged:
         entries, origins = record["entries"], record["origins"]
         if log.robot and (len(entries) != len(origins) or any(len(o) != 4 for o in origins)):
             raise BrokenRuleError(
-                1, "slot %s of %s does not say of each entry who put it in" % (record["slot"], log.robot)
+                1,
+                "slot %s of %s does not say of each entry who put it in"
+                % (record["slot"], log.robot),
             )
 
     @property
@@ -128,7 +145,11 @@ def _memories(logs: Sequence[EventLog]) -> List[Memory]:
         resets = [i for i, r in enumerate(log.records) if r["kind"] == "reset"]
         for begin, end in zip([0, *resets], [*resets, len(log.records)]):
             time = max((float(r.get("mono", 0.0)) for r in log.records[begin:end]), default=0.0)
-            out.append(Memory(number, begin, end, end < len(log.records) or newest[log.robot] != number, time))
+            out.append(
+                Memory(
+                    number, begin, end, end < len(log.records) or newest[log.robot] != number, time
+                )
+            )
     return out
 
 

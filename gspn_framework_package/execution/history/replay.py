@@ -1,4 +1,5 @@
-"""A second reading of the rules: whether the firings of a log may have happened, checked on the net.
+"""A second reading of the rules: whether the firings of a log may have happened, checked on the
+net.
 
 This is written apart from the token game and shares no code with it: it does not work out what
 must happen, but looks at what is said to have happened, and whether the rules
@@ -68,7 +69,8 @@ class Replay(Team):
             why = self._why_not(firings[at], None) or "no entry of the slot leads to it"
             raise BrokenRuleError(
                 2,
-                "slot %d, firing %d: %s fires, but %s" % (slot, at, firings[at].get("transition"), why),
+                "slot %d, firing %d: %s fires, but %s"
+                % (slot, at, firings[at].get("transition"), why),
             )
         self._conserved(slot)
 
@@ -87,10 +89,14 @@ class Replay(Team):
             due = self._due()
             if due and following is not None and following.get("transition") in due:
                 raise BrokenRuleError(
-                    2, "slot %d: %s fires, but %s" % (slot, following["transition"], self._why_not(following, None))
+                    2,
+                    "slot %d: %s fires, but %s"
+                    % (slot, following["transition"], self._why_not(following, None)),
                 )
             if due:
-                raise BrokenRuleError(7, "slot %d: %s is due, and does not fire" % (slot, " and ".join(due)))
+                raise BrokenRuleError(
+                    7, "slot %d: %s is due, and does not fire" % (slot, " and ".join(due))
+                )
         here = [r for r in self.robots.values() if r.here]
         if self.ended is None and here and all(r.phase == "inactive" for r in here):
             self.ended = "every robot is in a place without output arcs"
@@ -117,7 +123,8 @@ class Replay(Team):
             if place not in self.resources and counts.get(place, 0) != count:
                 raise BrokenRuleError(
                     3,
-                    "slot %d: %s holds %d tokens, but %d robots are there" % (slot, place, count, counts.get(place, 0)),
+                    "slot %d: %s holds %d tokens, but %d robots are there"
+                    % (slot, place, count, counts.get(place, 0)),
                 )
 
     # -- firings -----------------------------------------------------------------------------------
@@ -258,7 +265,8 @@ class Replay(Team):
         if {p: n for p, n in self.marking.items() if n} != firing["marking"]:
             raise BrokenRuleError(
                 2,
-                "%s leads to %s, not to %s as recorded" % (where, _short(self.marking), _short(firing["marking"])),
+                "%s leads to %s, not to %s as recorded"
+                % (where, _short(self.marking), _short(firing["marking"])),
             )
         self.last_firing = (slot, index)
         arrived = []

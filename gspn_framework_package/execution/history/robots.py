@@ -31,16 +31,22 @@ class Facts:
                 key = _key(origin)
                 if key in self.where:
                     raise BrokenRuleError(
-                        4, "%s is in the log twice: slots %d and %d" % (_name(key), self.where[key][0], slot)
+                        4,
+                        "%s is in the log twice: slots %d and %d"
+                        % (_name(key), self.where[key][0], slot),
                     )
                 if newest.get(key[0], (-1, -1)) >= key[1:3]:
-                    raise BrokenRuleError(4, "%s is in slot %d, after a newer one of that robot" % (_name(key), slot))
+                    raise BrokenRuleError(
+                        4, "%s is in slot %d, after a newer one of that robot" % (_name(key), slot)
+                    )
                 newest[key[0]] = key[1:3]
                 self.where[key] = (slot, entry)
             for firing in record["firings"]:
                 for robot, source, _, visit in firing["moves"]:
                     if source is not None and (robot, visit) in moved:
-                        raise BrokenRuleError(4, "%s begins its visit %d twice (slot %d)" % (robot, visit, slot))
+                        raise BrokenRuleError(
+                            4, "%s begins its visit %d twice (slot %d)" % (robot, visit, slot)
+                        )
                     moved.add((robot, visit))
 
     def newest_before(self, key: Origin) -> bool:
@@ -67,7 +73,8 @@ def check_real_time(merged: Merged, facts: Facts, invoked: Mapping[Origin, float
         if at and latest[at - 1] >= where[0]:
             raise BrokenRuleError(
                 5,
-                "%s came up after slot %d was known, but is in slot %d" % (_name(key), latest[at - 1], where[0]),
+                "%s came up after slot %d was known, but is in slot %d"
+                % (_name(key), latest[at - 1], where[0]),
             )
 
 
@@ -163,7 +170,9 @@ class RobotCheck:
         at = self._position()
         if not over and at is not None and at[4] not in ("lost", "left"):
             raise BrokenRuleError(
-                10, "the private move %s was taken back, though the robot was never lost" % _name(origin)
+                10,
+                "the private move %s was taken back, though the robot was never lost"
+                % _name(origin),
             )
 
     def _in_log(self, origin: Origin) -> bool:
@@ -175,11 +184,15 @@ class RobotCheck:
         if where is None:
             private = record["kind"] == "private"
             if private and origin not in self._void and self.facts.newest_before(origin):
-                raise BrokenRuleError(4, "%s was acknowledged, but was passed over in the log" % _name(origin))
+                raise BrokenRuleError(
+                    4, "%s was acknowledged, but was passed over in the log" % _name(origin)
+                )
             if origin not in self._void and not self._overtaken(origin):
                 self.open.append(origin)
         elif where[1] != record["entry"]:
-            raise BrokenRuleError(4, "%s is in slot %d as something else" % (_name(origin), where[0]))
+            raise BrokenRuleError(
+                4, "%s is in slot %d as something else" % (_name(origin), where[0])
+            )
         elif record["kind"] == "private":
             self._merged_move(origin, record, where[0])
 
@@ -211,9 +224,15 @@ class RobotCheck:
         if at is None or at[4] != "doing":
             raise BrokenRuleError(10, "%s: the robot has no action to end" % what)
         if (entry["incarnation"], entry["visit"]) != at[1:3]:
-            raise BrokenRuleError(10, "%s is of visit %d, the robot is at %d" % (what, entry["visit"], at[2]))
+            raise BrokenRuleError(
+                10, "%s is of visit %d, the robot is at %d" % (what, entry["visit"], at[2])
+            )
         self._is_private(what, at[0], firing)
-        if not self._jumped and not self._void and firing["marking"] != self._known_marking(firing["moves"][0][2]):
+        if (
+            not self._jumped
+            and not self._void
+            and firing["marking"] != self._known_marking(firing["moves"][0][2])
+        ):
             raise BrokenRuleError(10, "%s leads to another marking than it says" % what)
         self._ahead.append((origin, entry, firing))
 
@@ -239,7 +258,9 @@ class RobotCheck:
         )
         if not plain or source != place or target in self.plan.resource_places:
             raise BrokenRuleError(
-                10, "%s: %s does not move this robot alone from %s" % (what, firing["transition"], place)
+                10,
+                "%s: %s does not move this robot alone from %s"
+                % (what, firing["transition"], place),
             )
 
     def _merged_move(self, origin: Origin, record: Record, slot: int) -> None:
@@ -247,15 +268,23 @@ class RobotCheck:
         before = self.situations[slot - 1].get(self.robot) if slot else None
         after = self.situations[slot].get(self.robot)
         gone = ("lost", "left")
-        if origin in self._void or (before and before.phase in gone) or (after and after.phase in gone):
+        if (
+            origin in self._void
+            or (before and before.phase in gone)
+            or (after and after.phase in gone)
+        ):
             return  # it came into the log after the robot was lost: void
         if self._lost:
             return
         mine = record["firing"]
         what = ("robot", "visit", "transition")
-        if any(all(firing[k] == mine[k] for k in what) for firing in self.merged.slots[slot]["firings"]):
+        if any(
+            all(firing[k] == mine[k] for k in what) for firing in self.merged.slots[slot]["firings"]
+        ):
             return
-        raise BrokenRuleError(10, "the private move %s did not happen in slot %d" % (_name(origin), slot))
+        raise BrokenRuleError(
+            10, "the private move %s did not happen in slot %d" % (_name(origin), slot)
+        )
 
     # -- goals -------------------------------------------------------------------------------------
 
@@ -267,7 +296,9 @@ class RobotCheck:
             raise BrokenRuleError(8, "%s: the robot has no action to start" % what)
         if (record["place"], *key) != at[:4]:
             raise BrokenRuleError(
-                8, "%s in %s, but it is in %s at visit %d, attempt %d" % (what, record["place"], at[0], at[2], at[3])
+                8,
+                "%s in %s, but it is in %s at visit %d, attempt %d"
+                % (what, record["place"], at[0], at[2], at[3]),
             )
         if key in self._goals:
             raise BrokenRuleError(8, "%s went out twice" % what)
@@ -284,7 +315,8 @@ class RobotCheck:
             return
         if self._last_goal != at[1:4]:
             raise BrokenRuleError(
-                8, "%s has no goal for visit %d, attempt %d in %s" % (self.robot, at[2], at[3], at[0])
+                8,
+                "%s has no goal for visit %d, attempt %d in %s" % (self.robot, at[2], at[3], at[0]),
             )
 
 

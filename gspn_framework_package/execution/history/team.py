@@ -65,7 +65,9 @@ class Team:
         self.agents = agents
         net = plan.net
         self.resources = set(plan.resource_places)
-        self.marking: Dict[str, int] = {p.name: p.tokens if p.name in self.resources else 0 for p in net.places}
+        self.marking: Dict[str, int] = {
+            p.name: p.tokens if p.name in self.resources else 0 for p in net.places
+        }
         self.robots: Dict[str, Token] = {}
         self.witnesses: Tuple[str, ...] = ()
         self.seed = 0
@@ -100,7 +102,9 @@ class Team:
             and self.resources.issuperset(self.inputs[t.name])
             and (agents or self.resources.issuperset(self.outputs[t.name]))
         ]
-        self.until = parse_condition(plan.until, [p.name for p in net.places]) if plan.until else None
+        self.until = (
+            parse_condition(plan.until, [p.name for p in net.places]) if plan.until else None
+        )
 
     # -- questions ---------------------------------------------------------------------------------
 
@@ -110,7 +114,10 @@ class Team:
 
     def situations(self) -> Dict[str, Situation]:
         """Where every robot is."""
-        return {r.name: Situation(r.place, r.incarnation, r.visit, r.attempt, r.phase) for r in self.robots.values()}
+        return {
+            r.name: Situation(r.place, r.incarnation, r.visit, r.attempt, r.phase)
+            for r in self.robots.values()
+        }
 
     def _has_concession(self, t: str) -> bool:
         if any(self.marking[p] < n for p, n in self.inputs[t].items()):
@@ -137,7 +144,8 @@ class Team:
         return [
             r
             for r in self._waiting()
-            if r.place == place and (t in (r.asks, r.may_ask) or (r.asks is None and not self.kind[t].timed))
+            if r.place == place
+            and (t in (r.asks, r.may_ask) or (r.asks is None and not self.kind[t].timed))
         ]
 
     def _may_fire(self, t: str) -> bool:

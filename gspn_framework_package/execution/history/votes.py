@@ -41,18 +41,26 @@ def check_votes(
             votes.setdefault(vote_slot, {}).setdefault(log.robot, []).append(vote)
             known = voters.setdefault((vote_slot, log.robot), (number, memory))
             if known != (number, memory):
-                raise BrokenRuleError(1, "%s votes in slot %d out of two memories" % (log.robot, vote_slot))
+                raise BrokenRuleError(
+                    1, "%s votes in slot %d out of two memories" % (log.robot, vote_slot)
+                )
         asserted.append(_asserted(log))
     for slot, by_robot in votes.items():
         _one_value_per_ballot(slot, by_robot)
         if slot < len(members):
             for robot in by_robot:
                 if robot not in members[slot]:
-                    raise BrokenRuleError(1, "%s votes in slot %d without being a member" % (robot, slot))
+                    raise BrokenRuleError(
+                        1, "%s votes in slot %d without being a member" % (robot, slot)
+                    )
     for slot in range(1, len(members)):
         before = situations[slot - 1]
         off = [
-            {m for m in members[slot] if (m, None) in those or (m in before and (m, before[m].incarnation) in those)}
+            {
+                m
+                for m in members[slot]
+                if (m, None) in those or (m in before and (m, before[m].incarnation) in those)
+            }
             for those in asserted
             if those
         ]
@@ -60,7 +68,8 @@ def check_votes(
 
 
 def _asserted(log: EventLog) -> Set[Off]:
-    """Which robots were asserted to be off, as this log knew; another may know of other assertions."""
+    """Which robots were asserted to be off, as this log knew; another may know of other
+    assertions."""
     asserted: Set[Off] = set()
     for record in log.records:
         if record["kind"] == "forced":
@@ -70,7 +79,8 @@ def _asserted(log: EventLog) -> Set[Off]:
 
 
 def _acceptor(number: int, log: EventLog, merged: Merged) -> List[Tuple[int, int, Vote]]:
-    """The votes of one log, whose promises are kept, as (slot, how often it had forgotten, vote)."""
+    """The votes of one log, whose promises are kept, as (slot, how often it had forgotten,
+    vote)."""
     promised: Any = None
     active = False
     length = resets = 0
@@ -106,8 +116,13 @@ def _ballot(value: Any) -> Ballot:
 
 
 def _given_up(number: int, at: int, log: EventLog, merged: Merged) -> bool:
-    """Whether the operator gave a vote up: the log went its own way before it, and did not start anew."""
-    anew = max((i for i in range(at) if log.records[i]["kind"] == "reset"), default=-1) if merged.void else -1
+    """Whether the operator gave a vote up: the log went its own way before it, and did not start
+    anew."""
+    anew = (
+        max((i for i in range(at) if log.records[i]["kind"] == "reset"), default=-1)
+        if merged.void
+        else -1
+    )
     return any(n == number and anew < i <= at for n, i in merged.void)
 
 
@@ -116,7 +131,9 @@ def _one_value_per_ballot(slot: int, by_robot: Dict[str, List[Vote]]) -> None:
     for votes in by_robot.values():
         for ballot, batch in votes:
             if batches.setdefault(ballot, batch) != batch:
-                raise BrokenRuleError(1, "two batches were proposed for slot %d under ballot %s" % (slot, [*ballot]))
+                raise BrokenRuleError(
+                    1, "two batches were proposed for slot %d under ballot %s" % (slot, [*ballot])
+                )
 
 
 def _quorum(
@@ -138,7 +155,10 @@ def _quorum(
     chosen = set()
     for ballot in {b for votes in by_robot.values() for b, _ in votes}:
         voters = {
-            robot for robot, votes in by_robot.items() for b, batch in votes if b == ballot and _leads_to(batch, record)
+            robot
+            for robot, votes in by_robot.items()
+            for b, batch in votes
+            if b == ballot and _leads_to(batch, record)
         }
         if _may_decide(voters, members, off):
             chosen.add(ballot)
@@ -168,11 +188,13 @@ def _leads_to(batch: str, record: Record) -> bool:
 
 
 def _may_decide(voters: Set[str], members: Sequence[str], off: Sequence[Set[str]]) -> bool:
-    """A quorum, or all that are left where those who were asserted to be off (to one of the robots) leave none."""
+    """A quorum, or all that are left where those who were asserted to be off (to one of the robots)
+    leave none."""
     if _is_quorum(voters, members):
         return True
     return any(
-        left and left <= voters and not _is_quorum(left, members) for left in (set(members) - those for those in off)
+        left and left <= voters and not _is_quorum(left, members)
+        for left in (set(members) - those for those in off)
     )
 
 

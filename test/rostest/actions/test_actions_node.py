@@ -17,17 +17,22 @@ from move_base_msgs.msg import MoveBaseAction
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [HERE, os.path.join(os.path.dirname(HERE), "support")]
 
-from waiting import wait_for  # noqa: E402
+from waiting import wait_for
 
-from gspn_framework_package.execution.firing import StartAction  # noqa: E402
-from gspn_framework_package.model.builder import NetBuilder  # noqa: E402
-from gspn_framework_package.model.plan import FunctionAction, Plan, ServerAction  # noqa: E402
-from gspn_framework_package.msg import ExecGSPNAction, ExecGSPNActionResult, ExecGSPNGoal, ExecGSPNResult  # noqa: E402
-from gspn_framework_package.ros.action_caller import ActionCaller  # noqa: E402
-from gspn_framework_package.ros.action_targets import action_targets  # noqa: E402
-from gspn_framework_package.ros.goal_id import parse_goal_id  # noqa: E402
-from gspn_framework_package.ros.patience import Patience  # noqa: E402
-from gspn_framework_package.ros.place_servers import KEPT_ENDED, PlaceServers  # noqa: E402
+from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.plan import FunctionAction, Plan, ServerAction
+from gspn_framework_package.msg import (
+    ExecGSPNAction,
+    ExecGSPNActionResult,
+    ExecGSPNGoal,
+    ExecGSPNResult,
+)
+from gspn_framework_package.ros.action_caller import ActionCaller
+from gspn_framework_package.ros.action_targets import action_targets
+from gspn_framework_package.ros.goal_id import parse_goal_id
+from gspn_framework_package.ros.patience import Patience
+from gspn_framework_package.ros.place_servers import KEPT_ENDED, PlaceServers
 
 PATIENT = Patience(server=20, acknowledgement=20, status=20, result=20)
 MOVE_BASE = "move_base_msgs/MoveBaseAction"
@@ -102,11 +107,14 @@ class Server:
         self.goals = queue.Queue()
         self.cancelled = []
         self._on_goal = on_goal or self.goals.put
-        self.server = actionlib.ActionServer(name, action_type, self._on_goal, self.cancelled.append, auto_start=False)
+        self.server = actionlib.ActionServer(
+            name, action_type, self._on_goal, self.cancelled.append, auto_start=False
+        )
         self.server.start()
 
     def next(self):
-        """The next goal, once its result would be heard: a client knows of its connection a moment earlier."""
+        """The next goal, once its result would be heard: a client knows of its connection a moment
+        earlier."""
         goal = self.goals.get(timeout=20)
         wait_for(self.server.result_pub.get_num_connections, what="a client of the results")
         return goal
@@ -225,8 +233,12 @@ class ActionsTest(unittest.TestCase):
         self.assertEqual(robot.ended.get(timeout=20).reason, "server died")
 
     def test_a_place_that_is_not_served_is_rejected(self):
-        plan = plan_of({"P1": FunctionAction("acts.instant", "both"),
-                        "P2": FunctionAction("acts.instant", "both")})  # fmt: skip
+        plan = plan_of(
+            {
+                "P1": FunctionAction("acts.instant", "both"),
+                "P2": FunctionAction("acts.instant", "both"),
+            }
+        )
         servers = PlaceServers(plan, "robot_1", self.namespace)
         servers.start()
         self._closing.append(servers.stop)
@@ -274,7 +286,9 @@ class ActionsTest(unittest.TestCase):
             self.assertEqual(robot.do(places[i % 5]).result, "T_" + places[i % 5])
         self.assertLessEqual(threading.active_count(), threads + 3)
         self.assertLessEqual(len(os.listdir("/proc/self/fd")), descriptors + 3)
-        self.assertLessEqual(max(len(s.status_list) for s in servers.servers.values()), KEPT_ENDED + 2)
+        self.assertLessEqual(
+            max(len(s.status_list) for s in servers.servers.values()), KEPT_ENDED + 2
+        )
 
     def test_connections_are_bounded(self):
         plan, _ = self.serve({"P%d" % i: "instant" for i in range(1, 9)})
@@ -293,13 +307,21 @@ class ActionsTest(unittest.TestCase):
         rospy.Subscriber(name + "/result", ExecGSPNActionResult, results.append)
         rospy.Subscriber(name + "/status", GoalStatusArray, statuses.append)
         publishers = (servers.servers[name].result_pub, servers.servers[name].status_pub)
-        wait_for(lambda: all(publisher.get_num_connections() for publisher in publishers), what="connections")
+        wait_for(
+            lambda: all(publisher.get_num_connections() for publisher in publishers),
+            what="connections",
+        )
         robot = self.robot(plan, own_servers=servers.servers)
         ended = robot.do("P1")
         self.assertEqual(ended, (ended.identity, "T_P1", "", ""))
         wait_for(lambda: results, what="the result")
-        self.assertEqual((results[0].status.goal_id.id, results[0].result.transition), (str(ended.identity), "T_P1"))
-        wait_for(lambda: any(status.status_list for status in statuses), what="a status with the goal")
+        self.assertEqual(
+            (results[0].status.goal_id.id, results[0].result.transition),
+            (str(ended.identity), "T_P1"),
+        )
+        wait_for(
+            lambda: any(status.status_list for status in statuses), what="a status with the goal"
+        )
         self.acts().heard.set()
         self.assertEqual(robot.do("P2").reason, "")
         self.assertEqual([list(f.time_passed) for f in robot.feedback], [[1], [2, 3]])
@@ -314,13 +336,18 @@ class ActionsTest(unittest.TestCase):
         acts = self.acts()
         acts.ended.clear()
         robot.cancel()
-        wait_for(lambda: [cancelled for _, cancelled in acts.ended] == [True], what="the end of the action")
+        wait_for(
+            lambda: [cancelled for _, cancelled in acts.ended] == [True],
+            what="the end of the action",
+        )
         self.assertTrue(robot.ended.empty())
 
     # -- servers that misbehave --------------------------------------------------------------------
 
     def test_a_missing_server_is_reported_with_its_name(self):
-        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "nobody")}), patience=PATIENT._replace(server=1))
+        robot = self.robot(
+            plan_of({"P1": ServerAction(EXEC, "nobody")}), patience=PATIENT._replace(server=1)
+        )
         robot.send("P1")
         wait_for(lambda: "nobody" in robot.caller.doing(), what="what it waits for")
         ended = robot.ended.get(timeout=20)
@@ -351,7 +378,10 @@ class ActionsTest(unittest.TestCase):
             )
             process = subprocess.Popen([sys.executable, "-c", code])
             self._closing.append(process.kill)
-            robot = self.robot(plan_of({"P1": ServerAction(EXEC, how)}), patience=PATIENT._replace(status=1, result=0.3))
+            robot = self.robot(
+                plan_of({"P1": ServerAction(EXEC, how)}),
+                patience=PATIENT._replace(status=1, result=0.3),
+            )
             robot.send("P1")
             wait_for(robot.is_under_way, 20, "the server to take the goal")
             subprocess.check_call(["kill", "-" + signal, str(process.pid)])
@@ -360,7 +390,9 @@ class ActionsTest(unittest.TestCase):
 
     def test_a_server_that_forgets_the_goal_is_noticed(self):
         server = Server(self.namespace + "/forgets", ExecGSPNAction)
-        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "forgets")}), patience=PATIENT._replace(result=0.3))
+        robot = self.robot(
+            plan_of({"P1": ServerAction(EXEC, "forgets")}), patience=PATIENT._replace(result=0.3)
+        )
         robot.send("P1")
         server.next().set_accepted()
         wait_for(robot.is_under_way, what="the server to take the goal")
@@ -382,7 +414,10 @@ class ActionsTest(unittest.TestCase):
         rospy.Subscriber(name + "/goal", type(spec.action_goal), goals.append)
         rospy.Subscriber(name + "/cancel", GoalID, lambda message: None)
         status.publish(GoalStatusArray())
-        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "deaf")}), patience=PATIENT._replace(acknowledgement=0.9))
+        robot = self.robot(
+            plan_of({"P1": ServerAction(EXEC, "deaf")}),
+            patience=PATIENT._replace(acknowledgement=0.9),
+        )
         ended = robot.do("P1")
         self.assertEqual(ended.reason, "lost")
         self.assertGreaterEqual(len(goals), 2)
@@ -451,15 +486,19 @@ class ActionsTest(unittest.TestCase):
 
     def test_a_move_base_server_gets_the_goal_of_the_plan(self):
         server = Server(self.namespace + "/move_base", MoveBaseAction)
-        pose = {"header": {"frame_id": "map", "stamp": "now"},
-                "pose": {"position": {"x": 2, "y": -1.5}, "orientation": {"w": 1}}}  # fmt: skip
+        pose = {
+            "header": {"frame_id": "map", "stamp": "now"},
+            "pose": {"position": {"x": 2, "y": -1.5}, "orientation": {"w": 1}},
+        }
         outcomes = {"succeeded": "T_there", "aborted": "T_blocked"}
         robot = self.robot(
-            plan_of({
-                "P1": ServerAction(MOVE_BASE, "move_base", {"target_pose": pose}, outcomes),
-                "P2": ServerAction(MOVE_BASE, "move_base", {"target_pose": pose}),
-            })
-        )  # fmt: skip
+            plan_of(
+                {
+                    "P1": ServerAction(MOVE_BASE, "move_base", {"target_pose": pose}, outcomes),
+                    "P2": ServerAction(MOVE_BASE, "move_base", {"target_pose": pose}),
+                }
+            )
+        )
         robot.send("P1")
         goal = server.next()
         target = goal.get_goal().target_pose

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Every command in the documents that speaks to a running team does so, against one; every launch file that they name
-is evaluated with the arguments that they give."""
+"""Every command in the documents that speaks to a running team does so, against one; every launch
+file that they name is evaluated with the arguments that they give."""
 
 import os
 import pty
@@ -19,9 +19,9 @@ HERE = os.path.dirname(os.path.realpath(__file__))
 TEST = os.path.dirname(os.path.dirname(HERE))
 sys.path[:0] = [os.path.join(TEST, "unit"), os.path.join(os.path.dirname(HERE), "support")]
 
-from document_commands import ROOT, Command, File, documents, steps  # noqa: E402
-from terminal import Terminal  # noqa: E402
-from waiting import wait_for  # noqa: E402
+from document_commands import ROOT, Command, File, documents, steps
+from terminal import Terminal
+from waiting import wait_for
 
 PACKAGE = "gspn_framework_package"
 
@@ -29,7 +29,8 @@ WITHOUT_END = ("rostopic echo", "rostopic hz")
 """They print until they are stopped: what counts is that they print."""
 
 ORDERS_TRIED_ELSEWHERE = ("evict", "force-evict", "leave", "stop")
-"""They would end the team that the other commands need: test/rostest/services and faults try them."""
+"""They would end the team that the other commands need: test/rostest/services and faults try
+them."""
 
 
 class Documents(unittest.TestCase):
@@ -45,7 +46,9 @@ class Documents(unittest.TestCase):
 
         wait_for(fired, 60, "the team")
         shown = subprocess.run(
-            ["rostopic", "echo", "-n", "1", "/fired_transitions"], stdout=subprocess.DEVNULL, timeout=60
+            ["rostopic", "echo", "-n", "1", "/fired_transitions"],
+            stdout=subprocess.DEVNULL,
+            timeout=60,
         )
         assert shown.returncode == 0
 
@@ -83,27 +86,39 @@ class Documents(unittest.TestCase):
         for command in self.commands("roslaunch"):
             with self.subTest(str(command)):
                 listed = "" if "--ros-args" in command.line else " --nodes"
-                output = self.run_to_the_end(command.line.replace("roslaunch", "roslaunch" + listed, 1))
+                output = self.run_to_the_end(
+                    command.line.replace("roslaunch", "roslaunch" + listed, 1)
+                )
                 self.assertTrue(output.strip())
 
     def test_own_robots_typed_in_terminals(self):
-        """The document's two robots, each launched in a terminal of its own, with a master of their own."""
+        """The document's two robots, each launched in a terminal of its own, with a master of their
+        own."""
         lines = [s.line for s in steps(ROOT / "docs/own_robots.md") if isinstance(s, Command)]
         launches = [line for line in lines if "robot.launch" in line][:2]
-        self.assertEqual([re.findall(r"robot:=(\w+)", line) for line in launches], [["robot_1"], ["robot_2"]])
+        self.assertEqual(
+            [re.findall(r"robot:=(\w+)", line) for line in launches], [["robot_1"], ["robot_2"]]
+        )
         with tempfile.TemporaryDirectory() as home, ExitStack() as stack:
             self.write_greenhouse(Path(home))
             with socket.socket() as free:
                 free.bind(("localhost", 0))
                 master = "http://localhost:%d" % free.getsockname()[1]
-            environment = {**os.environ, "HOME": home, "ROS_HOME": home + "/.ros", "ROS_MASTER_URI": master}
+            environment = {
+                **os.environ,
+                "HOME": home,
+                "ROS_HOME": home + "/.ros",
+                "ROS_MASTER_URI": master,
+            }
             teams = [stack.enter_context(Terminal(Path(home), environment)) for _ in launches]
             for number, (terminal, line) in enumerate(zip(teams, launches), 1):
                 terminal.begin(line)
                 terminal.shows(r"process\[robot_%d/executor-\d+\]: started" % number)
             teams[1].shows(r"robot_2: does ")
             operator = stack.enter_context(Terminal(Path(home), environment))
-            (question,) = [line for line in lines if line.startswith("rosservice call /robot_2/get_place")]
+            (question,) = [
+                line for line in lines if line.startswith("rosservice call /robot_2/get_place")
+            ]
             code, text = operator.type(question)
             self.assertEqual(code, 0, text)
             self.assertRegex(text, r"Water|Look|Refill")
@@ -129,12 +144,18 @@ class Documents(unittest.TestCase):
                 (home / step.path).write_text(text, encoding="utf-8")
 
     def run_to_the_end(self, line):
-        master, slave = pty.openpty()  # rosservice asks for arguments where it reads from a terminal
+        # rosservice asks for arguments where it reads from a terminal
+        master, slave = pty.openpty()
         try:
             ended = subprocess.run(
-                ["bash", "-c", line], cwd=str(ROOT), stdin=slave, stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT, text=True, timeout=60,
-            )  # fmt: skip
+                ["bash", "-c", line],
+                cwd=str(ROOT),
+                stdin=slave,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                timeout=60,
+            )
         finally:
             os.close(master)
             os.close(slave)
@@ -143,9 +164,12 @@ class Documents(unittest.TestCase):
 
     def sees_output(self, line):
         with subprocess.Popen(
-            ["bash", "-c", "exec " + line], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            ["bash", "-c", "exec " + line],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
             universal_newlines=True,
-        ) as running:  # fmt: skip
+        ) as running:
             try:
                 text = ""
                 while "transition:" not in text and "average rate" not in text:

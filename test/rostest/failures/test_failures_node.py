@@ -11,8 +11,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 
-from robots import RobotTestCase, chain, start_node  # noqa: E402
-from waiting import wait_for  # noqa: E402
+from robots import RobotTestCase, chain, start_node
+from waiting import wait_for
 
 ACTIONS = '''
 import time
@@ -56,7 +56,10 @@ class FailuresTest(RobotTestCase):
     def wait_until_waiting(self, robot, place):
         """Wait until the robot's action in ``place`` has failed for good."""
         return wait_for(
-            lambda: (robot.state().place, robot.state().state) == (place, "Waiting") and robot.status()["waits_for"],
+            lambda: (
+                (robot.state().place, robot.state().state) == (place, "Waiting")
+                and robot.status()["waits_for"]
+            ),
             20,
             "%s to wait in %s" % (robot.name, place),
         )
@@ -165,24 +168,34 @@ class FailuresTest(RobotTestCase):
         def serve():
             with open(os.path.join(team.folder, "servers.out"), "ab") as output:
                 return start_node(
-                    "gspn_place_servers", "/robot_1", output, "places",
-                    plan=team.plan, robot="robot_1",
-                )  # fmt: skip
+                    "gspn_place_servers",
+                    "/robot_1",
+                    output,
+                    "places",
+                    plan=team.plan,
+                    robot="robot_1",
+                )
 
         servers = serve()
         self.addCleanup(servers.kill)
         team["robot_1"].parameters["server_timeout"] = 20.0
         robot = team.start()["robot_1"]
-        wait_for(lambda: robot.state().state == "Doing" and not robot.status()["waits_for"], 20,
-                 "the goal to be taken")  # fmt: skip
+        wait_for(
+            lambda: robot.state().state == "Doing" and not robot.status()["waits_for"],
+            20,
+            "the goal to be taken",
+        )
         servers.kill()
         waits_for = self.wait_until_waiting(robot, "P1")
         self.assertIn("server died", waits_for)
         servers = serve()
         self.addCleanup(servers.kill)
         self.assertTrue(robot.command("retry").success)
-        wait_for(lambda: robot.state().state == "Doing" and not robot.status()["waits_for"], 20,
-                 "the goal to be taken again")  # fmt: skip
+        wait_for(
+            lambda: robot.state().state == "Doing" and not robot.status()["waits_for"],
+            20,
+            "the goal to be taken again",
+        )
         self.assertTrue(robot.command("set_place", argument="P2").success)
         self.assertEqual(robot.exit_code(), 0)
         servers.send_signal(signal.SIGTERM)
@@ -198,9 +211,12 @@ class FailuresTest(RobotTestCase):
             ({"robots": {"robot_2": "P1"}}, 2, "no robot 'robot_1'"),
             ({"robots": {"robot_1": "P9"}}, 2, "P9"),
             ({"net": wide}, 1, "robots cannot be created or destroyed"),
-            ({"actions": {"P1": {"type": "no_msgs/XAction", "server": "s"}, "P2": None}}, 2,
-             "no_msgs/XAction"),
-        ):  # fmt: skip
+            (
+                {"actions": {"P1": {"type": "no_msgs/XAction", "server": "s"}, "P2": None}},
+                2,
+                "no_msgs/XAction",
+            ),
+        ):
             robot = self.team({**good, **change}).start()["robot_1"]
             self.assertEqual(robot.exit_code(), code, robot.said())
             self.assertRegex(robot.said(), message)

@@ -9,18 +9,18 @@ import sys
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 
-from gspn_framework_package.benchmark.ports import free_port  # noqa: E402
+from gspn_framework_package.benchmark.ports import free_port
 
 PORT = free_port()
 os.environ["ROS_MASTER_URI"] = "http://localhost:%d" % PORT
 
-import rosgraph  # noqa: E402
-import rospy  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from robots import Robot, RobotTestCase, copy_plan  # noqa: E402
-from waiting import wait_for  # noqa: E402
+import rosgraph
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray
+from robots import Robot, RobotTestCase, copy_plan
+from waiting import wait_for
 
-from gspn_framework_package.ros.master_watch import MasterWatch  # noqa: E402
+from gspn_framework_package.ros.master_watch import MasterWatch
 
 ACTIONS = '''
 def instant(place, is_cancelled):
@@ -61,8 +61,9 @@ class Faults:
 
     def wait_for_moves(self, team, name, number, seconds=40):
         wanted = self.moves_of(team, name) + number
-        wait_for(lambda: self.moves_of(team, name) >= wanted, seconds,
-                 "%d moves of %s" % (number, name))  # fmt: skip
+        wait_for(
+            lambda: self.moves_of(team, name) >= wanted, seconds, "%d moves of %s" % (number, name)
+        )
 
     def end_and_verify(self, team):
         """Pause the team, see that all replicas agree, end it, and verify the logs."""
@@ -77,13 +78,19 @@ class Faults:
         return answer if answer.success else None
 
     def see_the_others_go_on_or_say_what_they_miss(self, team):
-        """With full synchronisation a majority goes on. With partial synchronisation what is coordinated needs an
-        answer of every member: once the others have come to such a move, they wait, and say for whom."""
+        """With full synchronisation a majority goes on. With partial synchronisation what is
+        coordinated needs an answer of every member: once the others have come to such a move, they
+        wait, and say for whom."""
         if self.MODE != "partial":
             team.wait_for_firings(10)
             return
-        wait_for(lambda: any("robot_2" in team[name].status()["waits_for"] for name in ("robot_1", "robot_3")), 30,
-                 "a robot that waits for robot_2")  # fmt: skip
+        wait_for(
+            lambda: any(
+                "robot_2" in team[name].status()["waits_for"] for name in ("robot_1", "robot_3")
+            ),
+            30,
+            "a robot that waits for robot_2",
+        )
 
     def test_a_robot_that_is_killed_and_restarted_goes_on_where_it_was(self):
         team = self.start(evict_after=30.0)
@@ -110,22 +117,33 @@ class Faults:
             return next(r["state"] for r in robots if r["robot"] == "robot_2")
 
         diagnostics = []
-        listener = rospy.Subscriber("/diagnostics", DiagnosticArray, lambda array: diagnostics.extend(array.status))
+        listener = rospy.Subscriber(
+            "/diagnostics", DiagnosticArray, lambda array: diagnostics.extend(array.status)
+        )
         self.addCleanup(listener.unregister)
         wait_for(lambda: state_of_victim() == "Lost", 30, "the eviction")
         for name in ("robot_1", "robot_3"):
-            wait_for(lambda: "%s: robot_2 is lost: the team goes on" % name in team[name].said(),  # noqa: B023
-                     what="the loss on the screen of " + name)  # fmt: skip
+            wait_for(
+                lambda: "%s: robot_2 is lost: the team goes on" % name in team[name].said(),
+                what="the loss on the screen of " + name,
+            )
         title = "%s: gspn robot_1, run %s" % (team["robot_1"].namespace, team.run)
-        wait_for(lambda: any(s.name == title and "lost: robot_2" in s.message for s in list(diagnostics)),
-                 what="the loss on /diagnostics")  # fmt: skip
+        wait_for(
+            lambda: any(
+                s.name == title and "lost: robot_2" in s.message for s in list(diagnostics)
+            ),
+            what="the loss on /diagnostics",
+        )
         self.wait_for_moves(team, "robot_1", 10)
         self.wait_for_moves(team, "robot_3", 10)
         victim.signal(signal.SIGCONT)
         self.wait_for_moves(team, "robot_2", 10)
         self.assertGreater(victim.state().incarnation, 0)
         self.assertNotEqual(state_of_victim(), "Lost")
-        wait_for(lambda: "robot_1: robot_2 is in the team again" in team["robot_1"].said(), what="the return on the screen")
+        wait_for(
+            lambda: "robot_1: robot_2 is in the team again" in team["robot_1"].said(),
+            what="the return on the screen",
+        )
         self.end_and_verify(team)
 
     def test_the_team_survives_its_master_and_late_joiners_find_it(self):
@@ -162,7 +180,9 @@ class FullTest(Faults, RobotTestCase):
         team["robot_1"].kill()
         self.wait_for_moves(team, "robot_2", 40)
         judge = team["judge"].state()
-        self.assertEqual((judge.place, dict(zip(judge.places, judge.counts))["p1"] in (0, 1)), ("", True))
+        self.assertEqual(
+            (judge.place, dict(zip(judge.places, judge.counts))["p1"] in (0, 1)), ("", True)
+        )
         lost = [r["robot"] for r in team["judge"].status()["robots"] if r["state"] == "Lost"]
         self.assertEqual(lost, ["robot_1"])
         team.close()

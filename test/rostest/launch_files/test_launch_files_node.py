@@ -18,13 +18,13 @@ import rospy
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 
-from robots import chain, write_plan  # noqa: E402
-from waiting import wait_for  # noqa: E402
+from robots import chain, write_plan
+from waiting import wait_for
 
-from gspn_framework_package.benchmark.ports import free_port  # noqa: E402
-from gspn_framework_package.cli.main import main  # noqa: E402
-from gspn_framework_package.msg import FiredTransition  # noqa: E402
-from gspn_framework_package.srv import Command, GetState  # noqa: E402
+from gspn_framework_package.benchmark.ports import free_port
+from gspn_framework_package.cli.main import main
+from gspn_framework_package.msg import FiredTransition
+from gspn_framework_package.srv import Command, GetState
 
 
 class LaunchFilesTest(unittest.TestCase):
@@ -67,8 +67,11 @@ class LaunchFilesTest(unittest.TestCase):
         with open("/proc/%d/stat" % executors[0]) as file:
             parent = int(file.read().rpartition(")")[2].split()[1])
         os.kill(parent, signal.SIGKILL)
-        wait_for(lambda: not any(os.path.exists("/proc/%d" % executor) for executor in executors), 40,
-                 "the end of the robots' processes")  # fmt: skip
+        wait_for(
+            lambda: not any(os.path.exists("/proc/%d" % executor) for executor in executors),
+            40,
+            "the end of the robots' processes",
+        )
         for robot in ("robot_1", "robot_2"):
             self.wait_for_moves(run, robot, 3)
         self.assertEqual(self.state("/team/robot_2").incarnation, 2)
@@ -108,20 +111,29 @@ class LaunchFilesTest(unittest.TestCase):
         ports = {run: free_port() for run in runs}
         launches = {
             run: subprocess.Popen(
-                ["roslaunch", os.path.join(HERE, "team_and_page.launch"), "plan:=" + runs[run], "run:=" + run,
-                 "port:=%d" % ports[run], "log_dir:=" + folder],
+                [
+                    "roslaunch",
+                    os.path.join(HERE, "team_and_page.launch"),
+                    "plan:=" + runs[run],
+                    "run:=" + run,
+                    "port:=%d" % ports[run],
+                    "log_dir:=" + folder,
+                ],
                 stdout=subprocess.DEVNULL,
             )
             for run in runs
-        }  # fmt: skip
+        }
         for launch in launches.values():
             self.addCleanup(self.end, launch)
         for run in runs:
             for number in (1, 2):
-                wait_for(lambda: self.state("/%s/robot_%d" % (run, number)).visit > 1, 40,  # noqa: B023
-                         "a move of robot %d of %s" % (number, run))  # fmt: skip
+                wait_for(
+                    lambda: self.state("/%s/robot_%d" % (run, number)).visit > 1,
+                    40,
+                    "a move of robot %d of %s" % (number, run),
+                )
                 self.assertEqual(self.status(run, number)["run"], run)
-            wait_for(lambda: self.shows_a_run(ports[run]), 60, "the page of " + run)  # noqa: B023
+            wait_for(lambda: self.shows_a_run(ports[run]), 60, "the page of " + run)
             self.assertEqual(self.board(ports[run])["status"]["run"], run)
 
         self.assertEqual(main(["stop", "--run", "stops"]), 0)
@@ -130,7 +142,11 @@ class LaunchFilesTest(unittest.TestCase):
         self.assertEqual(self.status("ends", 2)["ended"], None)
         with open(gate, "w"):
             pass
-        wait_for(lambda: self.board(ports["ends"])["status"]["ended"], 40, "the other's own end on its page")
+        wait_for(
+            lambda: self.board(ports["ends"])["status"]["ended"],
+            40,
+            "the other's own end on its page",
+        )
         board = self.board(ports["ends"])
         self.assertEqual((board["status"]["finished"], board["status"]["fault"]), (True, False))
         self.assertFalse(self.board(ports["stops"])["status"]["finished"])
@@ -151,7 +167,9 @@ class LaunchFilesTest(unittest.TestCase):
             return False
 
     def board(self, port):
-        with urllib.request.urlopen("http://127.0.0.1:%d/api/poll?id=live" % port, timeout=20) as answer:
+        with urllib.request.urlopen(
+            "http://127.0.0.1:%d/api/poll?id=live" % port, timeout=20
+        ) as answer:
             return json.load(answer)["snapshot"]["board"]
 
 

@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Where the published framework breaks, on teams of real nodes; named after the numbers of its faults."""
+"""Where the published framework breaks, on teams of real nodes; named after the numbers of its
+faults."""
 
 import os
 import signal
@@ -12,10 +13,10 @@ import rospy
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 
-from robots import ROOT, RobotTestCase, Team, chain, copy_plan, start_node  # noqa: E402
-from waiting import wait_for  # noqa: E402
+from robots import ROOT, RobotTestCase, Team, chain, copy_plan, start_node
+from waiting import wait_for
 
-from gspn_framework_package.formats.plan_file import read_plan  # noqa: E402
+from gspn_framework_package.formats.plan_file import read_plan
 
 NAMESPACES = {"picker_1": "/alpha", "carrier_1": "/my_robot_1", "carrier_2": "/de/ep/R"}
 ACTIONS = """
@@ -39,7 +40,9 @@ class Meeting:
     def setUpClass(cls):
         cls.plan = read_plan(os.path.join(ROOT, "plans", "rendezvous"))
         folder = copy_plan("plans/rendezvous", synchronisation=cls.MODE)
-        cls.bystander = subprocess.Popen(["rostopic", "echo", "-p", "/fired_transitions"], stdout=subprocess.DEVNULL)
+        cls.bystander = subprocess.Popen(
+            ["rostopic", "echo", "-p", "/fired_transitions"], stdout=subprocess.DEVNULL
+        )
         cls.shared = Team(folder, [robot.name for robot in cls.plan.robots], NAMESPACES)
         try:
             cls.shared.start()
@@ -48,7 +51,8 @@ class Meeting:
             assert answer.success, answer.message
             cls.end = cls.shared.wait_for_agreement()
         except BaseException:
-            print(cls.shared.outputs(), file=sys.__stderr__, flush=True)  # the runner hides stdout here
+            # the runner hides stdout here
+            print(cls.shared.outputs(), file=sys.__stderr__, flush=True)
             cls.tearDownClass()
             raise
         cls.fired = list(cls.shared.fired)
@@ -70,8 +74,9 @@ class Meeting:
 
     def test_01_the_robot_that_acquires_a_resource_moves(self):
         for message in self.firings("Plug_In"):
-            self.assertEqual((message.robots, message.robot_places),
-                             ([message.robot], ["Charging"]))  # fmt: skip
+            self.assertEqual(
+                (message.robots, message.robot_places), ([message.robot], ["Charging"])
+            )
 
     def test_03_one_tool_is_never_with_two_robots(self):
         for message in self.fired:
@@ -125,7 +130,9 @@ class FullTest(Meeting, unittest.TestCase):
 
     def test_06_a_bystanding_robot_sees_the_meetings_of_others(self):
         for message in self.firings("Hand_Over"):
-            self.assertEqual(sum(message.counts) - dict(zip(message.places, message.counts))["Charger"], 4)
+            self.assertEqual(
+                sum(message.counts) - dict(zip(message.places, message.counts))["Charger"], 4
+            )
 
 
 class PartialTest(Meeting, unittest.TestCase):
@@ -147,10 +154,14 @@ class PitfallsTest(RobotTestCase):
         net["transitions"].append({"name": "arrives", "timed": True, "servers": None})
         net["arcs"].append({"from": "arrives", "to": "parcels", "weight": 3})
         team = self.team(
-            {"net": net, "actions": {"P1": "actions.until_cancelled", "P2": None},
-             "robots": {"robot_1": "P1"}, "resource_places": ["parcels"]},
+            {
+                "net": net,
+                "actions": {"P1": "actions.until_cancelled", "P2": None},
+                "robots": {"robot_1": "P1"},
+                "resource_places": ["parcels"],
+            },
             actions=ACTIONS.replace("CANCELLED", repr(os.devnull)),
-        )  # fmt: skip
+        )
         robot = team.start()["robot_1"]
         team.wait_until_heard()
         answer = wait_for(lambda: robot.command("fire", argument="arrives"), what="the order")
@@ -168,12 +179,14 @@ class PitfallsTest(RobotTestCase):
         net["places"] += [{"name": "B"}]
         net["arcs"] += [{"from": "B", "to": "T1"}, {"from": "T1", "to": "End"}]
         team = self.team(
-            {"net": net, "actions": {"A": "actions.good", "B": "actions.until_cancelled",
-                                     "End": None},
-             "robots": {"robot_1": "A", "robot_2": "B"}},
+            {
+                "net": net,
+                "actions": {"A": "actions.good", "B": "actions.until_cancelled", "End": None},
+                "robots": {"robot_1": "A", "robot_2": "B"},
+            },
             ("robot_1", "robot_2"),
             actions=ACTIONS.replace("CANCELLED", repr(os.devnull)),
-        )  # fmt: skip
+        )
         team.start()
         waiting = team["robot_1"]
         wait_for(lambda: "needs a robot in B" in waiting.status()["waits_for"], 20, "the reason")
@@ -199,38 +212,54 @@ class PitfallsTest(RobotTestCase):
     def test_22_the_end_of_an_executor_cancels_its_goal(self):
         for how in (signal.SIGTERM, signal.SIGKILL, "rosnode kill"):
             team = self.team(
-                {"net": chain(["P1", "P2"]),
-                 "actions": {"P1": "actions.until_cancelled", "P2": None},
-                 "robots": {"robot_1": "P1"}},
+                {
+                    "net": chain(["P1", "P2"]),
+                    "actions": {"P1": "actions.until_cancelled", "P2": None},
+                    "robots": {"robot_1": "P1"},
+                },
                 place_servers=False,
                 server_timeout=20.0,
                 actions=ACTIONS.replace("CANCELLED", "__file__ + '.cancelled'"),
-            )  # fmt: skip
+            )
             with open(os.path.join(team.folder, "servers.out"), "ab") as output:
                 servers = start_node(
-                    "gspn_place_servers", "/robot_1", output, "places",
-                    plan=team.plan, robot="robot_1",
-                )  # fmt: skip
+                    "gspn_place_servers",
+                    "/robot_1",
+                    output,
+                    "places",
+                    plan=team.plan,
+                    robot="robot_1",
+                )
             self.addCleanup(servers.kill)
             robot = team.start()["robot_1"]
-            wait_for(lambda: robot.state().state == "Doing" and not robot.status()["waits_for"],  # noqa: B023
-                     20, "the goal to be taken")  # fmt: skip
+            wait_for(
+                lambda: robot.state().state == "Doing" and not robot.status()["waits_for"],
+                20,
+                "the goal to be taken",
+            )
             if how == "rosnode kill":
-                subprocess.check_call(["rosnode", "kill", "/robot_1/executor"], stdout=subprocess.DEVNULL)
+                subprocess.check_call(
+                    ["rosnode", "kill", "/robot_1/executor"], stdout=subprocess.DEVNULL
+                )
                 self.assertEqual(robot.exit_code(10), 0)
                 self.assertNotIn("Traceback", robot.said())
             else:
                 robot.signal(how)
             seen = os.path.join(team.plan, "actions.py.cancelled")
-            wait_for(lambda: os.path.exists(seen) and open(seen).read() == "cancelled\n",  # noqa: B023, SIM115
-                     10, "the action to be cancelled")  # fmt: skip
+            wait_for(
+                lambda: os.path.exists(seen) and open(seen).read() == "cancelled\n",  # noqa: SIM115
+                10,
+                "the action to be cancelled",
+            )
             servers.kill()
             servers.wait()
 
     def test_24_initial_places_that_contradict_the_marking_are_refused(self):
         net = chain(["P1", "P2"])
         net["places"][1]["tokens"] = 1
-        team = self.team({"net": net, "actions": {"P1": None, "P2": None}, "robots": {"robot_1": "P1"}})
+        team = self.team(
+            {"net": net, "actions": {"P1": None, "P2": None}, "robots": {"robot_1": "P1"}}
+        )
         robot = team.start()["robot_1"]
         self.assertEqual(robot.exit_code(), 1)
         self.assertIn("initial", robot.said())

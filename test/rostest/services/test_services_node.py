@@ -15,11 +15,11 @@ import rospy
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 
-from robots import ROOT, Robot, RobotTestCase, chain  # noqa: E402
-from waiting import wait_for  # noqa: E402
+from robots import ROOT, Robot, RobotTestCase, chain
+from waiting import wait_for
 
-from gspn_framework_package.cli.main import main  # noqa: E402
-from gspn_framework_package.srv import GetPlace, GetState, SetPlace  # noqa: E402
+from gspn_framework_package.cli.main import main
+from gspn_framework_package.srv import GetPlace, GetState, SetPlace
 
 ACTIONS = """
 from gspn_framework_package.execution.actions import ActionFailed
@@ -57,8 +57,11 @@ class ServicesTest(RobotTestCase):
         }
         team = self.team(plan, ("robot_1", "robot_2"), actions=ACTIONS).start()
         for robot in team:
-            wait_for(lambda: robot.state().state == "Doing" and robot.status()["active"],  # noqa: B023
-                     20, "the start")  # fmt: skip
+            wait_for(
+                lambda: robot.state().state == "Doing" and robot.status()["active"],
+                20,
+                "the start",
+            )
         return team
 
     def test_services_answer_by_hand_with_nothing_filled_in(self):
@@ -69,8 +72,9 @@ class ServicesTest(RobotTestCase):
             self.assertEqual((place.robot, place.place, place.visit), ("robot_1", "A", 1))
             state = robot.call("get_state", GetState, "", "")
             self.assertEqual((state.robot, state.place, state.state), ("robot_1", "A", "Doing"))
-            self.assertEqual(dict(zip(state.places, state.counts)),
-                             {"A": 2, "B": 0, "C": 0, "stock": 2})  # fmt: skip
+            self.assertEqual(
+                dict(zip(state.places, state.counts)), {"A": 2, "B": 0, "C": 0, "stock": 2}
+            )
             nothing = robot.call("set_place", SetPlace, "", "", "", "")
             self.assertFalse(nothing.success)
             self.assertIn("no place was given", nothing.message)
@@ -82,10 +86,12 @@ class ServicesTest(RobotTestCase):
             self.assertIn("run '%s', not in run 'another_run'" % team.run, stranger.message)
             moved = robot.call("set_place", SetPlace, "C", "robot_2", "", "")
             self.assertTrue(moved.success, moved.message)
-            wait_for(lambda: team["robot_2"].state().place == "C", what="the move")  # noqa: B023
+            wait_for(lambda: team["robot_2"].state().place == "C", what="the move")
             self.assertEqual(team["robot_1"].state().place, "A")
             nodes = ["/robot_1/executor", "/robot_2/executor"]
-            subprocess.check_call(["rosnode", "kill", *nodes], stdout=subprocess.DEVNULL, timeout=60)
+            subprocess.check_call(
+                ["rosnode", "kill", *nodes], stdout=subprocess.DEVNULL, timeout=60
+            )
             self.assertEqual([robot.exit_code() for robot in team], [0, 0])
             for node in nodes:  # nothing is left for 'rosnode cleanup'
                 with self.assertRaises(rosgraph.MasterException):
@@ -133,7 +139,9 @@ class ServicesTest(RobotTestCase):
         # a team of another run does not end this one by the names of its nodes
         other = self.team(team.plan, ("robot_1",), robots=2).start()["robot_1"]
         self.assertEqual(other.exit_code(), 1)
-        self.assertIn("/robot_1 is taken: robot_1 of run '%s' is at work there" % team.run, other.said())
+        self.assertIn(
+            "/robot_1 is taken: robot_1 of run '%s' is at work there" % team.run, other.said()
+        )
         self.assertTrue(robot_1.status()["active"])
 
         self.assertEqual(gspn("stop")[0], 0)

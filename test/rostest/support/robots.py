@@ -31,7 +31,9 @@ def start_node(script, namespace, output, name="node", **parameters):
         rospy.delete_param("%s/%s" % (namespace, name))  # of a node of the same name before
     words = ["_%s:=%s" % (key, json.dumps(value)) for key, value in parameters.items()]
     return subprocess.Popen(
-        [sys.executable, os.path.join(ROOT, "scripts", script)] + ["__ns:=" + namespace, "__name:=" + name] + words,
+        [sys.executable, os.path.join(ROOT, "scripts", script)]
+        + ["__ns:=" + namespace, "__name:=" + name]
+        + words,
         stdout=output,
         stderr=subprocess.STDOUT,
         stdin=subprocess.DEVNULL,
@@ -91,13 +93,16 @@ class Robot:
         return wait_for(answer, 20, "an answer of %s" % name)
 
     def is_heard_by(self, listener):
-        """Whether the node knows that ``listener`` is connected to its firings (the listener knows it earlier)."""
+        """Whether the node knows that ``listener`` is connected to its firings (the listener knows
+        it earlier)."""
         try:
             address = rosgraph.Master(rospy.get_name()).lookupNode(self.namespace + "/executor")
             _, _, connections = xmlrpc.client.ServerProxy(address).getBusInfo(rospy.get_name())
         except (OSError, rosgraph.MasterException):
             return False
-        return any(c[1] == listener and c[2] == "o" and c[4] == "/fired_transitions" for c in connections)
+        return any(
+            c[1] == listener and c[2] == "o" and c[4] == "/fired_transitions" for c in connections
+        )
 
     def state(self):
         return self.call("get_state", GetState, "", "")
@@ -116,7 +121,8 @@ class Robot:
         return read_log(self.log_file)
 
     def logged_transitions(self):
-        """All that has fired, by the robot's log: also what was published before anybody listened."""
+        """All that has fired, by the robot's log: also what was published before anybody
+        listened."""
         slots = (r for r in self.log().records if r["kind"] == "slot")
         return [firing["transition"] for slot in slots for firing in slot["firings"]]
 
@@ -129,7 +135,9 @@ class Team:
         self.run = "run_" + uuid.uuid4().hex[:8]
         self.folder = tempfile.mkdtemp(prefix="gspn_rostest_")
         self.fired = []
-        self._subscriber = rospy.Subscriber("/fired_transitions", FiredTransition, self._on_fired, tcp_nodelay=True)
+        self._subscriber = rospy.Subscriber(
+            "/fired_transitions", FiredTransition, self._on_fired, tcp_nodelay=True
+        )
         self.robots = {}
         for name in names:
             namespace = (namespaces or {}).get(name, "/" + name)
@@ -151,9 +159,14 @@ class Team:
         return self
 
     def wait_until_heard(self, seconds=30):
-        """Wait until every robot knows that this process listens: what it publishes before is not heard."""
+        """Wait until every robot knows that this process listens: what it publishes before is not
+        heard."""
         for robot in self:
-            wait_for(lambda: robot.is_heard_by(rospy.get_name()), seconds, "a connection to " + robot.name)  # noqa: B023
+            wait_for(
+                lambda: robot.is_heard_by(rospy.get_name()),
+                seconds,
+                "a connection to " + robot.name,
+            )
 
     def transitions(self):
         return [message.transition for message in list(self.fired)]
@@ -211,7 +224,8 @@ class Team:
 
 
 def write_plan(plan, actions=""):
-    """Write a plan and its actions.py into a new folder; the folder. Its net gets the robots' tokens."""
+    """Write a plan and its actions.py into a new folder; the folder. Its net gets the robots'
+    tokens."""
     robots = plan["robots"]
     started = list(robots.values() if isinstance(robots, dict) else [r["place"] for r in robots])
     for place in plan["net"]["places"]:

@@ -4,7 +4,8 @@ import time
 
 
 def wait_for(condition, seconds=20.0, what="the condition"):
-    """Wait until ``condition()`` is true and return its value; an AssertionError after a deadline."""
+    """Wait until ``condition()`` is true and return its value; an AssertionError after a
+    deadline."""
     deadline = time.monotonic() + seconds
     while True:
         value = condition()

@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""A place server as those of the thesis are: a node for each place, in the robot's namespace, named as the server."""
+"""A place server as those of the thesis are: a node for each place, in the robot's namespace, named
+as the server."""
 
 import actionlib
 import rospy
@@ -9,7 +10,9 @@ from gspn_framework_package.msg import ExecGSPNAction, ExecGSPNFeedback, ExecGSP
 
 class Place:
     def __init__(self):
-        self.server = actionlib.SimpleActionServer(rospy.get_name(), ExecGSPNAction, self.execute, auto_start=False)
+        self.server = actionlib.SimpleActionServer(
+            rospy.get_name(), ExecGSPNAction, self.execute, auto_start=False
+        )
         self.server.start()
 
     def execute(self, goal):

@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""The topic and the services of the thesis, for a team that runs its input file on its place servers."""
+"""The topic and the services of the thesis, for a team that runs its input file on its place
+servers."""
 
 import ast
 import os
@@ -11,10 +12,10 @@ import rospy
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 
-from waiting import wait_for  # noqa: E402
+from waiting import wait_for
 
-from gspn_framework_package.msg import GSPNFiringData  # noqa: E402
-from gspn_framework_package.srv import CurrentPlace, FireSyncTransition  # noqa: E402
+from gspn_framework_package.msg import GSPNFiringData
+from gspn_framework_package.srv import CurrentPlace, FireSyncTransition
 
 
 def call(service, service_class, *arguments):
@@ -35,12 +36,19 @@ class ThesisTest(unittest.TestCase):
         heard = []
         rospy.Subscriber("/TRANSITIONS_FIRED", GSPNFiringData, heard.append)
         for number in (1, 2):
-            wait_for(lambda: answer(number) == ("p2", "DOING", number), 60, "robot_%d in p2" % number)  # noqa: B023
+            wait_for(
+                lambda: answer(number) == ("p2", "DOING", number), 60, "robot_%d in p2" % number
+            )
         for number, done in ((1, 3), (2, 4)):
-            flag = call("/robot_%d/fire_sync_transition_%d" % (number, number), FireSyncTransition, "p1")
+            flag = call(
+                "/robot_%d/fire_sync_transition_%d" % (number, number), FireSyncTransition, "p1"
+            )
             self.assertEqual(flag.success_flag, "SUCCESS")
             fired = wait_for(
-                lambda: next((m for m in heard if m.robot_id == number and "'done': %d" % done in m.marking), None),  # noqa: B023
+                lambda: next(
+                    (m for m in heard if m.robot_id == number and "'done': %d" % done in m.marking),
+                    None,
+                ),
                 30,
                 "the next firing of robot_%d" % number,
             )

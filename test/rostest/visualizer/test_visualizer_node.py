@@ -14,10 +14,10 @@ import rospy
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 
-from robots import RobotTestCase, copy_plan, start_node  # noqa: E402
-from waiting import wait_for  # noqa: E402
+from robots import RobotTestCase, copy_plan, start_node
+from waiting import wait_for
 
-from gspn_framework_package.benchmark.ports import free_port  # noqa: E402
+from gspn_framework_package.benchmark.ports import free_port
 
 
 class Page:
@@ -33,9 +33,14 @@ class Page:
 
     def start(self):
         self.process = start_node(
-            "visualizer_node", self.namespace, subprocess.DEVNULL, "visualizer", plan=self.plan, port=self.port,
-            **self.parameters
-        )  # fmt: skip
+            "visualizer_node",
+            self.namespace,
+            subprocess.DEVNULL,
+            "visualizer",
+            plan=self.plan,
+            port=self.port,
+            **self.parameters,
+        )
         wait_for(self.snapshot, 30, "the page")
 
     def snapshot(self):
@@ -52,7 +57,8 @@ class Page:
         return {robot["name"]: robot.get("phase") for robot in self.board()["robots"]}
 
     def order(self, command, **fields):
-        """Order until the team obeys: a robot that does not find the order's place in the log in time refuses it."""
+        """Order until the team obeys: a robot that does not find the order's place in the log in
+        time refuses it."""
         wait_for(lambda: self.obeyed(command, **fields), 60, "the team to obey: " + command)
 
     def obeyed(self, command, **fields):
@@ -94,7 +100,11 @@ class VisualizerTest(RobotTestCase):
         team["robot_2"].kill()
         wait_for(lambda: page.phases().get("robot_2") == "lost", 60, "the page to show the loss")
         wait_for(lambda: sum(page.board()["marking"]) == 1, 30, "the token to be taken out")
-        wait_for(lambda: page.phases()["robot_1"] in ("doing", "done"), 15, "robot_1 to go on on the page")
+        wait_for(
+            lambda: page.phases()["robot_1"] in ("doing", "done"),
+            15,
+            "robot_1 to go on on the page",
+        )
 
         page.order("stop")
         self.assertEqual(team["robot_1"].exit_code(30), 1)
@@ -102,17 +112,26 @@ class VisualizerTest(RobotTestCase):
         team.close()
 
     def sees_the_marking(self, team, page):
-        """While nothing fires, the page and the replicas have one marking; meanwhile it has firings."""
-        wait_for(lambda: set(page.phases()) == {"robot_1", "robot_2"}, 40, "both robots on the page")
+        """While nothing fires, the page and the replicas have one marking; meanwhile it has
+        firings."""
+        wait_for(
+            lambda: set(page.phases()) == {"robot_1", "robot_2"}, 40, "both robots on the page"
+        )
         before = page.board()["n"]
         team.wait_for_firings(4)
         wait_for(lambda: page.board()["n"] > before + 3, 40, "firings on the page")
         page.order("pause")
         state = team.wait_for_agreement()
-        wait_for(lambda: page.board()["marking"] == list(state.counts), 60, "the team's marking on the page")
+        wait_for(
+            lambda: page.board()["marking"] == list(state.counts),
+            60,
+            "the team's marking on the page",
+        )
         wait_for(lambda: page.board()["status"]["paused"], 30, "the pause on the page")
         page.order("resume")
-        wait_for(lambda: not page.board()["status"]["paused"], 30, "the end of the pause on the page")
+        wait_for(
+            lambda: not page.board()["status"]["paused"], 30, "the end of the pause on the page"
+        )
 
     def test_full_synchronisation(self):
         self.watch("full")
@@ -121,12 +140,14 @@ class VisualizerTest(RobotTestCase):
         self.watch("partial")
 
     def test_of_two_teams_on_a_master_the_page_shows_and_orders_its_own(self):
-        """The robots of both have the same names and the same plan; the other's namespaces come first."""
+        """The robots of both have the same names and the same plan; the other's namespaces come
+        first."""
         plan = copy_plan("plans/patrol", agreement={"evict_after": 0})
         names = ["robot_1", "robot_2"]
         ours = self.team(plan, names, {name: "/ours/" + name for name in names}, robots=2).start()
         other = self.team(plan, names, {name: "/a/" + name for name in names}, robots=2).start()
-        page = Page(plan, "/desk", run=ours.run)  # the topic of the firings is no matter of its namespace
+        # the topic of the firings is no matter of its namespace
+        page = Page(plan, "/desk", run=ours.run)
         self.addCleanup(page.end)
         wait_for(lambda: page.board()["status"]["running"], 30, "the team on the page")
         ours.wait_for_firings(4)
@@ -154,7 +175,9 @@ class VisualizerTest(RobotTestCase):
         ours["robot_2"].signal(signal.SIGCONT)
         page.order("stop", reason="enough of this")
         self.assertEqual(ours["robot_1"].exit_code(30), 1)
-        wait_for(lambda: page.board()["status"]["ended"] == "enough of this", 30, "the end on the page")
+        wait_for(
+            lambda: page.board()["status"]["ended"] == "enough of this", 30, "the end on the page"
+        )
         other.wait_for_firings(4)
         self.assertTrue(other["robot_1"].status()["active"])
 

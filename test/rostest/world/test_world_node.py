@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""The world as a ROS node: what a robot's namespace offers, and a patrol by two execution nodes in it."""
+"""The world as a ROS node: what a robot's namespace offers, and a patrol by two execution nodes in
+it."""
 
 import json
 import math
@@ -163,8 +164,11 @@ class TestWorld(unittest.TestCase):
         faster = (rospy.get_time() - before[0]) / (time.monotonic() - before[1])
         self.assertGreater(faster, 1.0)
         for nothing in (
-            "contacts_between_robots", "contacts_with_solids", "two_in_one_location", "stuck_minutes",
-        ):  # fmt: skip
+            "contacts_between_robots",
+            "contacts_with_solids",
+            "two_in_one_location",
+            "stuck_minutes",
+        ):
             self.assertEqual(report[nothing], 0, nothing)
         for name in ("robot_1", "robot_2"):
             self.assertEqual(report["robots"][name]["aborted"], 0)

@@ -1,4 +1,5 @@
-"""Random bounded GSPNs for Hypothesis: weights, priorities, inhibitor arcs, capacities, servers, vanishing markings."""
+"""Random bounded GSPNs for Hypothesis: weights, priorities, inhibitor arcs, capacities, servers,
+vanishing markings."""
 
 from hypothesis import strategies as st
 
@@ -16,7 +17,8 @@ def _split(draw, total, places):
 
 @st.composite
 def bounded_nets(draw, max_places=4, max_transitions=6, max_tokens=4, immediate=True):
-    """A net in which every firing keeps the number of tokens, but for a place with a capacity that may come on top."""
+    """A net in which every firing keeps the number of tokens, but for a place with a capacity that
+    may come on top."""
     builder = NetBuilder("generated")
     places = ["p%d" % i for i in range(draw(st.integers(2, max_places)))]
     tokens = _split(draw, draw(st.integers(1, max_tokens)), places)
@@ -58,7 +60,8 @@ def bounded_nets(draw, max_places=4, max_transitions=6, max_tokens=4, immediate=
 
 
 def reference_space(net, *, untimed=False, limit=100_000):
-    """The reachability graph by the firing rule of the model alone: marking -> {transition number: marking}."""
+    """The reachability graph by the firing rule of the model alone: marking -> {transition number:
+    marking}."""
     graph = {}
     waiting = [net.initial_marking]
     while waiting:
@@ -66,6 +69,8 @@ def reference_space(net, *, untimed=False, limit=100_000):
         if marking in graph:
             continue
         assert len(graph) < limit
-        graph[marking] = {t: net.fire(marking, t) for t in net.enabled(marking, by_priority=not untimed)}
+        graph[marking] = {
+            t: net.fire(marking, t) for t in net.enabled(marking, by_priority=not untimed)
+        }
         waiting += graph[marking].values()
     return graph

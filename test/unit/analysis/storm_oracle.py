@@ -1,24 +1,28 @@
-"""The model checker Storm as an independent oracle: the same net through its own GSPN translation and checkers."""
+"""The model checker Storm as an independent oracle: the same net through its own GSPN translation
+and checkers."""
 
 import stormpy
 from stormpy import developer, environments, transformations
 
 from gspn_framework_package.benchmark.storm import storm_jani
 
-# Storm's time-bounded answers are good to 1e-6 by default, which is what the tests ask of ours. stormpy.Environment does
-# not show that part of Storm's environment, so it is set as by Storm's command line, for the whole process.
+# Storm's time-bounded answers are good to 1e-6 by default, which is what the tests ask of ours.
+# stormpy.Environment does not show that part of Storm's environment, so it is set as by Storm's
+# command line, for the whole process.
 developer.set_from_exploded_string(["--timebounded:precision", "1e-9"])
 
 
 class Storm:
-    """Answers of Storm about one net. Long-run and first-passage values are exact (rational arithmetic)."""
+    """Answers of Storm about one net. Long-run and first-passage values are exact (rational
+    arithmetic)."""
 
     def __init__(self, net, clock=True):
         self._jani = storm_jani(net, clock=clock)
 
     def _model(self, properties, exact):
         options = stormpy.BuilderOptions(properties, self._jani)
-        options.set_apply_maximal_progress_assumption(True)  # without it time may pass in vanishing markings
+        # without it time may pass in vanishing markings
+        options.set_apply_maximal_progress_assumption(True)
         build = stormpy.build_model[stormpy.Rational] if exact else stormpy.build_model
         return build(self._jani, options=options)
 
@@ -61,7 +65,9 @@ class Storm:
         formula = properties[0]
         if "MARKOV" in str(model.model_type).upper() or "MA" in str(model.model_type).upper():
             behaviour = getattr(transformations.EliminationLabelBehavior, labels)
-            model, formulas = transformations.eliminate_non_markovian_chains(model, properties, behaviour)
+            model, formulas = transformations.eliminate_non_markovian_chains(
+                model, properties, behaviour
+            )
             formula = formulas[0]
         result = stormpy.model_checking(model, formula)
         return float(result.get_value(model.initial_states[0])), str(model.model_type)

@@ -1,4 +1,5 @@
-"""Markov chains by hand: recurrent classes, cycles without time, times to steady state, waiting times, rewards."""
+"""Markov chains by hand: recurrent classes, cycles without time, times to steady state, waiting
+times, rewards."""
 
 import math
 
@@ -20,7 +21,12 @@ from gspn_framework_package.analysis.passage import first_passage
 from gspn_framework_package.analysis.report import Questions, report
 from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.analysis.steady_state import stationary, steady_state
-from gspn_framework_package.analysis.transient import Evolution, poisson, time_to_steady_state, transient
+from gspn_framework_package.analysis.transient import (
+    Evolution,
+    poisson,
+    time_to_steady_state,
+    transient,
+)
 from gspn_framework_package.benchmark.large_nets import endings
 from gspn_framework_package.benchmark.nets import kanban, polling
 from gspn_framework_package.model.builder import NetBuilder
@@ -31,17 +37,26 @@ relaxed = settings(deadline=None, suppress_health_check=list(HealthCheck))
 
 def fork(end_loops=True):
     """From ``start`` to the left (rate 1) or right (rate 3); on the right two places take turns."""
-    builder = (NetBuilder("fork").place("start", tokens=1).place("left").place("right").place("far")
-               .exponential("go_left", rate=1, inputs="start", outputs="left")
-               .exponential("go_right", rate=3, inputs="start", outputs="right")
-               .exponential("away", rate=2, inputs="right", outputs="far")
-               .exponential("back", rate=4, inputs="far", outputs="right"))  # fmt: skip
+    builder = (
+        NetBuilder("fork")
+        .place("start", tokens=1)
+        .place("left")
+        .place("right")
+        .place("far")
+        .exponential("go_left", rate=1, inputs="start", outputs="left")
+        .exponential("go_right", rate=3, inputs="start", outputs="right")
+        .exponential("away", rate=2, inputs="right", outputs="far")
+        .exponential("back", rate=4, inputs="far", outputs="right")
+    )
     return builder.build()
 
 
 def test_several_recurrent_classes():
     steady = Analysis(fork()).steady
-    assert sorted((len(c.states), round(c.probability, 12)) for c in steady.components) == [(1, 0.25), (2, 0.75)]
+    assert sorted((len(c.states), round(c.probability, 12)) for c in steady.components) == [
+        (1, 0.25),
+        (2, 0.75),
+    ]
     means = Analysis(fork()).measures.mean_tokens
     assert means == pytest.approx({"start": 0, "left": 0.25, "right": 0.5, "far": 0.25})
     assert Analysis(fork()).measures.throughput["away"] == pytest.approx(0.75 * 4 / 3)
@@ -60,17 +75,26 @@ def test_small_recurrent_classes_together_and_each_by_itself(net):
     within = np.concatenate([c.states for c in steady.components])
     outside = np.setdiff1d(np.arange(len(chain)), within)
     rates = chain.rates.toarray()
-    stays = np.linalg.solve(np.diag(chain.exit_rates[outside]) - rates[np.ix_(outside, outside)].T,
-                            chain.initial[outside])  # fmt: skip
+    stays = np.linalg.solve(
+        np.diag(chain.exit_rates[outside]) - rates[np.ix_(outside, outside)].T,
+        chain.initial[outside],
+    )
     for component in steady.components:
-        reached = chain.initial[component.states].sum() + (stays @ rates[np.ix_(outside, component.states)]).sum()
+        reached = (
+            chain.initial[component.states].sum()
+            + (stays @ rates[np.ix_(outside, component.states)]).sum()
+        )
         assert component.probability == pytest.approx(reached, abs=1e-10)
 
 
 def test_of_many_recurrent_classes_the_likeliest_are_named():
     data = report(Analysis(endings(5, 40)), Questions(structure=False))
     steady = data["steady_state"]
-    assert (steady["component_count"], steady["deadlock_count"], len(steady["components"])) == (200, 200, 10)
+    assert (steady["component_count"], steady["deadlock_count"], len(steady["components"])) == (
+        200,
+        200,
+        10,
+    )
     first = steady["components"][0]
     assert first["deadlock"] and first["marking"] == {"way4": 1, "at0": 1}
     leaving = 5.0 + sum(0.1 + 0.01 * k for k in range(5))
@@ -91,18 +115,30 @@ def test_passages_that_may_never_come():
 
 
 def vanishing_cycle(out=1.0):
-    """A cycle of immediate transitions with a way out that is taken with probability 1/4 each time round."""
-    return (NetBuilder("cycle").place("a", tokens=1).place("x").place("y").place("b")
-            .exponential("start", rate=2, inputs="a", outputs="x").immediate("xy", inputs="x", outputs="y")
-            .immediate("yx", weight=3, inputs="y", outputs="x").immediate("out", weight=out, inputs="y", outputs="b")
-            .exponential("again", rate=2, inputs="b", outputs="a").build())  # fmt: skip
+    """A cycle of immediate transitions with a way out that is taken with probability 1/4 each time
+    round."""
+    return (
+        NetBuilder("cycle")
+        .place("a", tokens=1)
+        .place("x")
+        .place("y")
+        .place("b")
+        .exponential("start", rate=2, inputs="a", outputs="x")
+        .immediate("xy", inputs="x", outputs="y")
+        .immediate("yx", weight=3, inputs="y", outputs="x")
+        .immediate("out", weight=out, inputs="y", outputs="b")
+        .exponential("again", rate=2, inputs="b", outputs="a")
+        .build()
+    )
 
 
 def test_cycles_of_immediate_firings_end():
     measures = Analysis(vanishing_cycle()).measures
     assert measures.mean_tokens == pytest.approx({"a": 0.5, "x": 0, "y": 0, "b": 0.5})
     # Once round the net every second; four times through the cycle each time, three of them back.
-    assert measures.throughput == pytest.approx({"start": 1, "xy": 4, "yx": 3, "out": 1, "again": 1})
+    assert measures.throughput == pytest.approx(
+        {"start": 1, "xy": 4, "yx": 3, "out": 1, "again": 1}
+    )
 
 
 def test_timeless_traps_are_refused():
@@ -112,8 +148,16 @@ def test_timeless_traps_are_refused():
 
 
 def test_the_initial_marking_may_vanish():
-    net = (NetBuilder().place("a", tokens=1).place("b").place("c").immediate("l", weight=1, inputs="a", outputs="b")
-           .immediate("r", weight=4, inputs="a", outputs="c").exponential("t", inputs="b", outputs="c").build())  # fmt: skip
+    net = (
+        NetBuilder()
+        .place("a", tokens=1)
+        .place("b")
+        .place("c")
+        .immediate("l", weight=1, inputs="a", outputs="b")
+        .immediate("r", weight=4, inputs="a", outputs="c")
+        .exponential("t", inputs="b", outputs="c")
+        .build()
+    )
     chain = Chain.of(explore(net))
     assert chain.initial.tolist() == pytest.approx([0.2, 0.8])
     assert Analysis(net).first_passage("a == 0 and b == 0").mean_time == pytest.approx(0.2)
@@ -125,9 +169,14 @@ def test_a_condition_that_holds_for_no_time_has_held():
 
 def test_servers():
     def busy(servers):
-        net = (NetBuilder().place("up", tokens=4).place("down")
-               .exponential("fail", rate=1, servers=servers, inputs="up", outputs="down")
-               .exponential("mend", rate=1, inputs="down", outputs="up").build())  # fmt: skip
+        net = (
+            NetBuilder()
+            .place("up", tokens=4)
+            .place("down")
+            .exponential("fail", rate=1, servers=servers, inputs="up", outputs="down")
+            .exponential("mend", rate=1, inputs="down", outputs="up")
+            .build()
+        )
         chain = Chain.of(explore(net))
         return chain.exit_rates[0]
 
@@ -135,7 +184,12 @@ def test_servers():
 
 
 def test_a_multiple_arc_takes_several_tokens_to_a_server():
-    net = NetBuilder().place("a", tokens=7).exponential("t", rate=2, servers=None, inputs={"a": 2}).build()
+    net = (
+        NetBuilder()
+        .place("a", tokens=7)
+        .exponential("t", rate=2, servers=None, inputs={"a": 2})
+        .build()
+    )
     assert Chain.of(explore(net)).exit_rates.tolist() == [6, 4, 2, 0]
 
 
@@ -148,7 +202,9 @@ def test_transients_are_matrix_exponentials(net):
         assume(False)
     generator = chain.rates.toarray() - np.diag(chain.exit_rates)
     for found in transient(chain, [0.3, 0.0, 4.0]):
-        assert found.distribution == pytest.approx(chain.initial @ expm(generator * found.time), abs=1e-10)
+        assert found.distribution == pytest.approx(
+            chain.initial @ expm(generator * found.time), abs=1e-10
+        )
 
 
 @relaxed
@@ -208,9 +264,12 @@ def test_a_good_order_saves_sweeps():
     states = np.arange(len(chain))
     order = sweep_order(chain, states)
     assert sorted(order) == states.tolist()
-    plain, ordered = (linear._swept_in_order(
-        sparse.csr_matrix(chain.rates.T), chain.exit_rates, None, False, by, Watch(), None
-    ) for by in (None, order))  # fmt: skip
+    plain, ordered = (
+        linear._swept_in_order(
+            sparse.csr_matrix(chain.rates.T), chain.exit_rates, None, False, by, Watch(), None
+        )
+        for by in (None, order)
+    )
     assert ordered.sweeps < plain.sweeps
     assert ordered.values == pytest.approx(plain.values, abs=1e-12)
 
@@ -223,9 +282,14 @@ def test_no_other_order_where_that_of_discovery_is_as_good():
 def test_mean_times_are_right_where_they_are_long():
     """A queue that is rarely long, with room for 3000. The mean time has a formula."""
     size, up, down = 3000, 1.0, 1.003
-    net = (NetBuilder().place("free", tokens=size).place("jobs")
-           .exponential("arrive", rate=up, inputs="free", outputs="jobs")
-           .exponential("serve", rate=down, inputs="jobs", outputs="free").build())  # fmt: skip
+    net = (
+        NetBuilder()
+        .place("free", tokens=size)
+        .place("jobs")
+        .exponential("arrive", rate=up, inputs="free", outputs="jobs")
+        .exponential("serve", rate=down, inputs="jobs", outputs="free")
+        .build()
+    )
     passage = Analysis(net).first_passage("free == 0")
     ratio, step, expected = down / up, 1 / up, 0.0
     for _ in range(size):

@@ -16,20 +16,29 @@ from gspn_framework_package.model.builder import NetBuilder
 
 def growing_net():
     return (
-        NetBuilder("growing").place("a", 1).place("b").place("c")
+        NetBuilder("growing")
+        .place("a", 1)
+        .place("b")
+        .place("c")
         .exponential("make", inputs="a", outputs=["a", "b"])
-        .exponential("stop", inputs="a", outputs="c").build()
-    )  # fmt: skip
+        .exponential("stop", inputs="a", outputs="c")
+        .build()
+    )
 
 
 def choosing_net():
     return (
-        NetBuilder("choosing").place("a", 1).place("b").place("c").place("d")
+        NetBuilder("choosing")
+        .place("a", 1)
+        .place("b")
+        .place("c")
+        .place("d")
         .exponential("go", rate=4, inputs="a", outputs="b")
         .immediate("left", weight=1, inputs="b", outputs="c")
         .immediate("right", weight=3, inputs="b", outputs="d")
-        .exponential("back", rate=0.5, inputs="c", outputs="a").build()
-    )  # fmt: skip
+        .exponential("back", rate=0.5, inputs="c", outputs="a")
+        .build()
+    )
 
 
 def nodes(text):

@@ -1,4 +1,5 @@
-"""All engines find what the firing rule of the model finds, in any number of words, without a silent overflow."""
+"""All engines find what the firing rule of the model finds, in any number of words, without a
+silent overflow."""
 
 import os
 import subprocess
@@ -20,7 +21,13 @@ from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import CancelledError, LimitError, UsageError
 from gspn_framework_package.model.net import MAX_COUNT, Arc, Net, Place, Transition
 
-ENGINES = ["numpy", "sparse", pytest.param("numba", marks=pytest.mark.skipif(not numba_is_there(), reason="numba is missing"))]
+ENGINES = [
+    "numpy",
+    "sparse",
+    pytest.param(
+        "numba", marks=pytest.mark.skipif(not numba_is_there(), reason="numba is missing")
+    ),
+]
 relaxed = settings(deadline=None, suppress_health_check=list(HealthCheck))
 
 
@@ -32,7 +39,8 @@ def check_against_reference(space, untimed=False):
     for state, marking in enumerate(markings):
         part = slice(space.offsets[state], space.offsets[state + 1])
         found[marking] = {
-            int(t): markings[s] for t, s in zip(space.transitions[part].tolist(), space.targets[part].tolist())
+            int(t): markings[s]
+            for t, s in zip(space.transitions[part].tolist(), space.targets[part].tolist())
         }
     assert found == expected
 
@@ -48,12 +56,16 @@ def test_finds_what_the_firing_rule_finds(engine, net, untimed):
 @relaxed
 @given(net=bounded_nets(), data=st.data())
 def test_bounds_that_are_too_low_change_nothing(engine, net, data):
-    bounds = data.draw(st.lists(st.integers(0, 1), min_size=len(net.places), max_size=len(net.places)))
+    bounds = data.draw(
+        st.lists(st.integers(0, 1), min_size=len(net.places), max_size=len(net.places))
+    )
     check_against_reference(explore(net, engine=engine, bounds=bounds))
 
 
 @pytest.mark.skipif(not numba_is_there(), reason="numba is missing")
-@pytest.mark.parametrize("net", [kanban(2), philosophers(5), philosophers(12)], ids=lambda net: net.name)
+@pytest.mark.parametrize(
+    "net", [kanban(2), philosophers(5), philosophers(12)], ids=lambda net: net.name
+)
 def test_engines_number_the_states_alike(net):
     one, other = explore(net, engine="numpy"), explore(net, engine="numba")
     assert np.array_equal(one.markings(), other.markings())
@@ -68,7 +80,8 @@ def test_sparse_markings_answer_as_packed_ones(whole, many, net, data):
     packed = explore(net, engine="numpy")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sparse_engine, "_MANY", many)  # transitions that fire together, or one by one
-        patch.setattr(sparse_engine, "_WHOLE", whole)  # told as they are, or as what differs from the initial one
+        # told as they are, or as what differs from the initial one
+        patch.setattr(sparse_engine, "_WHOLE", whole)
         sparse = explore(net, engine="sparse")
     assert np.array_equal(packed.markings(), sparse.markings())
     for array in ("offsets", "targets", "transitions"):
@@ -82,10 +95,15 @@ def test_sparse_markings_answer_as_packed_ones(whole, many, net, data):
     for state in chosen.tolist():
         assert sparse.find(packed.marking(state)) == state
     assert sparse.find([99] * len(net.places)) is None
-    weights = np.array(data.draw(st.lists(st.sampled_from([0.0, 0.25, 1.0]),
-                                          min_size=len(chosen), max_size=len(chosen))))  # fmt: skip
+    weights = np.array(
+        data.draw(
+            st.lists(st.sampled_from([0.0, 0.25, 1.0]), min_size=len(chosen), max_size=len(chosen))
+        )
+    )
     assert sparse.store.means(chosen, weights) == pytest.approx(packed.store.means(chosen, weights))
-    for one, other in zip(packed.store.distributions(chosen, weights), sparse.store.distributions(chosen, weights)):
+    for one, other in zip(
+        packed.store.distributions(chosen, weights), sparse.store.distributions(chosen, weights)
+    ):
         assert one == pytest.approx(other)
     assert np.array_equal(packed.holds("p0 > p1 or deadlock"), sparse.holds("p0 > p1 or deadlock"))
 
@@ -93,7 +111,11 @@ def test_sparse_markings_answer_as_packed_ones(whole, many, net, data):
 @pytest.mark.parametrize("engine", ENGINES)
 def test_too_little_memory_or_time_ends_it_and_is_said(engine):
     space = explore(philosophers(12), engine=engine, memory=100_000)
-    assert not space.complete and space.shortage[0] == "--limit-memory" and "--limit-memory" in space.hint
+    assert (
+        not space.complete
+        and space.shortage[0] == "--limit-memory"
+        and "--limit-memory" in space.hint
+    )
     space = explore(philosophers(12), engine=engine, seconds=0.0)
     assert not space.complete and space.shortage[0] == "--limit-time" and "0 s" in space.extent
 
@@ -107,15 +129,19 @@ def test_nets_of_thousands_of_places_are_explored_by_what_changes():
 def test_a_place_with_thousands_of_transitions(monkeypatch):
     looked_at = []
     is_enabled = sparse_engine._Rules._is_enabled
-    monkeypatch.setattr(sparse_engine._Rules, "_is_enabled", lambda *args: looked_at.append(1) or is_enabled(*args))
+    monkeypatch.setattr(
+        sparse_engine._Rules, "_is_enabled", lambda *args: looked_at.append(1) or is_enabled(*args)
+    )
     space = explore(star(2_000), engine="sparse")
     assert (len(space), space.arcs, space.complete) == (2_001, 4_000, True)
     assert len(looked_at) < 20_000  # not all of them in every marking
 
 
-@pytest.mark.parametrize("arcs", [600, 1_100])  # more than 2**62 tokens, and more than a machine word holds
+# more than 2**62 tokens, and more than a machine word holds
+@pytest.mark.parametrize("arcs", [600, 1_100])
 def test_a_count_that_is_too_large_is_told(arcs):
-    places = [Place("p%d" % i, 1) for i in range(100)]  # enough for their transitions to fire together
+    # enough for their transitions to fire together
+    places = [Place("p%d" % i, 1) for i in range(100)]
     transitions = [Transition("t%d" % i, timed=True) for i in range(100)]
     taking = [Arc("p%d" % i, "t%d" % i) for i in range(100)]
     net = Net([*places, Place("much")], transitions, taking + [Arc("t3", "much", MAX_COUNT)] * arcs)
@@ -144,7 +170,9 @@ def test_several_words(engine):
     builder = NetBuilder("wide")
     for i in range(5):
         builder.place("a%d" % i, tokens=2).place("b%d" % i, tokens=2**30)
-        builder.exponential("t%d" % i, inputs=["a%d" % i, "b%d" % i], outputs={"b%d" % ((i + 1) % 5): 3})
+        builder.exponential(
+            "t%d" % i, inputs=["a%d" % i, "b%d" % i], outputs={"b%d" % ((i + 1) % 5): 3}
+        )
     space = explore(builder.build(), engine=engine)
     assert engine == "sparse" or space.store.packing.words > 2
     check_against_reference(space)
@@ -152,7 +180,12 @@ def test_several_words(engine):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_counts_beyond_the_first_field_widths(engine):
-    net = NetBuilder().place("a").exponential("more", outputs={"a": 1000}, inhibitors={"a": 3_000_000}).build()
+    net = (
+        NetBuilder()
+        .place("a")
+        .exponential("more", outputs={"a": 1000}, inhibitors={"a": 3_000_000})
+        .build()
+    )
     space = explore(net, engine=engine)
     assert space.column(0).max() == 3_000_000
     assert len(space) == 3001
@@ -170,8 +203,13 @@ def test_the_limit_stops_an_unbounded_net(engine):
 
 @pytest.mark.skipif(not numba_is_there(), reason="numba is missing")
 def test_a_deep_and_narrow_graph():
-    net = (NetBuilder().place("a").exponential("up", outputs="a", inhibitors={"a": 20_000})
-           .exponential("down", inputs="a").build())  # fmt: skip
+    net = (
+        NetBuilder()
+        .place("a")
+        .exponential("up", outputs="a", inhibitors={"a": 20_000})
+        .exponential("down", inputs="a")
+        .build()
+    )
     space = explore(net)  # numpy, which would take a round for every state, gives up
     assert (space.engine, space.complete, len(space), space.arcs) == ("numba", True, 20_001, 40_000)
     assert space.column(0).tolist() == list(range(20_001))
@@ -238,7 +276,13 @@ def test_packing_keeps_every_count(fields):
 
 
 def test_widths_hold_arc_weights_and_initial_tokens():
-    net = NetBuilder().place("a", tokens=9).place("b").exponential("t", inputs={"a": 3}, outputs={"b": 70}).build()
+    net = (
+        NetBuilder()
+        .place("a", tokens=9)
+        .place("b")
+        .exponential("t", inputs={"a": 3}, outputs={"b": 70})
+        .build()
+    )
     assert starting_widths(net, [0, 0]) == (4, 7)
 
 
@@ -248,7 +292,8 @@ def test_compiles_where_no_machine_code_can_be_kept(monkeypatch):
 
     from gspn_framework_package.analysis.compiling import compiled
 
-    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])  # as in a read-only install without a home
+    # as in a read-only install without a home
+    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
     assert compiled(lambda a: a + 1)(2) == 3
 
 

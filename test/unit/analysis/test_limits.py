@@ -29,7 +29,9 @@ def test_without_structure_no_invariant_is_looked_for(monkeypatch):
 
     monkeypatch.setattr(invariants, "_place_semiflows", fail)
     monkeypatch.setattr(analyse, "CoverabilityTree", fail)
-    data = report(Analysis(workflow(120), structure=False), Questions(structure=False, timing=False))
+    data = report(
+        Analysis(workflow(120), structure=False), Questions(structure=False, timing=False)
+    )
     assert data["states"]["total"] > 1 and data["bounded"]
 
 
@@ -130,7 +132,9 @@ def test_a_large_net_is_answered():
     assert data["undecided"] == {}
     assert data["states"]["total"] == 4_000 and data["live"] and data["reversible"]
     assert data["steady_state"]["mean_tokens"]["p17"] == pytest.approx(1 / 4_000)
-    assert data["steady_state"]["token_distribution"]["p17"] == pytest.approx({"0": 1 - 1 / 4_000, "1": 1 / 4_000})
+    assert data["steady_state"]["token_distribution"]["p17"] == pytest.approx(
+        {"0": 1 - 1 / 4_000, "1": 1 / 4_000}
+    )
     assert data["mean_time_to"][0]["mean_time"] == pytest.approx(20)
 
 
@@ -139,22 +143,40 @@ def test_servers_and_counts_of_a_large_net():
     for i in range(1_000):
         builder.place("idle%d" % i, tokens=i % 2).place("busy%d" % i)
     for i in range(0, 1_000, 500):
-        builder.exponential("start%d" % i, rate=2.0, servers=None, inputs="crew", outputs="busy%d" % i)
-        builder.exponential("stop%d" % i, rate=1.0, servers=None, inputs="busy%d" % i, outputs="crew")
+        builder.exponential(
+            "start%d" % i, rate=2.0, servers=None, inputs="crew", outputs="busy%d" % i
+        )
+        builder.exponential(
+            "stop%d" % i, rate=1.0, servers=None, inputs="busy%d" % i, outputs="crew"
+        )
     net = builder.build()
     means = {}
     for engine in ("numpy", "sparse"):
         means[engine] = Analysis(net, engine=engine).measures
     assert means["sparse"].mean_tokens == pytest.approx(means["numpy"].mean_tokens)
-    assert means["sparse"].token_distribution["crew"] == pytest.approx(means["numpy"].token_distribution["crew"])
+    assert means["sparse"].token_distribution["crew"] == pytest.approx(
+        means["numpy"].token_distribution["crew"]
+    )
     assert means["sparse"].mean_tokens["crew"] == pytest.approx(3 / 5)
-    assert means["sparse"].token_distribution["idle1"] == pytest.approx({1: 1.0})  # and nothing at 0
+    # and nothing at 0
+    assert means["sparse"].token_distribution["idle1"] == pytest.approx({1: 1.0})
 
 
 def test_the_command_line_has_the_limits(tmp_path, capsys):
     path = tmp_path / "net.pnpro"
     write_net(philosophers(6), path)
-    words = ["--limit", "70", "--limit-tree", "60", "--limit-structure", "50", "--limit-time", "9", "--limit-memory", "1"]
+    words = [
+        "--limit",
+        "70",
+        "--limit-tree",
+        "60",
+        "--limit-structure",
+        "50",
+        "--limit-time",
+        "9",
+        "--limit-memory",
+        "1",
+    ]
     assert main(["analyse", str(path), "--json", *words]) == 0
     data = json.loads(capsys.readouterr().out)
     expected = {"states": 70, "tree": 60, "structure": 50, "seconds": 9.0, "memory_bytes": 10**9}
@@ -173,10 +195,21 @@ def test_an_interrupt_ends_the_work_at_once(tmp_path):
     path = tmp_path / "net.pnpro"
     write_net(philosophers(18), path)
     process = subprocess.Popen(
-        [sys.executable, "-m", "gspn_framework_package", "analyse", str(path), "--limit", "100000000"],
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # so that the second thread is that of the analysis
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "gspn_framework_package",
+            "analyse",
+            str(path),
+            "--limit",
+            "100000000",
+        ],
+        # so that the second thread is that of the analysis
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     try:
         wait_for(lambda: _threads(process.pid) >= 2, 120, "the analysis to begin")
         process.send_signal(signal.SIGINT)
@@ -194,9 +227,12 @@ def _threads(pid):
 def _is_ended_by_an_interrupt(program, line):
     """See that an interrupt ends a program that has printed a line, and does not end by itself."""
     process = subprocess.Popen(
-        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        [sys.executable, "-c", program],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-    )  # fmt: skip
+    )
     try:
         assert process.stdout.readline() == line + "\n"
         process.send_signal(signal.SIGINT)
@@ -225,7 +261,8 @@ def test_an_interrupt_does_not_wait_for_the_reading_of_a_file():
         "from gspn_framework_package.formats import plan_file\n"
         "def read(*_, **__):\n"
         "    print('reading', flush=True)\n"
-        "    hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)\n"  # as a parser: compiled, and takes minutes
+        # as a parser: compiled, and takes minutes
+        "    hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)\n"
         "plan_file.read_net_or_plan = read\n"
         "sys.exit(main(['analyse', 'net']))\n"
     )

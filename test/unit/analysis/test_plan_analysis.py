@@ -25,12 +25,21 @@ def policy(places, *rows):
 
 
 def junction(robots, **more):
-    """Robots arrive in ``d`` at rate 1 each, and go ``up`` or ``down``, which take 1/2 s and 1/4 s."""
-    net = (NetBuilder("junction").place("a", tokens=robots).place("d").place("up").place("down")
-           .exponential("arrive", rate=1, inputs="a", outputs="d")
-           .immediate("go_up", weight=3, inputs="d", outputs="up").immediate("go_down", inputs="d", outputs="down")
-           .exponential("from_up", rate=2, inputs="up", outputs="a")
-           .exponential("from_down", rate=4, inputs="down", outputs="a").build())  # fmt: skip
+    """Robots arrive in ``d`` at rate 1 each, and go ``up`` or ``down``, which take 1/2 s and 1/4
+    s."""
+    net = (
+        NetBuilder("junction")
+        .place("a", tokens=robots)
+        .place("d")
+        .place("up")
+        .place("down")
+        .exponential("arrive", rate=1, inputs="a", outputs="d")
+        .immediate("go_up", weight=3, inputs="d", outputs="up")
+        .immediate("go_down", inputs="d", outputs="down")
+        .exponential("from_up", rate=2, inputs="up", outputs="a")
+        .exponential("from_down", rate=4, inputs="down", outputs="a")
+        .build()
+    )
     return Plan(net=net, **more)
 
 
@@ -42,14 +51,16 @@ def test_a_plan_without_robots_is_its_net(net):
         one = Chain.of(explore(net))
     except RefusedError:
         assume(False)
-    plan = Plan(net=net, resource_places=frozenset(p.name for p in net.places),
-                until=" and ".join(["p0 >= 1000"] + ["%s >= 0" % p.name for p in net.places]))  # fmt: skip
+    plan = Plan(
+        net=net,
+        resource_places=frozenset(p.name for p in net.places),
+        until=" and ".join(["p0 >= 1000"] + ["%s >= 0" % p.name for p in net.places]),
+    )
     # the condition, which never holds, reads every place: none is left out as a mere counter
     other = Chain.of(explore_plan(plan))
     assert len(one) == len(other)
     means = [Measures(c, steady_state(c).distribution) for c in (one, other)]
-    assert means[0].mean_tokens == pytest.approx(
-        means[1].mean_tokens, abs=1e-9)  # fmt: skip
+    assert means[0].mean_tokens == pytest.approx(means[1].mean_tokens, abs=1e-9)
     assert means[0].throughput == pytest.approx(means[1].throughput, abs=1e-9)
 
 
@@ -59,7 +70,8 @@ def test_weights_decide_where_there_is_no_policy():
 
 
 def test_robots_work_in_parallel():
-    """Three robots, each its own action: three times the throughput of one, although the file says one server."""
+    """Three robots, each its own action: three times the throughput of one, although the file says
+    one server."""
     one, three = (Analysis(junction(n)).measures.throughput["arrive"] for n in (1, 3))
     assert three == pytest.approx(3 * one, rel=1e-9)
     assert Analysis(junction(3).net).measures.throughput["arrive"] < 2 * one
@@ -70,8 +82,15 @@ def test_the_policy_decides():
     analysis = Analysis(junction(2, policy=rows))
     assert analysis.boundedness.bounds["up"] == 1
     markings = {analysis.space.marking(s) for s in range(len(analysis.space))}
-    assert markings == {(2, 0, 0, 0), (1, 1, 0, 0), (1, 0, 1, 0), (0, 1, 1, 0), (0, 0, 1, 1),
-                        (1, 0, 0, 1), (0, 1, 0, 1)}  # fmt: skip
+    assert markings == {
+        (2, 0, 0, 0),
+        (1, 1, 0, 0),
+        (1, 0, 1, 0),
+        (0, 1, 1, 0),
+        (0, 0, 1, 1),
+        (1, 0, 0, 1),
+        (0, 1, 0, 1),
+    }
 
 
 def test_probabilities_of_a_row():
@@ -82,11 +101,19 @@ def test_probabilities_of_a_row():
 
 def meeting(chance, robots=2):
     """Robots in ``d`` draw: go alone, or meet another one there."""
-    net = (NetBuilder("meeting").place("a", tokens=robots).place("d").place("alone").place("together")
-           .exponential("arrive", rate=1, inputs="a", outputs="d")
-           .immediate("go", inputs="d", outputs="alone").immediate("meet", inputs={"d": 2}, outputs={"together": 2})
-           .exponential("from_alone", rate=1, inputs="alone", outputs="a")
-           .exponential("from_together", rate=1, inputs={"together": 2}, outputs={"a": 2}).build())  # fmt: skip
+    net = (
+        NetBuilder("meeting")
+        .place("a", tokens=robots)
+        .place("d")
+        .place("alone")
+        .place("together")
+        .exponential("arrive", rate=1, inputs="a", outputs="d")
+        .immediate("go", inputs="d", outputs="alone")
+        .immediate("meet", inputs={"d": 2}, outputs={"together": 2})
+        .exponential("from_alone", rate=1, inputs="alone", outputs="a")
+        .exponential("from_together", rate=1, inputs={"together": 2}, outputs={"a": 2})
+        .build()
+    )
     choices = {name: value for name, value in (("meet", chance), ("go", 1 - chance)) if value}
     return Plan(net=net, policy=policy(["a"], ((None,), choices)))
 
@@ -95,12 +122,15 @@ def test_a_draw_that_is_not_enabled_waits_for_the_marking_to_change():
     plan = meeting(0.9)
     space = explore_plan(plan)
     arrived = plan.net.marking({"a": 1, "d": 1})
-    asking = next(s for s in range(len(space)) if space.marking(s) == arrived and space.is_vanishing[s])
+    asking = next(
+        s for s in range(len(space)) if space.marking(s) == arrived and space.is_vanishing[s]
+    )
     waiting = {name: space.marking(target) for name, target in space.successors(asking)}
     assert waiting == {"go": plan.net.marking({"a": 1, "alone": 1}), WAITING: arrived}
     outcomes = {o.transition: o.probability for o in PlanRules(plan).outcomes(arrived)}
     assert outcomes == pytest.approx({plan.net.transition_number("go"): 0.1, None: 0.9})
-    # Drawing only among what is enabled would turn {meet 0.9, go 0.1} into go 1.0, and nobody would ever meet.
+    # Drawing only among what is enabled would turn {meet 0.9, go 0.1} into go 1.0, and nobody would
+    # ever meet.
     assert Analysis(plan).measures.throughput["meet"] > 0
 
 
@@ -114,21 +144,33 @@ def test_all_wait_for_ever_where_one_is_left_over():
 
 
 def test_two_draws_at_once():
-    """Two robots in ``d``: each draws meet with 0.9 or go with 0.1; any order of the two is as likely."""
+    """Two robots in ``d``: each draws meet with 0.9 or go with 0.1; any order of the two is as
+    likely."""
     plan = meeting(0.9)
     net = plan.net
-    outcomes = {o.transition: o.probability for o in PlanRules(plan).outcomes(net.marking({"d": 2}))}
+    outcomes = {
+        o.transition: o.probability for o in PlanRules(plan).outcomes(net.marking({"d": 2}))
+    }
     meet, go = net.transition_number("meet"), net.transition_number("go")
-    # both meet: 0.81; both go: 0.01; one each: whoever is first, 0.18 shared equally; all draws are enabled
+    # both meet: 0.81; both go: 0.01; one each: whoever is first, 0.18 shared equally; all draws are
+    # enabled
     assert outcomes == pytest.approx({meet: 0.81 + 0.09, go: 0.01 + 0.09})
 
 
 def test_priorities_go_before_the_policy():
-    net = (NetBuilder().place("d", tokens=1).place("x").place("y")
-           .immediate("low", priority=1, inputs="d", outputs="x")
-           .immediate("high", priority=2, inputs="d", outputs="y").build())  # fmt: skip
+    net = (
+        NetBuilder()
+        .place("d", tokens=1)
+        .place("x")
+        .place("y")
+        .immediate("low", priority=1, inputs="d", outputs="x")
+        .immediate("high", priority=2, inputs="d", outputs="y")
+        .build()
+    )
     plan = Plan(net=net, policy=policy(["d"], ((None,), {"low": 0.5, "high": 0.5})))
-    assert [(o.transition, o.probability) for o in PlanRules(plan).outcomes((1, 0, 0))] == [(1, 1.0)]
+    assert [(o.transition, o.probability) for o in PlanRules(plan).outcomes((1, 0, 0))] == [
+        (1, 1.0)
+    ]
 
 
 def test_a_strict_plan_waits_without_a_row():
@@ -140,9 +182,16 @@ def test_a_strict_plan_waits_without_a_row():
 
 
 def test_resources_go_first():
-    net = (NetBuilder().place("d", tokens=1).place("e").place("r", tokens=1).place("s")
-           .immediate("robot", priority=9, inputs="d", outputs="e")
-           .immediate("resource", inputs="r", outputs="s").build())  # fmt: skip
+    net = (
+        NetBuilder()
+        .place("d", tokens=1)
+        .place("e")
+        .place("r", tokens=1)
+        .place("s")
+        .immediate("robot", priority=9, inputs="d", outputs="e")
+        .immediate("resource", inputs="r", outputs="s")
+        .build()
+    )
     plan = Plan(net=net, resource_places=frozenset(["r", "s"]), until="s > 5")
     assert [o.transition for o in PlanRules(plan).outcomes(net.initial_marking)] == [1]
 
@@ -157,8 +206,13 @@ def test_until_ends_the_run():
 
 
 def test_counters_are_left_out_and_still_can_be_waited_for():
-    net = (NetBuilder().place("work", tokens=1).place("done")
-           .exponential("do", rate=2, inputs="work", outputs=["work", "done"]).build())  # fmt: skip
+    net = (
+        NetBuilder()
+        .place("work", tokens=1)
+        .place("done")
+        .exponential("do", rate=2, inputs="work", outputs=["work", "done"])
+        .build()
+    )
     analysis = Analysis(Plan(net=net, resource_places=frozenset(["done"])))
     assert analysis.left_out == ("done",) and len(analysis.space) == 1
     assert analysis.boundedness.bounded is False

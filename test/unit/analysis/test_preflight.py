@@ -1,4 +1,5 @@
-"""The check before any robot moves: every item, refused and passed; structure decides where it can."""
+"""The check before any robot moves: every item, refused and passed; structure decides where it
+can."""
 
 import json
 from dataclasses import replace
@@ -19,13 +20,16 @@ DO = FunctionAction("actions.do", "do")
 
 
 def make_plan(builder, resources=(), idle=(), **more):
-    """A plan with a robot for every token in an action place, and an action in every one that is not ``idle``."""
+    """A plan with a robot for every token in an action place, and an action in every one that is
+    not ``idle``."""
     net = builder.build()
     robots = [p.name for p in net.places if p.name not in resources for _ in range(p.tokens)]
     return Plan(
         net=net,
         resource_places=frozenset(resources),
-        actions={p.name: None if p.name in idle else DO for p in net.places if p.name not in resources},
+        actions={
+            p.name: None if p.name in idle else DO for p in net.places if p.name not in resources
+        },
         robots=tuple(RobotSpec("robot_%d" % i, place) for i, place in enumerate(robots, 1)),
         **more,
     )
@@ -36,18 +40,29 @@ def severities(report, name):
 
 
 def loop():
-    return (NetBuilder("loop").place("a", tokens=2).place("b")
-            .exponential("go", inputs="a", outputs="b", servers=None)
-            .exponential("back", inputs="b", outputs="a", servers=None))  # fmt: skip
+    return (
+        NetBuilder("loop")
+        .place("a", tokens=2)
+        .place("b")
+        .exponential("go", inputs="a", outputs="b", servers=None)
+        .exponential("back", inputs="b", outputs="a", servers=None)
+    )
 
 
 def choice():
     """Robots in ``d`` choose; ``alone`` is for one, ``meet`` for two."""
-    return (NetBuilder("choice").place("a", tokens=2).place("d").place("b").place("c")
-            .exponential("arrive", inputs="a", outputs="d", servers=None)
-            .immediate("alone", inputs="d", outputs="b").immediate("meet", inputs={"d": 2}, outputs={"c": 2})
-            .exponential("b_back", inputs="b", outputs="a", servers=None)
-            .exponential("c_back", inputs="c", outputs="a", servers=None))  # fmt: skip
+    return (
+        NetBuilder("choice")
+        .place("a", tokens=2)
+        .place("d")
+        .place("b")
+        .place("c")
+        .exponential("arrive", inputs="a", outputs="d", servers=None)
+        .immediate("alone", inputs="d", outputs="b")
+        .immediate("meet", inputs={"d": 2}, outputs={"c": 2})
+        .exponential("b_back", inputs="b", outputs="a", servers=None)
+        .exponential("c_back", inputs="c", outputs="a", servers=None)
+    )
 
 
 def policy(*rows, places=("d",)):
@@ -66,7 +81,9 @@ def test_fifty_robots_and_two_hundred_places_are_decided_by_structure():
         builder.place("p%d" % i, tokens=int(i % 4 == 0))
     for i in range(200):
         for step in (1, 7):
-            builder.exponential("t%d_%d" % (i, step), inputs="p%d" % i, outputs="p%d" % ((i + step) % 200))
+            builder.exponential(
+                "t%d_%d" % (i, step), inputs="p%d" % i, outputs="p%d" % ((i + step) % 200)
+            )
     report = check(make_plan(builder))
     assert len(make_plan(builder).robots) == 50
     assert report.exit_code == 0 and report.states == 0
@@ -126,12 +143,20 @@ def test_a_transition_without_robots_cannot_make_one():
 
 def test_timeless_cycles():
     def ring(weight_out):
-        return (NetBuilder("ring").place("a", tokens=1).place("x").place("y").place("b")
-                .exponential("start", inputs="a", outputs="x")
-                .immediate("xy", inputs="x", outputs="y").immediate("yx", inputs="y", outputs="x")
-                .immediate("out", inputs={"y": weight_out}, outputs={"b": weight_out}))  # fmt: skip
+        return (
+            NetBuilder("ring")
+            .place("a", tokens=1)
+            .place("x")
+            .place("y")
+            .place("b")
+            .exponential("start", inputs="a", outputs="x")
+            .immediate("xy", inputs="x", outputs="y")
+            .immediate("yx", inputs="y", outputs="x")
+            .immediate("out", inputs={"y": weight_out}, outputs={"b": weight_out})
+        )
 
-    # An action on the way takes time; without one the robot goes round for ever, unless there is a way out.
+    # An action on the way takes time; without one the robot goes round for ever, unless there is a
+    # way out.
     assert severities(check(make_plan(ring(1), idle=["x"])), "timeless_cycle") == [Severity.OK]
     (item,) = check(make_plan(ring(1), idle=["x", "y"])).of("timeless_cycle")
     assert item.severity is Severity.OK and item.details["decided_by"] == "exploration"
@@ -139,23 +164,34 @@ def test_timeless_cycles():
     assert item.severity is Severity.REFUSED and item.details["sequence"] == ["start"]
     assert item.details["cycle"] in (["x", "xy", "y", "yx", "x"], ["y", "yx", "x", "xy", "y"])
     # The policy can close the way out.
-    closed = make_plan(ring(1), idle=["x", "y"], policy=policy(((None,), {"xy": 0.5, "yx": 0.5}), places=("x",)))
+    closed = make_plan(
+        ring(1), idle=["x", "y"], policy=policy(((None,), {"xy": 0.5, "yx": 0.5}), places=("x",))
+    )
     assert severities(check(closed), "timeless_cycle") == [Severity.REFUSED]
 
 
 def test_an_immediate_source_never_stops():
-    report = check(make_plan(loop().place("count").immediate("spin", outputs="count"), resources=["count"]))
+    report = check(
+        make_plan(loop().place("count").immediate("spin", outputs="count"), resources=["count"])
+    )
     assert severities(report, "timeless_cycle") == [Severity.REFUSED]
 
 
 def crossing():
     """Two robots that each hold one tool and want the other's."""
-    return (NetBuilder("crossing").place("left", tokens=1).place("right", tokens=1).place("l1").place("r1")
-            .place("t1", tokens=1).place("t2", tokens=1)
-            .exponential("take1", inputs=["left", "t1"], outputs="l1")
-            .exponential("take2", inputs=["right", "t2"], outputs="r1")
-            .exponential("both1", inputs=["l1", "t2"], outputs=["left", "t1", "t2"])
-            .exponential("both2", inputs=["r1", "t1"], outputs=["right", "t1", "t2"]))  # fmt: skip
+    return (
+        NetBuilder("crossing")
+        .place("left", tokens=1)
+        .place("right", tokens=1)
+        .place("l1")
+        .place("r1")
+        .place("t1", tokens=1)
+        .place("t2", tokens=1)
+        .exponential("take1", inputs=["left", "t1"], outputs="l1")
+        .exponential("take2", inputs=["right", "t2"], outputs="r1")
+        .exponential("both1", inputs=["l1", "t2"], outputs=["left", "t1", "t2"])
+        .exponential("both2", inputs=["r1", "t1"], outputs=["right", "t1", "t2"])
+    )
 
 
 def test_dead_markings_come_with_a_firing_sequence():
@@ -168,8 +204,12 @@ def test_dead_markings_come_with_a_firing_sequence():
 
 
 def test_smaller_teams_are_covered():
-    builder = (NetBuilder("pair").place("a", tokens=1).place("b", tokens=1)
-               .exponential("both", inputs=["a", "b"], outputs=["a", "b"]))  # fmt: skip
+    builder = (
+        NetBuilder("pair")
+        .place("a", tokens=1)
+        .place("b", tokens=1)
+        .exponential("both", inputs=["a", "b"], outputs=["a", "b"])
+    )
     report = check(make_plan(builder))
     assert severities(report, "dead_markings") == [Severity.OK]
     assert report.of("dead_after_loss")[0].details["sequence"][0].startswith("(robot lost in ")
@@ -188,18 +228,29 @@ def test_what_a_lost_robot_held_can_come_back():
 
 
 def test_robots_at_an_end_are_not_dead():
-    builder = NetBuilder("end").place("a", tokens=1).place("end").exponential("go", inputs="a", outputs="end")
+    builder = (
+        NetBuilder("end")
+        .place("a", tokens=1)
+        .place("end")
+        .exponential("go", inputs="a", outputs="end")
+    )
     report = check(make_plan(builder))
     assert severities(report, "dead_markings") == [Severity.OK]
 
 
 def test_until_is_an_end():
-    plan = make_plan(crossing(), resources=["t1", "t2"], timing=Timing(evict_after=0), until="l1 == 1 and r1 == 1")
+    plan = make_plan(
+        crossing(),
+        resources=["t1", "t2"],
+        timing=Timing(evict_after=0),
+        until="l1 == 1 and r1 == 1",
+    )
     assert severities(check(plan), "dead_markings") == [Severity.OK]
 
 
 def test_markings_are_untimed():
-    """A robot that decides is busy with its action meanwhile, so two can be in the decision place."""
+    """A robot that decides is busy with its action meanwhile, so two can be in the decision
+    place."""
     rows = policy(((1,), {"alone": 1.0}))
     (gap,) = check(make_plan(choice(), policy=rows)).of("policy")
     assert gap.details["marking"] == {"d": 2} and gap.severity is Severity.WARNING
@@ -217,31 +268,45 @@ def test_policy_gaps_of_a_strict_plan_are_refused():
 def test_gaps_only_where_the_policy_leads():
     """Row 1 sends the first robot on at once; but untimed, the second may arrive before it goes."""
     rows = policy(((0, None), {"alone": 1.0}), ((None, 1), {"alone": 1.0}), places=("c", "d"))
-    assert severities(check(make_plan(choice(), policy=rows, strict=True)), "policy") == [Severity.OK]
+    assert severities(check(make_plan(choice(), policy=rows, strict=True)), "policy") == [
+        Severity.OK
+    ]
 
 
 def test_a_policy_that_keeps_everybody_waiting():
     rows = policy(((None,), {"meet": 1.0}))
     plan = make_plan(choice(), policy=rows)
     assert severities(check(plan), "dead_markings") == [Severity.OK]
-    three = make_plan(choice().place("far", tokens=1).exponential("near", inputs="far", outputs="b"), policy=rows)
+    three = make_plan(
+        choice().place("far", tokens=1).exponential("near", inputs="far", outputs="b"), policy=rows
+    )
     assert severities(check(three), "dead_markings") == [Severity.OK]
     odd = check(make_plan(choice(), policy=rows).for_robots(1))
     assert odd.of("dead_markings")[0].details["marking"] == {"d": 1}
 
 
 def test_rows_that_speak_of_nobody_there():
-    builder = choice().place("e").exponential("to_e", inputs="a", outputs="e").immediate(
-        "e_alone", inputs="e", outputs="b").immediate("e_too", inputs="e", outputs="c")  # fmt: skip
+    builder = (
+        choice()
+        .place("e")
+        .exponential("to_e", inputs="a", outputs="e")
+        .immediate("e_alone", inputs="e", outputs="b")
+        .immediate("e_too", inputs="e", outputs="c")
+    )
     report = check(make_plan(builder, policy=policy(((None,), {"alone": 1.0}))))
     assert any(item.details.get("places") == ["e"] for item in report.of("policy"))
 
 
 def test_weights_decide_without_a_policy_but_not_with_weight_zero():
     assert severities(check(make_plan(choice())), "policy") == [Severity.OK]
-    zero = (NetBuilder("zero").place("a", tokens=1).place("d").exponential("go", inputs="a", outputs="d")
-            .immediate("x", weight=0, inputs="d", outputs="a")
-            .immediate("y", weight=0, inputs="d", outputs="a"))  # fmt: skip
+    zero = (
+        NetBuilder("zero")
+        .place("a", tokens=1)
+        .place("d")
+        .exponential("go", inputs="a", outputs="d")
+        .immediate("x", weight=0, inputs="d", outputs="a")
+        .immediate("y", weight=0, inputs="d", outputs="a")
+    )
     report = check(make_plan(zero))
     assert report.of("policy")[0].details["marking"] == {"d": 1}
 
@@ -253,13 +318,21 @@ def test_overlapping_rows_are_reported():
 
 
 def test_counters_and_resource_bounds():
-    builder = (loop().place("done").place("tool", tokens=3)
-               .exponential("use", inputs=["a", "tool"], outputs=["a", "tool", "done"], servers=None))  # fmt: skip
+    builder = (
+        loop()
+        .place("done")
+        .place("tool", tokens=3)
+        .exponential("use", inputs=["a", "tool"], outputs=["a", "tool", "done"], servers=None)
+    )
     report = check(make_plan(builder, resources=["done", "tool"]))
     assert report.of("counters")[0].details["places"] == ["done"]
     assert report.of("resource_bounds")[0].details["bounds"] == {"tool": 3}
-    growing = (loop().place("heap").exponential("add", inputs="a", outputs=["a", "heap"], servers=None)
-               .exponential("use", inputs=["b", "heap"], outputs="b", servers=None))  # fmt: skip
+    growing = (
+        loop()
+        .place("heap")
+        .exponential("add", inputs="a", outputs=["a", "heap"], servers=None)
+        .exponential("use", inputs=["b", "heap"], outputs="b", servers=None)
+    )
     report = check(make_plan(growing, resources=["heap"]), limit=500)
     assert report.exit_code == 0
     assert severities(report, "resource_bounds") == [Severity.WARNING]
@@ -270,16 +343,23 @@ def test_counters_and_resource_bounds():
 def test_a_counter_that_the_policy_reads_is_not_left_out():
     builder = choice().place("count").exponential("tick", inputs="a", outputs=["a", "count"])
     reading = policy(((None, 0), {"alone": 1.0}), places=("d", "count"))
-    assert not check(make_plan(builder, resources=["count"], policy=reading), limit=300).of("counters")
+    assert not check(make_plan(builder, resources=["count"], policy=reading), limit=300).of(
+        "counters"
+    )
     not_reading = policy(((None, None), {"alone": 1.0}), places=("d", "count"))
-    assert check(make_plan(builder, resources=["count"], policy=not_reading), limit=300).of("counters")
+    assert check(make_plan(builder, resources=["count"], policy=not_reading), limit=300).of(
+        "counters"
+    )
 
 
 def test_servers_of_transitions_and_places_that_decide():
     single = NetBuilder("single").place("a", tokens=2).exponential("go", inputs="a", outputs="a")
     (item,) = check(make_plan(single)).of("servers")
-    assert (item.details["transitions"], item.severity) == (["go"], Severity.OK)  # nothing was said of servers
-    two = NetBuilder("two").place("a", tokens=2).exponential("go", inputs="a", outputs="a", servers=2)
+    # nothing was said of servers
+    assert (item.details["transitions"], item.severity) == (["go"], Severity.OK)
+    two = (
+        NetBuilder("two").place("a", tokens=2).exponential("go", inputs="a", outputs="a", servers=2)
+    )
     (item,) = check(make_plan(two)).of("servers")
     assert (item.details["transitions"], item.severity) == (["go"], Severity.WARNING)
     assert check(make_plan(choice())).of("decision_actions")[0].details["places"] == ["d"]
@@ -308,12 +388,20 @@ def test_servers_that_do_not_answer_are_refused():
     assert check(plan, server_probe=lambda *_: None).exit_code == 0
 
 
-@pytest.mark.parametrize("until", ["done >= 12", "12 <= done", "done > 11", "done >= 100000 or done >= 12"])
+@pytest.mark.parametrize(
+    "until", ["done >= 12", "12 <= done", "done > 11", "done >= 100000 or done >= 12"]
+)
 def test_what_comes_after_the_end_is_not_explored(until):
     """A counter that only ``until`` reads has no bound but the end of the run."""
-    builder = (NetBuilder("n").place("a", tokens=2).place("d").place("done")
-               .exponential("work", inputs="a", outputs=["d", "done"], servers=None)
-               .immediate("x", inputs="d", outputs="a").immediate("y", inputs="d", outputs="a"))  # fmt: skip
+    builder = (
+        NetBuilder("n")
+        .place("a", tokens=2)
+        .place("d")
+        .place("done")
+        .exponential("work", inputs="a", outputs=["d", "done"], servers=None)
+        .immediate("x", inputs="d", outputs="a")
+        .immediate("y", inputs="d", outputs="a")
+    )
     rows = Policy.from_table(["a"], [([1], {"x": 1})])
     report = check(make_plan(builder, resources=["done"], policy=rows, until=until), limit=500)
     assert report.complete
@@ -326,8 +414,11 @@ def test_limit_and_cancel():
     plan = make_plan(crossing(), resources=["t1", "t2"])
     report = check(plan, limit=2)
     assert not report.complete and report.exit_code == 0
-    assert all("decided within" in i.text or i.details.get("sequence") for i in report.items
-               if i.severity is Severity.WARNING and i.check != "servers")  # fmt: skip
+    assert all(
+        "decided within" in i.text or i.details.get("sequence")
+        for i in report.items
+        if i.severity is Severity.WARNING and i.check != "servers"
+    )
     with pytest.raises(CancelledError):
         check(plan, cancel=lambda: True)
 

@@ -1,4 +1,5 @@
-"""Liveness, home states, coverability, boundedness: known nets, and the definitions on generated ones."""
+"""Liveness, home states, coverability, boundedness: known nets, and the definitions on generated
+ones."""
 
 import pytest
 from generated_nets import bounded_nets, reference_space
@@ -58,11 +59,17 @@ def test_the_tree_of_a_bounded_net_is_its_state_space(net):
 
 
 def producer_consumer():
-    return (NetBuilder("producer").place("ready", tokens=1).place("made").place("buffer")
-            .exponential("make", inputs="ready", outputs="made")
-            .exponential("put", inputs="made", outputs=["ready", "buffer"])
-            .exponential("get", inputs={"buffer": 2})
-            .exponential("never", inputs=["ready", "made"]).build())  # fmt: skip
+    return (
+        NetBuilder("producer")
+        .place("ready", tokens=1)
+        .place("made")
+        .place("buffer")
+        .exponential("make", inputs="ready", outputs="made")
+        .exponential("put", inputs="made", outputs=["ready", "buffer"])
+        .exponential("get", inputs={"buffer": 2})
+        .exponential("never", inputs=["ready", "made"])
+        .build()
+    )
 
 
 def test_unbounded_net():
@@ -92,7 +99,12 @@ def test_analysis_of_an_unbounded_net():
 
 def test_a_time_that_only_finitely_many_markings_matter_for_is_known_in_an_unbounded_net():
     """The first time that a queue is n long, with arrivals as fast as services: n (n + 1) / 2."""
-    queue = NetBuilder("queue").place("jobs").exponential("come", outputs="jobs").exponential("go", inputs="jobs")
+    queue = (
+        NetBuilder("queue")
+        .place("jobs")
+        .exponential("come", outputs="jobs")
+        .exponential("go", inputs="jobs")
+    )
     analysis = Analysis(queue.build())
     assert analysis.first_passage("jobs >= 20").mean_time == pytest.approx(210, rel=1e-9)
     with pytest.raises(LimitError, match="unbounded"):
@@ -100,9 +112,16 @@ def test_a_time_that_only_finitely_many_markings_matter_for_is_known_in_an_unbou
 
 
 def test_counters_that_nothing_reads_are_left_out():
-    net = (NetBuilder("counting").place("up", tokens=1).place("down").place("failures").place("broken")
-           .exponential("fail", rate=1, inputs="up", outputs=["down", "failures"])
-           .exponential("repair", rate=3, inputs="down", outputs="up").build())  # fmt: skip
+    net = (
+        NetBuilder("counting")
+        .place("up", tokens=1)
+        .place("down")
+        .place("failures")
+        .place("broken")
+        .exponential("fail", rate=1, inputs="up", outputs=["down", "failures"])
+        .exponential("repair", rate=3, inputs="down", outputs="up")
+        .build()
+    )
     analysis = Analysis(net)
     assert analysis.left_out == ("failures",)
     assert len(analysis.space) == 2
@@ -115,18 +134,34 @@ def test_counters_that_nothing_reads_are_left_out():
 
 
 def test_what_the_tree_cannot_judge_is_not_decided():
-    net = (NetBuilder().place("a").place("go", tokens=1)
-           .exponential("more", inputs="go", outputs=["go", "a"], inhibitors={"a": 50}).build())  # fmt: skip
+    net = (
+        NetBuilder()
+        .place("a")
+        .place("go", tokens=1)
+        .exponential("more", inputs="go", outputs=["go", "a"], inhibitors={"a": 50})
+        .build()
+    )
     with pytest.raises(LimitError, match="an inhibitor arc or a capacity"):
         CoverabilityTree(net)
     assert Analysis(net).boundedness == (True, {"a": 50, "go": 1}, "")
-    urgent = (NetBuilder().place("a").place("go", tokens=1)
-              .exponential("more", inputs="go", outputs=["go", "a"]).immediate("drain", inputs="a").build())  # fmt: skip
+    urgent = (
+        NetBuilder()
+        .place("a")
+        .place("go", tokens=1)
+        .exponential("more", inputs="go", outputs=["go", "a"])
+        .immediate("drain", inputs="a")
+        .build()
+    )
     assert Analysis(urgent).boundedness.bounds == {"a": 1, "go": 1}
     with pytest.raises(LimitError, match="higher priority"):
-        CoverabilityTree(NetBuilder().place("a").place("go", tokens=1)
-                         .exponential("more", inputs="go", outputs=["go", "a"])
-                         .immediate("drain", inputs={"a": 5}).build())  # fmt: skip
+        CoverabilityTree(
+            NetBuilder()
+            .place("a")
+            .place("go", tokens=1)
+            .exponential("more", inputs="go", outputs=["go", "a"])
+            .immediate("drain", inputs={"a": 5})
+            .build()
+        )
 
 
 def test_a_tree_too_large_is_said():

@@ -16,7 +16,9 @@ from gspn_framework_package.benchmark.nets import (
 )
 
 
-@pytest.mark.parametrize(("n", "states", "arcs"), [(1, 160, 616), (2, 4600, 28120), (3, 58400, 446400)])
+@pytest.mark.parametrize(
+    ("n", "states", "arcs"), [(1, 160, 616), (2, 4600, 28120), (3, 58400, 446400)]
+)
 @pytest.mark.parametrize("engine", ["numpy", "auto"])
 def test_kanban_states(n, states, arcs, engine):
     space = explore(kanban(n), engine=engine)
@@ -74,7 +76,9 @@ def test_philosophers_states(n, states):
     space = explore(philosophers(n))
     assert len(space) == states
     assert len(space.deadlocks) == 1
-    assert sorted(space.path_to(int(space.deadlocks[0]))) == sorted("take_left%d" % i for i in range(1, n + 1))
+    assert sorted(space.path_to(int(space.deadlocks[0]))) == sorted(
+        "take_left%d" % i for i in range(1, n + 1)
+    )
 
 
 def test_philosophers_starve_in_550_over_101_seconds():

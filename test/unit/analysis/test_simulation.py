@@ -1,4 +1,5 @@
-"""Simulation: agrees with the exact results inside its confidence intervals, at the stated rate; is reproducible."""
+"""Simulation: agrees with the exact results inside its confidence intervals, at the stated rate; is
+reproducible."""
 
 import math
 from pathlib import Path
@@ -12,20 +13,28 @@ from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.benchmark.nets import flexible_manufacturing, kanban, philosophers
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.errors import CancelledError, ExpressionError, RefusedError, UsageError
+from gspn_framework_package.model.errors import (
+    CancelledError,
+    ExpressionError,
+    RefusedError,
+    UsageError,
+)
 
 PLANS = Path(__file__).parents[3] / "plans"
 
 
 def test_intervals_hold_the_truth_at_the_stated_rate():
-    """Of 200 intervals of 90 % about 180 hold the mean time to starvation, 550/101 s; the bounds are those outside
-    of which a right program would be once in a million."""
+    """Of 200 intervals of 90 % about 180 hold the mean time to starvation, 550/101 s; the bounds
+    are those outside of which a right program would be once in a million."""
     held = 0
     for seed in range(200):
         estimate = simulate(
-            philosophers(4), until="think1+think2+think3+think4+eat1+eat2+eat3+eat4 == 0",
-            replications=40, seed=seed, confidence=0.9,
-        ).time_to_condition  # fmt: skip
+            philosophers(4),
+            until="think1+think2+think3+think4+eat1+eat2+eat3+eat4 == 0",
+            replications=40,
+            seed=seed,
+            confidence=0.9,
+        ).time_to_condition
         held += abs(estimate.mean - 550 / 101) <= estimate.half_width
     low, high = stats.binom.ppf([5e-7, 1 - 5e-7], 200, 0.9)
     assert low <= held <= high
@@ -35,14 +44,22 @@ def plan(name):
     return read_plan(PLANS / name)
 
 
-SUBJECTS = [kanban(1), flexible_manufacturing(1), plan("rendezvous"), plan("measure"), plan("patrol")]
+SUBJECTS = [
+    kanban(1),
+    flexible_manufacturing(1),
+    plan("rendezvous"),
+    plan("measure"),
+    plan("patrol"),
+]
 
 
 @pytest.mark.parametrize("subject", SUBJECTS, ids=lambda s: s.name)
 def test_long_runs_agree_with_the_steady_state(subject):
     measures = Analysis(subject).measures
     settled = Analysis(subject).time_to_steady_state(1e-4)
-    result = simulate(subject, time=6 * settled, warmup=settled, replications=1500, seed=1, confidence=0.99999)
+    result = simulate(
+        subject, time=6 * settled, warmup=settled, replications=1500, seed=1, confidence=0.99999
+    )
     for name, exact in measures.mean_tokens.items():
         estimate = result.mean_tokens[name]
         assert abs(estimate.mean - exact) <= estimate.half_width + 1e-9, name
@@ -51,7 +68,9 @@ def test_long_runs_agree_with_the_steady_state(subject):
         assert abs(estimate.mean - exact) <= estimate.half_width + 1e-9, name
     for name, exact in measures.token_distribution.items():
         for count, probability in exact.items():
-            assert result.token_distribution[name].get(count, 0.0) == pytest.approx(probability, abs=0.05)
+            assert result.token_distribution[name].get(count, 0.0) == pytest.approx(
+                probability, abs=0.05
+            )
 
 
 def test_first_passage_of_a_counter():
@@ -59,14 +78,25 @@ def test_first_passage_of_a_counter():
     exact = Analysis(subject).first_passage("P3 >= 4", [2.0])
     result = simulate(subject, until="P3 >= 4", replications=4000, seed=3, confidence=0.99999)
     assert result.reached.mean == 1.0
-    assert abs(result.time_to_condition.mean - exact.mean_time) <= result.time_to_condition.half_width
-    short = simulate(subject, until="P3 >= 4", time=2.0, replications=4000, seed=3, confidence=0.99999)
+    assert (
+        abs(result.time_to_condition.mean - exact.mean_time) <= result.time_to_condition.half_width
+    )
+    short = simulate(
+        subject, until="P3 >= 4", time=2.0, replications=4000, seed=3, confidence=0.99999
+    )
     assert abs(short.reached.mean - exact.within[0]) <= short.reached.half_width
 
 
 def test_a_run_until_nothing_is_enabled():
-    net = (NetBuilder().place("a", tokens=2).place("b").place("c").exponential("x", inputs="a", outputs="b")
-           .exponential("y", inputs="b", outputs="c").build())  # fmt: skip
+    net = (
+        NetBuilder()
+        .place("a", tokens=2)
+        .place("b")
+        .place("c")
+        .exponential("x", inputs="a", outputs="b")
+        .exponential("y", inputs="b", outputs="c")
+        .build()
+    )
     result = simulate(net, until="deadlock", replications=2000, seed=3)
     assert result.reached.mean == 1.0
     expected = Analysis(net).first_passage("deadlock").mean_time
@@ -95,7 +125,13 @@ def test_an_unbounded_net():
 
 
 def test_a_dead_marking_is_kept_until_the_end():
-    net = NetBuilder().place("a", tokens=1).place("b").exponential("t", rate=1e6, inputs="a", outputs="b").build()
+    net = (
+        NetBuilder()
+        .place("a", tokens=1)
+        .place("b")
+        .exponential("t", rate=1e6, inputs="a", outputs="b")
+        .build()
+    )
     result = simulate(net, time=10.0, replications=10)
     assert result.mean_tokens["b"].mean == pytest.approx(1.0, abs=1e-4)
     assert result.end_time == (10.0, 0.0)
@@ -119,8 +155,14 @@ def test_what_makes_no_sense(options, error, message):
 
 
 def test_a_timeless_trap_is_noticed():
-    net = (NetBuilder().place("a", tokens=1).place("b").immediate("ab", inputs="a", outputs="b")
-           .immediate("ba", inputs="b", outputs="a").build())  # fmt: skip
+    net = (
+        NetBuilder()
+        .place("a", tokens=1)
+        .place("b")
+        .immediate("ab", inputs="a", outputs="b")
+        .immediate("ba", inputs="b", outputs="a")
+        .build()
+    )
     with pytest.raises(RefusedError, match="without time"):
         simulate(net, time=1.0, replications=2)
 

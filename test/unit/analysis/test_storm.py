@@ -1,4 +1,5 @@
-"""Storm agrees: state counts, steady state, transient and first passage on generated nets, to 1e-6."""
+"""Storm agrees: state counts, steady state, transient and first passage on generated nets, to
+1e-6."""
 
 import math
 import os
@@ -17,7 +18,9 @@ from gspn_framework_package.analysis.steady_state import steady_state
 from gspn_framework_package.analysis.transient import transient
 from gspn_framework_package.model.errors import RefusedError
 
-pytest.importorskip("stormpy", reason="stormpy has no wheel for this Python; it is an oracle of the tests only")
+pytest.importorskip(
+    "stormpy", reason="stormpy has no wheel for this Python; it is an oracle of the tests only"
+)
 from storm_oracle import Storm
 
 EXAMPLES = int(os.environ.get("GSPN_STORM_EXAMPLES", "25"))
@@ -28,15 +31,19 @@ def storm_is_right_about(net):
     """Whether stormpy 2.0 gets the net right. Found by these very tests, and checked by hand:
 
     * a place that no firing changes is taken for empty in labels;
-    * beside immediate transitions, exponential ones with the same effect count once, not with the sum of their rates;
-    * with several servers and an input arc of weight 2, three tokens count as one and a half firings at once.
+    * beside immediate transitions, exponential ones with the same effect count once, not with the
+      sum of their rates;
+    * with several servers and an input arc of weight 2, three tokens count as one and a half
+      firings at once.
     """
     timed = [t for t, transition in enumerate(net.transitions) if transition.timed]
     effects = [sorted(net.effect(t)) for t in timed]
     return (
         all(net.producers[p] or net.consumers[p] for p in range(len(net.places)))
         and all(effects.count(effect) == 1 for effect in effects)
-        and all(net.transitions[t].servers == 1 or all(w == 1 for _, w in net.inputs[t]) for t in timed)
+        and all(
+            net.transitions[t].servers == 1 or all(w == 1 for _, w in net.inputs[t]) for t in timed
+        )
     )
 
 
@@ -72,7 +79,8 @@ def test_steady_state(net):
 @given(bounded_nets(), st.sampled_from([0.1, 1.0, 7.5]), st.integers(0, 3), st.integers(1, 2))
 def test_transient(net, time, which, count):
     chain = chain_of(net)
-    assume(not explore(net).is_vanishing[0])  # Storm loses the labels when it eliminates the initial state
+    # Storm loses the labels when it eliminates the initial state
+    assume(not explore(net).is_vanishing[0])
     place = net.places[which % len(net.places)].name
     tokens = Measures(chain, transient(chain, [time])[0].distribution).token_distribution
     theirs, kind = Storm(net).at("(%s >= %d)" % (place, count), time)
@@ -90,7 +98,9 @@ def test_first_passage(net, time, which, count):
     storm = Storm(net)
     assert passage.probability == pytest.approx(storm.probability("(%s)" % condition), abs=1e-6)
     if passage.probability == 1.0:
-        assert passage.mean_time == pytest.approx(storm.mean_time("(%s)" % condition), rel=1e-6, abs=1e-6)
+        assert passage.mean_time == pytest.approx(
+            storm.mean_time("(%s)" % condition), rel=1e-6, abs=1e-6
+        )
     else:
         assert math.isinf(passage.mean_time)
     theirs, kind = storm.within("(%s)" % condition, time)

@@ -7,7 +7,11 @@ from generated_nets import bounded_nets
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gspn_framework_package.analysis.invariants import invariant_bounds, place_invariants, transition_invariants
+from gspn_framework_package.analysis.invariants import (
+    invariant_bounds,
+    place_invariants,
+    transition_invariants,
+)
 from gspn_framework_package.analysis.siphons import (
     largest_siphon,
     largest_trap,
@@ -26,8 +30,11 @@ relaxed = settings(deadline=None, suppress_health_check=list(HealthCheck))
 
 
 def is_minimal(supports):
-    return all(not (a < b or b < a) and (a != b or i == j)
-               for i, a in enumerate(supports) for j, b in enumerate(supports))  # fmt: skip
+    return all(
+        not (a < b or b < a) and (a != b or i == j)
+        for i, a in enumerate(supports)
+        for j, b in enumerate(supports)
+    )
 
 
 @relaxed
@@ -37,18 +44,23 @@ def test_place_invariants_by_definition(net):
     for invariant in found:
         assert all(w > 0 for w in invariant.weights.values())
         for t in range(len(net.transitions)):
-            assert sum(c * invariant.weights.get(net.places[p].name, 0) for p, c in net.effect(t)) == 0
+            assert (
+                sum(c * invariant.weights.get(net.places[p].name, 0) for p, c in net.effect(t)) == 0
+            )
     assert is_minimal([set(i.weights) for i in found])
     for marking in explore(net).markings().tolist():
         for invariant in found:
             counts = dict(zip((p.name for p in net.places), marking))
             assert sum(w * counts[p] for p, w in invariant.weights.items()) == invariant.value
-    # All minimal ones: in small weights there is none whose support holds no support that was found.
+    # All minimal ones: in small weights there is none whose support holds no support that was
+    # found.
     supports = [set(i.weights) for i in found]
     for weights in itertools.product(range(3), repeat=len(net.places)):
         named = {p.name: w for p, w in zip(net.places, weights) if w}
-        if named and all(sum(c * named.get(net.places[p].name, 0) for p, c in net.effect(t)) == 0
-                         for t in range(len(net.transitions))):  # fmt: skip
+        if named and all(
+            sum(c * named.get(net.places[p].name, 0) for p, c in net.effect(t)) == 0
+            for t in range(len(net.transitions))
+        ):
             assert any(s <= set(named) for s in supports)
 
 
@@ -86,15 +98,16 @@ def test_invariant_bounds_hold(net):
 
 
 def subsets_by_definition(net, feeding, support):
-    """All minimal non-empty sets of places that hold an item of ``support[t]`` for every ``t`` that feeds them."""
+    """All minimal non-empty sets of places that hold an item of ``support[t]`` for every ``t`` that
+    feeds them."""
     places = range(len(net.places))
     sets = []
     for size in range(1, len(net.places) + 1):
         for chosen in itertools.combinations(places, size):
             inside = set(chosen)
-            if all({p for p, _ in support[t]} & inside for p in inside for t in feeding[p]) and not any(
-                smaller < inside for smaller in sets
-            ):
+            if all(
+                {p for p, _ in support[t]} & inside for p in inside for t in feeding[p]
+            ) and not any(smaller < inside for smaller in sets):
                 sets.append(inside)
     return {frozenset(net.places[p].name for p in s) for s in sets}
 
@@ -103,8 +116,12 @@ def subsets_by_definition(net, feeding, support):
 @given(bounded_nets(max_places=5, max_transitions=7))
 def test_siphons_and_traps_by_definition(net):
     siphons, traps = minimal_siphons(net), minimal_traps(net)
-    assert {frozenset(s.places) for s in siphons} == subsets_by_definition(net, net.producers, net.inputs)
-    assert {frozenset(s.places) for s in traps} == subsets_by_definition(net, net.consumers, net.outputs)
+    assert {frozenset(s.places) for s in siphons} == subsets_by_definition(
+        net, net.producers, net.inputs
+    )
+    assert {frozenset(s.places) for s in traps} == subsets_by_definition(
+        net, net.consumers, net.outputs
+    )
     for found in siphons + traps:
         assert found.marked == any(net.place(p).tokens for p in found.places)
 
@@ -133,7 +150,8 @@ def test_what_is_decided_without_a_list(net, numbers):
 
 
 def sets_by_definition(net, feeding, support):
-    """All non-empty sets of places that hold an item of ``support[t]`` for every ``t`` that feeds them."""
+    """All non-empty sets of places that hold an item of ``support[t]`` for every ``t`` that feeds
+    them."""
     places = range(len(net.places))
     return {
         frozenset(net.places[p].name for p in chosen)
@@ -179,12 +197,24 @@ def test_classes():
     def cycle():
         return NetBuilder().place("a", tokens=1).place("b")
 
-    ring = cycle().exponential("t", inputs="a", outputs="b").exponential("u", inputs="b", outputs="a").build()
+    ring = (
+        cycle()
+        .exponential("t", inputs="a", outputs="b")
+        .exponential("u", inputs="b", outputs="a")
+        .build()
+    )
     classes = classify(ring)
     assert classes.state_machine and classes.marked_graph and classes.free_choice and classes.pure
-    choice = cycle().exponential("t", inputs="a", outputs="b").exponential("u", inputs=["a", "b"]).build()
+    choice = (
+        cycle()
+        .exponential("t", inputs="a", outputs="b")
+        .exponential("u", inputs=["a", "b"])
+        .build()
+    )
     classes = classify(choice)
-    assert not classes.free_choice and not classes.extended_free_choice and classes.asymmetric_choice
+    assert (
+        not classes.free_choice and not classes.extended_free_choice and classes.asymmetric_choice
+    )
     weighted = cycle().exponential("t", inputs={"a": 2}, outputs="b").build()
     assert not classify(weighted).ordinary
     loop = cycle().exponential("t", inputs="a", outputs="a").build()
@@ -201,10 +231,16 @@ def test_asymmetric_choice_by_definition(net):
 
 
 def test_conflicts_through_inhibitor_arcs_and_priorities():
-    net = (NetBuilder().place("a", tokens=1).place("b", tokens=1).place("c")
-           .immediate("fills", inputs="a", outputs="c").immediate("shy", inputs="b", inhibitors="c")
-           .immediate("other", priority=2, inputs="a")
-           .build())  # fmt: skip
+    net = (
+        NetBuilder()
+        .place("a", tokens=1)
+        .place("b", tokens=1)
+        .place("c")
+        .immediate("fills", inputs="a", outputs="c")
+        .immediate("shy", inputs="b", inhibitors="c")
+        .immediate("other", priority=2, inputs="a")
+        .build()
+    )
     assert conflict_sets(net) == [("fills", "shy")]
 
 
@@ -220,8 +256,11 @@ def test_limits_are_said():
         for i in range(3):
             builder.place("p%d_%d" % (layer, i))
     for layer in range(12):
-        builder.exponential("t%d" % layer, inputs=["p%d_%d" % (layer, i) for i in range(3)],
-                            outputs=["p%d_%d" % ((layer + 1) % 12, i) for i in range(3)])  # fmt: skip
+        builder.exponential(
+            "t%d" % layer,
+            inputs=["p%d_%d" % (layer, i) for i in range(3)],
+            outputs=["p%d_%d" % ((layer + 1) % 12, i) for i in range(3)],
+        )
     net = builder.build()
     with pytest.raises(LimitError, match="too much work"):
         place_invariants(net, limit=1000)

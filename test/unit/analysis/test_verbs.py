@@ -49,7 +49,9 @@ def test_the_json_of_a_net(run, saved):
     assert data["live"] is True and set(data["liveness"].values()) == {"L4"}
     assert data["reversible"] is True and data["conservative"] is True
     assert len(data["place_invariants"]) == 6
-    assert {"weights": {"free1": 1, "machine1": 1, "rework1": 1, "out1": 1}, "value": 1} in data["place_invariants"]
+    assert {"weights": {"free1": 1, "machine1": 1, "rework1": 1, "out1": 1}, "value": 1} in data[
+        "place_invariants"
+    ]
     assert {"weights": {"fail1": 1, "back1": 1}} in data["transition_invariants"]
     assert len(data["siphons"]) == 6 and all(s["marked"] for s in data["siphons"] + data["traps"])
     steady = data["steady_state"]
@@ -70,10 +72,27 @@ def test_what_is_left_out_is_null_and_says_so(run, saved):
 
 def test_questions(run, saved):
     code, out, _ = run(
-        "analyse", saved(philosophers(4)), "--json", "--no-structure", "--at", 1, 5, "--reach", "deadlock",
-        "--reach", "eat1 + eat2 + eat3 + eat4 == 3", "--cover", "eat1=1,eat3=1", "--mean-time-to", "deadlock",
-        "--time-to-steady-state", "--reward", "eat1=2", "--reward", "put1=1",
-    )  # fmt: skip
+        "analyse",
+        saved(philosophers(4)),
+        "--json",
+        "--no-structure",
+        "--at",
+        1,
+        5,
+        "--reach",
+        "deadlock",
+        "--reach",
+        "eat1 + eat2 + eat3 + eat4 == 3",
+        "--cover",
+        "eat1=1,eat3=1",
+        "--mean-time-to",
+        "deadlock",
+        "--time-to-steady-state",
+        "--reward",
+        "eat1=2",
+        "--reward",
+        "put1=1",
+    )
     data = json.loads(out)
     assert code == 0 and data["siphons"] is None
     assert [r["reachable"] for r in data["reach"]] == [True, False]
@@ -95,16 +114,28 @@ def test_a_plan_is_analysed_under_its_policy(run):
     _, out, _ = run("analyse", PLANS / "measure", "--only-net", "--json")
     net = json.loads(out)
     assert (plan["kind"], net["kind"]) == ("plan", "net")
-    assert plan["left_out"] == ["P3"] and plan["bounds"]["P3"] == "infinite" and plan["bounded"] is False
+    assert (
+        plan["left_out"] == ["P3"]
+        and plan["bounds"]["P3"] == "infinite"
+        and plan["bounded"] is False
+    )
     assert plan["steady_state"]["throughput"] != net["steady_state"]["throughput"]
     assert plan["undecided"].keys() == {"steady_state.mean_tokens.P3"}
 
 
 def test_what_is_not_decided_is_null_with_its_reason(run, saved):
-    net = (NetBuilder("growing").place("a", tokens=1).place("heap").place("free").place("end")
-           .exponential("add", inputs="a", outputs=["a", "heap"]).exponential("take", inputs={"heap": 2})
-           .immediate("x", weight=0, inputs="free", outputs="end")
-           .immediate("y", weight=0, inputs="free").build())  # fmt: skip
+    net = (
+        NetBuilder("growing")
+        .place("a", tokens=1)
+        .place("heap")
+        .place("free")
+        .place("end")
+        .exponential("add", inputs="a", outputs=["a", "heap"])
+        .exponential("take", inputs={"heap": 2})
+        .immediate("x", weight=0, inputs="free", outputs="end")
+        .immediate("y", weight=0, inputs="free")
+        .build()
+    )
     code, out, _ = run("analyse", saved(net), "--json", "--limit", 200, "--reach", "end >= 1")
     data = json.loads(out)
     assert code == 0 and data["bounded"] is False and data["bounds"]["heap"] == "infinite"
@@ -115,8 +146,14 @@ def test_what_is_not_decided_is_null_with_its_reason(run, saved):
 
 
 def test_nobody_decides(run, saved):
-    net = (NetBuilder("open").place("a", tokens=1).place("b").immediate("x", weight=0, inputs="a", outputs="b")
-           .immediate("y", weight=0, inputs="a", outputs="b").build())  # fmt: skip
+    net = (
+        NetBuilder("open")
+        .place("a", tokens=1)
+        .place("b")
+        .immediate("x", weight=0, inputs="a", outputs="b")
+        .immediate("y", weight=0, inputs="a", outputs="b")
+        .build()
+    )
     code, out, _ = run("analyse", saved(net), "--json")
     data = json.loads(out)
     assert code == 0 and data["steady_state"] is None
@@ -124,7 +161,9 @@ def test_nobody_decides(run, saved):
 
 
 def test_text_and_csv(run, saved, tmp_path):
-    code, out, _ = run("analyse", saved(kanban(1)), "--csv", tmp_path / "numbers.csv", "--servers", "single")
+    code, out, _ = run(
+        "analyse", saved(kanban(1)), "--csv", tmp_path / "numbers.csv", "--servers", "single"
+    )
     assert code == 0
     assert "states: 160 (160 tangible, 0 vanishing), 616 arcs" in out
     assert "live: yes, reversible: yes" in out
@@ -139,19 +178,31 @@ def test_home_states_and_reversible_say_what_they_are_of(run):
     assert "live: yes, reversible: no (without P3: yes)\nhome states without P3: 8\n" in out
     data = json.loads(run("analyse", PLANS / "measure", "--json")[1])
     assert data["reversible"] is False
-    assert (data["home_states"]["count"], data["home_states"]["without"]) == (data["states"]["total"], ["P3"])
+    assert (data["home_states"]["count"], data["home_states"]["without"]) == (
+        data["states"]["total"],
+        ["P3"],
+    )
 
 
 def test_a_counter_that_nothing_feeds_does_not_keep_a_plan_from_its_beginning(run, tmp_path):
     net = {
-        "places": [{"name": "A", "tokens": 1}, {"name": "B"}, {"name": "Never"}, {"name": "Count", "tokens": 3}],
+        "places": [
+            {"name": "A", "tokens": 1},
+            {"name": "B"},
+            {"name": "Never"},
+            {"name": "Count", "tokens": 3},
+        ],
         "transitions": [{"name": t, "timed": True, "rate": 1} for t in ("go", "back", "count")],
         "arcs": [
-            {"from": "A", "to": "go"}, {"from": "go", "to": "B"}, {"from": "B", "to": "back"},
-            {"from": "back", "to": "A"}, {"from": "Never", "to": "count"}, {"from": "count", "to": "Never"},
+            {"from": "A", "to": "go"},
+            {"from": "go", "to": "B"},
+            {"from": "B", "to": "back"},
+            {"from": "back", "to": "A"},
+            {"from": "Never", "to": "count"},
+            {"from": "count", "to": "Never"},
             {"from": "count", "to": "Count"},
         ],
-    }  # fmt: skip
+    }
     plan = {"plan": "idle", "net": net, "resource_places": ["Count"], "robots": {"robot_1": "A"}}
     plan["actions"] = {"A": None, "B": None, "Never": None}
     (tmp_path / "plan.json").write_text(json.dumps(plan))
@@ -161,25 +212,53 @@ def test_a_counter_that_nothing_feeds_does_not_keep_a_plan_from_its_beginning(ru
 
 
 def test_a_reason_is_told_once_with_what_it_concerns(run):
-    words = "--limit", 100, "--no-structure", "--reach", "deadlock", "--mean-time-to", "deadlock", "--at", 1
+    words = (
+        "--limit",
+        100,
+        "--no-structure",
+        "--reach",
+        "deadlock",
+        "--mean-time-to",
+        "deadlock",
+        "--at",
+        1,
+    )
     code, out, _ = run("analyse", PLANS / "patrol", *words)
     lines = out.splitlines()
     told = [line for line in lines if "raise --limit" in line]
     assert code == 0 and len(told) == 1, out
     concerned = re.match("not decided: ([^:]*): within 101 states", told[0]).group(1).split(", ")
     assert concerned == [
-        "states", "bounded", "bounds", "live", "liveness", "dead_transitions", "reversible", "home_states",
-        "steady_state", "transient", "mean_time_to.deadlock",
-    ]  # fmt: skip
+        "states",
+        "bounded",
+        "bounds",
+        "live",
+        "liveness",
+        "dead_transitions",
+        "reversible",
+        "home_states",
+        "steady_state",
+        "transient",
+        "mean_time_to.deadlock",
+    ]
     assert lines[-1].startswith("gspn simulate estimates")
-    assert "gspn simulate" not in run("analyse", PLANS / "patrol", "--limit", 100, "--no-structure", "--no-time")[1]
-    assert "gspn simulate" not in run("analyse", PLANS / "measure", "--limit", 100, "--no-structure")[1]
+    assert (
+        "gspn simulate"
+        not in run("analyse", PLANS / "patrol", "--limit", 100, "--no-structure", "--no-time")[1]
+    )
+    assert (
+        "gspn simulate"
+        not in run("analyse", PLANS / "measure", "--limit", 100, "--no-structure")[1]
+    )
 
 
 def test_conservative_says_what_is_counted(run):
     _, analysed, _ = run("analyse", PLANS / "measure", "--no-time")
     assert "by structure, with the tokens of all places: conservative no" in analysed
-    assert "(resource places count too; gspn check says whether robots are created or destroyed)" in analysed
+    assert (
+        "(resource places count too; gspn check says whether robots are created or destroyed)"
+        in analysed
+    )
     _, checked, _ = run("check", PLANS / "measure")
     assert "every transition moves as many robots in as out, resource places aside" in checked
 
@@ -206,7 +285,18 @@ def test_wrong_usage_is_one_clear_message(run, saved, words, message):
 
 
 def test_simulate(run, saved, tmp_path):
-    words = ["simulate", saved(kanban(1)), "--servers", "single", "--time", 200, "--warmup", 100, "--replications", 50]
+    words = [
+        "simulate",
+        saved(kanban(1)),
+        "--servers",
+        "single",
+        "--time",
+        200,
+        "--warmup",
+        100,
+        "--replications",
+        50,
+    ]
     code, out, _ = run(*words, "--json", "--seed", 4, "--csv", tmp_path / "runs.csv")
     data = json.loads(out)
     assert code == 0 and data["seed"] == 4 and data["replications"] == 50
@@ -216,22 +306,35 @@ def test_simulate(run, saved, tmp_path):
     assert "intervals of 95 % confidence" in run(*words)[1]
     code, _, err = run("simulate", saved(kanban(1)))
     assert code == 2 and "how long is a run" in err
-    code, out, _ = run("simulate", PLANS / "measure", "--until", "P3 >= 2", "--json", "--replications", 20)
+    code, out, _ = run(
+        "simulate", PLANS / "measure", "--until", "P3 >= 2", "--json", "--replications", 20
+    )
     assert json.loads(out)["reached"]["mean"] == 1.0 and json.loads(out)["time"] is None
 
 
-@pytest.mark.parametrize("words", [[], ["--what", "throughput", "--only", "Fetched"], ["--what", "distribution"],
-                                   ["--what", "passage", "--condition", "Low == 1", "--time", "5"]])  # fmt: skip
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        ["--what", "throughput", "--only", "Fetched"],
+        ["--what", "distribution"],
+        ["--what", "passage", "--condition", "Low == 1", "--time", "5"],
+    ],
+)
 def test_plot(run, tmp_path, words):
     pytest.importorskip("matplotlib", reason="plots are optional")
-    code, _, err = run("plot", PLANS / "rendezvous", "-o", tmp_path / "picture.svg", "--points", 5, *words)
+    code, _, err = run(
+        "plot", PLANS / "rendezvous", "-o", tmp_path / "picture.svg", "--points", 5, *words
+    )
     assert (code, err) == (0, "")
     assert "<svg" in (tmp_path / "picture.svg").read_text()
 
 
 def test_curves_that_are_one_are_drawn_once():
     times = np.linspace(0.0, 1.0, 9)
-    groups = alike({"a": times, "b": 1 - times, "c": times + 1e-6, "d": times * 0.9, "e": 1 - times})
+    groups = alike(
+        {"a": times, "b": 1 - times, "c": times + 1e-6, "d": times * 0.9, "e": 1 - times}
+    )
     assert groups == [["a", "c"], ["b", "e"], ["d"]]
 
 
@@ -239,11 +342,16 @@ def test_every_curve_of_a_plot_can_be_told_apart(run, tmp_path, saved):
     pytest.importorskip("matplotlib", reason="plots are optional")
     builder = NetBuilder("many").place("start", tokens=1)
     for i in range(30):
-        builder.place("p%d" % i).exponential("t%d" % i, rate=1.0 + i, inputs="start", outputs="p%d" % i)
+        builder.place("p%d" % i).exponential(
+            "t%d" % i, rate=1.0 + i, inputs="start", outputs="p%d" % i
+        )
     path = tmp_path / "picture.svg"
     code, _, err = run("plot", saved(builder.build()), "-o", path, "--points", 5)
     assert code == 0 and "matplotlib" not in err and "Warning" not in err
-    lines = re.findall(r'<g id="line2d_\d+">\s*<path d="[^"]*" (?:clip-path="[^"]*" )?style="([^"]*)"', path.read_text())
+    lines = re.findall(
+        r'<g id="line2d_\d+">\s*<path d="[^"]*" (?:clip-path="[^"]*" )?style="([^"]*)"',
+        path.read_text(),
+    )
     styles = [style.replace(" ", "") for style in lines]  # Matplotlib 3.1 writes none
     curves = [style for style in styles if "stroke:#" in style and "stroke-width:1.5" in style]
     assert len(set(curves)) >= 30  # colour and line

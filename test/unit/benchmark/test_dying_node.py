@@ -1,4 +1,5 @@
-"""A process that dies while it writes its log leaves what a crash leaves, and the log can be taken up again."""
+"""A process that dies while it writes its log leaves what a crash leaves, and the log can be taken
+up again."""
 
 from __future__ import annotations
 
@@ -29,10 +30,14 @@ print("sent")
 
 
 @pytest.mark.parametrize("told, kinds", [("SIGUSR1", ["life"]), ("SIGUSR2", ["life", "active"])])
-def test_a_node_that_is_told_dies_in_its_next_write_or_right_after_it(tmp_path, told, kinds) -> None:
+def test_a_node_that_is_told_dies_in_its_next_write_or_right_after_it(
+    tmp_path, told, kinds
+) -> None:
     path = str(tmp_path / "r1.jsonl")
     EventLogWriter(path, header(PLAN, "run", "r1", "log1")).close()
-    done = subprocess.run([sys.executable, "-c", WRITE, path, told], stdout=subprocess.PIPE, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", WRITE, path, told], stdout=subprocess.PIPE, timeout=60
+    )
     assert (done.returncode, done.stdout) == (-signal.SIGKILL, b"")
     left = read_log(path)
     assert ([r["kind"] for r in left.records], left.cut) == (kinds, told == "SIGUSR1")

@@ -35,9 +35,14 @@ def test_latencies_tell_private_from_coordinated_moves_and_leave_out_what_was_be
         return {"kind": kind, "entry": {"entry": "done", "visit": visit}, "mono": mono}
 
     records = [
-        done("invoked", 1, 1.0), dict(goal(2), mono=1.5),
-        done("invoked", 2, 10.0), dict(goal(3), mono=10.25),
-        done("private", 3, 11.0), dict(goal(4), mono=11.125),
-        done("invoked", 4, 12.0), dict(goal(4, 2), mono=12.5), dict(goal(5), mono=13.0),
-    ]  # fmt: skip
+        done("invoked", 1, 1.0),
+        dict(goal(2), mono=1.5),
+        done("invoked", 2, 10.0),
+        dict(goal(3), mono=10.25),
+        done("private", 3, 11.0),
+        dict(goal(4), mono=11.125),
+        done("invoked", 4, 12.0),
+        dict(goal(4, 2), mono=12.5),
+        dict(goal(5), mono=13.0),
+    ]
     assert latencies(records, 5.0) == ([125.0], [250.0, 1000.0])

@@ -1,4 +1,5 @@
-"""The command that finds the published state counts anew: it agrees, and would tell if it did not."""
+"""The command that finds the published state counts anew: it agrees, and would tell if it did
+not."""
 
 import json
 
@@ -20,6 +21,8 @@ def test_a_count_that_differs_is_told(capsys, monkeypatch):
 
 
 def test_what_does_not_fit_is_left_out(capsys, monkeypatch):
-    monkeypatch.setattr(published, "COUNTS", [published.Published("kanban", 99, 10**15, None, "nobody")])
+    monkeypatch.setattr(
+        published, "COUNTS", [published.Published("kanban", 99, 10**15, None, "nobody")]
+    )
     assert published.main([]) == 0
     assert "left out: it takes about 120000000 GB of memory" in capsys.readouterr().out

@@ -25,7 +25,11 @@ PLAN = {
 
 @pytest.mark.parametrize(
     "known, missed",
-    [([(2, 0), (1, 1), (0, 2)], set()), ([(2, 0), (0, 2)], {(1, 1)}), ([], {(2, 0), (1, 1), (0, 2)})],
+    [
+        ([(2, 0), (1, 1), (0, 2)], set()),
+        ([(2, 0), (0, 2)], {(1, 1)}),
+        ([], {(2, 0), (1, 1), (0, 2)}),
+    ],
 )
 def test_draws_without_a_row_of_the_policy_are_counted(record_run, tmp_path, known, missed):
     (tmp_path / "act.py").write_text("def go(): pass\n")

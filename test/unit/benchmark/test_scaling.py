@@ -28,7 +28,11 @@ def test_the_points_that_are_asked_for_are_run():
 def test_the_points_of_the_thesis_are_there():
     assert [n for n, _ in scaling.EXPERIMENTS["tokens"].points][:15] == list(range(1, 16))
     assert [n for _, n in scaling.EXPERIMENTS["places"].points][:15] == list(range(2, 17))
-    assert {n for _, n in scaling.EXPERIMENTS["one"].points} >= {*range(2, 36), *range(40, 101, 5), 1000}
+    assert {n for _, n in scaling.EXPERIMENTS["one"].points} >= {
+        *range(2, 36),
+        *range(40, 101, 5),
+        1000,
+    }
 
 
 @pytest.mark.parametrize("name", sorted(scaling.EXPERIMENTS))
@@ -69,19 +73,39 @@ def test_the_log_of_a_robot_tells_when_its_visits_began(tmp_path):
 
 def test_figures_are_drawn_of_what_was_measured(tmp_path):
     rows = [
-        {"experiment": name, "mode": "process", "robots": n, "places": n, "servers": n, "all_fired_s": 1.0 * n,
-         "machine_cpu_percent": 5.0, "machine_memory_percent": 9.0, "cpu_percent_of_core": 2.0 * n,
-         "baseline_cpu_percent": 1.0, "pss_mb": 20.0 * n, "baseline_memory_percent": 2.0}
-        for name in ("tokens", "places", "one") for n in (1, 2, 3)
-    ]  # fmt: skip
+        {
+            "experiment": name,
+            "mode": "process",
+            "robots": n,
+            "places": n,
+            "servers": n,
+            "all_fired_s": 1.0 * n,
+            "machine_cpu_percent": 5.0,
+            "machine_memory_percent": 9.0,
+            "cpu_percent_of_core": 2.0 * n,
+            "baseline_cpu_percent": 1.0,
+            "pss_mb": 20.0 * n,
+            "baseline_memory_percent": 2.0,
+        }
+        for name in ("tokens", "places", "one")
+        for n in (1, 2, 3)
+    ]
     drawn = draw_figures(rows, str(tmp_path))
     names = {path.rsplit("/", 1)[1] for path in drawn}
-    assert names == {"figure_%s_process.svg" % n for n in ("6_2", "6_4", "6_5", "6_6")} | {"start.svg"}
+    assert names == {"figure_%s_process.svg" % n for n in ("6_2", "6_4", "6_5", "6_6")} | {
+        "start.svg"
+    }
     assert all(b"<svg" in (tmp_path / name).read_bytes() for name in names)
 
 
 def test_results_are_taken_up_again(tmp_path):
-    point = {"experiment": "one", "mode": "process", "robots": 1, "places": 2, "synchronisation": "full"}
+    point = {
+        "experiment": "one",
+        "mode": "process",
+        "robots": 1,
+        "places": 2,
+        "synchronisation": "full",
+    }
     results = Results(str(tmp_path))
     results.add({**point, "firings_per_s": 1.0, "note": "something went wrong"})
     assert not Results(str(tmp_path)).has(point)

@@ -48,7 +48,9 @@ def test_a_function_gets_what_it_asks_for_by_name():
     assert (ran, seen, told) == ("T1", [("P1", "robot_1", 4, 2, False, 3)], [1])
 
 
-@pytest.mark.parametrize("robot, number", [("3", 3), ("robot_12", 12), ("arm2_7", 7), ("carol", "carol")])
+@pytest.mark.parametrize(
+    "robot, number", [("3", 3), ("robot_12", 12), ("arm2_7", 7), ("carol", "carol")]
+)
 def test_an_action_may_ask_for_the_number_of_its_robot(robot, number):
     seen = []
     PythonAction(lambda id: seen.append(id), "a.one")(context(robot=robot))

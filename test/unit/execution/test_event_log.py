@@ -11,7 +11,13 @@ import pytest
 from gspn_framework_package.benchmark.team.plans import make_plan
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution import event_log
-from gspn_framework_package.execution.event_log import EventLogWriter, end_is_there, header, read_log, replay
+from gspn_framework_package.execution.event_log import (
+    EventLogWriter,
+    end_is_there,
+    header,
+    read_log,
+    replay,
+)
 from gspn_framework_package.execution.ledger import Item, Ledger, Origin
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import LogError
@@ -129,7 +135,9 @@ def test_a_line_that_was_changed_or_dropped_is_told(tmp_path) -> None:
         read_log(str(path))
 
 
-def test_the_end_of_a_log_is_not_trusted_after_the_machine_was_started_anew(tmp_path, monkeypatch) -> None:
+def test_the_end_of_a_log_is_not_trusted_after_the_machine_was_started_anew(
+    tmp_path, monkeypatch
+) -> None:
     for fsync in (False, True):
         path = tmp_path / ("%s.jsonl" % fsync)
         writer = EventLogWriter(str(path), header(PLAN, "run", "r1", "log1"), fsync=fsync)
@@ -142,7 +150,9 @@ def test_the_end_of_a_log_is_not_trusted_after_the_machine_was_started_anew(tmp_
 
 
 def test_durable_records_are_waited_for_once_and_others_not(tmp_path, monkeypatch) -> None:
-    writer = EventLogWriter(str(tmp_path / "r1.jsonl"), header(PLAN, "run", "r1", "log1"), fsync=True)
+    writer = EventLogWriter(
+        str(tmp_path / "r1.jsonl"), header(PLAN, "run", "r1", "log1"), fsync=True
+    )
     synced = []
     monkeypatch.setattr(os, "fdatasync", synced.append)
     writer.append({"kind": "goal"}, {"kind": "cancel"}, durable=False)
@@ -171,7 +181,9 @@ def test_missing_file_and_folder(tmp_path) -> None:
         read_log(str(tmp_path / "none.jsonl"))
     (tmp_path / "file").write_text("")
     with pytest.raises(LogError, match="cannot be written"):
-        EventLogWriter(os.path.join(str(tmp_path / "file"), "x.jsonl"), header(PLAN, "r", "r1", "x"))
+        EventLogWriter(
+            os.path.join(str(tmp_path / "file"), "x.jsonl"), header(PLAN, "r", "r1", "x")
+        )
 
 
 def test_repeats_have_no_effect_in_a_ledger() -> None:

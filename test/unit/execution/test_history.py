@@ -12,7 +12,13 @@ import pytest
 from gspn_framework_package.benchmark.team.plans import make_plan
 from gspn_framework_package.benchmark.team.world import World
 from gspn_framework_package.cli.main import main
-from gspn_framework_package.execution.event_log import DamagedLogError, EventLog, next_hash, next_sum, read_log
+from gspn_framework_package.execution.event_log import (
+    DamagedLogError,
+    EventLog,
+    next_hash,
+    next_sum,
+    read_log,
+)
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.model.errors import LogError
 
@@ -225,11 +231,15 @@ def two_memories(logs: List[EventLog]) -> None:
     records = logs[1].records
     at = max(i for i, r in enumerate(records) if r["kind"] == "accepted")
     vote = dict(records[at], ballot=[records[at]["ballot"][0] + 1, *records[at]["ballot"][1:]])
-    again = EventLog("again", dict(logs[1].header, log="again"), [*records[:at], vote], plan=logs[1].plan)
+    again = EventLog(
+        "again", dict(logs[1].header, log="again"), [*records[:at], vote], plan=logs[1].plan
+    )
     logs.append(again)
 
 
-@pytest.mark.parametrize(("lie", "rule"), [(no_ballot, 1), (no_origins, 1), (no_log, 9), (two_memories, 1)])
+@pytest.mark.parametrize(
+    ("lie", "rule"), [(no_ballot, 1), (no_origins, 1), (no_log, 9), (two_memories, 1)]
+)
 def test_what_is_left_out_is_found(lie: Callable[[List[EventLog]], None], rule: int) -> None:
     logs = story(TOKENS)
     lie(logs)
@@ -247,7 +257,9 @@ def test_a_private_move_that_leads_elsewhere_is_found() -> None:
     assert violation.rule == 10
 
 
-@pytest.mark.parametrize("nonsense", [7, "text", None, ["list"], {"entry": 5}, {"entry": "done", "robot": 3}])
+@pytest.mark.parametrize(
+    "nonsense", [7, "text", None, ["list"], {"entry": 5}, {"entry": "done", "robot": 3}]
+)
 @pytest.mark.parametrize("field", ["entries", "origins", "firings"])
 def test_nonsense_in_a_record_is_no_internal_error(field: str, nonsense: Any) -> None:
     logs = story(TOKENS)
@@ -271,7 +283,9 @@ def as_files(logs: List[EventLog], folder: Any) -> None:
 
 
 @pytest.mark.parametrize("partial", [False, True])
-def test_every_line_that_is_dropped_changed_or_doubled_is_found(tmp_path, capsys, partial: bool) -> None:
+def test_every_line_that_is_dropped_changed_or_doubled_is_found(
+    tmp_path, capsys, partial: bool
+) -> None:
     as_files(story(TOKENS, partial), tmp_path)
     path = tmp_path / "r2.jsonl"
     lines = path.read_text().splitlines(keepends=True)
@@ -279,9 +293,11 @@ def test_every_line_that_is_dropped_changed_or_doubled_is_found(tmp_path, capsys
     assert {"header", "life", "peer", "active", "slot", "goal", "accepted", "invoked"} <= kinds
     for number in range(1, len(lines) - 1):
         changed = lines[number].replace('"mono"', '"Mono"', 1)
-        for lie in (lines[:number] + lines[number + 1 :],
-                    [*lines[:number], changed, *lines[number + 1 :]],
-                    [*lines[:number], lines[number], *lines[number:]]):  # fmt: skip
+        for lie in (
+            lines[:number] + lines[number + 1 :],
+            [*lines[:number], changed, *lines[number + 1 :]],
+            [*lines[:number], lines[number], *lines[number:]],
+        ):
             path.write_text("".join(lie))
             with pytest.raises(DamagedLogError, match="does not follow from the lines before it"):
                 read_log(str(path))

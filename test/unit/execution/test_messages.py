@@ -1,4 +1,5 @@
-"""What a peer sends is input: no message ends a replica, takes its team's quorum or silences a robot."""
+"""What a peer sends is input: no message ends a replica, takes its team's quorum or silences a
+robot."""
 
 from __future__ import annotations
 
@@ -57,7 +58,9 @@ def alive_and_valid(world: World) -> None:
     assert not any(n.halted for n in world.nodes.values())
     assert world.length() > before + 5
     for node in world.nodes.values():  # each of them moves, too
-        assert [r for r in node.disk.records() if r["kind"] == "goal" and r["mono"] > world.now - 1.5], node.name
+        assert [
+            r for r in node.disk.records() if r["kind"] == "goal" and r["mono"] > world.now - 1.5
+        ], node.name
     world.acting = False
     assert world.run(world.now + 8, world.has_settled)
     logs = [EventLog(str(d.header["log"]), d.header, d.records()) for d in world.logs()]
@@ -75,10 +78,15 @@ def forged(world: World, sender: str, kind: str, **fields: Any) -> Any:
     """A message in the name of a robot, with its true envelope."""
     replica = world.nodes[sender].replica
     envelope = {
-        "version": 2, "from": sender, "team": "sim|%s" % world.plan.hash()[:12], "log": replica.log_id,
-        "incarnation": replica.incarnation, "records": replica.records, "length": replica.ledger.length,
+        "version": 2,
+        "from": sender,
+        "team": "sim|%s" % world.plan.hash()[:12],
+        "log": replica.log_id,
+        "incarnation": replica.incarnation,
+        "records": replica.records,
+        "length": replica.ledger.length,
         "hash": replica.ledger.hash,
-    }  # fmt: skip
+    }
     return {**envelope, "kind": kind, **fields}
 
 
@@ -92,7 +100,9 @@ def test_every_message_is_read_back_as_it_was_written() -> None:
         world.run(world.now + 0.5)
         for message in world.heard.values():
             kinds.add(message["kind"])
-            assert json.loads(json.dumps(parse(message).to_json())) == json.loads(json.dumps(message))
+            assert json.loads(json.dumps(parse(message).to_json())) == json.loads(
+                json.dumps(message)
+            )
     assert kinds >= {"hello", "event", "prepare", "promise", "accept", "accepted", "learn", "pull"}
 
 
@@ -101,7 +111,16 @@ def entry(robot: str, number: int, what: Any, log_id: str = "x", incarnation: in
 
 
 Attack = Callable[[World], Any]
-HELLO = {"begin": 0, "active": True, "joining": False, "first": "", "silent": [], "off": {}, "cast_out": {}, "greets": {}}
+HELLO = {
+    "begin": 0,
+    "active": True,
+    "joining": False,
+    "first": "",
+    "silent": [],
+    "off": {},
+    "cast_out": {},
+    "greets": {},
+}
 
 ATTACKS: Dict[str, Attack] = {
     "no fields": lambda w: {"kind": "hello"},
@@ -109,35 +128,75 @@ ATTACKS: Dict[str, Attack] = {
     "another version": lambda w: {**forged(w, "r1", "hello", **HELLO), "version": 1},
     "unknown kind": lambda w: forged(w, "r1", "bye"),
     "kind is a list": lambda w: {**forged(w, "r1", "hello", **HELLO), "kind": ["hello"]},
-    "ballot of 4300 digits": lambda w: forged(w, "r1", "prepare", slot=w.length(), ballot=[HUGE, "r1", "x"], frozen=True),
-    "negative ballot": lambda w: forged(w, "r1", "prepare", slot=w.length(), ballot=[-1, "r1", "x"], frozen=False),
-    "ballot of two": lambda w: forged(w, "r1", "accept", slot=w.length(), ballot=[1, "r1"], batch=[]),
+    "ballot of 4300 digits": lambda w: forged(
+        w, "r1", "prepare", slot=w.length(), ballot=[HUGE, "r1", "x"], frozen=True
+    ),
+    "negative ballot": lambda w: forged(
+        w, "r1", "prepare", slot=w.length(), ballot=[-1, "r1", "x"], frozen=False
+    ),
+    "ballot of two": lambda w: forged(
+        w, "r1", "accept", slot=w.length(), ballot=[1, "r1"], batch=[]
+    ),
     "slot is a text": lambda w: forged(w, "r1", "nack", slot="5", ballot=[1, "r1", "x"]),
     "length is true": lambda w: {**forged(w, "r1", "pull"), "length": True},
     "huge length": lambda w: {**forged(w, "r1", "pull"), "length": 2**60},
-    "batch of numbers": lambda w: forged(w, "r1", "accept", slot=w.length(), ballot=[99, "r1", "x"], batch=[1, 2]),
+    "batch of numbers": lambda w: forged(
+        w, "r1", "accept", slot=w.length(), ballot=[99, "r1", "x"], batch=[1, 2]
+    ),
     "entry with a list for a robot": lambda w: forged(
-        w, "r1", "event", items=[[{"entry": "pause", "robot": ["r1"]}, ["r1", 0, 99, "x"], 0]], vote=True),
-    "another start": lambda w: forged(w, "r1", "event", vote=True, items=[entry("r9", 1, log.Start((), 1, "x"))]),
-    "broken snapshot": lambda w: forged(w, "r1", "learn", snapshot={"slot": w.length() + 5, "state": {}}),
-    "snapshot of nonsense": lambda w: forged(w, "r1", "learn", snapshot={
-        **w.nodes["r1"].replica.ledger.snapshot(), "slot": w.length() + 50}),
+        w,
+        "r1",
+        "event",
+        items=[[{"entry": "pause", "robot": ["r1"]}, ["r1", 0, 99, "x"], 0]],
+        vote=True,
+    ),
+    "another start": lambda w: forged(
+        w, "r1", "event", vote=True, items=[entry("r9", 1, log.Start((), 1, "x"))]
+    ),
+    "broken snapshot": lambda w: forged(
+        w, "r1", "learn", snapshot={"slot": w.length() + 5, "state": {}}
+    ),
+    "snapshot of nonsense": lambda w: forged(
+        w,
+        "r1",
+        "learn",
+        snapshot={**w.nodes["r1"].replica.ledger.snapshot(), "slot": w.length() + 50},
+    ),
     "silent is a number": lambda w: forged(w, "r1", "hello", **{**HELLO, "silent": 7}),
-    "greets with too little": lambda w: forged(w, "r1", "hello", **{**HELLO, "greets": {"r2": ["x"]}}),
+    "greets with too little": lambda w: forged(
+        w, "r1", "hello", **{**HELLO, "greets": {"r2": ["x"]}}
+    ),
     "a private pause": lambda w: forged(
-        w, "r1", "event", items=[[{"entry": "pause", "robot": ""}, ["r1", 0, 99, "x"], 1]], vote=True),
+        w,
+        "r1",
+        "event",
+        items=[[{"entry": "pause", "robot": ""}, ["r1", 0, 99, "x"], 1]],
+        vote=True,
+    ),
     "wrong hash": lambda w: {**forged(w, "r1", "hello", **HELLO), "hash": "0" * 32},
-    "ten ghosts": lambda w: forged(w, "r1", "event", vote=True, items=[
-        entry("g%d" % i, 1, log.Join("g%d" % i, 0, "p1", "ghost")) for i in range(10)]),
-    "join for another": lambda w: forged(w, "r1", "event", vote=True, items=[
-        entry("g", 1, log.Join("r2", 5, "p1", "ghost"))]),
-    "a million of facts": lambda w: forged(w, "r1", "event", vote=True, items=[
-        entry("r2", 10**6, log.Done("r2", 0, 10**6), w.nodes["r2"].replica.log_id[:8])]),
-    "a later incarnation": lambda w: forged(w, "r1", "event", vote=True, items=[
-        entry("r2", 1, log.Done("r2", 99, 1), "x", 99)]),
+    "ten ghosts": lambda w: forged(
+        w,
+        "r1",
+        "event",
+        vote=True,
+        items=[entry("g%d" % i, 1, log.Join("g%d" % i, 0, "p1", "ghost")) for i in range(10)],
+    ),
+    "join for another": lambda w: forged(
+        w, "r1", "event", vote=True, items=[entry("g", 1, log.Join("r2", 5, "p1", "ghost"))]
+    ),
+    "a million of facts": lambda w: forged(
+        w,
+        "r1",
+        "event",
+        vote=True,
+        items=[entry("r2", 10**6, log.Done("r2", 0, 10**6), w.nodes["r2"].replica.log_id[:8])],
+    ),
+    "a later incarnation": lambda w: forged(
+        w, "r1", "event", vote=True, items=[entry("r2", 1, log.Done("r2", 99, 1), "x", 99)]
+    ),
     "very long name": lambda w: {**forged(w, "r1", "hello", **HELLO), "log": "x" * 10**6},
     "a flood of ghosts": lambda w: {**forged(w, "r1", "hello", **HELLO), "from": "ghost"},
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("partial", [False, True])
@@ -156,7 +215,9 @@ def test_no_message_ends_a_replica_or_stops_its_team(part: int, partial: bool) -
 def test_who_speaks_another_version_is_named() -> None:
     world = running(False, 2)
     give(world, {**forged(world, "r1", "hello", **HELLO), "version": 1})
-    assert any("r1" in f and "version 1 of the protocol, this is 2" in f for f in world.nodes["r2"].faults)
+    assert any(
+        "r1" in f and "version 1 of the protocol, this is 2" in f for f in world.nodes["r2"].faults
+    )
 
 
 def test_messages_that_come_again_much_later_change_nothing() -> None:
@@ -171,7 +232,9 @@ def test_messages_that_come_again_much_later_change_nothing() -> None:
 
 values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.text(max_size=5) | st.floats(),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    ),
     max_leaves=6,
 )
 

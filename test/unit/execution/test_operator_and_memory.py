@@ -35,7 +35,9 @@ class Team(World):
         return self.nodes[at].results.get("force " + robot)
 
     def cut_off(self, *names: str) -> None:
-        self.blocked |= {(a, b) for a in self.nodes for b in self.nodes if (a in names) != (b in names)}
+        self.blocked |= {
+            (a, b) for a in self.nodes for b in self.nodes if (a in names) != (b in names)
+        }
 
     def verify(self) -> None:
         logs = [EventLog(str(d.header["log"]), d.header, d.records()) for d in self.logs()]
@@ -43,7 +45,9 @@ class Team(World):
         assert verdict.violation is None, verdict.violation
 
 
-def team(kind: int, robots: int, partial: bool = False, *, joiners: int = 0, evict_after: float = 0.0) -> Team:
+def team(
+    kind: int, robots: int, partial: bool = False, *, joiners: int = 0, evict_after: float = 0.0
+) -> Team:
     world = Team(make_plan(kind, robots, partial, evict_after, 0.0, False), 1)
     world.mishaps = False
     for node in world.nodes.values():
@@ -64,7 +68,7 @@ def all_agree(world: Team) -> None:
     ]
 
 
-# -- evictions by force --------------------------------------------------------------------------------
+# -- evictions by force ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("partial", [False, True])
@@ -142,7 +146,8 @@ def test_a_robot_cast_out_wrongly_is_not_let_in_with_what_was_given_up(partial: 
     world.run(world.now + 1)  # r1 alone is a quorum, and goes on
     first = world.replica("r1")
     join = Item(log.Join("r1", 1, "p1", first.log_id), Origin("r1", 1, 1, first.log_id[:8]))
-    late = first.outbox.signed(Event([join], False))  # said in a life of r1 that the others know nothing of
+    # said in a life of r1 that the others know nothing of
+    late = first.outbox.signed(Event([join], False))
     world.force("r2", "r1")
     world.run(world.now + 1)
     assert world.answer("r2", "r1").ok
@@ -158,7 +163,9 @@ def test_a_robot_cast_out_wrongly_is_not_let_in_with_what_was_given_up(partial: 
 
 @pytest.mark.parametrize("partial", [False, True])
 @pytest.mark.parametrize("joiner_at", ["r1", "r3"])
-def test_after_operators_who_contradict_each_other_one_story_is_left(partial: bool, joiner_at: str) -> None:
+def test_after_operators_who_contradict_each_other_one_story_is_left(
+    partial: bool, joiner_at: str
+) -> None:
     world = team(TOKENS, 3, partial)
     world.given_up = True
     world.cut_off("r3")
@@ -191,7 +198,9 @@ def test_where_a_quorum_is_off_the_order_says_what_is_given_up_and_asks_all_the_
     for name in ("r1", "r2", "r3"):
         world.force("r4", name)
     world.run(world.now + 1)
-    assert any("r1, r2, r3 could have decided without the others" in f for f in world.nodes["r4"].faults)
+    assert any(
+        "r1, r2, r3 could have decided without the others" in f for f in world.nodes["r4"].faults
+    )
     assert world.answer("r4", "r1") is None  # r5 has to be asked
     world.blocked.clear()
     world.run(world.now + 2)
@@ -236,11 +245,13 @@ def test_a_robot_that_was_evicted_before_it_ever_started_joins_and_acts_once() -
     world.verify()
 
 
-# -- memory ------------------------------------------------------------------------------------------------
+# -- memory ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("partial", [False, True])
-def test_the_only_robot_of_the_first_team_learns_its_lost_log_from_those_who_joined(partial: bool) -> None:
+def test_the_only_robot_of_the_first_team_learns_its_lost_log_from_those_who_joined(
+    partial: bool,
+) -> None:
     world = team(TOKENS, 1, partial, joiners=2)
     assert world.replica("r1").members() == ["r1", "j0", "j1"]
     world.nodes["r1"].crash()
@@ -270,7 +281,9 @@ def test_a_team_that_can_never_go_on_says_so(partial: bool) -> None:
 
 
 @pytest.mark.parametrize("partial", [False, True])
-def test_the_log_is_learned_from_the_only_one_that_has_it_though_it_was_once_evicted_by_force(partial: bool) -> None:
+def test_the_log_is_learned_from_the_only_one_that_has_it_though_it_was_once_evicted_by_force(
+    partial: bool,
+) -> None:
     """Slot by slot, the learners go through a time in which that robot was out of the team."""
     world = team(TOKENS, 3, partial)
     world.limits = Limits(chunk=1)
@@ -379,7 +392,9 @@ def test_a_robot_out_of_contact_soon_starts_no_more_private_actions() -> None:
     assert not [t for t in goals if t > begin + 1.0]
     world.blocked.clear()
     world.run(world.now + 2)
-    assert [r for r in world.nodes["r3"].disk.records() if r["kind"] == "goal" and r["mono"] > begin + 4]
+    assert [
+        r for r in world.nodes["r3"].disk.records() if r["kind"] == "goal" and r["mono"] > begin + 4
+    ]
 
 
 @pytest.mark.parametrize("partial", [False, True])
@@ -388,7 +403,9 @@ def test_a_name_without_a_robot_keeps_nobody_busy_and_nobody_out(partial: bool) 
     world.acting = False
     world.run(world.now + 1)
     for name in ("r1", "r2", "r3"):
-        world.replica(name).proposals.add_others([Item(log.Join("j", 0, "p1", "lost"), Origin("j", 0, 1, "lost"))])
+        world.replica(name).proposals.add_others(
+            [Item(log.Join("j", 0, "p1", "lost"), Origin("j", 0, 1, "lost"))]
+        )
     before = [len(node.disk.lines) for node in world.nodes.values()]
     world.run(world.now + 3)
     assert [len(node.disk.lines) for node in world.nodes.values()] == before

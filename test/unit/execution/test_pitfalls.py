@@ -30,20 +30,31 @@ ROOT = Path(__file__).resolve().parents[3]
 
 def tool_net() -> Net:
     return (
-        NetBuilder().place("idle").place("use").place("tool", tokens=1)
+        NetBuilder()
+        .place("idle")
+        .place("use")
+        .place("tool", tokens=1)
         .exponential("take", inputs=["idle", "tool"], outputs="use")
-        .exponential("give", inputs="use", outputs=["idle", "tool"]).build()
-    )  # fmt: skip
+        .exponential("give", inputs="use", outputs=["idle", "tool"])
+        .build()
+    )
 
 
 def meeting(resource: bool = False) -> Net:
     inputs = ["P1", "P2"] + (["permit"] if resource else [])
     return (
-        NetBuilder().place("P1").place("P2").place("P3").place("P4").place("permit", tokens=1)
+        NetBuilder()
+        .place("P1")
+        .place("P2")
+        .place("P3")
+        .place("P4")
+        .place("permit", tokens=1)
         .exponential("meet", inputs=inputs, outputs=["P3", "P4"])
         .exponential("other", inputs=["P1", "P2"], outputs=["P4", "P3"])
-        .exponential("b3", inputs="P3", outputs="P1").exponential("b4", inputs="P4", outputs="P2").build()
-    )  # fmt: skip
+        .exponential("b3", inputs="P3", outputs="P1")
+        .exponential("b4", inputs="P4", outputs="P2")
+        .build()
+    )
 
 
 def test_01_the_robot_that_acquires_a_resource_moves() -> None:
@@ -68,13 +79,22 @@ def test_03_of_two_robots_that_want_one_token_one_gets_it_and_the_other_later() 
 
 def test_05_source_and_sink_transitions() -> None:
     net = (
-        NetBuilder().place("P").place("Q").place("order").exponential("arrive", outputs="order")
-        .exponential("drop", inputs="order").exponential("work", inputs="P", outputs="Q")
-        .exponential("back", inputs="Q", outputs="P").build()
-    )  # fmt: skip
+        NetBuilder()
+        .place("P")
+        .place("Q")
+        .place("order")
+        .exponential("arrive", outputs="order")
+        .exponential("drop", inputs="order")
+        .exponential("work", inputs="P", outputs="Q")
+        .exponential("back", inputs="Q", outputs="P")
+        .build()
+    )
     run = Run(make_plan(net, ["P"], resources=["order"]))
     assert run.feed(log.Fire("arrive"), log.Fire("arrive"), log.Fire("drop")) == [
-        "arrive", "arrive", "drop"]  # fmt: skip
+        "arrive",
+        "arrive",
+        "drop",
+    ]
     assert run.marking() == {"P": 1, "order": 1}
 
 
@@ -126,10 +146,15 @@ def test_11_an_action_that_fails_stalls_nobody_silently(reason: str) -> None:
 
 def test_13_the_policy_is_asked_again_when_the_marking_changes() -> None:
     net = (
-        NetBuilder().place("D").place("E").place("F")
-        .immediate("d", inputs="D", outputs="E").exponential("e", inputs="E", outputs="F")
-        .exponential("f", inputs="F", outputs="E").build()
-    )  # fmt: skip
+        NetBuilder()
+        .place("D")
+        .place("E")
+        .place("F")
+        .immediate("d", inputs="D", outputs="E")
+        .exponential("e", inputs="E", outputs="F")
+        .exponential("f", inputs="F", outputs="E")
+        .build()
+    )
     policy = Policy.from_table(["E", "F"], [((0, 1), {"d": 1})])
     run = Run(make_plan(net, ["D", "E"], policy=policy, strict=True))
     assert run.done("a") == []
@@ -139,9 +164,15 @@ def test_13_the_policy_is_asked_again_when_the_marking_changes() -> None:
 
 def test_14_policies_are_read_and_looked_up_with_care() -> None:
     net = (
-        NetBuilder().place("A").place("B").place("C").immediate("x", inputs="A", outputs="B")
-        .immediate("y", inputs="A", outputs="C").exponential("z", inputs="B", outputs="A").build()
-    )  # fmt: skip
+        NetBuilder()
+        .place("A")
+        .place("B")
+        .place("C")
+        .immediate("x", inputs="A", outputs="B")
+        .immediate("y", inputs="A", outputs="C")
+        .exponential("z", inputs="B", outputs="A")
+        .build()
+    )
     rows: List[Any] = [(("-", "-"), {"x": 1}), ((1, "-"), {"y": 1})]
     run = Run(make_plan(net, ["A"], policy=Policy.from_table(["A", "C"], rows)))
     assert run.done("a") == [
@@ -156,8 +187,14 @@ def test_14_policies_are_read_and_looked_up_with_care() -> None:
 
 def test_16_results_from_many_threads_are_one_sequence(tmp_path: Path) -> None:
     (tmp_path / "work.py").write_text("def go(): pass\n")
-    net = NetBuilder().place("P", 20).place("Q").exponential("t", inputs="P", outputs="Q").exponential(
-        "u", inputs="Q", outputs="P").build()  # fmt: skip
+    net = (
+        NetBuilder()
+        .place("P", 20)
+        .place("Q")
+        .exponential("t", inputs="P", outputs="Q")
+        .exponential("u", inputs="Q", outputs="P")
+        .build()
+    )
     (tmp_path / "plan.json").write_text(
         json.dumps(
             {
@@ -190,10 +227,14 @@ def test_16_results_from_many_threads_are_one_sequence(tmp_path: Path) -> None:
 
 def test_19_weights_count() -> None:
     net = (
-        NetBuilder().place("P").place("Q").place("count")
+        NetBuilder()
+        .place("P")
+        .place("Q")
+        .place("count")
         .exponential("both", inputs={"P": 2}, outputs={"Q": 2, "count": 3})
-        .exponential("back", inputs="Q", outputs="P").build()
-    )  # fmt: skip
+        .exponential("back", inputs="Q", outputs="P")
+        .build()
+    )
     run = Run(make_plan(net, ["P", "P"], resources=["count"]))
     assert run.done("a", "both") == []
     assert run.done("b", "both") == ["both"]

@@ -73,16 +73,25 @@ def test_any_two_quorums_share_a_member(size: int) -> None:
 @pytest.mark.parametrize("partial", [False, True])
 def test_one_robot_needs_no_messages(partial: bool) -> None:
     replica = Replica(make_plan(TOKENS, 1, partial, 0.0, 0.0, False), "r1", "run", "log")
-    assert not [e for e in replica.start(0.0) if isinstance(e, StartAction)]  # somebody might know more
-    assert not [e for e in replica.step(io.Order("o", log.Pause("r1")), 0.1) if isinstance(e, io.OrderResult)]
+    # somebody might know more
+    assert not [e for e in replica.start(0.0) if isinstance(e, StartAction)]
+    assert not [
+        e
+        for e in replica.step(io.Order("o", log.Pause("r1")), 0.1)
+        if isinstance(e, io.OrderResult)
+    ]
     effects = replica.step(io.Tick(), 0.5)
     assert [e.ok for e in effects if isinstance(e, io.OrderResult)] == [True]
     effects += replica.step(io.Order("o", log.Resume("r1")), 0.5)
     for result in ["t1", "t2", "t3", "t4"]:
         (goal,) = [e for e in effects if isinstance(e, StartAction)]
-        effects = replica.step(io.ActionDone(goal.incarnation, goal.visit, goal.attempt, result), 0.6)
+        effects = replica.step(
+            io.ActionDone(goal.incarnation, goal.visit, goal.attempt, result), 0.6
+        )
         assert not [e for e in effects if isinstance(e, io.Send) and e.to]
-        assert [e.firing.transition for e in effects if isinstance(e, io.Fired) and e.publish] == [result]
+        assert [e.firing.transition for e in effects if isinstance(e, io.Fired) and e.publish] == [
+            result
+        ]
 
 
 def test_a_record_is_written_before_anything_that_depends_on_it() -> None:
@@ -202,8 +211,12 @@ def test_a_team_whose_quorum_lost_its_memory_says_so(partial: bool) -> None:
     world.nodes["r1"].start()
     world.run(4.0)
     length = world.length()
-    assert world.status("r1")["waits_for"].startswith("waits to be let into the team: too many lost their logs")
-    assert world.status("r2")["waits_for"].startswith("has no quorum; without a vote: r1: too many lost their logs")
+    assert world.status("r1")["waits_for"].startswith(
+        "waits to be let into the team: too many lost their logs"
+    )
+    assert world.status("r2")["waits_for"].startswith(
+        "has no quorum; without a vote: r1: too many lost their logs"
+    )
     assert world.status("r1")["stuck"]
     assert world.status("r2")["stuck"]
     world.run(8.0)
@@ -320,13 +333,25 @@ def test_a_joiner_far_behind_takes_a_snapshot() -> None:
 
 
 @pytest.mark.parametrize("partial, most", [(False, 0.5), (True, 5.0)])
-def test_where_messages_take_long_attempts_do_not_defeat_each_other_for_ever(partial: bool, most: float) -> None:
-    world = Team(make_plan(TOKENS, 5, partial, 0.0, 0.0, False), 1, Weather(0.1, 0.1), action_time=(0.03, 0.07))
+def test_where_messages_take_long_attempts_do_not_defeat_each_other_for_ever(
+    partial: bool, most: float
+) -> None:
+    world = Team(
+        make_plan(TOKENS, 5, partial, 0.0, 0.0, False),
+        1,
+        Weather(0.1, 0.1),
+        action_time=(0.03, 0.07),
+    )
     world.mishaps = False
     for node in world.nodes.values():
         node.start()
     world.run(25.0)
-    records = [(name, r) for name, node in world.nodes.items() for r in node.disk.records() if r["mono"] > 5.0]
+    records = [
+        (name, r)
+        for name, node in world.nodes.items()
+        for r in node.disk.records()
+        if r["mono"] > 5.0
+    ]
     attempts = sum(r["kind"] == "promised" and r["ballot"][1] == name for name, r in records)
     slots = len({r["slot"] for _, r in records if r["kind"] == "slot"})
     assert slots > 20
@@ -349,7 +374,9 @@ def test_a_robot_that_left_ends_and_the_others_go_on() -> None:
 
 def private_places(net: NetBuilder, resources=(), idle=(), **fields: Any) -> Any:
     built = net.build()
-    actions = {p.name: None if p.name in idle else FunctionAction("f", p.name) for p in built.places}
+    actions = {
+        p.name: None if p.name in idle else FunctionAction("f", p.name) for p in built.places
+    }
     plan = Plan(
         net=built,
         actions=actions,
@@ -364,12 +391,17 @@ def private_places(net: NetBuilder, resources=(), idle=(), **fields: Any) -> Any
 def test_which_places_are_private() -> None:
     def line() -> NetBuilder:
         net = NetBuilder().place("P").place("Q").place("R")
-        return net.exponential("pq", inputs="P", outputs="Q").exponential("qr", inputs="Q", outputs="R")
+        return net.exponential("pq", inputs="P", outputs="Q").exponential(
+            "qr", inputs="Q", outputs="R"
+        )
 
     assert private_places(line()) == {"P", "Q"}
     assert private_places(line(), idle=["Q"]) == {"Q"}
     assert private_places(line(), until="R >= 1") == {"P"}
-    assert private_places(line().exponential("x", inputs="R", outputs="P", inhibitors="Q")) == frozenset()
+    assert (
+        private_places(line().exponential("x", inputs="R", outputs="P", inhibitors="Q"))
+        == frozenset()
+    )
     shared = line().place("tool", tokens=1).exponential("take", inputs=["P", "tool"], outputs="Q")
     assert private_places(shared, resources=["tool"]) == {"Q"}
     meeting = line().exponential("meet", inputs=["P", "Q"], outputs=["Q", "R"])
@@ -437,7 +469,10 @@ def test_the_last_one_of_a_team_stays() -> None:
     world.run(3.0)
     results = {name: world.nodes[name].results["leave"] for name in ("r1", "r2")}
     (stays,) = [name for name, result in results.items() if not result.ok]
-    assert results[stays].text == "%s is the last one of the team, and stays; stop the run instead" % stays
+    assert (
+        results[stays].text
+        == "%s is the last one of the team, and stays; stop the run instead" % stays
+    )
     assert world.status(stays)["members"] == [stays]
     world.check()
 
@@ -456,7 +491,12 @@ def test_a_robot_that_is_not_evicted_after_all_keeps_its_private_moves() -> None
 
 
 def test_many_robots_that_want_the_next_slot_do_not_defeat_each_other() -> None:
-    world = Team(make_plan(TOKENS, 24, True, 0.0, 0.0, False), 1, Weather(0.003, 0.008), action_time=(0.05, 0.1))
+    world = Team(
+        make_plan(TOKENS, 24, True, 0.0, 0.0, False),
+        1,
+        Weather(0.003, 0.008),
+        action_time=(0.05, 0.1),
+    )
     world.pace = Pace()
     world.mishaps = False
     for node in world.nodes.values():

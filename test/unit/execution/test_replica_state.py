@@ -1,4 +1,5 @@
-"""Each field of a replica's state is documented, and is written by one part alone, as its source says."""
+"""Each field of a replica's state is documented, and is written by one part alone, as its source
+says."""
 
 from __future__ import annotations
 
@@ -36,9 +37,15 @@ def _methods_that_change(owner: type) -> Set[str]:
     (tree,) = ast.parse(inspect.getsource(owner)).body
     assert isinstance(tree, ast.ClassDef)
     methods = {f.name: f for f in tree.body if isinstance(f, ast.FunctionDef)}
-    found = {name for name, f in methods.items() if any(_written(f, "self", OF_CONTAINERS))} - NO_CHANGE
+    found = {
+        name for name, f in methods.items() if any(_written(f, "self", OF_CONTAINERS))
+    } - NO_CHANGE
     while True:  # and those that call one of these
-        more = {name for name, f in methods.items() if any(_written(f, "self", OF_CONTAINERS | found, calls=True))}
+        more = {
+            name
+            for name, f in methods.items()
+            if any(_written(f, "self", OF_CONTAINERS | found, calls=True))
+        }
         more -= NO_CHANGE
         if more <= found:
             return found - {"__init__"}
@@ -46,7 +53,8 @@ def _methods_that_change(owner: type) -> Set[str]:
 
 
 def _root(node: ast.expr, state: str, aliases: Dict[str, str]) -> Optional[str]:
-    """The field of the state that an expression reaches into; "" for the state itself, None for neither."""
+    """The field of the state that an expression reaches into; "" for the state itself, None for
+    neither."""
     path: List[str] = []
     while True:
         if isinstance(node, ast.Name):
@@ -55,13 +63,22 @@ def _root(node: ast.expr, state: str, aliases: Dict[str, str]) -> Optional[str]:
             field = aliases.get(node.id)
             return path[-1] if field == "" and path else field
         if isinstance(node, ast.Attribute):
-            if node.attr == "state" and state == "state" and isinstance(node.value, ast.Name) and node.value.id == "self":
+            if (
+                node.attr == "state"
+                and state == "state"
+                and isinstance(node.value, ast.Name)
+                and node.value.id == "self"
+            ):
                 return path[-1] if path else ""
             path.append(node.attr)
             node = node.value
         elif isinstance(node, ast.Subscript):
             node = node.value
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "get":
+        elif (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Attribute)
+            and node.func.attr == "get"
+        ):
             node = node.func.value  # what a dict, or Peers, holds
         else:
             return None
@@ -93,8 +110,11 @@ def _flat(target: ast.expr) -> Iterator[ast.expr]:
         yield target.value if isinstance(target, ast.Starred) else target
 
 
-def _written(function: ast.AST, state: str, changing: Set[str], calls: bool = False) -> Iterator[Tuple[str, int]]:
-    """The fields that a function writes: (field, line). ``calls``: methods of the object itself count."""
+def _written(
+    function: ast.AST, state: str, changing: Set[str], calls: bool = False
+) -> Iterator[Tuple[str, int]]:
+    """The fields that a function writes: (field, line). ``calls``: methods of the object itself
+    count."""
     aliases = _aliases(function, state)
     for node in ast.walk(function):
         targets: List[ast.expr] = []
@@ -119,7 +139,9 @@ def _written(function: ast.AST, state: str, changing: Set[str], calls: bool = Fa
             yield method, node.lineno
 
 
-CHANGING = OF_CONTAINERS.union(*(_methods_that_change(c) for c in (Ledger, RecentSlots, Peers, Peer)))
+CHANGING = OF_CONTAINERS.union(
+    *(_methods_that_change(c) for c in (Ledger, RecentSlots, Peers, Peer))
+)
 
 
 def _writes(source: str) -> List[Tuple[str, int]]:
@@ -188,7 +210,11 @@ def test_reading_is_no_write(text: str) -> None:
 
 @pytest.mark.parametrize("module", MODULES)
 def test_only_its_owner_writes_a_field(module: str) -> None:
-    foreign = ["line %d: %s, of %s" % (line, f, OWNERS[f]) for f, line in _writes(_source(module)) if OWNERS[f] != module]
+    foreign = [
+        "line %d: %s, of %s" % (line, f, OWNERS[f])
+        for f, line in _writes(_source(module))
+        if OWNERS[f] != module
+    ]
     assert not foreign
 
 
@@ -231,8 +257,11 @@ def test_every_module_says_what_it_is_for(module: str) -> None:
 
 
 def _table_of_parts() -> Dict[str, Tuple[Set[str], Set[str]]]:
-    """Of each part, as docs/agreement.md has it: the fields that it writes, and the parts that it calls."""
-    with open(os.path.join(os.path.dirname(__file__), "../../../docs/agreement.md"), encoding="utf-8") as file:
+    """Of each part, as docs/agreement.md has it: the fields that it writes, and the parts that it
+    calls."""
+    with open(
+        os.path.join(os.path.dirname(__file__), "../../../docs/agreement.md"), encoding="utf-8"
+    ) as file:
         rows = [line.strip(" |\n").split("|") for line in file if line.startswith("| `")]
     found = {}
     for cells in rows:

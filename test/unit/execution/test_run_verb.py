@@ -19,7 +19,12 @@ def test_a_full_log_ends_a_run_without_a_limit(tmp_path, monkeypatch, capsys):
     assert main(["run", PLAN, "--log", str(tmp_path / "log.jsonl"), "--json"]) == 1
     out, err = capsys.readouterr()
     end = json.loads(out.splitlines()[-1])
-    assert end["event"] == "end" and end["fault"] and "No space left" in end["reason"] and end["firings"] > 5
+    assert (
+        end["event"] == "end"
+        and end["fault"]
+        and "No space left" in end["reason"]
+        and end["firings"] > 5
+    )
     assert err.startswith("gspn: error: ") and "No space left" in err and "Traceback" not in err
 
 
@@ -30,14 +35,18 @@ def test_a_fault_of_the_executor_ends_a_run_without_a_limit(monkeypatch, capsys)
     monkeypatch.setattr(TokenGame, "reduce", broken)
     assert main(["run", PLAN]) == 1
     out, err = capsys.readouterr()
-    assert "ended: the run broke off" in out and "ZeroDivisionError" in err and "Traceback" not in err
+    assert (
+        "ended: the run broke off" in out and "ZeroDivisionError" in err and "Traceback" not in err
+    )
 
 
 @pytest.mark.parametrize("options", [[], ["--json"]])
 def test_a_reader_that_leaves_ends_the_run(options):
     command = [sys.executable, "-m", "gspn_framework_package", "run", PLAN, *options]
     environment = {**os.environ, "PYTHONPATH": os.getcwd()}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+    ) as process:
         process.stdout.readline()
         process.stdout.close()
         try:
@@ -48,7 +57,8 @@ def test_a_reader_that_leaves_ends_the_run(options):
 
 
 def write_chain(folder, actions, on_failure=None):
-    """A plan of one agent whose transitions T1, T2, ... lead from place to place, with these actions."""
+    """A plan of one agent whose transitions T1, T2, ... lead from place to place, with these
+    actions."""
     places = ["Ask_operator", "P2", "P3", "the limit of P4"]
     arcs = []
     for number, (source, target) in enumerate(zip(places, places[1:]), 1):
@@ -59,7 +69,12 @@ def write_chain(folder, actions, on_failure=None):
         "arcs": arcs,
     }
     bound = {name: actions.get(name) for name in places}
-    plan = {"net": net, "actions": bound, "robots": {"the limit of 1": places[0]}, "on_failure": on_failure or {}}
+    plan = {
+        "net": net,
+        "actions": bound,
+        "robots": {"the limit of 1": places[0]},
+        "on_failure": on_failure or {},
+    }
     (folder / "plan.json").write_text(json.dumps(plan))
     (folder / "actions.py").write_text("def fails():\n    raise ValueError('broken')\n")
     return str(folder)

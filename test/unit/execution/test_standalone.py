@@ -264,7 +264,9 @@ def test_a_listener_that_breaks_does_not_break_silently(tmp_path: Path) -> None:
 RING = {"T1": (True, ["P1"], ["P2"]), "T2": (True, ["P2"], ["P1"])}
 
 
-def test_a_full_log_ends_the_run_and_is_told_as_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_log_ends_the_run_and_is_told_as_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ends: List[Tuple[str, bool]] = []
 
     class Told(Recorder):
@@ -274,7 +276,9 @@ def test_a_full_log_ends_the_run_and_is_told_as_its_end(tmp_path: Path, monkeypa
     plan = write_plan(tmp_path, "def go(): pass\n", net=RING, tokens={"P1": 1})
     fill_the_disk(monkeypatch, after=20_000)
     recorder = Told()
-    executor = StandaloneExecutor(plan, recorder, EventLogWriter(str(tmp_path / "log"), header(plan, "r", "", "x")))
+    executor = StandaloneExecutor(
+        plan, recorder, EventLogWriter(str(tmp_path / "log"), header(plan, "r", "", "x"))
+    )
     executor.start()
     with pytest.raises(ExecutionError, match="No space left"):
         executor.wait(DEADLINE)
@@ -283,14 +287,18 @@ def test_a_full_log_ends_the_run_and_is_told_as_its_end(tmp_path: Path, monkeypa
     assert len(list(replay(read_log(str(tmp_path / "log"))))) > 5  # what had room can be read
 
 
-def test_an_end_that_cannot_be_recorded_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_end_that_cannot_be_recorded_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ends: List[str] = []
 
     class Told(Recorder):
         def on_end(self, reason: str, finished: bool) -> None:
             ends.append(reason)
 
-    plan = write_plan(tmp_path, "def go(is_cancelled): is_cancelled.wait(60)\n", net=RING, tokens={"P1": 1})
+    plan = write_plan(
+        tmp_path, "def go(is_cancelled): is_cancelled.wait(60)\n", net=RING, tokens={"P1": 1}
+    )
     recorder = Told()
     writer = EventLogWriter(str(tmp_path / "log"), header(plan, "r", "", "x"))
     executor = StandaloneExecutor(plan, recorder, writer)

@@ -6,10 +6,8 @@ from gspn_framework_package.model.net import Arc, Net, Place, Transition
 
 AWKWARD = "ab1_ .:<>&\"'{}\\#[]()äλ∞|-*?/\t"
 NAMES = (
-    st.text(AWKWARD, min_size=1, max_size=8)
-    .map(lambda text: " ".join(text.split()))
-    .filter(bool)
-)  # fmt: skip
+    st.text(AWKWARD, min_size=1, max_size=8).map(lambda text: " ".join(text.split())).filter(bool)
+)
 POSITIONS = st.one_of(
     st.none(),
     st.tuples(*[st.integers(-(10**6), 10**6).map(lambda n: n / 64)] * 2),

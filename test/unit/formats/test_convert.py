@@ -49,9 +49,14 @@ def test_the_options_of_reading(tmp_path, capsys):
     assert net.transition("begin")[2:6] == (4.0, 1.0, 1, 1)
     assert net.transition("plain").weight == 0
     assert json.loads(capsys.readouterr().out) == {
-        "output": str(out), "format": "pnml", "net": "machine",
-        "places": 3, "transitions": 5, "arcs": 10, "notes": [],
-    }  # fmt: skip
+        "output": str(out),
+        "format": "pnml",
+        "net": "machine",
+        "places": 3,
+        "transitions": 5,
+        "arcs": 10,
+        "notes": [],
+    }
 
 
 def test_notes_go_to_standard_error(tmp_path, capsys):
@@ -97,7 +102,9 @@ def test_wrong_usage_has_one_clear_message(words, message, tmp_path, capsys, mon
 
 
 @pytest.mark.parametrize(
-    "words", [["--const", "N=1"], ["--net", "x"], ["--servers", "infinite"], ["--controllable"]], ids=" ".join
+    "words",
+    [["--const", "N=1"], ["--net", "x"], ["--servers", "infinite"], ["--controllable"]],
+    ids=" ".join,
 )
 def test_plans_say_themselves_how_their_net_is_read(words, tmp_path, capsys):
     assert convert(PLANS / "measure", tmp_path / "n.xml", *words) == 2
@@ -110,10 +117,21 @@ def test_every_format_has_its_own_endings():
 
 
 def test_a_place_becomes_a_net(tmp_path, capsys):
-    outer = (NetBuilder("outer").place("Idle", 1).place("Inspect").immediate("start", inputs="Idle", outputs="Inspect")
-             .exponential("done", inputs="Inspect", outputs="Idle").build())  # fmt: skip
-    inner = (NetBuilder("inner").place("Approach").place("Look")
-             .exponential("arrive", inputs="Approach", outputs="Look").build())  # fmt: skip
+    outer = (
+        NetBuilder("outer")
+        .place("Idle", 1)
+        .place("Inspect")
+        .immediate("start", inputs="Idle", outputs="Inspect")
+        .exponential("done", inputs="Inspect", outputs="Idle")
+        .build()
+    )
+    inner = (
+        NetBuilder("inner")
+        .place("Approach")
+        .place("Look")
+        .exponential("arrive", inputs="Approach", outputs="Look")
+        .build()
+    )
     write_net(outer, tmp_path / "outer.xml")
     write_net(inner, tmp_path / "inner.pnml")
     whole = tmp_path / "whole.xml"
@@ -137,13 +155,22 @@ def test_an_input_file_of_the_thesis_becomes_a_plan(tmp_path, capsys):
     folder, new = tmp_path / "old", tmp_path / "new"
     folder.mkdir()
     new.mkdir()
-    net = NetBuilder("net").place("a", 2).place("b").exponential("go", inputs="a", outputs="b").build()
+    net = (
+        NetBuilder("net")
+        .place("a", 2)
+        .place("b")
+        .exponential("go", inputs="a", outputs="b")
+        .build()
+    )
     write_net(net, folder / "net.xml", "pipe")
     (folder / "work.py").write_text("def here(id):\n    return 'go'\n")
     data = {
-        "project_path": ".", "gspn": "net.xml", "places_tuple": "('a',)", "policy_dictionary": "{(1,): {'go': 1}}",
+        "project_path": ".",
+        "gspn": "net.xml",
+        "places_tuple": "('a',)",
+        "policy_dictionary": "{(1,): {'go': 1}}",
         "place_to_function_mapping": "{'a': 'work.here', 'b': None}",
-    }  # fmt: skip
+    }
     (folder / "input.json").write_text(json.dumps(data))
     assert convert(folder / "input.json", new) == 0
     assert "policy row 1: left out 'go', which is exponential" in capsys.readouterr().err
@@ -166,6 +193,9 @@ def test_every_plan_is_the_same_as_one_file(tmp_path, capsys):
     for plan in sorted(PLANS.iterdir()):
         if (plan / "plan.json").is_file():
             assert convert(plan, tmp_path / (plan.name + ".json")) == 0
-            assert read_plan(str(tmp_path / (plan.name + ".json"))).hash() == read_plan(str(plan)).hash()
+            assert (
+                read_plan(str(tmp_path / (plan.name + ".json"))).hash()
+                == read_plan(str(plan)).hash()
+            )
     assert convert(PLANS / "measure" / "net.xml", tmp_path / "net.json") == 2
     assert "this is a net, and not a plan" in capsys.readouterr().err

@@ -58,9 +58,7 @@ def test_another_marking():
 
 
 @needs_graphviz
-@pytest.mark.parametrize(
-    "image, start", [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")]
-)
+@pytest.mark.parametrize("image, start", [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")])
 def test_kinds_of_pictures(image, start):
     assert dot.render(dot.net_graph(small_net()).text(), image).startswith(start)
 
@@ -68,15 +66,19 @@ def test_kinds_of_pictures(image, start):
 @needs_graphviz
 def test_positions_are_kept():
     net = (
-        NetBuilder("n").place("left", position=(0, 10)).place("right", position=(300, 10))
-        .immediate("top", position=(150, -90), inputs="left", outputs="right").build()
-    )  # fmt: skip
+        NetBuilder("n")
+        .place("left", position=(0, 10))
+        .place("right", position=(300, 10))
+        .immediate("top", position=(150, -90), inputs="left", outputs="right")
+        .build()
+    )
     svg = dot.render(dot.net_graph(net).text()).decode()
     at = {}
     for name, x, y in re.findall(
         r"<title>(left|right|top)</title>.*?(?:cx=|points=)\"(-?[\d.]+)\"?[ ,](?:cy=\")?(-?[\d.]+)",
-        svg, re.DOTALL,
-    ):  # fmt: skip
+        svg,
+        re.DOTALL,
+    ):
         at[name] = float(x), float(y)
     assert at["right"][0] - at["left"][0] == pytest.approx(300, abs=1)
     assert at["right"][1] == pytest.approx(at["left"][1], abs=1)
@@ -85,9 +87,12 @@ def test_positions_are_kept():
 
 def test_fixed_nodes_get_arcs_and_labels_at_fixed_spots():
     net = (
-        NetBuilder("n").place("left", position=(0, 10)).place("right", position=(300, 10))
-        .immediate("top", position=(150, -90), inputs={"left": 2}, outputs="right").build()
-    )  # fmt: skip
+        NetBuilder("n")
+        .place("left", position=(0, 10))
+        .place("right", position=(300, 10))
+        .immediate("top", position=(150, -90), inputs={"left": 2}, outputs="right")
+        .build()
+    )
     text = dot.net_graph(net).text()
     assert 'layout="nop2"' in text
     assert len(re.findall(r'xlp="[-\d.]+,[-\d.]+"', text)) == 3

@@ -27,9 +27,11 @@ RELAXED = settings(
     max_examples=50,
     deadline=None,
     suppress_health_check=[
-        HealthCheck.function_scoped_fixture, HealthCheck.filter_too_much, HealthCheck.too_slow
+        HealthCheck.function_scoped_fixture,
+        HealthCheck.filter_too_much,
+        HealthCheck.too_slow,
     ],
-)  # fmt: skip
+)
 NAMES = ["p", "p 1", "p:1", "min", "é", "1st"]
 
 
@@ -45,14 +47,21 @@ def small_nets(draw, immediate=True):
         name = "t%d" % number
         if immediate and draw(st.booleans()):
             transitions.append(
-                Transition(name, weight=draw(st.sampled_from([0.5, 1.0, 3.0])),
-                           priority=draw(st.sampled_from([1, 1, 2])))
-            )  # fmt: skip
+                Transition(
+                    name,
+                    weight=draw(st.sampled_from([0.5, 1.0, 3.0])),
+                    priority=draw(st.sampled_from([1, 1, 2])),
+                )
+            )
         else:
             transitions.append(
-                Transition(name, timed=True, rate=draw(st.sampled_from([0.25, 1.0, 2.0])),
-                           servers=draw(st.sampled_from([1, 2, None])))
-            )  # fmt: skip
+                Transition(
+                    name,
+                    timed=True,
+                    rate=draw(st.sampled_from([0.25, 1.0, 2.0])),
+                    servers=draw(st.sampled_from([1, 2, None])),
+                )
+            )
         weight = draw(st.sampled_from([1, 1, 1, 2]))
         ends = draw(st.lists(st.sampled_from(places), min_size=2, max_size=2, unique=True))
         arcs += [Arc(ends[0].name, name, weight), Arc(name, ends[1].name, weight)]
@@ -197,9 +206,7 @@ def test_prism_has_the_markings_probabilities_and_throughput_of_the_net(tmp_path
     chain = Chain(net)
     p = data.draw(st.integers(0, len(net.places) - 1))
     goal = "%s >= 2" % place_identifier(net, p)
-    model, properties = build_prism(
-        tmp_path, net, 'P=? [F %s]; R{"throughput_t0"}=? [LRA]' % goal
-    )
+    model, properties = build_prism(tmp_path, net, 'P=? [F %s]; R{"throughput_t0"}=? [LRA]' % goal)
     assert model.nr_states == len(chain.markings)
     expected = chain.reach(lambda marking: marking[p] >= 2)
     assert value(model, properties[0]) == pytest.approx(expected, abs=1e-6)
@@ -214,7 +221,9 @@ def test_philosophers(tmp_path):
     """Four philosophers: 34 markings, mean time to deadlock 550/101."""
     builder = NetBuilder("philosophers")
     for n in range(4):
-        builder.place("think%d" % n, 1).place("wait%d" % n).place("eat%d" % n).place("fork%d" % n, 1)
+        builder.place("think%d" % n, 1).place("wait%d" % n).place("eat%d" % n).place(
+            "fork%d" % n, 1
+        )
     for n in range(4):
         left, right = "fork%d" % n, "fork%d" % ((n + 1) % 4)
         builder.exponential("take%d" % n, inputs=["think%d" % n, left], outputs="wait%d" % n)
@@ -229,10 +238,14 @@ def test_philosophers(tmp_path):
 
 def test_weight_0_is_a_nondeterministic_choice(tmp_path):
     net = (
-        NetBuilder("n").place("a", 1).place("b").place("c")
+        NetBuilder("n")
+        .place("a", 1)
+        .place("b")
+        .place("c")
         .immediate("left", weight=0, inputs="a", outputs="b")
-        .immediate("right", weight=0, inputs="a", outputs="c").build()
-    )  # fmt: skip
+        .immediate("right", weight=0, inputs="a", outputs="c")
+        .build()
+    )
     for kind, expected in (("max", 1), ("min", 0)):
         model, properties = build_jani(tmp_path, net, "P%s=? [F b=1]" % kind)
         assert value(model, properties[0]) == expected
@@ -241,23 +254,31 @@ def test_weight_0_is_a_nondeterministic_choice(tmp_path):
 def test_the_bounds_that_are_known_are_said():
     net = NetBuilder("n").place("a", 1).place("b", capacity=4).place("c").exponential("t").build()
     document = json.loads(jani.to_bytes(net, {"a": 2}))
-    bounds = [v["type"] if v["type"] == "int" else v["type"]["upper-bound"]
-              for v in document["variables"]]  # fmt: skip
+    bounds = [
+        v["type"] if v["type"] == "int" else v["type"]["upper-bound"] for v in document["variables"]
+    ]
     assert bounds == [2, 4, "int"]
     text = prism.to_bytes(net, {"a": 2}).decode()
     assert re.findall(r"^  (\w) : (.*) init", text, re.MULTILINE) == [
-        ("a", "[0..2]"), ("b", "[0..4]"), ("c", "int")
-    ]  # fmt: skip
+        ("a", "[0..2]"),
+        ("b", "[0..4]"),
+        ("c", "int"),
+    ]
 
 
 def test_a_place_that_is_always_empty_has_a_variable_of_two_values(tmp_path):
     """Storm computes wrong numbers with a variable whose only value is 0."""
     net = (
-        NetBuilder("n").place("a", 1).place("b").place("never").place("full", 2, capacity=2)
-        .exponential("t", rate=2, inputs="a", outputs="b").exponential("u", inputs={"b": 1, "never": 1},
-                                                                     outputs={"a": 1, "never": 1})
-        .exponential("back", rate=3, inputs="b", outputs="a").build()
-    )  # fmt: skip
+        NetBuilder("n")
+        .place("a", 1)
+        .place("b")
+        .place("never")
+        .place("full", 2, capacity=2)
+        .exponential("t", rate=2, inputs="a", outputs="b")
+        .exponential("u", inputs={"b": 1, "never": 1}, outputs={"a": 1, "never": 1})
+        .exponential("back", rate=3, inputs="b", outputs="a")
+        .build()
+    )
     known = {"a": 1, "b": 1, "never": 0, "full": 0}
     document = json.loads(jani.to_bytes(net, known))
     assert [v["type"]["upper-bound"] for v in document["variables"]] == [1, 1, 1, 2]
@@ -265,7 +286,12 @@ def test_a_place_that_is_always_empty_has_a_variable_of_two_values(tmp_path):
     assert re.findall(r" : \[0\.\.(\d)\] init", text) == ["1", "1", "1", "2"]
     path = tmp_path / "n.jani"
     assert main(["convert", _written(net, tmp_path), str(path)]) == 0
-    assert [v["type"]["upper-bound"] for v in json.loads(path.read_text())["variables"]] == [1, 1, 1, 2]
+    assert [v["type"]["upper-bound"] for v in json.loads(path.read_text())["variables"]] == [
+        1,
+        1,
+        1,
+        2,
+    ]
 
 
 def _written(net, folder):
@@ -302,8 +328,11 @@ def test_the_files_of_a_chain_for_prism():
     assert files["sta"].decode().splitlines() == ["(a,b_c)", "0:(0,1)", "1:(1,0)", "2:(2,2)"]
     assert files["tra"].decode().splitlines() == ["3 3", "0 1 0.5", "1 0 2.0", "1 2 0.1"]
     assert files["lab"].decode().splitlines() == [
-        '0="init" 1="deadlock" 2="x"', "0: 0", "1: 2", "2: 1"
-    ]  # fmt: skip
+        '0="init" 1="deadlock" 2="x"',
+        "0: 0",
+        "1: 2",
+        "2: 1",
+    ]
 
 
 def test_labels_that_no_model_checker_takes():
@@ -322,11 +351,10 @@ def test_the_computed_chain_as_storm_reads_it(tmp_path, net, data):
     p = data.draw(st.integers(0, len(net.places) - 1))
     write_net(net, tmp_path / "n.pnml")
     label = "goal='%s' >= 2" % net.places[p].name
-    code = main(
-        ["convert", str(tmp_path / "n.pnml"), str(tmp_path / "n.drn"), "--label", label]
-    )
+    code = main(["convert", str(tmp_path / "n.pnml"), str(tmp_path / "n.drn"), "--label", label])
     assume(code == 0)  # 1: it starts in one of several states by chance
-    assume(re.search("^state .* goal", (tmp_path / "n.drn").read_text(), re.MULTILINE))  # the others: below
+    # the others: below
+    assume(re.search("^state .* goal", (tmp_path / "n.drn").read_text(), re.MULTILINE))
     model = stormpy.build_model_from_drn(str(tmp_path / "n.drn"))
     assert model.nr_states <= len(slow)  # the chain has only what is reached
     found = value(model, stormpy.parse_properties('P=? [F "goal"]')[0])
@@ -339,20 +367,35 @@ def test_a_label_that_no_state_has_is_told(tmp_path, capsys):
     """DRN names labels at states only, so that Storm cannot know of it."""
     net = NetBuilder("n").place("a", 1).exponential("t", inputs="a").build()
     write_net(net, tmp_path / "n.xml")
-    assert main(["convert", str(tmp_path / "n.xml"), str(tmp_path / "n.drn"), "--label", "goal=a >= 2"]) == 0
+    assert (
+        main(
+            ["convert", str(tmp_path / "n.xml"), str(tmp_path / "n.drn"), "--label", "goal=a >= 2"]
+        )
+        == 0
+    )
     assert "no state has the label 'goal'; the file cannot say so" in capsys.readouterr().err
     assert "// no state has the label goal\n" in (tmp_path / "n.drn").read_text()
     assert stormpy.build_model_from_drn(str(tmp_path / "n.drn")).nr_states == 2
-    assert main(["convert", str(tmp_path / "n.xml"), str(tmp_path / "n.tra"), "--label", "goal=a >= 2"]) == 0
+    assert (
+        main(
+            ["convert", str(tmp_path / "n.xml"), str(tmp_path / "n.tra"), "--label", "goal=a >= 2"]
+        )
+        == 0
+    )
     assert '"goal"' in (tmp_path / "n.lab").read_text()
 
 
 def test_a_chain_that_starts_by_chance(tmp_path, capsys):
     net = (
-        NetBuilder("n").place("a", 1).place("b").place("c")
-        .immediate("left", inputs="a", outputs="b").immediate("right", inputs="a", outputs="c")
-        .exponential("back", inputs="b", outputs="c").build()
-    )  # fmt: skip
+        NetBuilder("n")
+        .place("a", 1)
+        .place("b")
+        .place("c")
+        .immediate("left", inputs="a", outputs="b")
+        .immediate("right", inputs="a", outputs="c")
+        .exponential("back", inputs="b", outputs="c")
+        .build()
+    )
     write_net(net, tmp_path / "n.xml")
     assert main(["convert", str(tmp_path / "n.xml"), str(tmp_path / "n.tra")]) == 1
     assert "starts in one of 2 states by chance" in capsys.readouterr().err
@@ -360,10 +403,14 @@ def test_a_chain_that_starts_by_chance(tmp_path, capsys):
 
 def test_the_command_writes_the_three_files_of_prism(tmp_path, capsys):
     net = (
-        NetBuilder("n").place("a", 1).place("b").place("c")
+        NetBuilder("n")
+        .place("a", 1)
+        .place("b")
+        .place("c")
         .exponential("go", rate=2, inputs="a", outputs="b")
-        .immediate("pass", inputs="b", outputs="c").build()
-    )  # fmt: skip
+        .immediate("pass", inputs="b", outputs="c")
+        .build()
+    )
     write_net(net, tmp_path / "n.xml")
     assert main(["convert", str(tmp_path / "n.xml"), str(tmp_path / "n.tra"), "--json"]) == 0
     done = json.loads(capsys.readouterr().out)

@@ -35,7 +35,12 @@ def transition(name, rest=""):
 
 def arc(source, target, rest=""):
     return '<arc id="%s to %s" source="%s" target="%s">%s</arc>' % (
-        source, target, source, target, rest)  # fmt: skip
+        source,
+        target,
+        source,
+        target,
+        rest,
+    )
 
 
 def test_version_2_plain_numbers_and_nothing_else():
@@ -100,14 +105,17 @@ def test_a_constant_from_outside_goes_first():
 
 def test_everything_is_optional(tmp_path):
     net, notes = read_text(
-        tmp_path, '<pnml><net><place id="a"/><transition id="t"/><arc source="a" target="t"/></net></pnml>'
-    )  # fmt: skip
+        tmp_path,
+        '<pnml><net><place id="a"/><transition id="t"/><arc source="a" target="t"/></net></pnml>',
+    )
     assert net == NetBuilder().place("a").immediate("t", inputs="a").build()
     assert notes == []
 
 
 def test_servers_and_weights_that_are_not_said(tmp_path):
-    text = document(place("a"), transition("e", "<timed><value>true</value></timed>"), transition("i"))
+    text = document(
+        place("a"), transition("e", "<timed><value>true</value></timed>"), transition("i")
+    )
     assert read_text(tmp_path, text)[0].transition("e").servers == 1
     assert read_text(tmp_path, text, infinite_servers=True)[0].transition("e").servers is None
     assert read_text(tmp_path, text)[0].transition("i").weight == 1
@@ -175,45 +183,98 @@ def test_one_of_several_nets(tmp_path):
         ([place("a"), transition("t"), '<arc id="x" source="a"/>'], 5, "it has no target"),
         ([place("a"), place("a")], 4, "the id is already taken by a place in line 3"),
         (
-            [place("a", "<initialMarking><value>-1</value></initialMarking>")], 3,
+            [place("a", "<initialMarking><value>-1</value></initialMarking>")],
+            3,
             "initial marking -1 is not a whole number",
         ),
         (
-            [place("a", "<initialMarking><value>1.5</value></initialMarking>")], 3,
+            [place("a", "<initialMarking><value>1.5</value></initialMarking>")],
+            3,
             "'1.5' is not a whole number",
         ),
         (
-            [place("a", "<initialMarking><value>3</value></initialMarking>"
-                   "<capacity><value>2</value></capacity>")], 3, "above its capacity",
+            [
+                place(
+                    "a",
+                    "<initialMarking><value>3</value></initialMarking>"
+                    "<capacity><value>2</value></capacity>",
+                )
+            ],
+            3,
+            "above its capacity",
         ),
-        ([place("a"), transition("t"),
-          arc("a", "t", "<inscription><value>-2</value></inscription>")], 5, "weight -2"),
-        ([place("a"), transition("t"),
-          arc("a", "t", "<inscription><value>0</value></inscription>")], 5, "weight 0"),
+        (
+            [
+                place("a"),
+                transition("t"),
+                arc("a", "t", "<inscription><value>-2</value></inscription>"),
+            ],
+            5,
+            "weight -2",
+        ),
+        (
+            [
+                place("a"),
+                transition("t"),
+                arc("a", "t", "<inscription><value>0</value></inscription>"),
+            ],
+            5,
+            "weight 0",
+        ),
         ([place("a"), transition("t"), arc("a", "t", '<type value="reset"/>')], 5, "'reset'"),
-        ([place("a"), transition("t"), arc("t", "a", '<type value="inhibitor"/>')], 5,
-         "an inhibitor arc goes from a place to a transition"),
+        (
+            [place("a"), transition("t"), arc("t", "a", '<type value="inhibitor"/>')],
+            5,
+            "an inhibitor arc goes from a place to a transition",
+        ),
         ([place("a"), transition("t", "<rate><value>-1</value></rate>")], 4, "weight -1.0"),
-        ([place("a"), transition("t", "<rate><value>0</value></rate>"
-                                 "<timed><value>true</value></timed>")], 4, "rate 0.0"),
-        ([place("a"), transition("t", "<rate><value>speed</value></rate>")], 4,
-         "'speed' has no value"),
-        ([place("a"), transition("t", "<rate><value>#(a)</value></rate>")], 4,
-         "depends on the marking"),
-        ([place("a"), transition("t", "<timed><value>maybe</value></timed>")], 4,
-         "neither true nor false"),
-        ([place("a", "<initialMarking><value>Default,1,Red,1</value></initialMarking>")], 3,
-         "a coloured net"),
-        ([place("a"), transition("t"),
-          arc("a", "t", "<inscription><value>Red,1</value></inscription>"),
-          arc("t", "a", "<inscription><value>Default,1</value></inscription>")], 6,
-         "a coloured net"),
-        (['<definition name="x" expression="y"/>', '<definition name="y" expression="x"/>'], None,
-         "constants are defined by each other: x -> y -> x"),
+        (
+            [
+                place("a"),
+                transition("t", "<rate><value>0</value></rate><timed><value>true</value></timed>"),
+            ],
+            4,
+            "rate 0.0",
+        ),
+        (
+            [place("a"), transition("t", "<rate><value>speed</value></rate>")],
+            4,
+            "'speed' has no value",
+        ),
+        (
+            [place("a"), transition("t", "<rate><value>#(a)</value></rate>")],
+            4,
+            "depends on the marking",
+        ),
+        (
+            [place("a"), transition("t", "<timed><value>maybe</value></timed>")],
+            4,
+            "neither true nor false",
+        ),
+        (
+            [place("a", "<initialMarking><value>Default,1,Red,1</value></initialMarking>")],
+            3,
+            "a coloured net",
+        ),
+        (
+            [
+                place("a"),
+                transition("t"),
+                arc("a", "t", "<inscription><value>Red,1</value></inscription>"),
+                arc("t", "a", "<inscription><value>Default,1</value></inscription>"),
+            ],
+            6,
+            "a coloured net",
+        ),
+        (
+            ['<definition name="x" expression="y"/>', '<definition name="y" expression="x"/>'],
+            None,
+            "constants are defined by each other: x -> y -> x",
+        ),
         (['<page id="p"/>'], 3, "a page in a PIPE net"),
         ([], None, "no place and no transition"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_told_with_its_line(tmp_path, elements, line, message):
     with pytest.raises(InputError, match="net.xml") as raised:
         read_text(tmp_path, document(*elements), format="pipe")
@@ -247,9 +308,14 @@ def test_a_long_chain_of_names_that_are_ids_of_others():
     assert time.monotonic() - start < 20
 
 
-@pytest.mark.parametrize("text", ["Red,1,Default", "Default,1,Red,1,", "Red-1,2,Default,1", "1,2", "Default:1,Red:1"])
+@pytest.mark.parametrize(
+    "text", ["Red,1,Default", "Default,1,Red,1,", "Red-1,2,Default,1", "1,2", "Default:1,Red:1"]
+)
 def test_a_marking_of_classes_that_cannot_be_read_says_what_a_pair_is(tmp_path, text):
     with pytest.raises(InputError) as caught:
-        read_text(tmp_path, document(place("P", "<initialMarking><value>%s</value></initialMarking>" % text)))
+        read_text(
+            tmp_path,
+            document(place("P", "<initialMarking><value>%s</value></initialMarking>" % text)),
+        )
     assert "neither a number nor pairs of a class of tokens and a number" in str(caught.value)
     assert caught.value.line == 3

@@ -29,23 +29,34 @@ NET = {
         {"name": "stay"},
     ],
     "arcs": [
-        {"from": "P", "to": "T"}, {"from": "T", "to": "Q"}, {"from": "T", "to": "count", "weight": 2},
-        {"from": "Q", "to": "back"}, {"from": "back", "to": "P"},
-        {"from": "Q", "to": "stay"}, {"from": "stay", "to": "Q"},
+        {"from": "P", "to": "T"},
+        {"from": "T", "to": "Q"},
+        {"from": "T", "to": "count", "weight": 2},
+        {"from": "Q", "to": "back"},
+        {"from": "back", "to": "P"},
+        {"from": "Q", "to": "stay"},
+        {"from": "stay", "to": "Q"},
     ],
-}  # fmt: skip
+}
 FULL: Dict[str, Any] = {
     "plan": "everything",
     "net": NET,
     "policy": {"places": ["P", "Q"], "rows": [{"marking": ["-", 1], "choose": {"back": 1}}]},
     "actions": {
         "P": "work.go",
-        "Q": {"type": "move_base_msgs/MoveBaseAction", "server": "move_base",
-              "goal": {"target_pose": {"header": {"frame_id": "map"}}}, "outcomes": {"aborted": "stay"}},
+        "Q": {
+            "type": "move_base_msgs/MoveBaseAction",
+            "server": "move_base",
+            "goal": {"target_pose": {"header": {"frame_id": "map"}}},
+            "outcomes": {"aborted": "stay"},
+        },
     },
     "resource_places": ["count"],
     "synchronisation": "partial",
-    "robots": [{"name": "red", "place": "P", "actions": {"Q": None}}, {"name": "blue", "place": "P"}],
+    "robots": [
+        {"name": "red", "place": "P", "actions": {"Q": None}},
+        {"name": "blue", "place": "P"},
+    ],
     "spawn": ["P", "Q"],
     "seed": 7,
     "strict": True,
@@ -57,7 +68,7 @@ FULL: Dict[str, Any] = {
     "on_evict": {"P": {"count": 1}},
     "until": "count >= 10",
     "agreement": {"evict_after": 5, "fence_after": 2, "fsync": True, "witnesses": ["w"]},
-}  # fmt: skip
+}
 
 
 def changed(**changes: Any) -> Dict[str, Any]:
@@ -112,7 +123,10 @@ def test_a_team_of_another_size(tmp_path: Path) -> None:
     assert two.net.named(two.net.initial_marking, zeros=False) == {"P": 2}
     five = plan.for_robots(5)
     assert [(r.name, r.place) for r in five.robots][2:] == [
-        ("robot_3", "P"), ("robot_4", "Q"), ("robot_5", "P")]  # fmt: skip
+        ("robot_3", "P"),
+        ("robot_4", "Q"),
+        ("robot_5", "P"),
+    ]
     assert five.net.named(five.net.initial_marking, zeros=False) == {"P": 4, "Q": 1}
 
 
@@ -141,7 +155,10 @@ def test_robots_are_dealt_where_a_plan_names_none() -> None:
         (changed(robots={"r": "Z"}), "robot 'r': the net has no place 'Z'"),
         (changed(robots={"r": "count"}), "'count' is a resource place"),
         (changed(robots=[{"name": "r", "place": "P"}] * 2), "two robots are named 'r'"),
-        (changed(on_failure={"P": "fire back"}), "on_failure of 'P': 'back' does not leave that place"),
+        (
+            changed(on_failure={"P": "fire back"}),
+            "on_failure of 'P': 'back' does not leave that place",
+        ),
         (changed(on_failure={"P": "fire X"}), "the net has no transition 'X'"),
         (changed(on_failure={"P": "panic"}), "on_failure.P: "),
         (changed(timeout={"P": 0}), "timeout.P: "),
@@ -149,14 +166,21 @@ def test_robots_are_dealt_where_a_plan_names_none() -> None:
         (changed(on_evict={"P": {"Q": 1}}), "on_evict: 'Q' is not a resource place"),
         (changed(until="count >="), "until: "),
         (changed(until="__import__('os')"), "until: "),
-        (changed(policy={"places": ["P"], "rows": [{"marking": [1], "choose": {"back": 1.2}}]}),
-         "policy row 1: probability 1.2"),
-        (changed(policy={"places": ["P"], "rows": [{"marking": [1], "choose": {"nope": 1}}]}),
-         "policy row 1: the net has no transition 'nope'"),
-        (changed(net={**NET, "arcs": [{"from": "P", "to": "nowhere"}]}), "no place or transition 'nowhere'"),
+        (
+            changed(policy={"places": ["P"], "rows": [{"marking": [1], "choose": {"back": 1.2}}]}),
+            "policy row 1: probability 1.2",
+        ),
+        (
+            changed(policy={"places": ["P"], "rows": [{"marking": [1], "choose": {"nope": 1}}]}),
+            "policy row 1: the net has no transition 'nope'",
+        ),
+        (
+            changed(net={**NET, "arcs": [{"from": "P", "to": "nowhere"}]}),
+            "no place or transition 'nowhere'",
+        ),
         (changed(net={**NET, "arcs": [{"from": "P", "to": "T", "weight": -1}]}), "weight: -1"),
     ],
-)  # fmt: skip
+)
 def test_what_is_not_a_plan_is_refused_with_file_and_element(
     tmp_path: Path, data: Any, message: str
 ) -> None:
@@ -180,9 +204,18 @@ def test_the_schema_describes_itself() -> None:
 
 
 FIXED = [
-    [], ["net"], ["net", "places", 0], ["net", "transitions", 1], ["net", "arcs", 3], ["policy"],
-    ["policy", "rows", 0], ["actions", "Q"], ["robots", 1], ["on_failure", "P"], ["agreement"],
-]  # fmt: skip
+    [],
+    ["net"],
+    ["net", "places", 0],
+    ["net", "transitions", 1],
+    ["net", "arcs", 3],
+    ["policy"],
+    ["policy", "rows", 0],
+    ["actions", "Q"],
+    ["robots", 1],
+    ["on_failure", "P"],
+    ["agreement"],
+]
 """The objects of FULL whose keys are not names that a user chose."""
 
 
@@ -200,18 +233,36 @@ def test_an_unknown_key_is_refused_with_its_line(tmp_path, path):
     lines = file.read_text().splitlines()
     assert caught.value.file == str(file)
     assert caught.value.line is not None
-    if caught.value.line != next(number for number, line in enumerate(lines, 1) if '"leaks"' in line):
-        assert "not valid under any of the given schemas" in caught.value.message  # one of several forms
+    if caught.value.line != next(
+        number for number, line in enumerate(lines, 1) if '"leaks"' in line
+    ):
+        # one of several forms
+        assert "not valid under any of the given schemas" in caught.value.message
 
 
 @pytest.mark.parametrize(
     "old, new, element, message",
     [
-        ('"timed": true, ', "", "transition 'T'", "it has a rate, which immediate transitions do not have"),
-        ('{"name": "back", ', '{"name": "back", "timed": true, ', "transition 'back'", "which timed transitions"),
+        (
+            '"timed": true, ',
+            "",
+            "transition 'T'",
+            "it has a rate, which immediate transitions do not have",
+        ),
+        (
+            '{"name": "back", ',
+            '{"name": "back", "timed": true, ',
+            "transition 'back'",
+            "which timed transitions",
+        ),
         ('"until": "count >= 10"', '"until": "cuont >= 10"', "until", "cuont"),
         ('"evict_after": 5', '"evict_after": NaN', None, "NaN is not a number that can be used"),
-        ('"evict_after": 5', '"evict_after": 1e999', None, "1e999 is not a number that can be used"),
+        (
+            '"evict_after": 5',
+            '"evict_after": 1e999',
+            None,
+            "1e999 is not a number that can be used",
+        ),
         ('"seed": 7', '"seed": -Infinity', None, "-Infinity is not a number"),
         ('"seed": 7', '"seed": 1%s' % ("0" * 5000), None, "... is not a number that can be used"),
         ('"everything"', '"\\ud800"', None, "a character that does not exist ('\\ud800')"),

@@ -19,7 +19,9 @@ def read_text(tmp_path, text):
 
 def page(*elements, kind="http://www.pnml.org/version-2009/grammar/ptnet"):
     return '<pnml><net id="n" type="%s"><page id="g">\n%s\n</page></net></pnml>' % (
-        kind, "\n".join(elements))  # fmt: skip
+        kind,
+        "\n".join(elements),
+    )
 
 
 def test_nested_pages_and_references():
@@ -72,26 +74,71 @@ def test_prom_writes_means(tmp_path):
         ([], "http://www.pnml.org/version-2009/grammar/symmetricnet", 1, "a coloured net"),
         ([], "http://example.org/timed-net", 1, "nets of the type 'http://example.org/timed-net'"),
         (['<place id="p"><hlinitialMarking/></place>'], "", 2, "a coloured net"),
-        (['<place id="p"/><transition id="t"/>',
-          '<arc id="a" source="p" target="t"><hlinscription/></arc>'], "", 3, "a coloured net"),
-        (['<referencePlace id="r1" ref="r2"/>', '<referencePlace id="r2" ref="r1"/>',
-          '<transition id="t"/><arc id="a" source="r1" target="t"/>'], "", 2,
-         "references lead to each other: r1 -> r2 -> r1"),
-        (['<referencePlace id="r1" ref="r1"/><transition id="t"/>',
-          '<arc id="a" source="t" target="r1"/>'], "", 2, "references lead to each other"),
-        (['<referencePlace id="r1" ref="gone"/><transition id="t"/>',
-          '<arc id="a" source="r1" target="t"/>'], "", 3, "no place or transition 'gone'"),
+        (
+            [
+                '<place id="p"/><transition id="t"/>',
+                '<arc id="a" source="p" target="t"><hlinscription/></arc>',
+            ],
+            "",
+            3,
+            "a coloured net",
+        ),
+        (
+            [
+                '<referencePlace id="r1" ref="r2"/>',
+                '<referencePlace id="r2" ref="r1"/>',
+                '<transition id="t"/><arc id="a" source="r1" target="t"/>',
+            ],
+            "",
+            2,
+            "references lead to each other: r1 -> r2 -> r1",
+        ),
+        (
+            [
+                '<referencePlace id="r1" ref="r1"/><transition id="t"/>',
+                '<arc id="a" source="t" target="r1"/>',
+            ],
+            "",
+            2,
+            "references lead to each other",
+        ),
+        (
+            [
+                '<referencePlace id="r1" ref="gone"/><transition id="t"/>',
+                '<arc id="a" source="r1" target="t"/>',
+            ],
+            "",
+            3,
+            "no place or transition 'gone'",
+        ),
         (['<referencePlace id="r1"/>'], "", 2, "an id and a ref"),
-        (['<place id="p"/><transition id="t"/>',
-          '<arc id="a" source="p" target="t"><type value="reset"/></arc>'], "", 3, "'reset'"),
-        (['<place id="p"><initialMarking><text>many</text></initialMarking></place>'], "", 2,
-         "'many' has no value"),
-        (['<transition id="t"><toolspecific tool="StochasticPetriNet" version="0.2">'
-          '<property key="distributionType">NORMAL</property></toolspecific></transition>'], "", 2,
-         "the distribution NORMAL"),
+        (
+            [
+                '<place id="p"/><transition id="t"/>',
+                '<arc id="a" source="p" target="t"><type value="reset"/></arc>',
+            ],
+            "",
+            3,
+            "'reset'",
+        ),
+        (
+            ['<place id="p"><initialMarking><text>many</text></initialMarking></place>'],
+            "",
+            2,
+            "'many' has no value",
+        ),
+        (
+            [
+                '<transition id="t"><toolspecific tool="StochasticPetriNet" version="0.2">'
+                '<property key="distributionType">NORMAL</property></toolspecific></transition>'
+            ],
+            "",
+            2,
+            "the distribution NORMAL",
+        ),
         (['<place id="p"/><place id="p"/>'], "", 2, "already taken"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_told_with_its_line(tmp_path, elements, kind, line, message):
     with pytest.raises(InputError, match="net.pnml") as raised:
         read_text(tmp_path, page(*elements, kind=kind))
@@ -102,8 +149,10 @@ def test_what_is_wrong_is_told_with_its_line(tmp_path, elements, kind, line, mes
 def test_own_data_of_other_tools_is_left_alone(tmp_path):
     net = read_text(
         tmp_path,
-        page('<place id="p"><toolspecific tool="other" version="1"><property key="capacity">'
-             "x</property></toolspecific></place>"),
-    )[0]  # fmt: skip
+        page(
+            '<place id="p"><toolspecific tool="other" version="1"><property key="capacity">'
+            "x</property></toolspecific></place>"
+        ),
+    )[0]
     assert net.places[0].capacity is None
     assert read_net(tmp_path / "net.pnml", format="pnml") == net

@@ -82,8 +82,12 @@ def test_several_nets_and_a_composition():
     [
         ('<color-class name="C" definition="c{1..2}"/>', "", 4, "a coloured net"),
         ('<place name="a" domain="C"/>', "", 4, "a coloured net"),
-        ('<place name="a"/><transition name="t"/>',
-         '\n<arc head="t" tail="a" kind="INPUT" mult="&lt;x&gt;"/>', 7, "a coloured net"),
+        (
+            '<place name="a"/><transition name="t"/>',
+            '\n<arc head="t" tail="a" kind="INPUT" mult="&lt;x&gt;"/>',
+            7,
+            "a coloured net",
+        ),
         ('<place name="a" type="CONTINUOUS"/>', "", 4, "a fluid place"),
         ('<transition name="t" type="GEN" delay="I[1]"/>', "", 4, "of a general distribution"),
         ('<transition name="t" type="CONT"/>', "", 4, "with a continuous flow"),
@@ -93,16 +97,28 @@ def test_several_nets_and_a_composition():
         ('<transition name="t" type="EXP" delay="nu"/>', "", 4, "'nu' has no value"),
         ('<transition name="t" type="EXP" delay="1/0"/>', "", 4, "division by zero"),
         ('<transition name="t" type="EXP" nservers="0"/>', "", 4, "number of servers 0"),
-        ('<template name="N" type="INTEGER"/>\n<place name="a" marking="N"/>', "", 5,
-         "'N' has no value"),
-        ('<constant name="a" value="b"/>\n<constant name="b" value="a"/><place name="p"/>', "", 4,
-         "defined by each other: a -> b -> a"),
+        (
+            '<template name="N" type="INTEGER"/>\n<place name="a" marking="N"/>',
+            "",
+            5,
+            "'N' has no value",
+        ),
+        (
+            '<constant name="a" value="b"/>\n<constant name="b" value="a"/><place name="p"/>',
+            "",
+            4,
+            "defined by each other: a -> b -> a",
+        ),
         ('<place name="a"/>', '\n<arc head="t" tail="a" kind="INPUT"/>', 7, "'t'"),
-        ('<place name="a"/><transition name="t"/>',
-         '\n<arc head="t" tail="a" kind="RESET"/>', 7, "'RESET'"),
-        ('<place/>', "", 4, "neither an id nor a name"),
+        (
+            '<place name="a"/><transition name="t"/>',
+            '\n<arc head="t" tail="a" kind="RESET"/>',
+            7,
+            "'RESET'",
+        ),
+        ("<place/>", "", 4, "neither an id nor a name"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_told_with_its_line(tmp_path, nodes, edges, line, message):
     with pytest.raises(InputError, match="net.PNPRO") as raised:
         read_nodes(tmp_path, nodes, edges)
@@ -112,9 +128,12 @@ def test_what_is_wrong_is_told_with_its_line(tmp_path, nodes, edges, line, messa
 
 def test_capacities_are_written_as_inhibitor_arcs(tmp_path):
     net = (
-        NetBuilder("n").place("a", 2).place("b", capacity=3)
-        .exponential("t", inputs="a", outputs={"b": 2}).build()
-    )  # fmt: skip
+        NetBuilder("n")
+        .place("a", 2)
+        .place("b", capacity=3)
+        .exponential("t", inputs="a", outputs={"b": 2})
+        .build()
+    )
     notes = write_net(net, tmp_path / "n.pnpro")
     assert notes == ["capacities are written as inhibitor arcs, which say the same"]
     back = read_net(tmp_path / "n.pnpro")
@@ -160,7 +179,10 @@ def test_functions_as_the_editor_writes_them(tmp_path, text, value):
 def test_functions_that_are_not_read_are_refused(tmp_path, text, message):
     path = tmp_path / "net.PNPRO"
     escaped = text.replace('"', "&quot;")
-    path.write_text('<project><gspn name="n"><nodes>\n<place name="p" marking="%s"/></nodes></gspn></project>' % escaped)
+    path.write_text(
+        '<project><gspn name="n"><nodes>\n<place name="p" marking="%s"/></nodes></gspn></project>'
+        % escaped
+    )
     with pytest.raises(InputError, match=message) as caught:
         read_net(path)
     assert caught.value.line == 2

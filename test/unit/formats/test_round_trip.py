@@ -122,8 +122,12 @@ def test_a_net_of_100_000_arcs(tmp_path):
     for n in range(count):
         builder.place("p%d" % n, tokens=n % 3)
     for n in range(count):
-        builder.exponential("t%d" % n, rate=n + 1, inputs={"p%d" % n: 2, "p%d" % ((n + 7) % count): 1},
-                            outputs=["p%d" % ((n + 1) % count), "p%d" % ((n + 5) % count)])  # fmt: skip
+        builder.exponential(
+            "t%d" % n,
+            rate=n + 1,
+            inputs={"p%d" % n: 2, "p%d" % ((n + 7) % count): 1},
+            outputs=["p%d" % ((n + 1) % count), "p%d" % ((n + 5) % count)],
+        )
     net = builder.build()
     assert isinstance(net, Net)
     assert len(net.arcs) == 4 * count

@@ -20,7 +20,11 @@ def transition(x, y, label="go\nλ 1"):
 def gap(some, others):
     """The least distance between two arcs, away from the nodes where they end."""
     inner = some.points()
-    inner = [p for p in inner if min(math.hypot(p[0] - e[0], p[1] - e[1]) for e in (some.start, some.tip)) > 40]
+    inner = [
+        p
+        for p in inner
+        if min(math.hypot(p[0] - e[0], p[1] - e[1]) for e in (some.start, some.tip)) > 40
+    ]
     return min(math.hypot(p[0] - q[0], p[1] - q[1]) for p in inner for q in others.points())
 
 
@@ -33,7 +37,10 @@ def test_an_arc_alone_is_straight_and_ends_at_its_nodes():
 
 
 def test_arcs_between_the_same_nodes_are_apart():
-    found = layout([place(0, 0), transition(200, 0)], [Line(0, 1, "2", 7), Line(0, 1, "3", 6), Line(1, 0, "", 7)])
+    found = layout(
+        [place(0, 0), transition(200, 0)],
+        [Line(0, 1, "2", 7), Line(0, 1, "3", 6), Line(1, 0, "", 7)],
+    )
     first, second, back = found.routes
     assert min(gap(first, second), gap(first, back), gap(second, back)) > 8
     assert first.label != second.label
@@ -48,8 +55,17 @@ def test_an_arc_goes_around_a_node_and_not_along_another_arc():
 
 def test_labels_lie_on_no_arc_no_node_and_no_label():
     boxes = [transition(0, 0, "Hand_Over\nλ 2 ∞")]
-    boxes += [place(x, y, "neighbour") for x, y in ((-110, 120), (-110, -120), (110, 120), (110, -120), (0, 150))]
-    lines = [Line(1, 0, "", 7), Line(2, 0, "", 7), Line(0, 3, "4", 7), Line(0, 4, "", 7), Line(5, 0, "", 7)]
+    boxes += [
+        place(x, y, "neighbour")
+        for x, y in ((-110, 120), (-110, -120), (110, 120), (110, -120), (0, 150))
+    ]
+    lines = [
+        Line(1, 0, "", 7),
+        Line(2, 0, "", 7),
+        Line(0, 3, "4", 7),
+        Line(0, 4, "", 7),
+        Line(5, 0, "", 7),
+    ]
     found = layout(boxes, lines)
     spots = []
     texts = [*zip(found.labels, (box.label for box in boxes)), (found.routes[2].label, "4")]
@@ -67,7 +83,10 @@ def test_labels_lie_on_no_arc_no_node_and_no_label():
 
 def test_what_would_take_long_is_left_to_graphviz():
     assert layout([place(0, 0), transition(1e300, 0)], [Line(0, 1, "", 7)]) is None
-    assert layout([place(i, i) for i in range(1000)], [Line(i, i + 1, "", 7) for i in range(900)]) is None
+    assert (
+        layout([place(i, i) for i in range(1000)], [Line(i, i + 1, "", 7) for i in range(900)])
+        is None
+    )
 
 
 spots = st.sampled_from([0.0, 1.0, 15.0, 40.0, 250.5])

@@ -35,10 +35,15 @@ STANDALONE: Dict[str, Any] = {
 @pytest.fixture()
 def folder(tmp_path: Path) -> Path:
     net = (
-        NetBuilder("net").place("p1", 2).place("p2", 1).place("r1", 3)
+        NetBuilder("net")
+        .place("p1", 2)
+        .place("p2", 1)
+        .place("r1", 3)
         .exponential("t1", inputs="p1", outputs=["p2", "r1"])
-        .immediate("t2", inputs="p2", outputs="p1").immediate("t3", inputs="p2", outputs="p1").build()
-    )  # fmt: skip
+        .immediate("t2", inputs="p2", outputs="p1")
+        .immediate("t3", inputs="p2", outputs="p1")
+        .build()
+    )
     write_net(net, tmp_path / "net.xml", "pipe")
     return tmp_path
 
@@ -57,7 +62,10 @@ def test_the_ros_form(folder: Path) -> None:
     assert plan.resource_places == {"r1"}
     assert plan.synchronisation is Synchronisation.FULL
     assert [(r.name, r.place) for r in plan.robots] == [
-        ("robot_1", "p2"), ("robot_2", "p1"), ("robot_3", "p1")]  # fmt: skip
+        ("robot_1", "p2"),
+        ("robot_2", "p1"),
+        ("robot_3", "p1"),
+    ]
     assert plan.policy.places == ("p2", "p1")
     assert plan.policy.rows[0].counts == (1, None)
     assert plan.seed == 0
@@ -65,8 +73,13 @@ def test_the_ros_form(folder: Path) -> None:
 
 
 def test_the_ros_form_with_values_that_are_json_already(folder: Path) -> None:
-    data = dict(ROS, place_to_client_mapping={"p1": ["ExecGSPN", "s1"], "p2": ["ExecGSPN", "s2"]},
-                resources_list=["r1"], places_tuple=["p2", "p1"], full_synchronization=False)  # fmt: skip
+    data = dict(
+        ROS,
+        place_to_client_mapping={"p1": ["ExecGSPN", "s1"], "p2": ["ExecGSPN", "s2"]},
+        resources_list=["r1"],
+        places_tuple=["p2", "p1"],
+        full_synchronization=False,
+    )
     assert read_plan(write(folder, data)).synchronisation is Synchronisation.PARTIAL
 
 
@@ -112,7 +125,9 @@ def test_policy_rows_that_no_robot_can_ask_for_are_left_out_with_a_note(folder: 
         "(3, '-')": {"t1": 1, "t2": 0},
     }
     plan = read_plan(write(folder, dict(STANDALONE, policy_dictionary=policy)))
-    assert [(row.counts, row.choices) for row in plan.policy.rows] == [((2, None), (("t2", 0.25), ("t3", 0.75)))]
+    assert [(row.counts, row.choices) for row in plan.policy.rows] == [
+        ((2, None), (("t2", 0.25), ("t3", 0.75)))
+    ]
     timed = "left out 't1', which is exponential: a policy chooses among immediate transitions"
     assert [note for note in plan.notes if "policy row" in note] == [
         "policy row 1: %s; and so the row, of which nothing is left" % timed,
@@ -144,13 +159,19 @@ def test_actions_that_no_robot_comes_to_are_left_out_with_a_note(folder: Path) -
 
 
 def test_a_plan_of_our_own_stays_strict_about_its_policy_and_actions(folder: Path) -> None:
-    own: Dict[str, Any] = {"net": "net.xml", "resource_places": ["r1"], "actions": {"p1": None, "p2": None}}
+    own: Dict[str, Any] = {
+        "net": "net.xml",
+        "resource_places": ["r1"],
+        "actions": {"p1": None, "p2": None},
+    }
     policy = {"places": ["p1"], "rows": [{"marking": ["-"], "choose": {"t1": 1}}]}
     with pytest.raises(GspnError, match="'t1' is an exponential transition"):
         read_plan(write(folder, dict(own, policy=policy)))
     with pytest.raises(GspnError, match="the net has no place 'gone'"):
         read_plan(write(folder, dict(own, actions={"p1": None, "p2": None, "gone": None})))
-    assert check(read_plan(write(folder, dict(own, actions={"p1": None, "p2": None, "r1": None})))).refused
+    assert check(
+        read_plan(write(folder, dict(own, actions={"p1": None, "p2": None, "r1": None})))
+    ).refused
 
 
 @pytest.mark.parametrize(
@@ -158,7 +179,12 @@ def test_a_plan_of_our_own_stays_strict_about_its_policy_and_actions(folder: Pat
     [
         {"gspn": "net.xml"},
         {"project_path": "/gone", "gspn": "net.xml"},
-        {"gspn": "/gone/net.xml", "place_to_function_mapping": "", "places_tuple": "", "policy_dictionary": ""},
+        {
+            "gspn": "/gone/net.xml",
+            "place_to_function_mapping": "",
+            "places_tuple": "",
+            "policy_dictionary": "",
+        },
         dict(STANDALONE, place_to_function_mapping={}, policy_dictionary={}),
     ],
     ids=["net", "project", "empty", "no mapping"],
@@ -171,13 +197,21 @@ def test_an_input_without_a_mapping_is_its_net(folder: Path, data: Dict[str, Any
     assert "taken for a net, not for a plan: it maps no place to an action" in found.notes
 
 
-def test_a_mapping_and_a_policy_that_mean_nothing_leave_a_net_where_that_will_do(folder: Path) -> None:
-    path = write(folder, dict(STANDALONE, place_to_function_mapping="{'p1': 'nothing'}", policy_dictionary="?"))
+def test_a_mapping_and_a_policy_that_mean_nothing_leave_a_net_where_that_will_do(
+    folder: Path,
+) -> None:
+    path = write(
+        folder,
+        dict(STANDALONE, place_to_function_mapping="{'p1': 'nothing'}", policy_dictionary="?"),
+    )
     with pytest.raises(GspnError, match="'\\?' is not a Python literal"):
         read_net_or_plan(path)
     found = read_net_or_plan(path, net_will_do=True)
     assert found.plan is None
-    assert "taken for a net, not for a plan: policy_dictionary: '?' is not a Python literal" in found.notes
+    assert (
+        "taken for a net, not for a plan: policy_dictionary: '?' is not a Python literal"
+        in found.notes
+    )
     assert read_net_or_plan(write(folder, STANDALONE), net_will_do=True).plan is not None
 
 

@@ -46,9 +46,13 @@ def test_a_net_by_hand():
 def test_a_transition_may_be_told_twice(tmp_path):
     net = read_text(tmp_path, "tr t [0,0] a -> b\ntr t -> c\npl a (1)\npl a (2)\n")
     assert net == (
-        NetBuilder().place("a", 3).place("b").place("c")
-        .immediate("t", inputs="a", outputs=["b", "c"]).build()
-    )  # fmt: skip
+        NetBuilder()
+        .place("a", 3)
+        .place("b")
+        .place("c")
+        .immediate("t", inputs="a", outputs=["b", "c"])
+        .build()
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,5 @@
-"""What a reader does not know could change the meaning of a net, so it is refused; what tools add for themselves is not.
+"""What a reader does not know could change the meaning of a net, so it is refused; what tools add
+for themselves is not.
 
 The samples are written after what the tools write: TAPAAL, WoPeD, ePNK, ProM, PIPE, TINA, GreatSPN.
 """
@@ -94,7 +95,8 @@ PIPE = """<?xml version="1.0" encoding="iso-8859-1"?>
 </pnml>
 """
 
-TINA = """<?xml version="1.0" encoding="UTF-8"?>
+TINA = (
+    """<?xml version="1.0" encoding="UTF-8"?>
 <pnml %s>
   <net id="n-1" type="http://www.laas.fr/tina/tpn">
     <name><text>buffer</text></name>
@@ -115,7 +117,9 @@ TINA = """<?xml version="1.0" encoding="UTF-8"?>
     </page>
   </net>
 </pnml>
-""" % ISO
+"""
+    % ISO
+)
 
 GREATSPN = """<?xml version="1.0" encoding="UTF-8" standalone="no"?>
 <project name="FMS" version="121">
@@ -149,10 +153,27 @@ VENDORS = {
     "greatspn.PNPRO": GREATSPN,
 }
 SAMPLES = dict(
-    VENDORS, **{path.name: path.read_text() for path in sorted(DATA.iterdir()) if path.suffix != ".net"}
+    VENDORS,
+    **{path.name: path.read_text() for path in sorted(DATA.iterdir()) if path.suffix != ".net"},
 )
-FREE = {"toolspecific", "graphics", "name", "labels", "token", "orientation", "arcpath", "tagged", "finalmarkings",
-        "stategroup", "text-box", "point", "measures", "resource-list", "unfolding", "label"}  # fmt: skip
+FREE = {
+    "toolspecific",
+    "graphics",
+    "name",
+    "labels",
+    "token",
+    "orientation",
+    "arcpath",
+    "tagged",
+    "finalmarkings",
+    "stategroup",
+    "text-box",
+    "point",
+    "measures",
+    "resource-list",
+    "unfolding",
+    "label",
+}
 """Elements that mean nothing for the net, whatever is in them."""
 
 
@@ -184,14 +205,24 @@ def test_a_net_of_tina_is_read_from_pnml(tmp_path):
     assert any("without timing" in note for note in notes)
     with pytest.raises(InputError, match=r"time interval \[2,5\]") as caught:
         read_text(
-            tmp_path, "tina.pnml", TINA.replace("<cn>0</cn><ci>infty</ci>", "<cn>2</cn><cn>5</cn>").replace("closed-open", "closed")
+            tmp_path,
+            "tina.pnml",
+            TINA.replace("<cn>0</cn><ci>infty</ci>", "<cn>2</cn><cn>5</cn>").replace(
+                "closed-open", "closed"
+            ),
         )
     assert caught.value.line == 10
 
 
 @pytest.mark.parametrize("kind", ["reset", "transport", "read", "timed", "tapnInhibitor", "test"])
 @pytest.mark.parametrize(
-    "way", [' type="%s">', '><type value="%s"/>', "><type><text>%s</text></type>", "><arctype><text>%s</text></arctype>"]
+    "way",
+    [
+        ' type="%s">',
+        '><type value="%s"/>',
+        "><type><text>%s</text></type>",
+        "><arctype><text>%s</text></arctype>",
+    ],
 )
 def test_arcs_of_other_kinds_are_refused_however_they_are_written(tmp_path, kind, way):
     text = TAPAAL.replace(' type="normal"><inscription>', way % kind + "<inscription>")
@@ -203,7 +234,10 @@ def test_arcs_of_other_kinds_are_refused_however_they_are_written(tmp_path, kind
 
 
 def test_an_arc_of_two_kinds_is_refused(tmp_path):
-    text = TAPAAL.replace('target="T0" type="inhibitor"/>', 'target="T0" type="inhibitor"><type value="normal"/></arc>')
+    text = TAPAAL.replace(
+        'target="T0" type="inhibitor"/>',
+        'target="T0" type="inhibitor"><type value="normal"/></arc>',
+    )
     with pytest.raises(InputError, match="arcs of type 'inhibitor and normal'"):
         read_text(tmp_path, "net.pnml", text)
 
@@ -222,7 +256,9 @@ TAPN = """<?xml version="1.0" encoding="UTF-8" standalone="no"?>
 """
 
 
-@pytest.mark.parametrize("first", ["", '<constant name="k" value="2"/>', "<declaration/>", '<shared-place name="S"/>'])
+@pytest.mark.parametrize(
+    "first", ["", '<constant name="k" value="2"/>', "<declaration/>", '<shared-place name="S"/>']
+)
 @pytest.mark.parametrize("form", [None, "pipe", "pnml"])
 def test_a_tapn_file_is_refused(tmp_path, first, form):
     with pytest.raises(InputError) as caught:
@@ -243,16 +279,34 @@ def test_a_subprocess_of_woped_is_refused(tmp_path):
     [
         ("tapaal.pnml", "<text>2</text>", "<value>2</value>", "a <value> in it"),
         ("tapaal.pnml", "<text>2</text>", "2", "the text '2' stands in <initialMarking> itself"),
-        ("tapaal.pnml", "</initialMarking></place>\n      <place id=\"P1\">",
-         "</initialMarking><initialMarking/></place>\n      <place id=\"P1\">", "a second <initialMarking>"),
-        ("tapaal.pnml", '<transition id="T1"/>', '<transition id="T1"><player><value>1</value></player></transition>',
-         "a <player> in it"),
+        (
+            "tapaal.pnml",
+            '</initialMarking></place>\n      <place id="P1">',
+            '</initialMarking><initialMarking/></place>\n      <place id="P1">',
+            "a second <initialMarking>",
+        ),
+        (
+            "tapaal.pnml",
+            '<transition id="T1"/>',
+            '<transition id="T1"><player><value>1</value></player></transition>',
+            "a <player> in it",
+        ),
         ("pipe.xml", "<rate>", "<rate><value>1</value></rate><rate>", "a second <rate>"),
         ("pipe.xml", "<capacity><value>0", "<capacity><text>4</text><value>0", "a <text> in it"),
-        ("greatspn.PNPRO", 'partition="a"', 'type="HYBRID"', "a place of the unknown type 'HYBRID'"),
-        ("greatspn.PNPRO", '<arc head="go" kind="INHIBITOR"', '<arc head="go" kind="RESET"', "arcs of kind 'RESET'"),
+        (
+            "greatspn.PNPRO",
+            'partition="a"',
+            'type="HYBRID"',
+            "a place of the unknown type 'HYBRID'",
+        ),
+        (
+            "greatspn.PNPRO",
+            '<arc head="go" kind="INHIBITOR"',
+            '<arc head="go" kind="RESET"',
+            "arcs of kind 'RESET'",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_would_be_overlooked_is_refused(tmp_path, name, old, new, message):
     assert VENDORS[name].count(old) == 1
     with pytest.raises(InputError) as caught:
@@ -263,13 +317,19 @@ def test_what_would_be_overlooked_is_refused(tmp_path, name, old, new, message):
 
 def test_a_property_of_ours_that_is_not_known_is_refused(tmp_path):
     own = '<place id="P2"><toolspecific tool="gspn_framework_package" version="9"><property key="%s">1</property></toolspecific></place>'
-    assert read_text(tmp_path, "a.pnml", TAPAAL.replace('<place id="P2"/>', own % "capacity"))[0].place("P2").capacity == 1
+    assert (
+        read_text(tmp_path, "a.pnml", TAPAAL.replace('<place id="P2"/>', own % "capacity"))[0]
+        .place("P2")
+        .capacity
+        == 1
+    )
     with pytest.raises(InputError, match="its property 'leak' is not known"):
         read_text(tmp_path, "a.pnml", TAPAAL.replace('<place id="P2"/>', own % "leak"))
 
 
 def meaningful(root, net=None):
-    """The elements whose attributes and children could change the meaning, of the net that is read."""
+    """The elements whose attributes and children could change the meaning, of the net that is
+    read."""
     found = []
     waiting = [root]
     while waiting:
@@ -284,14 +344,20 @@ def meaningful(root, net=None):
 
 
 @pytest.mark.parametrize("name", SAMPLES)
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(data=st.data())
 def test_anything_unknown_is_refused_with_its_line(tmp_path, name, data):
     net = "machine" if name == "greatspn.PNPRO" and SAMPLES[name] is not GREATSPN else None
     root = etree.fromstring(SAMPLES[name].encode())
     element = data.draw(st.sampled_from(meaningful(root, net)))
     how = data.draw(st.sampled_from(["attribute", "first", "last", "text"]))
-    word = data.draw(st.sampled_from(["reset", "guard", "player", "urgent", "marking2", "Type", "x", "initialmarking"]))
+    word = data.draw(
+        st.sampled_from(
+            ["reset", "guard", "player", "urgent", "marking2", "Type", "x", "initialmarking"]
+        )
+    )
     if how == "attribute":
         before = set(element.attrib)
         element.set(word + "_", "1")
@@ -333,4 +399,6 @@ def test_the_command_line_says_file_line_and_element(tmp_path, capsys):
     path.write_text(TAPAAL.replace('id="I0"', 'id="I0" weight="3"'))
     assert main(["convert", str(path), "-", "--to", "pnml"]) == 2
     shown = capsys.readouterr().err
-    assert "%s:12: arc 'I0': the attribute weight=\"3\" of <arc> is not known" % path in shown, shown
+    assert "%s:12: arc 'I0': the attribute weight=\"3\" of <arc> is not known" % path in shown, (
+        shown
+    )

@@ -32,11 +32,12 @@ def inner_net():
         .place("Approach", position=(0, 0))
         .place("Look", position=(40, 10))
         .place("camera", tokens=1, position=(20, 30))
-        .exponential("arrive", rate=2, inputs=["Approach", "camera"], outputs="Look",
-                     position=(20, 0))
+        .exponential(
+            "arrive", rate=2, inputs=["Approach", "camera"], outputs="Look", position=(20, 0)
+        )
         .immediate("again", inputs="Look", outputs=["Approach", "camera"])
         .build()
-    )  # fmt: skip
+    )
 
 
 def test_what_it_becomes():
@@ -76,8 +77,9 @@ def test_expanding_twice_needs_two_prefixes():
     net = NetBuilder().place("a").place("b").immediate("t", inputs="a", outputs="b").build()
     once = expand_place(net, "a", inner, "x", "x", prefix="one ")
     assert [p.name for p in expand_place(once, "b", inner, "x", "x", prefix="two ").places] == [
-        "one x", "two x"
-    ]  # fmt: skip
+        "one x",
+        "two x",
+    ]
     with pytest.raises(NetError, match="already taken"):
         expand_place(once, "b", inner, "x", "x", prefix="one ")
 
@@ -97,7 +99,13 @@ def test_expanding_twice_needs_two_prefixes():
     ],
 )
 def test_what_is_refused(change, message):
-    arguments = {"net": outer_net(), "place": "Inspect", "subnet": inner_net(), "entry": "Approach", "exit": "Look"}
+    arguments = {
+        "net": outer_net(),
+        "place": "Inspect",
+        "subnet": inner_net(),
+        "entry": "Approach",
+        "exit": "Look",
+    }
     arguments.update(change)
     with pytest.raises(NetError) as raised:
         expand_place(**arguments)
@@ -126,13 +134,18 @@ def small_nets(draw):
 @settings(deadline=None)
 @given(net=small_nets(), seed=st.integers(0, 10**6))
 def test_the_expanded_net_does_what_the_net_does(net, seed):
-    """Every run of the expanded net, its inner steps left out, is a run of the net; the tokens of the
-    subnet add up to those of the place."""
+    """Every run of the expanded net, its inner steps left out, is a run of the net; the tokens of
+    the subnet add up to those of the place."""
     inner = (
-        NetBuilder().place("in").place("mid").place("out").place("tool", 1)
+        NetBuilder()
+        .place("in")
+        .place("mid")
+        .place("out")
+        .place("tool", 1)
         .exponential("a", inputs=["in", "tool"], outputs="mid")
-        .exponential("b", inputs="mid", outputs=["out", "tool"]).build()
-    )  # fmt: skip
+        .exponential("b", inputs="mid", outputs=["out", "tool"])
+        .build()
+    )
     expanded = expand_place(net, "p0", inner, "in", "out")
     dice = random.Random(seed)
     big, small = expanded.initial_marking, net.initial_marking

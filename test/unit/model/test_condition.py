@@ -69,7 +69,11 @@ def test_names_and_labels_it_looks_at():
     assert condition.holds((1, 0, 0, 0), {"deadlock": True})
     assert not condition.holds((1, 0, 0, 0), {"deadlock": False})
     markings = np.array([(1, 0, 0, 0), (1, 0, 0, 0), (2, 0, 0, 0)])
-    assert condition.holds_in(markings, {"deadlock": np.array([True, False, False])}).tolist() == [True, False, True]
+    assert condition.holds_in(markings, {"deadlock": np.array([True, False, False])}).tolist() == [
+        True,
+        False,
+        True,
+    ]
 
 
 def test_a_place_goes_before_a_label_of_its_name():
@@ -91,7 +95,9 @@ numbers = st.recursive(
     max_leaves=5,
 )
 conditions = st.recursive(
-    st.builds("{0} {1} {2}".format, numbers, st.sampled_from(["==", "!=", "<", "<=", ">", ">="]), numbers),
+    st.builds(
+        "{0} {1} {2}".format, numbers, st.sampled_from(["==", "!=", "<", "<=", ">", ">="]), numbers
+    ),
     lambda inner: (
         st.builds("({0}) {1} ({2})".format, inner, st.sampled_from(["and", "or"]), inner)
         | st.builds("not ({0})".format, inner)

@@ -121,8 +121,11 @@ def test_any_text_is_a_number_or_one_clear_error(text):
 
 def test_tokens_know_where_they_are():
     assert [(t.kind, t.text, t.start) for t in tokenize("a >= 'b c'")] == [
-        ("name", "a", 0), ("operator", ">=", 2), ("name", "b c", 5), ("end", "", 10)
-    ]  # fmt: skip
+        ("name", "a", 0),
+        ("operator", ">=", 2),
+        ("name", "b c", 5),
+        ("end", "", 10),
+    ]
 
 
 def test_constants_over_constants():
@@ -157,8 +160,13 @@ def test_a_long_chain_of_constants():
 
 def test_whole_numbers():
     assert [whole(v) for v in (3.0, -2.0, 2.5, math.inf, math.nan, 1e300)] == [
-        3, -2, None, None, None, None
-    ]  # fmt: skip
+        3,
+        -2,
+        None,
+        None,
+        None,
+        None,
+    ]
 
 
 def test_shorten():

@@ -74,8 +74,12 @@ def test_edits_give_a_new_net_and_leave_the_old_one() -> None:
     assert net.with_place(Place("new", 4)).initial_marking == (2, 0, 0, 0, 4)
     assert net.with_marking({"closed": 1}).initial_marking == (0, 0, 0, 1)
     assert net == producer() and hash(net) == hash(producer())
-    for edit in (lambda: net.without_place("x"), lambda: net.without_transition("idle"),
-                 lambda: net.without_arc("idle", "end"), lambda: net.with_marking((1,))):  # fmt: skip
+    for edit in (
+        lambda: net.without_place("x"),
+        lambda: net.without_transition("idle"),
+        lambda: net.without_arc("idle", "end"),
+        lambda: net.with_marking((1,)),
+    ):
         with pytest.raises(NetError):
             edit()
 

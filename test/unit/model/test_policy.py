@@ -18,10 +18,16 @@ PLACES = ["P", "Q", "R"]
 
 def net() -> Net:
     return (
-        NetBuilder().place("P").place("Q").place("R")
-        .immediate("a", inputs="P", outputs="Q").immediate("b", inputs="P", outputs="R")
-        .immediate("c", inputs="Q", outputs="R").exponential("d", inputs="R", outputs="P").build()
-    )  # fmt: skip
+        NetBuilder()
+        .place("P")
+        .place("Q")
+        .place("R")
+        .immediate("a", inputs="P", outputs="Q")
+        .immediate("b", inputs="P", outputs="R")
+        .immediate("c", inputs="Q", outputs="R")
+        .exponential("d", inputs="R", outputs="P")
+        .build()
+    )
 
 
 def ask(table: PolicyTable, marking: Tuple[int, ...], place: str) -> Optional[Mapping[str, float]]:

@@ -41,7 +41,8 @@ os._exit(0)
 def test_two_signals_at_once_end_a_process_of_many_threads():
     for _ in range(4):
         processes = [
-            subprocess.Popen([sys.executable, "-c", PROGRAM], stdout=subprocess.PIPE, text=True) for _ in range(8)
+            subprocess.Popen([sys.executable, "-c", PROGRAM], stdout=subprocess.PIPE, text=True)
+            for _ in range(8)
         ]
         try:
             for process in processes:
@@ -51,7 +52,10 @@ def test_two_signals_at_once_end_a_process_of_many_threads():
                 process.send_signal(signal.SIGTERM)
             for process in processes:
                 said, _ = process.communicate(timeout=30)
-                assert str(int(signal.SIGINT)) in said.split() or str(int(signal.SIGTERM)) in said.split()
+                assert (
+                    str(int(signal.SIGINT)) in said.split()
+                    or str(int(signal.SIGTERM)) in said.split()
+                )
                 assert process.returncode == 0
         finally:
             for process in processes:

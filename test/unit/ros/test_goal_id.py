@@ -13,13 +13,17 @@ def test_what_was_written_is_read(robot):
     assert parse_goal_id(str(identity)) == identity
 
 
-@pytest.mark.parametrize("text", ["", "/move_base_client-1-1234.567", "a-1-2", "robot-x-1-1-tag", "robot-1--1-tag"])
+@pytest.mark.parametrize(
+    "text", ["", "/move_base_client-1-1234.567", "a-1-2", "robot-x-1-1-tag", "robot-1--1-tag"]
+)
 def test_the_ids_of_others_are_nobodys(text):
     assert parse_goal_id(text) is None
 
 
 def test_goals_of_a_robot_sort_by_age():
-    ages = [GoalIdentity("r", *which, "t").age for which in ((0, 1, 1), (0, 1, 2), (0, 2, 1), (1, 2, 1))]
+    ages = [
+        GoalIdentity("r", *which, "t").age for which in ((0, 1, 1), (0, 1, 2), (0, 2, 1), (1, 2, 1))
+    ]
     assert ages == sorted(ages)
 
 

@@ -43,6 +43,10 @@ def test_a_goal_that_does_not_fit_is_refused_as_by_the_node(tmp_path, capsys, go
 
 
 def test_what_is_not_known_here_is_said(tmp_path, capsys):
-    code, ((severity, text),) = check(tmp_path, capsys, {"type": "no_such_package/NoAction", "server": "x", "goal": {}})
+    code, ((severity, text),) = check(
+        tmp_path, capsys, {"type": "no_such_package/NoAction", "server": "x", "goal": {}}
+    )
     assert (code, severity) == (0, "warning")
-    assert "no_such_package/NoAction" in text and "its goals were not looked at (robot_1 in P)" in text
+    assert (
+        "no_such_package/NoAction" in text and "its goals were not looked at (robot_1 in P)" in text
+    )

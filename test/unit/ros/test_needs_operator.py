@@ -14,12 +14,16 @@ from gspn_framework_package.ros.narrator import level_of
 
 def node(phase, halted=None, ended=None, why="", stuck=False):
     """A node whose robot is in that phase, in a place named Ask_operator."""
-    state = TeamState((1,), {"robot_1": RobotState("robot_1", 0, phase=phase, why=why)}, ended=ended)
+    state = TeamState(
+        (1,), {"robot_1": RobotState("robot_1", 0, phase=phase, why=why)}, ended=ended
+    )
     made = ExecutionNode.__new__(ExecutionNode)
     made.robot = "robot_1"
     game = SimpleNamespace(why_waiting=lambda *_: "wants T_operator: needs a robot in Ask_operator")
     made._replica = SimpleNamespace(
-        ledger=SimpleNamespace(state=state, game=game), halted=halted, waits_for=lambda: "waits for operator_2 to start",
+        ledger=SimpleNamespace(state=state, game=game),
+        halted=halted,
+        waits_for=lambda: "waits for operator_2 to start",
         is_stuck=lambda: stuck,
     )
     made._caller = SimpleNamespace(doing=lambda: "waits for the action server /operator/alarm")
@@ -34,7 +38,9 @@ def test_a_name_with_the_word_in_it_needs_nobody(phase):
     assert level_of(waiting._needs_operator(), bool(waiting._waits_for())) == 1
 
 
-@pytest.mark.parametrize("phase, halted", [(Phase.FAILED, None), (Phase.LOST, None), (Phase.DOING, "a lost log")])
+@pytest.mark.parametrize(
+    "phase, halted", [(Phase.FAILED, None), (Phase.LOST, None), (Phase.DOING, "a lost log")]
+)
 def test_a_robot_that_does_not_go_on_by_itself_needs_the_operator(phase, halted):
     assert node(phase, halted)._needs_operator()
     assert level_of(True, False) == 2

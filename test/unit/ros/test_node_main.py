@@ -11,12 +11,15 @@ from gspn_framework_package.ros.node_main import check_plan
 
 
 def test_findings_of_one_kind_are_one_warning(monkeypatch):
-    items = [CheckItem(*item) for item in (
-        ("policy", Severity.WARNING, "no row for A", {}),
-        ("policy", Severity.WARNING, "no row for B", {}),
-        ("initial", Severity.OK, "as it should be", {}),
-        ("servers", Severity.WARNING, "two in T", {}),
-    )]  # fmt: skip
+    items = [
+        CheckItem(*item)
+        for item in (
+            ("policy", Severity.WARNING, "no row for A", {}),
+            ("policy", Severity.WARNING, "no row for B", {}),
+            ("initial", Severity.OK, "as it should be", {}),
+            ("servers", Severity.WARNING, "two in T", {}),
+        )
+    ]
     report = PreflightReport("rendezvous", tuple(items), 0, True, 0.0)
     monkeypatch.setattr(preflight, "check", lambda plan: report)
     warnings = []

@@ -16,12 +16,23 @@ from gspn_framework_package.ros.patience import Patience
 
 def test_what_is_not_given_has_its_default():
     options = options_from({"plan": "folder", "robot": "robot_1"})
-    assert (options.run, options.robots, options.place_servers, options.server_timeout) == ("run", 0, True, 10.0)
+    assert (options.run, options.robots, options.place_servers, options.server_timeout) == (
+        "run",
+        0,
+        True,
+        10.0,
+    )
 
 
 def test_numbers_and_names_of_yaml_are_taken_as_meant():
-    options = options_from({"plan": "folder", "run": 42, "robot": 7, "server_timeout": 9, "result_timeout": 0.5})
-    assert (options.run, options.robot, options.patience) == ("42", "7", Patience(9.0, 3.0, 5.0, 0.5))
+    options = options_from(
+        {"plan": "folder", "run": 42, "robot": 7, "server_timeout": 9, "result_timeout": 0.5}
+    )
+    assert (options.run, options.robot, options.patience) == (
+        "42",
+        "7",
+        Patience(9.0, 3.0, 5.0, 0.5),
+    )
 
 
 @pytest.mark.parametrize(
@@ -45,8 +56,12 @@ def test_what_is_wrong_is_said(given, message):
 def test_the_log_is_in_the_folder_of_the_run(monkeypatch):
     monkeypatch.setenv("ROS_HOME", "/home/of/ros")
     options = options_from({"plan": "p", "run": "monday"})
-    assert options.log_file("carol") == os.path.join("/home/of/ros", "gspn", "monday", "carol.jsonl")
-    assert options._replace(log_dir="/logs").log_file("carol") == os.path.join("/logs", "monday", "carol.jsonl")
+    assert options.log_file("carol") == os.path.join(
+        "/home/of/ros", "gspn", "monday", "carol.jsonl"
+    )
+    assert options._replace(log_dir="/logs").log_file("carol") == os.path.join(
+        "/logs", "monday", "carol.jsonl"
+    )
 
 
 @pytest.fixture

@@ -44,12 +44,15 @@ def ends():
 
 @pytest.fixture
 def start(tmp_path):
-    """Start a family in a process of its own: the process, and a way to wait for the notes of its members."""
+    """Start a family in a process of its own: the process, and a way to wait for the notes of its
+    members."""
     parents = []
 
     def start_it(line):
         program = PROGRAM + textwrap.dedent(line)
-        parents.append(subprocess.Popen([sys.executable, "-c", program, str(tmp_path)], start_new_session=True))
+        parents.append(
+            subprocess.Popen([sys.executable, "-c", program, str(tmp_path)], start_new_session=True)
+        )
         return parents[-1]
 
     yield start_it
@@ -82,12 +85,16 @@ def is_alive(pid):
 
 
 def test_the_largest_exit_code_counts(start, tmp_path):
-    parent = start('sys.exit(run_family([Member("a", ends), Member("b", lambda: 0), Member("c", lambda: 1 / 0)]))')
+    parent = start(
+        'sys.exit(run_family([Member("a", ends), Member("b", lambda: 0), Member("c", lambda: 1 / 0)]))'
+    )
     assert parent.wait(30) == 3
 
 
 def test_a_signal_ends_all_and_nothing_is_left(start, tmp_path):
-    parent = start('sys.exit(run_family([Member("a", waits), Member("b", waits), Member("c", stubborn)]))')
+    parent = start(
+        'sys.exit(run_family([Member("a", waits), Member("b", waits), Member("c", stubborn)]))'
+    )
     children = notes(tmp_path, "waits", 2) + notes(tmp_path, "stubborn", 1)
     parent.send_signal(signal.SIGINT)
     assert parent.wait(30) == 128 + signal.SIGINT
@@ -100,7 +107,11 @@ def test_a_parent_that_is_killed_takes_its_processes_along(start, tmp_path):
     children = notes(tmp_path, "waits", 2)
     parent.kill()
     assert sorted(notes(tmp_path, "told", 2)) == sorted(children)
-    wait_for(lambda: not any(is_alive(child) for child in children), seconds=30, what="the end of the children")
+    wait_for(
+        lambda: not any(is_alive(child) for child in children),
+        seconds=30,
+        what="the end of the children",
+    )
 
 
 def test_a_process_that_dies_is_started_again_and_the_others_go_on(start, tmp_path):

@@ -1,4 +1,5 @@
-"""A master that takes connections and answers nothing, or nonsense: nobody waits for it for ever."""
+"""A master that takes connections and answers nothing, or nonsense: nobody waits for it for
+ever."""
 
 import json
 import socket
@@ -82,10 +83,22 @@ class Watched:
             for name in ("robot_1", "robot_2")
         ]
         status = {
-            "robot": "robot_1", "run": run, "plan": plan or self.plan.hash(), "log_length": self.length,
-            "robots": robots, "marking": {place: 2}, "paused": False, "ended": ended, "finished": False, "fault": False,
-            "synchronisation": "full", "active": True, "quorum": True, "waits_for": "", **more,
-        }  # fmt: skip
+            "robot": "robot_1",
+            "run": run,
+            "plan": plan or self.plan.hash(),
+            "log_length": self.length,
+            "robots": robots,
+            "marking": {place: 2},
+            "paused": False,
+            "ended": ended,
+            "finished": False,
+            "fault": False,
+            "synchronisation": "full",
+            "active": True,
+            "quorum": True,
+            "waits_for": "",
+            **more,
+        }
         self.watch._on_answers((False, self.watch._read_answer("/robot_1", json.dumps(status))))
 
     def notes(self):
@@ -94,7 +107,9 @@ class Watched:
 
 def test_the_page_warns_once_of_firings_that_it_does_not_hear(monkeypatch):
     page = Watched(monkeypatch)
-    places = [place.name for place in page.plan.net.places if place.name not in page.plan.resource_places]
+    places = [
+        place.name for place in page.plan.net.places if place.name not in page.plan.resource_places
+    ]
     for number in range(UNHEARD):
         page.answer(places[number % 2])
         assert not page.notes()
@@ -134,7 +149,9 @@ def test_the_page_says_that_a_team_can_never_go_on_by_itself(monkeypatch, troubl
     assert page.hub.board().status["stalled"] == ""
 
 
-@pytest.mark.parametrize("said", ["", "no JSON", "[" * 100_000, "[]", "3", "null", "{}", '{"run": "monday"}'])
+@pytest.mark.parametrize(
+    "said", ["", "no JSON", "[" * 100_000, "[]", "3", "null", "{}", '{"run": "monday"}']
+)
 def test_an_answer_that_cannot_be_read_is_passed_over(monkeypatch, said):
     assert Watched(monkeypatch).watch._read_answer("/robot_1", said) == []
 
@@ -145,11 +162,22 @@ def test_a_failed_robot_is_shown_by_what_it_tells_itself(monkeypatch):
 
     def tell(state, needs_operator):
         said = {
-            "robot": "robot_1", "run": "monday", "plan": page.plan.hash(), "state": state, "waits_for": "",
-            "needs_operator": needs_operator, "ended": None, "visit": 1, "attempt": 1,
-        }  # fmt: skip
+            "robot": "robot_1",
+            "run": "monday",
+            "plan": page.plan.hash(),
+            "state": state,
+            "waits_for": "",
+            "needs_operator": needs_operator,
+            "ended": None,
+            "visit": 1,
+            "attempt": 1,
+        }
         page.watch._on_activity(("/robot_1", type("Message", (), {"data": json.dumps(said)})))
-        return next(robot["phase"] for robot in page.hub.board().to_json()["robots"] if robot["name"] == "robot_1")
+        return next(
+            robot["phase"]
+            for robot in page.hub.board().to_json()["robots"]
+            if robot["name"] == "robot_1"
+        )
 
     assert tell("Waiting", True) == "failed"
     page.answer(page.plan.robots[0].place)

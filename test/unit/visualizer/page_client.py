@@ -1,4 +1,5 @@
-"""A client of the page's application, as a browser on the right page is: what the tests vary from."""
+"""A client of the page's application, as a browser on the right page is: what the tests vary
+from."""
 
 import json
 

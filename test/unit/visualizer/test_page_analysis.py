@@ -59,12 +59,15 @@ def test_a_small_net_is_analysed(ask):
     assert report["state"] == "done", report["error"]
     assert report["result"]["bounded"] is True
     # its one tangible marking is never left: the token is back at once
-    assert report["result"]["likely_states"] == [{"marking": {"a": 1}, "probability": 1.0, "mean_stay": "infinite"}]
+    assert report["result"]["likely_states"] == [
+        {"marking": {"a": 1}, "probability": 1.0, "mean_stay": "infinite"}
+    ]
 
 
 @pytest.fixture(name="ask_long")
 def _ask_long(ask, monkeypatch):
-    monkeypatch.setattr(analysis_jobs, "STATES", 10**9)  # the limit that ships is reached in two seconds
+    # the limit that ships is reached in two seconds
+    monkeypatch.setattr(analysis_jobs, "STATES", 10**9)
     return ask(kanban(7))
 
 
@@ -89,14 +92,24 @@ def test_time_over_ends_the_process(ask_long):
     job_of(client, answer)._process.wait(20)
 
 
-@pytest.mark.parametrize("fields", [{"limit": 2_000_001}, {"limit": 0}, {"seconds": 121}, {"seconds": 0}, {"limit": "5"}])
+@pytest.mark.parametrize(
+    "fields", [{"limit": 2_000_001}, {"limit": 0}, {"seconds": 121}, {"seconds": 0}, {"limit": "5"}]
+)
 def test_limits_have_limits(ask, fields):
     assert start(ask(small_net()), **fields).status_code == 400
 
 
 @pytest.mark.parametrize(
     "simulate",
-    [{"replications": 100_001, "time": 1}, {"replications": 0, "time": 1}, {"time": -1}, {"time": "x"}, [], {"until": 3}, {}],
+    [
+        {"replications": 100_001, "time": 1},
+        {"replications": 0, "time": 1},
+        {"time": -1},
+        {"time": "x"},
+        [],
+        {"until": 3},
+        {},
+    ],
 )
 def test_simulated_runs_have_limits(ask, simulate):
     client = ask(small_net())
@@ -118,7 +131,9 @@ from gspn_framework_package.visualizer.analysis_worker import _limit_itself
 _limit_itself(10.0)
 print(json.dumps([resource.getrlimit(resource.RLIMIT_AS), resource.getrlimit(resource.RLIMIT_CPU)]))
 """
-    found = json.loads(subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, check=True).stdout)
+    found = json.loads(
+        subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, check=True).stdout
+    )
     assert found[0] == [MEMORY_BYTES, MEMORY_BYTES]
     assert found[1][0] != resource.RLIM_INFINITY and found[1][0] <= 60
 

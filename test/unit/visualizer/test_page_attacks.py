@@ -1,4 +1,5 @@
-"""What peers do on purpose: the page goes on answering, and nothing is lost. One server stands it all."""
+"""What peers do on purpose: the page goes on answering, and nothing is lost. One server stands it
+all."""
 
 import base64
 import http.client
@@ -42,7 +43,9 @@ class Attacked:
     def ask(self, method, path, body=None, **headers):
         """Status and JSON of a request of the page."""
         connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=30)
-        head = {name: value for name, value in {**self.head, **headers}.items() if value is not None}
+        head = {
+            name: value for name, value in {**self.head, **headers}.items() if value is not None
+        }
         try:
             data = body if body is None or isinstance(body, bytes) else json.dumps(body)
             connection.request(method, path, data, head)
@@ -77,7 +80,9 @@ def _attacked(tmp_path, monkeypatch):
 def upload(attacked):
     """The key of a net that was uploaded, and in which something was done."""
     content = base64.b64encode(Path("plans/patrol/net.xml").read_bytes()).decode()
-    status, answer = attacked.ask("POST", "/api/upload", {"files": [{"name": "mine.xml", "content": content}]})
+    status, answer = attacked.ask(
+        "POST", "/api/upload", {"files": [{"name": "mine.xml", "content": content}]}
+    )
     assert status == 200
     assert attacked.ask("POST", "/api/do?id=" + answer["id"], {"command": "step"})[0] == 200
     return answer["id"]
@@ -91,7 +96,9 @@ def alive(attacked, key):
 
 
 def header(attacked, path, **fields):
-    lines = ["POST %s HTTP/1.1" % path] + ["%s: %s" % item for item in {**attacked.head, **fields}.items()]
+    lines = ["POST %s HTTP/1.1" % path] + [
+        "%s: %s" % item for item in {**attacked.head, **fields}.items()
+    ]
     return ("\r\n".join(lines) + "\r\n\r\n").encode()
 
 
@@ -127,7 +134,10 @@ def test_slow_sockets_streams_and_foreign_requests_leave_the_page_usable(attacke
         attacked.send(b"")
         attacked.send(header(attacked, "/api/do?id=" + key, **{"Content-Length": "1000"}) + b"{")
     alive(attacked, key)
-    stream = "GET /api/stream?id=%s HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n" % (key, attacked.server.port)
+    stream = "GET /api/stream?id=%s HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n" % (
+        key,
+        attacked.server.port,
+    )
     for _ in range(3 * ROOM):  # streams without the token, and with it
         attacked.send((stream + "\r\n").encode())
         attacked.send((stream + "X-Gspn-Token: %s\r\n\r\n" % TOKEN).encode())
@@ -137,7 +147,8 @@ def test_slow_sockets_streams_and_foreign_requests_leave_the_page_usable(attacke
         status, _ = attacked.ask("GET", "/api/session?id=file-net%d.xml" % i)
         assert status in (200, 409)
     alive(attacked, key)
-    for i in range(30):  # the page itself opens what it likes, and what was worked on is closed last
+    # the page itself opens what it likes, and what was worked on is closed last
+    for i in range(30):
         assert attacked.ask("POST", "/api/open", {"path": "net%d.xml" % i})[0] == 200
     alive(attacked, key)
 
@@ -159,7 +170,9 @@ def test_what_is_too_large_is_told_with_the_right_size(attacked, path, size, tol
 def test_who_has_no_token_makes_the_server_keep_nothing(attacked):
     for fields in ({"X-Gspn-Token": "x" * 20}, {HEADER: "0"}, {"Origin": "http://evil.example"}):
         # the header alone: the answer comes before the body, of which nothing is waited for
-        attacker = attacked.send(header(attacked, "/api/upload", **{"Content-Length": "11000000", **fields}))
+        attacker = attacked.send(
+            header(attacked, "/api/upload", **{"Content-Length": "11000000", **fields})
+        )
         answer = answer_to(attacker)
         assert answer.split()[1] in (b"401", b"403") and b'{"error": ' in answer
 
@@ -183,7 +196,10 @@ def test_a_request_has_a_deadline_and_a_peer_that_does_not_read_is_cut_off(attac
     dumb = attacked.send(b"")
     body = attacked.send(header(attacked, "/api/do?id=" + key, **{"Content-Length": "1000"}) + b"{")
     for attacker in (slow, dumb, body):
-        wait_for(lambda attacker=attacker: is_closed(attacker), what="the end of a request that does not come")
+        wait_for(
+            lambda attacker=attacker: is_closed(attacker),
+            what="the end of a request that does not come",
+        )
     monkeypatch.undo()
     monkeypatch.setattr(connections, "STALLED_SECONDS", 0.5)
     hub = attacked.server.project.session(key).hub
@@ -203,7 +219,9 @@ def test_a_request_has_a_deadline_and_a_peer_that_does_not_read_is_cut_off(attac
     thread = threading.Thread(target=publish)
     thread.start()
     try:
-        wait_for(lambda: hub.viewers == 0, seconds=60, what="the end of the stream that nobody reads")
+        wait_for(
+            lambda: hub.viewers == 0, seconds=60, what="the end of the stream that nobody reads"
+        )
     finally:
         fill.set()
         thread.join()
@@ -226,7 +244,9 @@ def test_a_pipe_in_the_folder_holds_nobody(attacked, tmp_path):
     for name in ("pipe.json", "pipe.xml", "pipe.jsonl"):
         os.mkfifo(str(tmp_path / name))
     (tmp_path / "plan.json").write_text('{"net": "pipe.xml", "actions": {}}')
-    (tmp_path / "policy.json").write_text('{"net": "net0.xml", "policy": "pipe.json", "actions": {}}')
+    (tmp_path / "policy.json").write_text(
+        '{"net": "net0.xml", "policy": "pipe.json", "actions": {}}'
+    )
     files = [file["path"] for file in attacked.ask("GET", "/api/hello")[1]["files"]]
     assert "net0.xml" in files and not [name for name in files if name.startswith("pipe")]
     for name in ("pipe.json", "pipe.xml", "pipe.jsonl", "plan.json", "policy.json"):
@@ -243,9 +263,17 @@ def test_a_pipe_in_the_folder_holds_nobody(attacked, tmp_path):
         ("POST", "/api/open", b'{"path": "\\ud800"}'),
         ("POST", "/api/open", b'{"path": "' + b"x" * 5000 + b'"}'),
         ("POST", "/api/upload", b'{"files": [{"name": "\\ud800.xml", "content": ""}]}'),
-        ("POST", "/api/upload", ('{"files": [{"name": "%s.xml", "content": ""}]}' % ("\u00fc" * 115)).encode()),
+        (
+            "POST",
+            "/api/upload",
+            ('{"files": [{"name": "%s.xml", "content": ""}]}' % ("\u00fc" * 115)).encode(),
+        ),
         ("POST", "/api/do?id=file-net0.xml", b'{"command": "fire", "transition": "\\ud800"}'),
-        ("POST", "/api/do?id=file-net0.xml", b'{"command": "probabilities", "probabilities": {"t1": 1e999}}'),
+        (
+            "POST",
+            "/api/do?id=file-net0.xml",
+            b'{"command": "probabilities", "probabilities": {"t1": 1e999}}',
+        ),
         ("POST", "/api/do?id=file-net0.xml", b'{"command": "\\ud800", "run": 3}'),
         ("GET", "/api/state?id=file-net0.xml&at=%C2%B2", None),
         ("GET", "/api/events?id=file-net0.xml&to=%C2%B2", None),

@@ -50,10 +50,15 @@ def xml(net=None, tmp="/tmp"):
 
 
 def test_the_folder_lists_nets_and_plans(served):
-    assert [(e.path, e.kind) for e in Folder(str(served)).entries()] == [("net.xml", "net"), ("plan.json", "plan")]
+    assert [(e.path, e.kind) for e in Folder(str(served)).entries()] == [
+        ("net.xml", "net"),
+        ("plan.json", "plan"),
+    ]
 
 
-@pytest.mark.parametrize("path", ["../secret.xml", "./../secret.xml", "x/../../secret.xml", "/etc/passwd", "a\0b"])
+@pytest.mark.parametrize(
+    "path", ["../secret.xml", "./../secret.xml", "x/../../secret.xml", "/etc/passwd", "a\0b"]
+)
 def test_nothing_outside_the_folder_is_opened(served, path):
     with pytest.raises(RefusedError, match="served folder"):
         Folder(str(served)).open(path)
@@ -86,14 +91,18 @@ def test_an_uploaded_plan_cannot_be_started(served):
     client = PageClient(folder_project(served), start_execution=started.append)
     client.project._start_execution = started.append
     plan = json.dumps(plan_of("net.xml")).encode()
-    key = client.post("/api/upload", {"files": sent(plan__json=plan, net__xml=xml())}).get_json()["id"]
+    key = client.post("/api/upload", {"files": sent(plan__json=plan, net__xml=xml())}).get_json()[
+        "id"
+    ]
     answer = client.do("start", session=key, confirmed=True)
     assert answer.status_code == 409 and "simulated, not executed" in answer.get_json()["error"]
     assert not started
     assert client.do("step", session=key).status_code == 200
 
 
-@pytest.mark.parametrize("where", ["{secret}", "../secret.xml", "/etc/passwd", "..\\..\\secret.xml"])
+@pytest.mark.parametrize(
+    "where", ["{secret}", "../secret.xml", "/etc/passwd", "..\\..\\secret.xml"]
+)
 @pytest.mark.parametrize("form", ["own", "own file", "policy", "thesis"])
 def test_an_uploaded_plan_reads_no_file_of_this_machine(tmp_path, where, form):
     secret = tmp_path / "secret.xml"
@@ -123,7 +132,10 @@ def test_an_uploaded_net_that_a_plan_names_is_found():
     assert read_upload(sent(p__json=json.dumps(plan).encode(), net__xml=xml())).plan is not None
 
 
-BOMB = b'<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "%s">]><pnml><net>&b;</net></pnml>' % (b"&a;" * 50)
+BOMB = (
+    b'<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "%s">]><pnml><net>&b;</net></pnml>'
+    % (b"&a;" * 50)
+)
 
 
 @pytest.mark.parametrize(
@@ -142,10 +154,15 @@ def test_hostile_and_broken_uploads_get_one_message(data):
     client = PageClient()
     answer = client.post("/api/upload", {"files": sent(net__xml=data)})
     assert answer.status_code in (400, 409)
-    assert "root:" not in answer.get_json()["error"] and "gspn_upload_" not in answer.get_json()["error"]
+    assert (
+        "root:" not in answer.get_json()["error"]
+        and "gspn_upload_" not in answer.get_json()["error"]
+    )
 
 
-@pytest.mark.parametrize("declared", ['<!ENTITY e "x">', '<!ENTITY e SYSTEM "file:///etc/passwd">', '<!ENTITY % e "x">'])
+@pytest.mark.parametrize(
+    "declared", ['<!ENTITY e "x">', '<!ENTITY e SYSTEM "file:///etc/passwd">', '<!ENTITY % e "x">']
+)
 def test_a_net_that_declares_entities_is_refused_whether_it_uses_them_or_not(declared):
     text = (ROOT / "plans/patrol/net.xml").read_bytes()
     begin = text.index(b"<pnml")
@@ -162,13 +179,17 @@ def test_xml_that_nests_without_end_is_refused_by_the_parser():
     assert answer.status_code == 400 and "depth" in answer.get_json()["error"].lower()
 
 
-@pytest.mark.parametrize("name", ["../x.xml", "/etc/x.xml", "a/b.xml", "..", "", "x\\y.xml", "a\0.xml"])
+@pytest.mark.parametrize(
+    "name", ["../x.xml", "/etc/x.xml", "a/b.xml", "..", "", "x\\y.xml", "a\0.xml"]
+)
 def test_names_of_uploads_are_names_only(name):
     with pytest.raises(GspnError, match="proper name"):
         read_upload([{"name": name, "content": base64.b64encode(xml()).decode()}])
 
 
-@pytest.mark.parametrize("files", [None, [], [1], [{"name": "x.xml", "content": "***"}], [{}] * 11, "x"])
+@pytest.mark.parametrize(
+    "files", [None, [], [1], [{"name": "x.xml", "content": "***"}], [{}] * 11, "x"]
+)
 def test_uploads_that_make_no_sense_are_refused(files):
     with pytest.raises(GspnError):
         read_upload(files)

@@ -1,4 +1,5 @@
-"""The page on a robot network: who may ask for what. Each test fails when its guard is taken away."""
+"""The page on a robot network: who may ask for what. Each test fails when its guard is taken
+away."""
 
 import pytest
 from page_client import HOST, PageClient
@@ -17,11 +18,16 @@ def test_the_page_itself_may_read_and_command(client):
     assert client.do("step").get_json() == {"fired": 1, "dead": False}
 
 
-@pytest.mark.parametrize("host", ["evil.example:8090", "127.0.0.1:9999", "127.0.0.1", "", "192.168.1.7:8090"])
+@pytest.mark.parametrize(
+    "host", ["evil.example:8090", "127.0.0.1:9999", "127.0.0.1", "", "192.168.1.7:8090"]
+)
 def test_a_host_header_of_another_name_is_refused(client, host):
     for path in ("/", "/api/hello", "/api/poll?id=small", "/static/js/main.js"):
         assert client.get(path, Host=host).status_code == 421
-    assert client.post("/api/do?id=small", {"command": "step"}, Host=host, Origin=None).status_code == 421
+    assert (
+        client.post("/api/do?id=small", {"command": "step"}, Host=host, Origin=None).status_code
+        == 421
+    )
 
 
 @pytest.mark.parametrize("name", ["localhost:8090", "LOCALHOST:8090", "[::1]:8090"])
@@ -78,7 +84,12 @@ def test_there_is_no_cors(client):
 
 
 def test_every_answer_carries_the_security_headers(client):
-    answers = [client.get("/"), client.get("/api/hello"), client.get("/nothing"), client.get("/", Host="evil")]
+    answers = [
+        client.get("/"),
+        client.get("/api/hello"),
+        client.get("/nothing"),
+        client.get("/", Host="evil"),
+    ]
     for answer in answers:
         policy = answer.headers["Content-Security-Policy"]
         assert "default-src 'self'" in policy and "frame-ancestors 'none'" in policy
@@ -123,10 +134,15 @@ def test_the_viewers_token_may_look_and_do_nothing():
     posts = [rule.rule for rule in client.app.url_map.iter_rules() if "POST" in rule.methods]
     for rule in posts:
         if rule != "/api/login":
-            refused = client.post(rule.replace("<job>", "x") + "?id=small", {"command": "step"}, **BEYOND)
-            assert refused.status_code == 403 and "may only look" in refused.get_json()["error"], rule
+            refused = client.post(
+                rule.replace("<job>", "x") + "?id=small", {"command": "step"}, **BEYOND
+            )
+            assert refused.status_code == 403 and "may only look" in refused.get_json()["error"], (
+                rule
+            )
     assert client.get("/api/poll?id=small", **BEYOND).get_json()["snapshot"]["board"]["n"] == 0
-    assert log_in(client, guard.token).status_code == 200  # who knows the other one may go on with that
+    # who knows the other one may go on with that
+    assert log_in(client, guard.token).status_code == 200
     assert client.post("/api/do?id=small", {"command": "step"}, **BEYOND).status_code == 200
 
 
@@ -136,7 +152,8 @@ def test_on_loopback_no_token_is_needed_and_everybody_is_an_operator():
     both = Guard("0.0.0.0", 1)
     assert both.token and both.viewer_token and both.token != both.viewer_token
     assert PageClient().get("/api/hello").get_json()["role"] == "operator"
-    assert Guard("127.0.0.1", 1, viewer_token="v" * 16).token  # a role that may do less asks for one that may do more
+    # a role that may do less asks for one that may do more
+    assert Guard("127.0.0.1", 1, viewer_token="v" * 16).token
 
 
 @pytest.mark.parametrize("token", ["a", "x" * 15, "", "\u00e9" * 20, "a\nb" * 10])
@@ -150,7 +167,10 @@ def test_a_token_that_is_short_or_no_plain_text_is_refused(token):
 
 def test_tokens_are_read_from_a_file_that_nobody_else_can_read(tmp_path):
     file = tmp_path / "tokens"
-    for text, expected in (("a" * 16, ("a" * 16, None)), ("a" * 16 + "\n" + "b" * 16 + "\n", ("a" * 16, "b" * 16))):
+    for text, expected in (
+        ("a" * 16, ("a" * 16, None)),
+        ("a" * 16 + "\n" + "b" * 16 + "\n", ("a" * 16, "b" * 16)),
+    ):
         file.write_text(text)
         file.chmod(0o600)
         assert read_tokens(str(file)) == expected
@@ -207,7 +227,9 @@ def test_two_servers_on_one_machine_keep_their_cookies_apart():
     assert Guard("10.0.0.5", 8090).cookie != Guard("10.0.0.5", 8091).cookie
 
 
-@pytest.mark.parametrize("path", ["/api/hello", "/api/session?id=small", "/api/poll?id=small", "/api/stream?id=small"])
+@pytest.mark.parametrize(
+    "path", ["/api/hello", "/api/session?id=small", "/api/poll?id=small", "/api/stream?id=small"]
+)
 def test_a_get_for_another_site_is_refused(client, path):
     assert client.get(path, Sec_Fetch_Site="cross-site").status_code == 403
     assert client.get("/", Sec_Fetch_Site="cross-site").status_code == 200  # a link to the page

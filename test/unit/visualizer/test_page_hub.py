@@ -61,7 +61,9 @@ def test_a_viewer_far_behind_catches_up_message_by_message():
     sizes, seen = [], 0
     while hub.wait(cursor, 0):
         news, cursor = read(hub, cursor)
-        assert [e["n"] for e in news["events"]] == list(range(seen + 1, seen + 1 + len(news["events"])))
+        assert [e["n"] for e in news["events"]] == list(
+            range(seen + 1, seen + 1 + len(news["events"]))
+        )
         seen += len(news["events"])
         sizes.append((len(news["events"]), news.get("more", False)))
         assert news["cursor"] == str(cursor)

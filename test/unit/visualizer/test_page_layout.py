@@ -33,7 +33,9 @@ def test_routes_run_from_centre_to_centre():
 def drawn():
     places = [Place("p%d" % i, position=(30.0 * i, 10.0 * (i % 2))) for i in range(5)]
     transitions = [Transition("t%d" % i, position=(30.0 * i + 15, 60.0)) for i in range(4)]
-    arcs = [Arc("p%d" % i, "t%d" % i) for i in range(4)] + [Arc("t%d" % i, "p%d" % (i + 1)) for i in range(4)]
+    arcs = [Arc("p%d" % i, "t%d" % i) for i in range(4)] + [
+        Arc("t%d" % i, "p%d" % (i + 1)) for i in range(4)
+    ]
     return Net(places, transitions, arcs)
 
 
@@ -58,7 +60,9 @@ def test_routes_of_a_drawn_net_meet_its_nodes():
 
 
 def test_positions_that_lie_on_each_other_are_not_used():
-    net = Net([Place("a", position=(0.0, 0.0))], [Transition("t", position=(0.0, 0.0))], [Arc("a", "t")])
+    net = Net(
+        [Place("a", position=(0.0, 0.0))], [Transition("t", position=(0.0, 0.0))], [Arc("a", "t")]
+    )
     assert lay_out(net).engine == "dot"
 
 

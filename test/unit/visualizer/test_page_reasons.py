@@ -28,13 +28,20 @@ def asking(net, plan=None, activity=None):
 def test_parallel_arcs_count_together():
     net = NetBuilder().place("p", 1).exponential("t", inputs="p").build().with_arc(Arc("p", "t", 1))
     _, ask = asking(net)
-    assert ask("t") == {"transition": "t", "enabled": False, "reasons": ["p has 1 of 2 tokens"], "at": 0}
+    assert ask("t") == {
+        "transition": "t",
+        "enabled": False,
+        "reasons": ["p has 1 of 2 tokens"],
+        "at": 0,
+    }
 
 
 def test_a_full_place_that_gives_as_much_as_it_takes_is_no_reason():
     net = NetBuilder().place("full", 2, capacity=2).place("p", 0)
     net.exponential("loop", inputs={"full": 1, "p": 1}, outputs="full")
-    net.exponential("two", outputs={"full": 2}).place("almost", 1, capacity=2).exponential("fill", outputs={"almost": 2})
+    net.exponential("two", outputs={"full": 2}).place("almost", 1, capacity=2).exponential(
+        "fill", outputs={"almost": 2}
+    )
     _, ask = asking(net.build())
     assert ask("loop")["reasons"] == ["p has 0 of 1 token"]
     assert ask("two")["reasons"] == ["full is full (capacity 2)"]
@@ -54,7 +61,12 @@ def test_it_is_answered_for_the_moment_that_is_shown():
     net = NetBuilder().place("a", 1).place("b").exponential("t", inputs="a", outputs="b").build()
     client, ask = asking(net)
     client.do("step", session="net")
-    assert ask("t") == {"transition": "t", "enabled": False, "reasons": ["a has 0 of 1 token"], "at": 1}
+    assert ask("t") == {
+        "transition": "t",
+        "enabled": False,
+        "reasons": ["a has 0 of 1 token"],
+        "at": 1,
+    }
     assert ask("t", at=0) == {"transition": "t", "enabled": True, "reasons": [], "at": 0}
 
 
@@ -70,7 +82,11 @@ class _Team(Activity):
         net = self.plan.net
         board = Board(len(net.transitions), net.initial_marking)
         for robot in self.plan.robots:
-            board.robots[robot.name] = {"name": robot.name, "place": net.place_index[robot.place], "phase": "doing"}
+            board.robots[robot.name] = {
+                "name": robot.name,
+                "place": net.place_index[robot.place],
+                "phase": "doing",
+            }
         hub.restart("LIVE", board)
 
 

@@ -34,7 +34,8 @@ def finished(activity):
     hub = Hub("", Board(0, []))
     activity.begin(hub)
     cursor = hub.news(None).cursor
-    while hub.info.get("loading"):  # asked after the cursor was taken: the end of the loading is news to it
+    # asked after the cursor was taken: the end of the loading is news to it
+    while hub.info.get("loading"):
         assert hub.wait(cursor, 20)
         cursor = hub.news(cursor).cursor
     return hub
@@ -47,7 +48,9 @@ def test_an_event_log_leads_to_the_state_of_the_run(recorded):
     assert tuple(board.marking) == state.marking
     assert sum(board.counts) == len(firings)
     assert board.status["ended"] == "stopped by the operator"
-    middle = next(e for e in hub.events(0, 10**9) if e.get("s") == [firings[100].slot, firings[100].index])
+    middle = next(
+        e for e in hub.events(0, 10**9) if e.get("s") == [firings[100].slot, firings[100].index]
+    )
     assert tuple(hub.board_at(middle["n"]).marking) == firings[100].marking
     times = [e["t"] for e in hub.events(0, 10**9)]
     assert times == sorted(times)
@@ -58,7 +61,8 @@ def test_a_log_that_was_cut_is_shown_as_far_as_it_goes(recorded, tmp_path):
     with open(path, "rb") as file:
         data = file.read()
     cut = tmp_path / "cut.jsonl"
-    cut.write_bytes(data[: data.index(b"\n", len(data) // 2) + 10])  # amid a line, wherever the half falls
+    # amid a line, wherever the half falls
+    cut.write_bytes(data[: data.index(b"\n", len(data) // 2) + 10])
     hub = finished(Replay.of_file(str(cut)))
     assert hub.board().n > 50
     assert any("cut off" in note["text"] for note in hub.board().notes)
@@ -74,7 +78,10 @@ def test_a_log_that_contradicts_itself_says_where(recorded, tmp_path):
     bad = tmp_path / "bad.jsonl"
     bad.write_text("".join(lines[:at]) + json.dumps(record) + "\n" + "".join(lines[at + 1 :]))
     hub = finished(Replay.of_file(str(bad)))
-    assert any("cannot be followed" in n["text"] and ":%d" % (at + 1) in n["text"] for n in hub.board().notes)
+    assert any(
+        "cannot be followed" in n["text"] and ":%d" % (at + 1) in n["text"]
+        for n in hub.board().notes
+    )
 
 
 @pytest.mark.parametrize("data", [b"", b"nonsense\n", b'{"kind": "header"}\n'])
@@ -113,7 +120,9 @@ def test_a_long_log_is_looked_up_in_its_file(recorded, monkeypatch):
     expected = read_at_once(path)
     n = hub.board().n
     found = hub.events(0, n, limit=n)
-    assert [without_time(event) for event in found[: len(expected)]] == [without_time(event) for event in expected]
+    assert [without_time(event) for event in found[: len(expected)]] == [
+        without_time(event) for event in expected
+    ]
     assert [event["n"] for event in found] == list(range(1, n + 1))
     source, board, at = random.Random(3), recording.first_board(), {}
     for event in [None, *found]:
@@ -123,7 +132,9 @@ def test_a_long_log_is_looked_up_in_its_file(recorded, monkeypatch):
     for k in [0, 1, n - 1, n, n + 5, *(source.randint(0, n) for _ in range(60))]:
         assert hub.board_at(k).to_json() == at[min(k, n)].to_json()
         first = max(0, k - source.randint(0, 30))
-        assert [event["n"] for event in hub.events(first, k)] == list(range(first + 1, min(k, n) + 1))
+        assert [event["n"] for event in hub.events(first, k)] == list(
+            range(first + 1, min(k, n) + 1)
+        )
         assert recording._at_hand() <= 40 or len(recording._stretches) == 1
 
 
@@ -147,14 +158,18 @@ def test_the_clock_is_that_of_the_log(recorded, tmp_path):
     with open(path) as file:
         header, *lines = [json.loads(line) for line in file][:8]
     clocks = [(100, 5.0), (100.5, 5.5), (9999, 6.0), (50, 6.5), (51, 0.1), (50.2, 0.2), (51, 1.0)]
-    expected = [0, 0.5, 1.0, 1.5, 2.5, 2.6, 3.4]  # the wall clock is set twice, and the host starts again once
+    # the wall clock is set twice, and the host starts again once
+    expected = [0, 0.5, 1.0, 1.5, 2.5, 2.6, 3.4]
     made = tmp_path / "clock.jsonl"
     lines = [{**line, "wall": wall, "mono": mono} for line, (wall, mono) in zip(lines, clocks)]
     made.write_text("".join(json.dumps(line) + "\n" for line in [header, *lines]))
     events = finished(Replay.of_file(str(made))).events(0, 1000)
     times = {tuple(e["s"])[0]: e["t"] for e in events if e["k"] == "fire"}
     slots = [line["slot"] for line in lines]
-    assert times == {slot: pytest.approx(t) for slot, t in zip(slots, expected) if slot in times} and len(times) > 3
+    assert (
+        times == {slot: pytest.approx(t) for slot, t in zip(slots, expected) if slot in times}
+        and len(times) > 3
+    )
 
 
 def test_a_log_that_changes_under_the_page_is_told(recorded, tmp_path, monkeypatch):
@@ -186,11 +201,24 @@ def test_whatever_breaks_in_the_reading_ends_it_and_is_told(recorded, monkeypatc
     monkeypatch.setattr(TeamEvents, "step", broken)
     hub = finished(Replay.of_file(path))
     assert not hub.info["loading"]
-    assert any("cannot be followed further: ZeroDivisionError" in note["text"] for note in hub.board().notes)
+    assert any(
+        "cannot be followed further: ZeroDivisionError" in note["text"]
+        for note in hub.board().notes
+    )
 
 
-@pytest.mark.parametrize("line", ["[" * 100_000, "3", "{}", '{"kind": 3}', '{"kind": "slot"}', '{"kind": "slot", "slot": []}',
-                                  '{"kind": "snapshot", "slot": 1, "state": 3}'])  # fmt: skip
+@pytest.mark.parametrize(
+    "line",
+    [
+        "[" * 100_000,
+        "3",
+        "{}",
+        '{"kind": 3}',
+        '{"kind": "slot"}',
+        '{"kind": "slot", "slot": []}',
+        '{"kind": "snapshot", "slot": 1, "state": 3}',
+    ],
+)
 def test_a_line_that_is_no_record_ends_the_reading_and_is_named(recorded, tmp_path, line):
     path, _, _ = recorded
     with open(path) as file:
@@ -198,7 +226,10 @@ def test_a_line_that_is_no_record_ends_the_reading_and_is_named(recorded, tmp_pa
     bad = tmp_path / "bad.jsonl"
     bad.write_text("".join(lines) + line + "\n")
     hub = finished(Replay.of_file(str(bad)))
-    assert any("cannot be followed" in note["text"] and "bad.jsonl:21" in note["text"] for note in hub.board().notes)
+    assert any(
+        "cannot be followed" in note["text"] and "bad.jsonl:21" in note["text"]
+        for note in hub.board().notes
+    )
     assert not any(str(tmp_path) in note["text"] for note in hub.board().notes)
 
 

@@ -1,4 +1,5 @@
-"""A plan that the page executes without ROS: its orders, and its end, which is told whatever breaks."""
+"""A plan that the page executes without ROS: its orders, and its end, which is told whatever
+breaks."""
 
 import fcntl
 import json
@@ -37,7 +38,11 @@ PLAN = {
     "plan": "ring",
     "net": {
         "places": [{"name": "a", "tokens": 1}, {"name": "b"}, {"name": "c"}, {"name": "store"}],
-        "transitions": [{"name": "ab", "timed": False}, {"name": "ba", "timed": False}, {"name": "fill", "timed": True}],
+        "transitions": [
+            {"name": "ab", "timed": False},
+            {"name": "ba", "timed": False},
+            {"name": "fill", "timed": True},
+        ],
         "arcs": [
             {"from": "a", "to": "ab"},
             {"from": "ab", "to": "b"},
@@ -60,10 +65,16 @@ def _served(tmp_path):
         folder = tmp_path / "ring"
         folder.mkdir(exist_ok=True)
         (folder / "ring_work.py").write_text(ACTIONS)
-        plan = {**PLAN, "actions": {"a": "ring_work." + a, "b": "ring_work." + b, "c": "ring_work." + c}, **fields}
+        plan = {
+            **PLAN,
+            "actions": {"a": "ring_work." + a, "b": "ring_work." + b, "c": "ring_work." + c},
+            **fields,
+        }
         (folder / "plan.json").write_text(json.dumps(plan))
         runs = str(tmp_path / "runs")
-        project = Project(Folder(str(tmp_path)), lambda document: StandaloneRun(document, runs), runs=runs)
+        project = Project(
+            Folder(str(tmp_path)), lambda document: StandaloneRun(document, runs), runs=runs
+        )
         clients.append(PageClient(project))
         return clients[-1]
 
@@ -83,7 +94,10 @@ def status(client, key):
 
 
 def ended(client, key):
-    return wait_for(lambda: (lambda s: s if s["ended"] else None)(status(client, key)), what="the end of the run")
+    return wait_for(
+        lambda: (lambda s: s if s["ended"] else None)(status(client, key)),
+        what="the end of the run",
+    )
 
 
 def test_a_run_tells_its_name_and_records_itself_under_it(served, tmp_path):
@@ -93,7 +107,12 @@ def test_a_run_tells_its_name_and_records_itself_under_it(served, tmp_path):
     run = status(client, key)["run"]
     assert (tmp_path / "runs" / (run + ".jsonl")).is_file()
     assert client.do("stop", session=key, reason="enough").status_code == 200
-    assert status(client, key) == {**status(client, key), "running": False, "ended": "enough", "fault": False}
+    assert status(client, key) == {
+        **status(client, key),
+        "running": False,
+        "ended": "enough",
+        "fault": False,
+    }
     assert read_log(str(tmp_path / "runs" / (run + ".jsonl"))).header["run"] == run
     assert client.do("stop", session=key).status_code == 409
 
@@ -125,7 +144,9 @@ def test_a_run_that_an_action_stops_ends_as_a_fault_here_and_in_its_recording(se
     ]
 
 
-def test_a_disk_that_is_full_at_the_start_refuses_the_start_and_leaves_nothing(served, monkeypatch, tmp_path):
+def test_a_disk_that_is_full_at_the_start_refuses_the_start_and_leaves_nothing(
+    served, monkeypatch, tmp_path
+):
     client = served()
     fill_the_disk(monkeypatch, after=100)
     key, answer = start(client)
@@ -135,7 +156,13 @@ def test_a_disk_that_is_full_at_the_start_refuses_the_start_and_leaves_nothing(s
 
 
 @pytest.mark.parametrize(
-    "what", [(TokenGame, "reduce"), (StandaloneRun, "on_step"), (TeamEvents, "step"), (StandaloneExecutor, "_carry_out")]
+    "what",
+    [
+        (TokenGame, "reduce"),
+        (StandaloneRun, "on_step"),
+        (TeamEvents, "step"),
+        (StandaloneExecutor, "_carry_out"),
+    ],
 )
 def test_whatever_breaks_in_the_executor_ends_the_run(served, monkeypatch, what):
     client = served(a="wait")
@@ -188,7 +215,10 @@ def test_threads_that_cannot_be_started_are_failed_actions(served, monkeypatch):
     monkeypatch.setattr("gspn_framework_package.execution.worker_pool.WorkerPool.submit", submit)
     client = served()
     key, _ = start(client)
-    wait_for(lambda: [r for r in client.board(key)["robots"] if r["phase"] == "failed"], what="the failure")
+    wait_for(
+        lambda: [r for r in client.board(key)["robots"] if r["phase"] == "failed"],
+        what="the failure",
+    )
     assert client.do("stop", session=key).status_code == 200
 
 
@@ -201,7 +231,9 @@ def test_orders_do_what_they_say(served):
 
     wait_for(lambda: robot().get("phase") == "failed", what="the failure")
     assert client.do("retry", session=key, robot="r").status_code == 200
-    wait_for(lambda: robot().get("attempt") == 2 and robot()["phase"] == "failed", what="another attempt")
+    wait_for(
+        lambda: robot().get("attempt") == 2 and robot()["phase"] == "failed", what="another attempt"
+    )
     assert client.do("pause", session=key, robot="r").status_code == 200
     wait_for(lambda: robot().get("paused"), what="the pause of the robot")
     assert client.do("resume", session=key, robot="r").status_code == 200
@@ -241,7 +273,10 @@ def test_orders_that_make_no_sense_are_refused(served, command, fields, told):
     assert status(client, key)["running"]
 
 
-@pytest.mark.parametrize("spelling", ["ring", "ring/plan.json", "ring/./plan.json", "./ring", "ring//plan.json", "link.json"])
+@pytest.mark.parametrize(
+    "spelling",
+    ["ring", "ring/plan.json", "ring/./plan.json", "./ring", "ring//plan.json", "link.json"],
+)
 def test_one_plan_runs_once_however_it_is_written(served, tmp_path, spelling):
     client = served(a="wait")
     (tmp_path / "link.json").symlink_to(tmp_path / "ring" / "plan.json")
@@ -286,7 +321,9 @@ def test_a_layout_holds_nobody(served, monkeypatch):
 
     monkeypatch.setattr(session, "lay_out", slow)
     answers = []
-    thread = threading.Thread(target=lambda: answers.append(client.do("layout", session=key).status_code))
+    thread = threading.Thread(
+        target=lambda: answers.append(client.do("layout", session=key).status_code)
+    )
     thread.start()
     assert under_way.wait(30)
     assert client.do("layout", session=key).status_code == 409  # once is enough
@@ -297,7 +334,7 @@ def test_a_layout_holds_nobody(served, monkeypatch):
     assert answers == [200]
 
 
-# -- runs that were cut off ------------------------------------------------------------------------------
+# -- runs that were cut off ------------------------------------------------------------------------
 
 
 def test_a_run_that_goes_on_is_marked_and_one_that_ended_is_not(served, tmp_path):
@@ -323,14 +360,20 @@ def test_a_run_that_was_cut_off_is_told_until_somebody_looks(served, tmp_path):
         "print(run.run, flush=True)\n"
         "time.sleep(60)\n"
     ) % ([os.getcwd()], str(tmp_path), str(runs))
-    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True
+    ) as process:
         run = process.stdout.readline().strip()
         wait_for(lambda: (runs / (run + ".jsonl")).stat().st_size > 5000, what="some events")
         process.send_signal(signal.SIGKILL)
     for _ in range(2):  # not only to the first that asks, nor only by the first server
         client = served(a="wait")
         (cut,) = client.get("/api/hello").get_json()["cut"]
-        assert cut["path"] == "ring/plan.json" and cut["log"] == "runs/%s.jsonl" % run and cut["events"] > 5
+        assert (
+            cut["path"] == "ring/plan.json"
+            and cut["log"] == "runs/%s.jsonl" % run
+            and cut["events"] > 5
+        )
     assert client.post("/api/open", {"path": cut["log"]}).status_code == 200
     assert client.get("/api/hello").get_json()["cut"] == []
     assert served(a="wait").get("/api/hello").get_json()["cut"] == []
@@ -352,11 +395,18 @@ def test_a_new_run_of_the_plan_supersedes_the_one_that_was_cut_off(served, tmp_p
 
 def test_each_start_of_a_server_has_another_name(served):
     first, second = served(), served()
-    assert first.get("/api/hello").get_json()["server"] == first.get("/api/hello").get_json()["server"]
-    assert first.get("/api/hello").get_json()["server"] != second.get("/api/hello").get_json()["server"]
+    assert (
+        first.get("/api/hello").get_json()["server"] == first.get("/api/hello").get_json()["server"]
+    )
+    assert (
+        first.get("/api/hello").get_json()["server"]
+        != second.get("/api/hello").get_json()["server"]
+    )
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"log": 3}', '{"log": "../../etc/passwd", "path": "x"}'])
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", '{"log": 3}', '{"log": "../../etc/passwd", "path": "x"}']
+)
 def test_a_mark_that_says_nothing_is_passed_over(tmp_path, text):
     Path(tmp_path, ".x.jsonl.running").write_text(text)
     assert cut_runs(str(tmp_path)) == []

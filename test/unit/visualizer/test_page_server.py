@@ -1,4 +1,5 @@
-"""The page's own web server, over real sockets: streams, stalled viewers, limits; and the verbs that start it."""
+"""The page's own web server, over real sockets: streams, stalled viewers, limits; and the verbs
+that start it."""
 
 import gc
 import http.client
@@ -111,7 +112,8 @@ def test_more_streams_than_viewers_are_refused_and_freed_again(serve, monkeypatc
 
 def test_a_stalled_viewer_grows_no_memory_and_stops_nobody():
     found = measure_memory(events=80_000, nodes=17)
-    assert found["grown_mb"] < 10  # the events that come meanwhile take 40 MB and more, were they kept
+    # the events that come meanwhile take 40 MB and more, were they kept
+    assert found["grown_mb"] < 10
     assert found["reader_gaps"] == 0 and found["events"] >= 80_000
 
 
@@ -173,7 +175,8 @@ def test_a_request_that_outlives_the_server_writes_into_no_file_of_others(serve,
     connection.request("POST", "/api/do?id=small", '{"command": "step"}', head)
     assert under_way.wait(30)
     server.stop()
-    pairs = [socket.socketpair() for _ in range(20)]  # files that get the numbers of those that the server has closed
+    # files that get the numbers of those that the server has closed
+    pairs = [socket.socketpair() for _ in range(20)]
     ends = [end for pair in pairs for end in pair]
     go_on.set()
     readable, deadline = [], time.monotonic() + 30
@@ -188,7 +191,9 @@ def test_a_request_that_outlives_the_server_writes_into_no_file_of_others(serve,
 def test_a_server_stops_when_its_thread_was_awake_already(serve, monkeypatch):
     def pull(trigger):
         os.write(trigger.trigger, b"x")  # of another thread, a moment before
-        wait_for(lambda: not (trigger.thunks and trigger._map), seconds=30, what="the server's thread")
+        wait_for(
+            lambda: not (trigger.thunks and trigger._map), seconds=30, what="the server's thread"
+        )
         os.write(trigger.trigger, b"x")
 
     monkeypatch.setattr(waitress.trigger.trigger, "_physical_pull", pull)
@@ -219,7 +224,11 @@ def test_a_name_with_several_addresses_is_listened_on_at_one(serve, monkeypatch)
         (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", 0)),
     ]
     found = socket.getaddrinfo
-    monkeypatch.setattr(socket, "getaddrinfo", lambda host, *a, **k: both if host == "pair" else found(host, *a, **k))
+    monkeypatch.setattr(
+        socket,
+        "getaddrinfo",
+        lambda host, *a, **k: both if host == "pair" else found(host, *a, **k),
+    )
     assert serve(host="pair").port > 0
 
 
@@ -233,7 +242,9 @@ def test_a_host_header_is_checked_on_the_wire(serve):
 def test_a_request_that_is_too_large_is_not_even_received(serve):
     server = serve()
     with socket.create_connection(("127.0.0.1", server.port), 20) as client:
-        head = "POST /api/upload HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nContent-Length: 900000000\r\n\r\n"
+        head = (
+            "POST /api/upload HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nContent-Length: 900000000\r\n\r\n"
+        )
         client.sendall((head % server.port).encode())
         assert b" 413 " in client.recv(200)
 
@@ -257,7 +268,9 @@ def test_wrong_usage_is_one_message_and_exit_code_2(words, capsys):
     assert said.startswith("gspn: error: ") and "Traceback" not in said
 
 
-def test_the_tokens_are_printed_with_the_address_and_are_nowhere_else(tmp_path, capsys, monkeypatch):
+def test_the_tokens_are_printed_with_the_address_and_are_nowhere_else(
+    tmp_path, capsys, monkeypatch
+):
     monkeypatch.setattr(WebServer, "run", lambda server: print(server.address))
     assert main(["serve", "plans", "--host", "0.0.0.0", "--port", "0"]) == 0
     first, second, address = capsys.readouterr().out.splitlines()
@@ -269,7 +282,10 @@ def test_the_tokens_are_printed_with_the_address_and_are_nowhere_else(tmp_path, 
     assert main(["serve", "plans", "--port", "0", "--token-file", str(tokens)]) == 0
     out = capsys.readouterr().out
     assert "#token=operator-operator " in out and "#token=viewer-viewer-viewer" in out
-    assert main(["serve", "plans", "--port", "0", "--token-file", str(tokens), "--token", "x" * 16]) == 2
+    assert (
+        main(["serve", "plans", "--port", "0", "--token-file", str(tokens), "--token", "x" * 16])
+        == 2
+    )
     assert main(["serve", "plans", "--port", "0", "--token", "short"]) == 2
     assert "at least 16 characters" in capsys.readouterr().err
 
@@ -280,7 +296,15 @@ def test_a_port_that_is_taken_is_told(serve, capsys):
 
 
 def test_serve_serves_until_it_is_interrupted():
-    command = [sys.executable, "-m", "gspn_framework_package", "serve", "plans/patrol", "--port", "0"]
+    command = [
+        sys.executable,
+        "-m",
+        "gspn_framework_package",
+        "serve",
+        "plans/patrol",
+        "--port",
+        "0",
+    ]
     environment = {**os.environ, "PYTHONPATH": os.getcwd()}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, text=True, env=environment, **pipes) as process:

@@ -1,5 +1,5 @@
-"""The tools of thesis Figure 5.4 through the page's own requests: step, n steps, fire, reset, clear, probabilities,
-and step back."""
+"""The tools of thesis Figure 5.4 through the page's own requests: step, n steps, fire, reset,
+clear, probabilities, and step back."""
 
 import pytest
 from page_client import PageClient
@@ -43,7 +43,13 @@ def test_a_chosen_transition_fires_if_it_is_enabled(client):
 
 
 def test_an_immediate_transition_goes_before_a_chosen_exponential_one():
-    net = NetBuilder().place("p", 1).exponential("slow", inputs="p").immediate("now", inputs="p").build()
+    net = (
+        NetBuilder()
+        .place("p", 1)
+        .exponential("slow", inputs="p")
+        .immediate("now", inputs="p")
+        .build()
+    )
     refused = open_net(net).do("fire", transition="slow")
     assert refused.status_code == 409 and "go first" in refused.get_json()["error"]
 
@@ -103,7 +109,10 @@ def test_huge_probabilities_are_shares_like_others():
     for name in ("a", "b", "c"):
         net = net.exponential(name, 1e308, inputs="p", outputs="p")
     client = open_net(net.build())
-    assert client.do("probabilities", probabilities={"a": 1e308, "b": 1e308, "c": 0}).status_code == 200
+    assert (
+        client.do("probabilities", probabilities={"a": 1e308, "b": 1e308, "c": 0}).status_code
+        == 200
+    )
     assert client.get("/api/poll?id=small").get_json()["latest"]["choices"] == [[0, 0.5], [1, 0.5]]
     assert client.do("step", steps=100).get_json()["fired"] == 100
     assert client.board()["counts"][2] == 0
@@ -111,7 +120,9 @@ def test_huge_probabilities_are_shares_like_others():
     assert client.do("step", steps=100).get_json()["fired"] == 100
 
 
-@pytest.mark.parametrize("given", [None, [], {"t": 10**400}, {"a": -1}, {"a": "x"}, {"nonsense": 1}, {"t": True}])
+@pytest.mark.parametrize(
+    "given", [None, [], {"t": 10**400}, {"a": -1}, {"a": "x"}, {"nonsense": 1}, {"t": True}]
+)
 def test_probabilities_that_make_no_sense_are_refused(client, given):
     assert client.do("probabilities", probabilities=given).status_code == 400
 

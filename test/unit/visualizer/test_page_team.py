@@ -1,4 +1,5 @@
-"""A team's log, and what is heard of it, as the page shows it: never another marking than the token game's."""
+"""A team's log, and what is heard of it, as the page shows it: never another marking than the token
+game's."""
 
 import random
 
@@ -9,7 +10,12 @@ from hypothesis import strategies as st
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.visualizer.fired_follower import FiredFollower, FiredNews, RobotSeen, TeamSeen
+from gspn_framework_package.visualizer.fired_follower import (
+    FiredFollower,
+    FiredNews,
+    RobotSeen,
+    TeamSeen,
+)
 from gspn_framework_package.visualizer.team_events import TeamEvents
 
 PLANS = ["plans/patrol", "plans/rendezvous", "plans/tokens", "plans/measure"]
@@ -66,7 +72,17 @@ def heard(plan, seed):
         for f in firings:
             moves = tuple((m.robot, m.target) for m in f.moves if m.target)
             news.append(
-                FiredNews(f.transition, f.robot, f.visit, moves, plan.net.named(f.marking), f.slot, f.index, False, 0.0)
+                FiredNews(
+                    f.transition,
+                    f.robot,
+                    f.visit,
+                    moves,
+                    plan.net.named(f.marking),
+                    f.slot,
+                    f.index,
+                    False,
+                    0.0,
+                )
             )
         marking = state.marking
     return news, marking

@@ -24,7 +24,13 @@ def work_there(id):
 
 @pytest.fixture(name="folder")
 def _folder(tmp_path):
-    net = NetBuilder("net").place("a", 2).place("b").exponential("go", inputs="a", outputs="b").build()
+    net = (
+        NetBuilder("net")
+        .place("a", 2)
+        .place("b")
+        .exponential("go", inputs="a", outputs="b")
+        .build()
+    )
     write_net(net, tmp_path / "two_places.xml", "pipe")
     (tmp_path / "work.py").write_text(WORK)
     data = {
@@ -35,7 +41,11 @@ def _folder(tmp_path):
         "policy_dictionary": "{(0,1): {'t4':1}, (1,0): {'go':1}}",
     }
     (tmp_path / "input.json").write_text(json.dumps(data))
-    offline = {"project_path": "/home/somebody/project/", "gspn": "two_places.xml", "place_to_function_mapping": "?"}
+    offline = {
+        "project_path": "/home/somebody/project/",
+        "gspn": "two_places.xml",
+        "place_to_function_mapping": "?",
+    }
     (tmp_path / "offline.json").write_text(json.dumps(offline))
     return tmp_path
 
@@ -44,7 +54,9 @@ def test_it_is_checked_and_run(folder, capfd):
     assert main(["check", "--standalone", str(folder / "input.json")]) == 0
     assert "policy row 1: left out 't4', which the net does not have" in capfd.readouterr().out
     assert main(["run", "--json", str(folder / "input.json")]) == 0
-    told = [json.loads(line) for line in capfd.readouterr().out.splitlines() if line.startswith("{")]
+    told = [
+        json.loads(line) for line in capfd.readouterr().out.splitlines() if line.startswith("{")
+    ]
     assert [event["event"] for event in told] == ["firing", "firing", "end"]
     assert told[-1]["marking"] == {"a": 0, "b": 2}
 

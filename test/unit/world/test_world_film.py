@@ -98,11 +98,12 @@ def test_a_recording_that_was_cut_off_is_read_as_far_as_it_goes(recording):
         ('{"format": "other", "robots": [], "room": ""}\n', "its format is 'other'"),
         (json.dumps({"format": "gspn_world_1", "robots": ["a"], "room": "walls: 1"}), "run.jsonl"),
         (
-            json.dumps({"format": "gspn_world_1", "robots": ["a"], "room": ROOM_TEXT}) + "\n[0.1, [[0,0,0],[1,1,0]]]\n",
+            json.dumps({"format": "gspn_world_1", "robots": ["a"], "room": ROOM_TEXT})
+            + "\n[0.1, [[0,0,0],[1,1,0]]]\n",
             "run.jsonl:2: no recording of a world: 2 poses of 1 robots",
         ),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_recording_is_refused(tmp_path, text, words):
     file = tmp_path / "run.jsonl"
     file.write_text(text)
@@ -113,7 +114,16 @@ def test_what_is_no_recording_is_refused(tmp_path, text, words):
 
 def test_a_recorded_run_becomes_pictures_in_a_folder(recording, tmp_path, capsys):
     folder = tmp_path / "pictures"
-    words = ["film", str(folder), "--recording", str(recording), "--size", "160x120", "--view", "top"]
+    words = [
+        "film",
+        str(folder),
+        "--recording",
+        str(recording),
+        "--size",
+        "160x120",
+        "--view",
+        "top",
+    ]
     assert main([*words, "--speed", "10", "--rate", "10", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["pictures"] == 4
     frames = sorted(folder.iterdir())
@@ -134,7 +144,9 @@ def test_a_film_file_has_all_pictures(kind, tmp_path):
     film.close()
     if kind == ".mp4":
         words = [str(find_ffmpeg()), "-i", str(target), "-f", "framemd5", "-"]
-        listed = subprocess.run(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True)
+        listed = subprocess.run(
+            words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True
+        )
         assert len([line for line in listed.stdout.splitlines() if not line.startswith(b"#")]) == 3
     else:
         assert Image.open(target).n_frames == 3
@@ -164,7 +176,16 @@ def test_mp4_without_ffmpeg_says_what_to_do(tmp_path, monkeypatch):
 
 
 def test_a_simulated_patrol_is_filmed_from_a_bare_checkout(tmp_path):
-    words = ["film", str(tmp_path / "film.gif"), "--robots", "2", "--seconds", "4", "--size", "120x90"]
+    words = [
+        "film",
+        str(tmp_path / "film.gif"),
+        "--robots",
+        "2",
+        "--seconds",
+        "4",
+        "--size",
+        "120x90",
+    ]
     done = subprocess.run(
         [sys.executable, "-m", "gspn_framework_package", *words],
         cwd=str(Path(__file__).resolve().parents[3]),

@@ -19,8 +19,17 @@ def room(width, height, *boxes):
     """A hall of that size with boxes (x, y, width, height) in it."""
     w, h = width / 2, height / 2
     text = "name: hall\nwalls:\n  - [[%g,%g],[%g,%g],[%g,%g],[%g,%g],[%g,%g]]\n" % (
-        -w, -h, w, -h, w, h, -w, h, -w, -h,
-    )  # fmt: skip
+        -w,
+        -h,
+        w,
+        -h,
+        w,
+        h,
+        -w,
+        h,
+        -w,
+        -h,
+    )
     if boxes:
         text += "boxes:\n"
     for box in boxes:
@@ -80,10 +89,14 @@ def test_parked_robots_are_planned_around():
 
 SCENES = {
     "corridor, face to face": (
-        NARROW, [(-2, 0, 0), (2, 0, math.pi)], [(2, 0), (-2, 0)],
+        NARROW,
+        [(-2, 0, 0), (2, 0, math.pi)],
+        [(2, 0), (-2, 0)],
     ),
     "corridor, met in the middle": (
-        NARROW, [(-0.3, 0, 0), (0.3, 0, math.pi)], [(2, 0), (-2, 0)],
+        NARROW,
+        [(-0.3, 0, 0), (0.3, 0, math.pi)],
+        [(2, 0), (-2, 0)],
     ),
     "corridor, two against two in it": (
         NARROW,
@@ -102,10 +115,13 @@ SCENES = {
     ),
     "circle of eight": (
         OPEN,
-        [(1.4 * math.cos(a), 1.4 * math.sin(a), a + math.pi) for a in (k * math.pi / 4 for k in range(8))],
+        [
+            (1.4 * math.cos(a), 1.4 * math.sin(a), a + math.pi)
+            for a in (k * math.pi / 4 for k in range(8))
+        ],
         [(-1.4 * math.cos(a), -1.4 * math.sin(a)) for a in (k * math.pi / 4 for k in range(8))],
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("scene", sorted(SCENES))

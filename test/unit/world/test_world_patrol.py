@@ -1,4 +1,5 @@
-"""The patrol in the critical room, without ROS: rules, right of entry, loss and return; and the referee."""
+"""The patrol in the critical room, without ROS: rules, right of entry, loss and return; and the
+referee."""
 
 import math
 from pathlib import Path
@@ -27,9 +28,13 @@ def report_without_faults(run):
     run.team.close()
     assert run.failures == []
     for nothing in (
-        "contacts_between_robots", "contacts_with_solids", "stuck_minutes", "goals_aborted",
-        "two_in_one_location", "overtakings",
-    ):  # fmt: skip
+        "contacts_between_robots",
+        "contacts_with_solids",
+        "stuck_minutes",
+        "goals_aborted",
+        "two_in_one_location",
+        "overtakings",
+    ):
         assert report[nothing] == 0, nothing
     return report
 
@@ -231,7 +236,11 @@ def test_a_slot_that_another_one_takes_meanwhile_is_left_to_it():
 def test_robots_of_a_team_prefer_different_slots():
     wishes = {patrol.preferred_slot("robot_%d" % number) % 8 for number in range(1, 9)}
     assert len(wishes) == 8
-    assert patrol.preferred_slot("carol") == patrol.preferred_slot("carol") != patrol.preferred_slot("dave")
+    assert (
+        patrol.preferred_slot("carol")
+        == patrol.preferred_slot("carol")
+        != patrol.preferred_slot("dave")
+    )
 
 
 def test_a_slot_that_cannot_be_reached_is_left_for_the_next():
@@ -274,7 +283,8 @@ def test_the_referee_sees_two_in_one_location(scene):
 
 
 class Unruly(Patrol):
-    """A patrol whose plan has lost its rule: everybody goes on to the next location, whoever is in it."""
+    """A patrol whose plan has lost its rule: everybody goes on to the next location, whoever is in
+    it."""
 
     def _decide(self, member, answer):
         member.state, member.at = "check", self._next(member.at)
@@ -283,7 +293,8 @@ class Unruly(Patrol):
 
 @pytest.mark.parametrize("looks", [True, False])
 def test_a_plan_without_its_rule_is_found_out_by_the_poses(monkeypatch, looks):
-    """The robots' own look before they enter holds the rule all the same; without it two are in one location."""
+    """The robots' own look before they enter holds the rule all the same; without it two are in one
+    location."""
     if not looks:
         monkeypatch.setattr(patrol, "occupant", lambda location, robots, radius: None)
     run = Unruly(ROOM, names(4), seed=1)

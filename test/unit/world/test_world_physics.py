@@ -149,7 +149,9 @@ def test_the_window_shows_each_robot_in_its_colour(hall):
     # without a window its commands do nothing, but for the colours of the bodies
     set_up_window(physics.client, ROOM, dict(zip(("r0", "r1"), shown)))
     for body, name in zip(shown, ("r0", "r1")):
-        assert physics.client.getVisualShapeData(body)[0][7] == pytest.approx(rgba(colour_of(name)), abs=0.01)
+        assert physics.client.getVisualShapeData(body)[0][7] == pytest.approx(
+            rgba(colour_of(name)), abs=0.01
+        )
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays are X servers on Linux")

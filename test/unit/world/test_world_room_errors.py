@@ -40,16 +40,31 @@ def refusal(text):
 @pytest.mark.parametrize(
     "old, new, line, words",
     [
-        ("name: small", "nome: small", 1, "there is no key 'nome' here (did you mean 'name'?; 1 more)"),
+        (
+            "name: small",
+            "nome: small",
+            1,
+            "there is no key 'nome' here (did you mean 'name'?; 1 more)",
+        ),
         ("name: small", "", 2, "the key 'name' is missing"),
         ("name: small", "name: [small]", 1, "name: ['small'] is no text"),
-        ("    entry:", "    entri:", 7, "locations.A: there is no key 'entri' here (did you mean 'entry'?"),
+        (
+            "    entry:",
+            "    entri:",
+            7,
+            "locations.A: there is no key 'entri' here (did you mean 'entry'?",
+        ),
         ("walls:", "walls: [", 3, "not YAML"),
         ("  - [[-1, -1], [1, -1]", "\t- [[-1, -1], [1, -1]", 3, "not YAML"),
         ("[[0, 0]]", "[]", 8, "locations.A.sweep: it has 0 entries, and needs 1 or more"),
         ("[[0, 0]]", "[[0, 0, 0]]", 8, "locations.A.sweep[0]: it has 3 entries, and needs 2"),
         ("entry: [-0.75, 0]", "entry: west", 7, "locations.A.entry: 'west' is no list"),
-        ("[-0.75, 0]\n    sweep", "[-0.75, zero]\n    sweep", 7, "locations.A.entry[1]: 'zero' is no finite number"),
+        (
+            "[-0.75, 0]\n    sweep",
+            "[-0.75, zero]\n    sweep",
+            7,
+            "locations.A.entry[1]: 'zero' is no finite number",
+        ),
         ("[[0, 0]]", "[[.nan, 0]]", 8, "nan is no finite number"),
         ("[[0, 0]]", "[[0, -.inf]]", 8, "-inf is no finite number"),
         ("[[0, 0]]", "[[true, 0]]", 8, "True is no finite number"),
@@ -58,8 +73,18 @@ def refusal(text):
         ("entry: [-0.75, 0]", "entry: [-0.55, 0]", 7, "would be in the area"),
         ("[[0, 0]]", "[[0, 0], [0.7, 0]]", 8, "sweep[1]: the point is not in the area"),
         ("[0.75, -0.5]", "[0.75, 0.45]", 11, "overlap"),
-        ("spawn:\n  - [-0.75, 0]", "spawn:\n  - [-0.9, 0]", 13, "spawn[0]: a robot does not fit there"),
-        ("spawn:\n  - [-0.75, 0]", "spawn:\n  - [-1, 0]", 13, "spawn[0]: a robot does not fit there"),
+        (
+            "spawn:\n  - [-0.75, 0]",
+            "spawn:\n  - [-0.9, 0]",
+            13,
+            "spawn[0]: a robot does not fit there",
+        ),
+        (
+            "spawn:\n  - [-0.75, 0]",
+            "spawn:\n  - [-1, 0]",
+            13,
+            "spawn[0]: a robot does not fit there",
+        ),
         ("spawn:\n", "spawn:\n  - [3, 0]\n", 14, "spawn[1]: no way leads from there to spawn[0]"),
         ("[[-0.5, -0.5], [0.5, 0.5]]", "[[0.5, 0.5], [-0.5, -0.5]]", 6, "no inside"),
         ("spawn:", "name: again\nspawn:", 12, "the key 'name' stands twice"),
@@ -70,7 +95,7 @@ def refusal(text):
         ("name: small", "name: \0", 1, "not YAML"),
         ("name: small", "? [a, b]\n: small", 1, "not YAML"),
     ],
-)  # fmt: skip
+)
 def test_a_bad_room_is_refused_with_its_line(old, new, line, words):
     parse_room(GOOD)
     assert old in GOOD
@@ -86,8 +111,14 @@ def test_a_bad_room_is_refused_with_its_line(old, new, line, words):
         ("robot: {radius: 0.0001}", "less than the minimum"),
         ("robot: {scan_rays: 1000000}", "greater than the maximum"),
         ("robot: {scan_rays: 2.5}", "2.5 is no whole number"),
-        ("temperature: {hot_spots: [{path: [[0, 0]], excess: 5, radius: -1}]}", "hot_spots[0].radius"),
-        ("cylinders: [{at: [0.9, 0.9], radius: 0.01, color: red}]", "'red' is no colour such as #ffcc00"),
+        (
+            "temperature: {hot_spots: [{path: [[0, 0]], excess: 5, radius: -1}]}",
+            "hot_spots[0].radius",
+        ),
+        (
+            "cylinders: [{at: [0.9, 0.9], radius: 0.01, color: red}]",
+            "'red' is no colour such as #ffcc00",
+        ),
         ("5: five", "there is no key '5' here"),
         ("---\nname: second", "not YAML"),
     ],
@@ -147,7 +178,10 @@ LINES = GOOD.splitlines(keepends=True)
 
 
 @settings(max_examples=150, deadline=None)
-@given(st.lists(st.tuples(st.integers(0, len(GOOD)), st.text(min_size=1, max_size=1)), max_size=4), st.integers(0, 60))
+@given(
+    st.lists(st.tuples(st.integers(0, len(GOOD)), st.text(min_size=1, max_size=1)), max_size=4),
+    st.integers(0, 60),
+)
 def test_whatever_is_typed_or_cut_it_is_a_room_or_an_input_error(typed, cut):
     text = GOOD[: len(GOOD) - cut]
     for at, character in typed:
