@@ -138,7 +138,7 @@ build_key() {
         cd "$ROOT" || exit
         cat CMakeLists.txt package.xml setup.py action/* msg/* srv/*
         find scripts launch test/rostest -type f 2>/dev/null | LC_ALL=C sort
-        cat scripts/*
+        find scripts -maxdepth 1 -type f | LC_ALL=C sort | xargs cat
     } | sha256sum
 }
 

@@ -9,14 +9,21 @@ const POLL = 250;
 /** What a request asks, as a person would write it. */
 function questionText(request) {
   const { reach, cover, mean_time_to: condition, at, settling, rewards, simulate } = request;
-  const numbers = (named) => Object.entries(named).map(([name, value]) => `${name} = ${value}`).join(", ");
+  const numbers = (named) =>
+    Object.entries(named)
+      .map(([name, value]) => `${name} = ${value}`)
+      .join(", ");
   if (reach) return reach.join(", ");
   if (cover) return cover.map(numbers).join("; ");
   if (condition) return condition.join(", ");
   if (at) return `until ${number(at[at.length - 1])} s`;
   if (settling !== undefined) return `within ${number(settling)}`;
   if (rewards) return numbers(rewards);
-  if (simulate) return `${plural(simulate.replications, "run")}${simulate.time ? ` of ${number(simulate.time)} s` : ""}${simulate.until ? `, until ${simulate.until}` : ""}`;
+  if (simulate) {
+    const length = simulate.time ? ` of ${number(simulate.time)} s` : "";
+    const end = simulate.until ? `, until ${simulate.until}` : "";
+    return plural(simulate.replications, "run") + length + end;
+  }
   return "";
 }
 
@@ -30,65 +37,157 @@ export class AnalysisPanel extends EventTarget {
     this.panel = $("analysis");
     this.job = null;
     this.result = {};
-    this.views = new AnswerViews(model, view, (detail) => this.dispatchEvent(new CustomEvent("choose", { detail })));
+    this.views = new AnswerViews(model, view, (detail) =>
+      this.dispatchEvent(new CustomEvent("choose", { detail })),
+    );
     this.build();
   }
 
   build() {
     const plan = this.model.scene.plan;
     const field = (id, label, input) => [h("label", { for: id, text: label }), input];
-    const text = (id, placeholder) => h("input", { id, type: "text", placeholder, spellcheck: "false", autocomplete: "off" });
-    const ask = (label, request) => h("button", { text: label, onclick: () => this.ask(request, label) });
+    const text = (id, placeholder) =>
+      h("input", { id, type: "text", placeholder, spellcheck: "false", autocomplete: "off" });
+    const ask = (label, request) =>
+      h("button", { text: label, onclick: () => this.ask(request, label) });
     this.settings = {
       limit: h("input", { id: "an-limit", type: "number", min: 1, max: 2000000, value: 100000 }),
       seconds: h("input", { id: "an-seconds", type: "number", min: 1, max: 120, value: 60 }),
-      from: h("select", { id: "an-from" }, h("option", { value: "initial", text: "the initial marking" }), h("option", { value: "marking", text: "the present marking" })),
-      policy: h("input", { id: "an-policy", type: "checkbox", checked: Boolean(plan && plan.policy_rows) }),
+      from: h(
+        "select",
+        { id: "an-from" },
+        h("option", { value: "initial", text: "the initial marking" }),
+        h("option", { value: "marking", text: "the present marking" }),
+      ),
+      policy: h("input", {
+        id: "an-policy",
+        type: "checkbox",
+        checked: Boolean(plan && plan.policy_rows),
+      }),
     };
     const reach = text("an-reach", "p1 >= 1 and p2 == 0, or deadlock");
     const cover = text("an-cover", "p1 = 2, p2 = 1");
     const passage = text("an-passage", "p2 >= 1");
     const until = h("input", { id: "an-until", type: "number", min: 0, step: "any", value: 20 });
     const points = h("input", { id: "an-points", type: "number", min: 2, max: 200, value: 60 });
-    const settling = h("input", { id: "an-settling", type: "number", min: 0, step: "any", value: 0.001 });
+    const settling = h("input", {
+      id: "an-settling",
+      type: "number",
+      min: 0,
+      step: "any",
+      value: 0.001,
+    });
     const rewards = text("an-rewards", "p1 = 0.5, t2 = 3");
     const runs = this.simulationFields(text);
     const times = () => {
-      const end = Math.max(0, Number(until.value) || 0), count = Math.max(2, Math.min(200, Math.round(Number(points.value)) || 2));
+      const end = Math.max(0, Number(until.value) || 0),
+        count = Math.max(2, Math.min(200, Math.round(Number(points.value)) || 2));
       return Array.from({ length: count }, (_, i) => (end * i) / (count - 1));
     };
-    const question = (title, open, ...body) => h("details", { class: "question", open }, h("summary", { text: title }), h("div", { class: "body" }, body));
+    const question = (title, open, ...body) =>
+      h(
+        "details",
+        { class: "question", open },
+        h("summary", { text: title }),
+        h("div", { class: "body" }, body),
+      );
     this.status = h("div", { class: "answer", role: "status" });
     this.answers = h("div", { id: "answers" });
     this.panel.replaceChildren(
-      this.refusal ? h("p", { class: "muted", text: `No analysis can be asked for: ${this.refusal}.` }) : "",
-      h("div", { class: "buttons" },
-        h("button", { class: "primary", id: "an-all", text: "Analyse", onclick: () => this.ask(() => ({ structure: true, timing: true }), "Analyse") }),
-        ask("Structure", () => ({ structure: true })), ask("State space", () => ({})), ask("Steady state", () => ({ timing: true }))),
+      this.refusal
+        ? h("p", { class: "muted", text: `No analysis can be asked for: ${this.refusal}.` })
+        : "",
+      h(
+        "div",
+        { class: "buttons" },
+        h("button", {
+          class: "primary",
+          id: "an-all",
+          text: "Analyse",
+          onclick: () => this.ask(() => ({ structure: true, timing: true }), "Analyse"),
+        }),
+        ask("Structure", () => ({ structure: true })),
+        ask("State space", () => ({})),
+        ask("Steady state", () => ({ timing: true })),
+      ),
       this.status,
-      question("Settings", false, h("div", { class: "form" },
-        ...field("an-limit", "States at most", this.settings.limit), ...field("an-seconds", "Seconds at most", this.settings.seconds), ...field("an-from", "Starting at", this.settings.from),
-        ...(plan ? field("an-policy", "Under the policy", this.settings.policy) : []))),
-      question("Can it come to this?", false,
-        h("div", { class: "form" }, ...field("an-reach", "Reachable", reach)), ask("Reachable?", () => ({ reach: [reach.value] })),
-        h("div", { class: "form" }, ...field("an-cover", "Coverable", cover)), ask("Coverable?", () => ({ cover: [this.namedNumbers(cover.value, true)] }))),
-      question("How long until?", false,
-        h("div", { class: "form" }, ...field("an-passage", "Condition", passage)), ask("Mean time", () => ({ mean_time_to: [passage.value], at: times() }))),
-      question("How does it evolve?", false,
-        h("div", { class: "form" }, ...field("an-until", "Until (s)", until), ...field("an-points", "Points", points), ...field("an-settling", "Settled within", settling)),
-        h("div", { class: "buttons" }, ask("Tokens over time", () => ({ at: times() })), ask("Time to steady state", () => ({ settling: Number(settling.value) })))),
-      question("What is it worth?", false,
-        h("p", { class: "muted", text: "So much per token and second in a place, or per firing of a transition." }),
-        h("div", { class: "form" }, ...field("an-rewards", "Rewards", rewards)), ask("Reward per second", () => ({ timing: true, rewards: this.namedNumbers(rewards.value, false) }))),
-      question("Simulated runs", false,
-        h("p", { class: "muted", text: "Many independent runs, with confidence intervals: also for what is too large to analyse, or unbounded." }),
-        h("div", { class: "form" }, ...Object.values(runs).flatMap(({ label, input }) => field(input.id, label, input))),
-        ask("Simulate runs", () => ({ simulate: this.simulationOf(runs) }))),
-      this.answers);
+      question(
+        "Settings",
+        false,
+        h(
+          "div",
+          { class: "form" },
+          ...field("an-limit", "States at most", this.settings.limit),
+          ...field("an-seconds", "Seconds at most", this.settings.seconds),
+          ...field("an-from", "Starting at", this.settings.from),
+          ...(plan ? field("an-policy", "Under the policy", this.settings.policy) : []),
+        ),
+      ),
+      question(
+        "Can it come to this?",
+        false,
+        h("div", { class: "form" }, ...field("an-reach", "Reachable", reach)),
+        ask("Reachable?", () => ({ reach: [reach.value] })),
+        h("div", { class: "form" }, ...field("an-cover", "Coverable", cover)),
+        ask("Coverable?", () => ({ cover: [this.namedNumbers(cover.value, true)] })),
+      ),
+      question(
+        "How long until?",
+        false,
+        h("div", { class: "form" }, ...field("an-passage", "Condition", passage)),
+        ask("Mean time", () => ({ mean_time_to: [passage.value], at: times() })),
+      ),
+      question(
+        "How does it evolve?",
+        false,
+        h(
+          "div",
+          { class: "form" },
+          ...field("an-until", "Until (s)", until),
+          ...field("an-points", "Points", points),
+          ...field("an-settling", "Settled within", settling),
+        ),
+        h(
+          "div",
+          { class: "buttons" },
+          ask("Tokens over time", () => ({ at: times() })),
+          ask("Time to steady state", () => ({ settling: Number(settling.value) })),
+        ),
+      ),
+      question(
+        "What is it worth?",
+        false,
+        h("p", {
+          class: "muted",
+          text: "So much per token and second in a place, or per firing of a transition.",
+        }),
+        h("div", { class: "form" }, ...field("an-rewards", "Rewards", rewards)),
+        ask("Reward per second", () => ({
+          timing: true,
+          rewards: this.namedNumbers(rewards.value, false),
+        })),
+      ),
+      question(
+        "Simulated runs",
+        false,
+        h("p", {
+          class: "muted",
+          text: "Many independent runs, with confidence intervals; also for nets too large to analyse, or unbounded.",
+        }),
+        h(
+          "div",
+          { class: "form" },
+          ...Object.values(runs).flatMap(({ label, input }) => field(input.id, label, input)),
+        ),
+        ask("Simulate runs", () => ({ simulate: this.simulationOf(runs) })),
+      ),
+      this.answers,
+    );
   }
 
   simulationFields(text) {
-    const numeric = (id, value, min, max = null) => h("input", { id, type: "number", min, max, step: "any", value });
+    const numeric = (id, value, min, max = null) =>
+      h("input", { id, type: "number", min, max, step: "any", value });
     return {
       time: { label: "Length (s)", input: numeric("an-sim-time", 100, 0) },
       until: { label: "Or until", input: text("an-sim-until", "p2 >= 1") },
@@ -101,7 +200,12 @@ export class AnalysisPanel extends EventTarget {
 
   simulationOf(fields) {
     const value = (key) => fields[key].input.value.trim();
-    const simulate = { replications: Math.round(Number(value("replications"))), warmup: Number(value("warmup")), confidence: Number(value("confidence")) / 100, seed: Math.round(Number(value("seed"))) };
+    const simulate = {
+      replications: Math.round(Number(value("replications"))),
+      warmup: Number(value("warmup")),
+      confidence: Number(value("confidence")) / 100,
+      seed: Math.round(Number(value("seed"))),
+    };
     if (value("time")) simulate.time = Number(value("time"));
     if (value("until")) simulate.until = value("until");
     return simulate;
@@ -111,8 +215,11 @@ export class AnalysisPanel extends EventTarget {
   namedNumbers(text, whole) {
     const numbers = new Map();
     for (const part of text.split(/[,;]/).filter((p) => p.trim())) {
-      const found = /^\s*(.*?)\s*(?:=|>=)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*$/i.exec(part);
-      if (!found || (whole && !/^\d+$/.test(found[2]))) throw new Error(`'${part.trim()}' is not of the form name = number`);
+      const found = /^\s*(.*?)\s*(?:=|>=)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*$/i.exec(
+        part,
+      );
+      if (!found || (whole && !/^\d+$/.test(found[2])))
+        throw new Error(`'${part.trim()}' is not of the form name = number`);
       numbers.set(found[1].replace(/^['"]|['"]$/g, ""), Number(found[2]));
     }
     return Object.fromEntries(numbers);
@@ -120,8 +227,14 @@ export class AnalysisPanel extends EventTarget {
 
   /** Ask what `question()` gives; `label`: what was pressed. What was answered before goes. */
   async ask(question, label) {
-    if (this.refusal) { toast(`no analysis: ${this.refusal}`); return; }
-    if (this.job) { toast("an analysis is running: wait, or cancel it", true); return; }
+    if (this.refusal) {
+      toast(`no analysis: ${this.refusal}`);
+      return;
+    }
+    if (this.job) {
+      toast("an analysis is running: wait, or cancel it", true);
+      return;
+    }
     this.views.unpaint();
     this.shownText = "";
     this.asked = h("p", { class: "asked" }, h("strong", { text: label }));
@@ -136,12 +249,28 @@ export class AnalysisPanel extends EventTarget {
     }
     const { limit, seconds: most, from, policy } = this.settings;
     const plan = Boolean(this.model.scene.plan);
-    const body = { ...request, limit: Math.round(Number(limit.value)), seconds: Number(most.value), from: from.value, policy: policy.checked && plan, event: this.model.board.n };
+    const body = {
+      ...request,
+      limit: Math.round(Number(limit.value)),
+      seconds: Number(most.value),
+      from: from.value,
+      policy: policy.checked && plan,
+      event: this.model.board.n,
+    };
     const about = h("span", { class: "muted" });
-    const tell = (start) => { about.textContent = [questionText(request), start, plan && (body.policy ? "under the policy" : "without the policy")].filter(Boolean).map((part) => ` · ${part}`).join(""); };
+    const tell = (start) => {
+      about.textContent = [
+        questionText(request),
+        start,
+        plan && (body.policy ? "under the policy" : "without the policy"),
+      ]
+        .filter(Boolean)
+        .map((part) => ` · ${part}`)
+        .join("");
+    };
     tell(from.value === "initial" ? "from the initial marking" : "from the present marking");
     this.asked.append(about);
-    const job = this.job = { key: null, unwanted: false };
+    const job = (this.job = { key: null, unwanted: false });
     this.showProgress({ seconds: 0, progress: {} });
     const started = await attempt(() => post("analysis", body, { id: this.model.session.id }));
     if (started) {
@@ -150,7 +279,12 @@ export class AnalysisPanel extends EventTarget {
       if (job.unwanted) attempt(() => this.cancel(job));
     }
     if (this.job !== job) return;
-    if (!started) { this.job = null; this.status.replaceChildren(); this.tellNoAnswer("it was not begun"); return; }
+    if (!started) {
+      this.job = null;
+      this.status.replaceChildren();
+      this.tellNoAnswer("it was not begun");
+      return;
+    }
     this.follow(job, request, body);
   }
 
@@ -162,23 +296,45 @@ export class AnalysisPanel extends EventTarget {
 
   async follow(job, request, body) {
     while (this.job === job) {
-      await new Promise((resolve) => { setTimeout(resolve, POLL); });
-      const report = await get(`analysis/${job.key}`).catch((error) => ({ state: "failed", error: error.message, seconds: 0 }));
+      await new Promise((resolve) => {
+        setTimeout(resolve, POLL);
+      });
+      const report = await get(`analysis/${job.key}`).catch((error) => ({
+        state: "failed",
+        error: error.message,
+        seconds: 0,
+      }));
       if (this.job !== job) return;
       if (report.result) this.show(report.result, request, body);
-      if (report.state === "running") { this.showProgress(report); continue; }
+      if (report.state === "running") {
+        this.showProgress(report);
+        continue;
+      }
       this.job = null;
-      if (report.state === "done" && !request.structure) this.answers.scrollIntoView({ block: "nearest" });
-      const words = { done: `Done in ${seconds(report.seconds)}.`, cancelled: `Cancelled after ${seconds(report.seconds)}.`, failed: report.error };
+      if (report.state === "done" && !request.structure)
+        this.answers.scrollIntoView({ block: "nearest" });
+      const words = {
+        done: `Done in ${seconds(report.seconds)}.`,
+        cancelled: `Cancelled after ${seconds(report.seconds)}.`,
+        failed: report.error,
+      };
       if (report.state === "failed") this.tellNoAnswer(report.result ? "not to all of it" : "");
-      this.status.replaceChildren(h("p", { class: report.state === "done" ? "muted" : "", "data-state": report.state },
-        report.state === "failed" && h("span", { class: "badge bad", text: "no answer" }), ` ${words[report.state]}`));
+      this.status.replaceChildren(
+        h(
+          "p",
+          { class: report.state === "done" ? "muted" : "", "data-state": report.state },
+          report.state === "failed" && h("span", { class: "badge bad", text: "no answer" }),
+          ` ${words[report.state]}`,
+        ),
+      );
     }
   }
 
   /** Below the question: that there is no answer. */
   tellNoAnswer(why) {
-    this.answers.append(h("p", {}, h("span", { class: "badge bad", text: "no answer" }), why ? ` ${why}` : ""));
+    this.answers.append(
+      h("p", {}, h("span", { class: "badge bad", text: "no answer" }), why ? ` ${why}` : ""),
+    );
   }
 
   showProgress(report) {
@@ -192,8 +348,15 @@ export class AnalysisPanel extends EventTarget {
       return;
     }
     this.progressText = h("span", { class: "muted", text });
-    this.cancelButton = h("button", { id: "an-cancel", text: "Cancel", onclick: () => this.job && attempt(() => this.cancel(this.job)) });
-    this.status.replaceChildren(bar, h("div", { class: "buttons" }, this.cancelButton, this.progressText));
+    this.cancelButton = h("button", {
+      id: "an-cancel",
+      text: "Cancel",
+      onclick: () => this.job && attempt(() => this.cancel(this.job)),
+    });
+    this.status.replaceChildren(
+      bar,
+      h("div", { class: "buttons" }, this.cancelButton, this.progressText),
+    );
   }
 
   show(result, request, body) {

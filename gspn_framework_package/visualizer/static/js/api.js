@@ -11,10 +11,11 @@ async function answerOf(response) {
   let data = {};
   try {
     data = await response.json();
-  } catch (error) {
+  } catch {
     if (response.ok) throw new ApiError("the server's answer cannot be read", response.status);
   }
-  if (!response.ok) throw new ApiError(data.error || `the server answered ${response.status}`, response.status);
+  if (!response.ok)
+    throw new ApiError(data.error || `the server answered ${response.status}`, response.status);
   return data;
 }
 
@@ -22,7 +23,7 @@ async function request(path, options) {
   let response;
   try {
     response = await fetch(path, { credentials: "same-origin", cache: "no-store", ...options });
-  } catch (error) {
+  } catch {
     throw new ApiError("the server does not answer", 0);
   }
   return answerOf(response);
@@ -76,7 +77,10 @@ export class NewsStream {
     if (this.cursor) query.set("since", this.cursor);
     const source = new EventSource(`/api/stream?${query}`);
     this.source = source;
-    source.onopen = () => { this.hear(); this.say("open"); };
+    source.onopen = () => {
+      this.hear();
+      this.say("open");
+    };
     source.addEventListener("ping", () => this.hear());
     source.onmessage = (message) => {
       this.hear();
@@ -97,9 +101,13 @@ export class NewsStream {
     };
   }
 
-  hear() { this.heard = this.begun = performance.now(); }
+  hear() {
+    this.heard = this.begun = performance.now();
+  }
 
-  say(state, why = "") { this.onState(state, this.heard, why); }
+  say(state, why = "") {
+    this.onState(state, this.heard, why);
+  }
 
   take(news) {
     this.cursor = news.cursor;
@@ -109,7 +117,11 @@ export class NewsStream {
   async poll() {
     if (this.closed || this.source) return;
     try {
-      const news = await get("poll", this.cursor ? { id: this.id, since: this.cursor } : { id: this.id }, { signal: within(SILENCE) });
+      const news = await get(
+        "poll",
+        this.cursor ? { id: this.id, since: this.cursor } : { id: this.id },
+        { signal: within(SILENCE) },
+      );
       if (this.closed) return;
       this.hear();
       this.take(news);
@@ -120,7 +132,9 @@ export class NewsStream {
         // the server is there: try the stream again, and stay with polling if it is refused again
         this.polls = true;
         this.open();
-        setTimeout(() => { if (this.source) this.polls = false; }, 4 * RETRY);
+        setTimeout(() => {
+          if (this.source) this.polls = false;
+        }, 4 * RETRY);
       }
     } catch (error) {
       if (this.closed) return;

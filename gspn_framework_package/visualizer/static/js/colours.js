@@ -13,7 +13,8 @@ function hash(text) {
   return value;
 }
 
-/** Colour by the number at the end of the name (robot_1, robot_2 ...: neighbours differ), by all of it where there is none. */
+/** Colour by the number at the end of the name (robot_1, robot_2 ...: neighbours differ), by all of it where there is
+ * none. */
 export function colourOf(name) {
   const digits = /([0-9]{1,6})$/.exec(name);
   return palette[(digits ? Number(digits[1]) - 1 + palette.length : hash(name)) % palette.length];

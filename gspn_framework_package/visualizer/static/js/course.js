@@ -9,7 +9,8 @@ export function courseOf(model, whole = false) {
   const last = model.indexAfter(model.board.n);
   if (model.mode !== "SIMULATE") return model.events.slice(0, last);
   const course = [];
-  let firings = 0, marks = 0; // so many before were taken back
+  let firings = 0,
+    marks = 0; // so many before were taken back
   for (let i = last - 1; i >= 0; i--) {
     const event = model.events[i];
     if (event.k === "undo") firings += 1;
@@ -31,12 +32,19 @@ export function lanesOf(model, begin, end) {
   const lanes = new Map();
   const leave = (lane, t) => {
     const phase = lane.paused ? "waiting" : lane.phase; // without one nothing was heard of it
-    if (phase && phase !== "left" && lane.place >= 0 && t > begin && t > lane.at) lane.parts.push([Math.max(begin, lane.at), t, lane.place, phase]);
+    if (phase && phase !== "left" && lane.place >= 0 && t > begin && t > lane.at)
+      lane.parts.push([Math.max(begin, lane.at), t, lane.place, phase]);
   };
   const change = (name, t, place, phase, paused) => {
     let lane = lanes.get(name);
-    if (!lane) lanes.set(name, lane = { at: t, place: undefined, phase: "", paused: false, parts: [] });
-    if ((place ?? lane.place) === lane.place && (phase ?? lane.phase) === lane.phase && (paused ?? lane.paused) === lane.paused) return;
+    if (!lane)
+      lanes.set(name, (lane = { at: t, place: undefined, phase: "", paused: false, parts: [] }));
+    if (
+      (place ?? lane.place) === lane.place &&
+      (phase ?? lane.phase) === lane.phase &&
+      (paused ?? lane.paused) === lane.paused
+    )
+      return;
     leave(lane, t);
     lane.at = t;
     lane.place = place ?? lane.place;
@@ -45,14 +53,23 @@ export function lanesOf(model, begin, end) {
   };
   // the events at hand lead from a board that is known to the one that is shown; otherwise only the latter is told
   const told = base && base.n <= board.n && (last > 0 ? events[last - 1].n : base.n) === board.n;
-  for (const robot of (told ? base : board).robots.values()) change(robot.name, robot.since ?? (told ? base : board).t, robot.place, robot.phase, robot.paused);
+  for (const robot of (told ? base : board).robots.values())
+    change(
+      robot.name,
+      robot.since ?? (told ? base : board).t,
+      robot.place,
+      robot.phase,
+      robot.paused,
+    );
   for (let i = 0; told && i < last; i++) {
     const event = events[i];
     if (event.n <= base.n) continue;
     if (event.k === "fire") {
-      for (const move of event.m) change(move[0], event.t, move[2] ?? NOWHERE, move[2] === null ? "" : "doing");
+      for (const move of event.m)
+        change(move[0], event.t, move[2] ?? NOWHERE, move[2] === null ? "" : "doing");
     } else if (event.k === "robots") {
-      for (const robot of event.r) change(robot.name, event.t, robot.place, robot.phase, robot.paused);
+      for (const robot of event.r)
+        change(robot.name, event.t, robot.place, robot.phase, robot.paused);
       for (const name of event.gone || []) change(name, event.t, NOWHERE, "");
     }
   }

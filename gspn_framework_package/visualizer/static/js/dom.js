@@ -19,8 +19,10 @@ function fill(element, attributes, children) {
   return element;
 }
 
-export const h = (name, attributes = {}, ...children) => fill(document.createElement(name), attributes, children);
-export const s = (name, attributes = {}, ...children) => fill(document.createElementNS(SVG, name), attributes, children);
+export const h = (name, attributes = {}, ...children) =>
+  fill(document.createElement(name), attributes, children);
+export const s = (name, attributes = {}, ...children) =>
+  fill(document.createElementNS(SVG, name), attributes, children);
 
 let toastTimer = 0;
 export function toast(message, good = false) {
@@ -29,7 +31,12 @@ export function toast(message, good = false) {
   box.className = good ? "toast good" : "toast";
   box.hidden = false;
   clearTimeout(toastTimer);
-  toastTimer = setTimeout(() => { box.hidden = true; }, good ? 3500 : 8000);
+  toastTimer = setTimeout(
+    () => {
+      box.hidden = true;
+    },
+    good ? 3500 : 8000,
+  );
 }
 
 export function announce(message) {
@@ -42,12 +49,27 @@ export function announceNow(message) {
 }
 
 let pressed = null; // what the pointer went down on
-addEventListener("pointerdown", (event) => { pressed = event.target; }, true);
-for (const end of ["pointerup", "pointercancel"]) addEventListener(end, () => setTimeout(() => { pressed = null; }), true);
+addEventListener(
+  "pointerdown",
+  (event) => {
+    pressed = event.target;
+  },
+  true,
+);
+for (const end of ["pointerup", "pointercancel"])
+  addEventListener(
+    end,
+    () =>
+      setTimeout(() => {
+        pressed = null;
+      }),
+    true,
+  );
 
 /** Whether the pointer is down on something in an element: what is drawn anew under it would miss the click. (On the
  * element itself it is on its scroll bar, and not every browser tells when that is let go.) */
-export const isPressed = (element) => pressed !== null && pressed !== element && element.contains(pressed);
+export const isPressed = (element) =>
+  pressed !== null && pressed !== element && element.contains(pressed);
 
 /** Compares names as people count: p2 comes before p10. */
 const collator = new Intl.Collator("en", { numeric: true });
@@ -83,8 +105,18 @@ export function ask(title, content, buttons, act = null) {
       h("h2", { text: title, id: "dialog-title" }),
       h("div", { class: "content", tabindex: "0" }, content), // with the focus it is scrolled by keys
       wrong,
-      h("div", { class: "actions" }, buttons.map(([label, value, kind]) =>
-        h("button", { class: kind || "", text: label, onclick: () => press(value), autofocus: /\bprimary\b/.test(kind || "") })))
+      h(
+        "div",
+        { class: "actions" },
+        buttons.map(([label, value, kind]) =>
+          h("button", {
+            class: kind || "",
+            text: label,
+            onclick: () => press(value),
+            autofocus: /\bprimary\b/.test(kind || ""),
+          }),
+        ),
+      ),
     );
     dialog.onkeydown = (event) => {
       if (event.key !== "Enter" || !event.target.matches("input")) return;
@@ -104,7 +136,9 @@ export function seconds(t) {
   if (t < 60) return `${t.toFixed(t < 10 ? 2 : 1)} s`;
   const minutes = Math.floor(t / 60);
   const rest = String(Math.floor(t % 60)).padStart(2, "0");
-  return minutes < 60 ? `${minutes}:${rest}` : `${Math.floor(minutes / 60)}:${String(minutes % 60).padStart(2, "0")}:${rest}`;
+  return minutes < 60
+    ? `${minutes}:${rest}`
+    : `${Math.floor(minutes / 60)}:${String(minutes % 60).padStart(2, "0")}:${rest}`;
 }
 
 export const plural = (count, word) => `${count} ${word}${count === 1 ? "" : "s"}`;
@@ -114,5 +148,7 @@ export function number(value) {
   if (typeof value !== "number") return String(value);
   if (Number.isInteger(value)) return String(value);
   const size = Math.abs(value);
-  return size !== 0 && (size < 0.001 || size >= 1e6) ? value.toExponential(3) : String(Number(value.toPrecision(5)));
+  return size !== 0 && (size < 0.001 || size >= 1e6)
+    ? value.toExponential(3)
+    : String(Number(value.toPrecision(5)));
 }

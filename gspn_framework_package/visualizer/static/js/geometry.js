@@ -8,11 +8,15 @@ function reach(node, dx, dy) {
   if (node.kind === "place") return RADIUS;
   const [w, h] = BAR[node.kind];
   const length = Math.hypot(dx, dy) || 1;
-  return Math.min(dx ? (w * length) / Math.abs(dx) : Infinity, dy ? (h * length) / Math.abs(dy) : Infinity);
+  return Math.min(
+    dx ? (w * length) / Math.abs(dx) : Infinity,
+    dy ? (h * length) / Math.abs(dy) : Infinity,
+  );
 }
 
 const inside = (node, x, y) => {
-  const dx = Math.abs(x - node.x), dy = Math.abs(y - node.y);
+  const dx = Math.abs(x - node.x),
+    dy = Math.abs(y - node.y);
   if (node.kind === "place") return dx * dx + dy * dy < RADIUS * RADIUS;
   const [w, h] = BAR[node.kind];
   return dx < w && dy < h;
@@ -20,7 +24,10 @@ const inside = (node, x, y) => {
 
 function cubicAt(c, t) {
   const u = 1 - t;
-  const a = u * u * u, b = 3 * u * u * t, d = 3 * u * t * t, e = t * t * t;
+  const a = u * u * u,
+    b = 3 * u * u * t,
+    d = 3 * u * t * t,
+    e = t * t * t;
   return [a * c[0] + b * c[2] + d * c[4] + e * c[6], a * c[1] + b * c[3] + d * c[5] + e * c[7]];
 }
 
@@ -29,11 +36,26 @@ function cubicPart(c, t0, t1) {
   const at = (t) => cubicAt(c, t);
   const slope = (t) => {
     const u = 1 - t;
-    return [0, 1].map((i) => 3 * (u * u * (c[2 + i] - c[i]) + 2 * u * t * (c[4 + i] - c[2 + i]) + t * t * (c[6 + i] - c[4 + i])));
+    return [0, 1].map(
+      (i) =>
+        3 *
+        (u * u * (c[2 + i] - c[i]) +
+          2 * u * t * (c[4 + i] - c[2 + i]) +
+          t * t * (c[6 + i] - c[4 + i])),
+    );
   };
   const [p, q, dp, dq] = [at(t0), at(t1), slope(t0), slope(t1)];
   const k = (t1 - t0) / 3;
-  return [p[0], p[1], p[0] + dp[0] * k, p[1] + dp[1] * k, q[0] - dq[0] * k, q[1] - dq[1] * k, q[0], q[1]];
+  return [
+    p[0],
+    p[1],
+    p[0] + dp[0] * k,
+    p[1] + dp[1] * k,
+    q[0] - dq[0] * k,
+    q[1] - dq[1] * k,
+    q[0],
+    q[1],
+  ];
 }
 
 const STEPS = 40;
@@ -50,7 +72,8 @@ function crossing(cubics, node, fromBack) {
         let high = t;
         for (let k = 0; k < 8; k++) {
           const middle = (low + high) / 2;
-          if (inside(node, ...cubicAt(cubics[index], middle))) low = middle; else high = middle;
+          if (inside(node, ...cubicAt(cubics[index], middle))) low = middle;
+          else high = middle;
         }
         return [index, high];
       }
@@ -68,45 +91,80 @@ export function arcShape(from, to, route, bend) {
     const shape = routed(from, to, route);
     if (shape) return shape;
   }
-  const dx = to.x - from.x, dy = to.y - from.y;
+  const dx = to.x - from.x,
+    dy = to.y - from.y;
   const length = Math.hypot(dx, dy) || 1;
   const [ux, uy] = [dx / length, dy / length];
   if (!bend) {
-    const a = reach(from, dx, dy), b = reach(to, dx, dy) + 1;
-    const x1 = from.x + ux * a, y1 = from.y + uy * a, x2 = to.x - ux * b, y2 = to.y - uy * b;
-    return { start: [r(x1), r(y1)], body: (bx, by) => `L${r(bx)} ${r(by)}`, tip: [x2, y2], direction: [ux, uy],
-      middle: [(x1 + x2) / 2, (y1 + y2) / 2], points: [[x1, y1], [x2, y2]] };
+    const a = reach(from, dx, dy),
+      b = reach(to, dx, dy) + 1;
+    const x1 = from.x + ux * a,
+      y1 = from.y + uy * a,
+      x2 = to.x - ux * b,
+      y2 = to.y - uy * b;
+    return {
+      start: [r(x1), r(y1)],
+      body: (bx, by) => `L${r(bx)} ${r(by)}`,
+      tip: [x2, y2],
+      direction: [ux, uy],
+      middle: [(x1 + x2) / 2, (y1 + y2) / 2],
+      points: [
+        [x1, y1],
+        [x2, y2],
+      ],
+    };
   }
-  const mx = (from.x + to.x) / 2 - uy * bend, my = (from.y + to.y) / 2 + ux * bend;
-  const a = reach(from, mx - from.x, my - from.y), b = reach(to, to.x - mx, to.y - my) + 1;
-  const la = Math.hypot(mx - from.x, my - from.y) || 1, lb = Math.hypot(to.x - mx, to.y - my) || 1;
-  const x1 = from.x + ((mx - from.x) / la) * a, y1 = from.y + ((my - from.y) / la) * a;
+  const mx = (from.x + to.x) / 2 - uy * bend,
+    my = (from.y + to.y) / 2 + ux * bend;
+  const a = reach(from, mx - from.x, my - from.y),
+    b = reach(to, to.x - mx, to.y - my) + 1;
+  const la = Math.hypot(mx - from.x, my - from.y) || 1,
+    lb = Math.hypot(to.x - mx, to.y - my) || 1;
+  const x1 = from.x + ((mx - from.x) / la) * a,
+    y1 = from.y + ((my - from.y) / la) * a;
   const [vx, vy] = [(to.x - mx) / lb, (to.y - my) / lb];
-  const x2 = to.x - vx * b, y2 = to.y - vy * b;
-  return { start: [r(x1), r(y1)], body: (bx, by) => `Q${r(mx)} ${r(my)} ${r(bx)} ${r(by)}`, tip: [x2, y2], direction: [vx, vy],
-    middle: [(x1 + 2 * mx + x2) / 4, (y1 + 2 * my + y2) / 4], points: [[x1, y1], [(x1 + 2 * mx + x2) / 4, (y1 + 2 * my + y2) / 4], [x2, y2]] };
+  const x2 = to.x - vx * b,
+    y2 = to.y - vy * b;
+  return {
+    start: [r(x1), r(y1)],
+    body: (bx, by) => `Q${r(mx)} ${r(my)} ${r(bx)} ${r(by)}`,
+    tip: [x2, y2],
+    direction: [vx, vy],
+    middle: [(x1 + 2 * mx + x2) / 4, (y1 + 2 * my + y2) / 4],
+    points: [
+      [x1, y1],
+      [(x1 + 2 * mx + x2) / 4, (y1 + 2 * my + y2) / 4],
+      [x2, y2],
+    ],
+  };
 }
 
 function routed(from, to, route) {
   const cubics = [];
   for (let i = 0; i + 7 < route.length; i += 6) cubics.push(route.slice(i, i + 8));
-  const begin = crossing(cubics, from, false), end = crossing(cubics, to, true);
-  if (!begin || !end || begin[0] > end[0] || (begin[0] === end[0] && begin[1] >= end[1])) return null;
+  const begin = crossing(cubics, from, false),
+    end = crossing(cubics, to, true);
+  if (!begin || !end || begin[0] > end[0] || (begin[0] === end[0] && begin[1] >= end[1]))
+    return null;
   const parts = [];
   for (let i = begin[0]; i <= end[0]; i++) {
     parts.push(cubicPart(cubics[i], i === begin[0] ? begin[1] : 0, i === end[0] ? end[1] : 1));
   }
   const last = parts[parts.length - 1];
-  let dx = last[6] - last[4], dy = last[7] - last[5];
+  let dx = last[6] - last[4],
+    dy = last[7] - last[5];
   if (Math.hypot(dx, dy) < 0.5) [dx, dy] = [last[6] - last[2], last[7] - last[3]];
   const length = Math.hypot(dx, dy) || 1;
   const middle = parts[Math.floor((parts.length - 1) / 2)];
   return {
     start: [r(parts[0][0]), r(parts[0][1])],
-    body: (bx, by) => parts.map((c, i) => {
-      const tail = i === parts.length - 1 ? `${r(bx)} ${r(by)}` : `${r(c[6])} ${r(c[7])}`;
-      return `C${r(c[2])} ${r(c[3])} ${r(c[4])} ${r(c[5])} ${tail}`;
-    }).join(""),
+    body: (bx, by) =>
+      parts
+        .map((c, i) => {
+          const tail = i === parts.length - 1 ? `${r(bx)} ${r(by)}` : `${r(c[6])} ${r(c[7])}`;
+          return `C${r(c[2])} ${r(c[3])} ${r(c[4])} ${r(c[5])} ${tail}`;
+        })
+        .join(""),
     tip: [last[6], last[7]],
     direction: [dx / length, dy / length],
     middle: cubicAt(middle, 0.5),
@@ -118,7 +176,8 @@ const HEAD = 7.5;
 
 /** SVG path text of the line of an arc. */
 export function arcLine(shape, inhibitor) {
-  const [x, y] = shape.tip, [ux, uy] = shape.direction;
+  const [x, y] = shape.tip,
+    [ux, uy] = shape.direction;
   const gap = inhibitor ? 7 : HEAD - 1;
   return `M${shape.start[0]} ${shape.start[1]}${shape.body(x - ux * gap, y - uy * gap)}`;
 }
@@ -126,23 +185,42 @@ export function arcLine(shape, inhibitor) {
 /** SVG path text of what an arc ends in, an arrowhead or a small circle, `size` times as large as usual. */
 export function arcEnd({ tip: [x, y], direction: [ux, uy], points }, inhibitor, size = 1) {
   const [fx, fy] = points[0];
-  const scale = Math.min(size, Math.max(1, (Math.hypot(x - fx, y - fy) * 0.5) / HEAD)); // no more than half of a short arc
+  // no more than half of a short arc
+  const scale = Math.min(size, Math.max(1, (Math.hypot(x - fx, y - fy) * 0.5) / HEAD));
   if (inhibitor) {
-    const radius = 3.5 * scale, cx = r(x - ux * (radius + 0.5)), cy = r(y - uy * (radius + 0.5));
-    return `M${r(cx - radius)} ${cy}a${r(radius)} ${r(radius)} 0 1 0 ${r(2 * radius)} 0a${r(radius)} ${r(radius)} 0 1 0 ${r(-2 * radius)} 0`;
+    const radius = 3.5 * scale,
+      cx = r(x - ux * (radius + 0.5)),
+      cy = r(y - uy * (radius + 0.5));
+    const half = (length) => `a${r(radius)} ${r(radius)} 0 1 0 ${r(length)} 0`;
+    return `M${r(cx - radius)} ${cy}${half(2 * radius)}${half(-2 * radius)}`;
   }
-  const length = HEAD * scale, w = 3.3 * scale;
-  const bx = x - ux * length, by = y - uy * length;
+  const length = HEAD * scale,
+    w = 3.3 * scale;
+  const bx = x - ux * length,
+    by = y - uy * length;
   return `M${r(x)} ${r(y)}L${r(bx - uy * w)} ${r(by + ux * w)}L${r(bx + uy * w)} ${r(by - ux * w)}Z`;
 }
 
 /** Centres of `count` (1 to 9) tokens in a place, as on dice. */
 export function dots(count) {
   const d = 8.2;
-  const grid = (...cells) => cells.map((cell) => [((cell % 3) - 1) * d, (Math.floor(cell / 3) - 1) * d]);
+  const grid = (...cells) =>
+    cells.map((cell) => [((cell % 3) - 1) * d, (Math.floor(cell / 3) - 1) * d]);
   const patterns = [
-    [], grid(4), grid(3, 5), [[0, -d * 0.7], [-d * 0.75, d * 0.6], [d * 0.75, d * 0.6]], grid(0, 2, 6, 8).map(([x, y]) => [x * 0.8, y * 0.8]),
-    grid(0, 2, 4, 6, 8), grid(0, 2, 3, 5, 6, 8), grid(0, 2, 3, 4, 5, 6, 8), grid(0, 1, 2, 3, 5, 6, 7, 8), grid(0, 1, 2, 3, 4, 5, 6, 7, 8),
+    [],
+    grid(4),
+    grid(3, 5),
+    [
+      [0, -d * 0.7],
+      [-d * 0.75, d * 0.6],
+      [d * 0.75, d * 0.6],
+    ],
+    grid(0, 2, 6, 8).map(([x, y]) => [x * 0.8, y * 0.8]),
+    grid(0, 2, 4, 6, 8),
+    grid(0, 2, 3, 5, 6, 8),
+    grid(0, 2, 3, 4, 5, 6, 8),
+    grid(0, 1, 2, 3, 5, 6, 7, 8),
+    grid(0, 1, 2, 3, 4, 5, 6, 7, 8),
   ];
   return patterns[count];
 }
@@ -151,11 +229,50 @@ export function dots(count) {
  * leaves each as much room as there is for its number. */
 export function discs(count) {
   if (count === 1) return { radius: 12.5, centres: [[0, 0]] };
-  if (count === 2) return { radius: 8.6, centres: [[-9, 0], [9, 0]] };
-  if (count === 3) return { radius: 7.8, centres: [[0, -9.2], [-8.3, 5.4], [8.3, 5.4]] };
-  if (count === 4) return { radius: 7.4, centres: [[-7.8, -7.8], [7.8, -7.8], [-7.8, 7.8], [7.8, 7.8]] };
-  const radius = 6.6, step = 2 * radius + 0.8;
-  const rows = count === 5 ? [2, 3] : count === 6 ? [3, 3] : count === 7 ? [2, 3, 2] : count === 8 ? [3, 2, 3] : [3, 3, 3];
-  const centres = rows.flatMap((across, row) => Array.from({ length: across }, (_, i) => [(i - (across - 1) / 2) * step, (row - (rows.length - 1) / 2) * step]));
+  if (count === 2)
+    return {
+      radius: 8.6,
+      centres: [
+        [-9, 0],
+        [9, 0],
+      ],
+    };
+  if (count === 3)
+    return {
+      radius: 7.8,
+      centres: [
+        [0, -9.2],
+        [-8.3, 5.4],
+        [8.3, 5.4],
+      ],
+    };
+  if (count === 4)
+    return {
+      radius: 7.4,
+      centres: [
+        [-7.8, -7.8],
+        [7.8, -7.8],
+        [-7.8, 7.8],
+        [7.8, 7.8],
+      ],
+    };
+  const radius = 6.6,
+    step = 2 * radius + 0.8;
+  const rows =
+    count === 5
+      ? [2, 3]
+      : count === 6
+        ? [3, 3]
+        : count === 7
+          ? [2, 3, 2]
+          : count === 8
+            ? [3, 2, 3]
+            : [3, 3, 3];
+  const centres = rows.flatMap((across, row) =>
+    Array.from({ length: across }, (_, i) => [
+      (i - (across - 1) / 2) * step,
+      (row - (rows.length - 1) / 2) * step,
+    ]),
+  );
   return { radius, centres, square: true };
 }

@@ -36,7 +36,11 @@ export class Inspector extends EventTarget {
     const moment = `${model.epoch}:${model.board.n}:${index}`;
     if (this.why?.moment === moment || this.asking) return;
     this.asking = true;
-    const answer = await get("reasons", { id: model.session.id, transition: model.scene.transitions[index].name, at: model.board.n }).catch(() => null);
+    const answer = await get("reasons", {
+      id: model.session.id,
+      transition: model.scene.transitions[index].name,
+      at: model.board.n,
+    }).catch(() => null);
     this.asking = false;
     const wanted = this.selection?.kind === "transition" ? this.selection.index : null;
     if (answer && wanted === index) {
@@ -49,47 +53,84 @@ export class Inspector extends EventTarget {
   reasons(enabled) {
     const { why, model } = this;
     if (!why || why.enabled !== enabled || !why.reasons.length) return null;
-    return h("ul", { class: `reasons ${why.at === model.board.n ? "" : "stale"}` }, why.reasons.map((reason) => h("li", { text: reason })));
+    return h(
+      "ul",
+      { class: `reasons ${why.at === model.board.n ? "" : "stale"}` },
+      why.reasons.map((reason) => h("li", { text: reason })),
+    );
   }
 
   later() {
-    if (!this.timer) this.timer = setTimeout(() => { this.timer = 0; this.refresh(); }, 200);
+    if (!this.timer)
+      this.timer = setTimeout(() => {
+        this.timer = 0;
+        this.refresh();
+      }, 200);
   }
 
   /** Draw anew, unless a person is typing or pressing a button. */
   refresh() {
-    if (isPressed(this.panel)) { this.later(); return; }
-    if (!this.panel.contains(document.activeElement) || document.activeElement.tagName !== "INPUT") this.update();
+    if (isPressed(this.panel)) {
+      this.later();
+      return;
+    }
+    if (!this.panel.contains(document.activeElement) || document.activeElement.tagName !== "INPUT")
+      this.update();
   }
 
   update() {
     if (!this.model.board) return;
     const { selection } = this;
-    const focus = this.panel.contains(document.activeElement) ? document.activeElement.dataset.focus : null;
-    const content = !selection ? this.overview() : selection.kind === "place" ? this.place(selection.index) : this.transition(selection.index);
+    const focus = this.panel.contains(document.activeElement)
+      ? document.activeElement.dataset.focus
+      : null;
+    const content = !selection
+      ? this.overview()
+      : selection.kind === "place"
+        ? this.place(selection.index)
+        : this.transition(selection.index);
     this.panel.replaceChildren(...content.flat(2).filter(Boolean));
     if (focus) this.panel.querySelector(`[data-focus="${focus}"]`)?.focus();
     if (selection?.kind === "transition") this.askWhy(selection.index);
   }
 
   facts(pairs) {
-    return h("dl", { class: "facts" }, pairs.filter(([, value]) => value !== null && value !== undefined).map(([name, value]) => [h("dt", { text: name }), h("dd", {}, value)]));
+    return h(
+      "dl",
+      { class: "facts" },
+      pairs
+        .filter(([, value]) => value !== null && value !== undefined)
+        .map(([name, value]) => [h("dt", { text: name }), h("dd", {}, value)]),
+    );
   }
 
   link(kind, index) {
-    const name = (kind === "place" ? this.model.scene.places : this.model.scene.transitions)[index].name;
-    return h("button", { class: "link", text: name, "data-focus": `${kind}${index}`, onclick: () => this.dispatchEvent(new CustomEvent("choose", { detail: { kind, index, fly: true } })) });
+    const name = (kind === "place" ? this.model.scene.places : this.model.scene.transitions)[index]
+      .name;
+    return h("button", {
+      class: "link",
+      text: name,
+      "data-focus": `${kind}${index}`,
+      onclick: () =>
+        this.dispatchEvent(new CustomEvent("choose", { detail: { kind, index, fly: true } })),
+    });
   }
 
   overview() {
     const { scene, board, mode, session } = this.model;
     const fired = board.counts.reduce((sum, count) => sum + count, 0);
-    const notes = [...session.notes, ...(scene.plan ? scene.plan.notes.filter((note) => !session.notes.includes(note)) : [])];
+    const notes = [
+      ...session.notes,
+      ...(scene.plan ? scene.plan.notes.filter((note) => !session.notes.includes(note)) : []),
+    ];
     return [
       h("h2", { text: scene.name }),
       this.facts([
         ["Places", String(scene.places.length)],
-        ["Transitions", `${scene.transitions.length} (${scene.transitions.filter((t) => !t.timed).length} immediate)`],
+        [
+          "Transitions",
+          `${scene.transitions.length} (${scene.transitions.filter((t) => !t.timed).length} immediate)`,
+        ],
         ["Arcs", String(scene.arcs.length)],
         ["Tokens", String(board.marking.reduce((sum, count) => sum + count, 0))],
         ["Enabled", String(board.enabled.size)],
@@ -98,22 +139,61 @@ export class Inspector extends EventTarget {
         ["Robots", scene.plan ? String(board.robots.size || scene.plan.robots.length) : null],
         ["Synchronisation", scene.plan && mode !== "SIMULATE" ? scene.plan.synchronisation : null],
         ["Policy", scene.plan ? plural(scene.plan.policy_rows, "row") : null],
-        ["Drawing", { file: "as in the file", dot: "laid out in layers", sfdp: "laid out by forces", grid: "on a grid" }[scene.layout.engine] || scene.layout.engine],
+        [
+          "Drawing",
+          {
+            file: "as in the file",
+            dot: "laid out in layers",
+            sfdp: "laid out by forces",
+            grid: "on a grid",
+          }[scene.layout.engine] || scene.layout.engine,
+        ],
       ]),
-      h("p", { class: "muted", text: "Choose a place or a transition, in the net or in the list, to see more of it." }),
-      notes.length > 0 && [h("h3", { text: "Notes" }), notes.map((note) => h("p", { class: "muted", text: note }))],
-      board.notes.length > 0 && [h("h3", { text: "What was reported" }), board.notes.slice(-8).reverse().map((note) =>
-        h("p", {}, h("span", { class: `badge ${note.level === "fault" ? "bad" : note.level === "warning" ? "warn" : ""}`, text: seconds(note.t) }), ` ${note.robot ? `${note.robot}: ` : ""}${note.text}`))],
+      h("p", {
+        class: "muted",
+        text: "Choose a place or a transition, in the net or in the list, to see more of it.",
+      }),
+      notes.length > 0 && [
+        h("h3", { text: "Notes" }),
+        notes.map((note) => h("p", { class: "muted", text: note })),
+      ],
+      board.notes.length > 0 && [
+        h("h3", { text: "What was reported" }),
+        board.notes
+          .slice(-8)
+          .reverse()
+          .map((note) =>
+            h(
+              "p",
+              {},
+              h("span", {
+                class: `badge ${note.level === "fault" ? "bad" : note.level === "warning" ? "warn" : ""}`,
+                text: seconds(note.t),
+              }),
+              ` ${note.robot ? `${note.robot}: ` : ""}${note.text}`,
+            ),
+          ),
+      ],
     ];
   }
 
   place(index) {
     const { scene, board } = this.model;
     const place = scene.places[index];
-    const robots = [...board.robots.values()].filter((robot) => robot.place === index && robot.phase !== "lost" && robot.phase !== "left");
-    const kinds = { action: "action place", resource: "resource place: its tokens are counters", plain: "place" };
-    const into = [...new Set(scene.arcs.filter(([p, , forth]) => p === index && !forth).map(([, t]) => t))];
-    const out = [...new Set(scene.arcs.filter(([p, , forth]) => p === index && forth).map(([, t]) => t))];
+    const robots = [...board.robots.values()].filter(
+      (robot) => robot.place === index && robot.phase !== "lost" && robot.phase !== "left",
+    );
+    const kinds = {
+      action: "action place",
+      resource: "resource place: its tokens are counters",
+      plain: "place",
+    };
+    const into = [
+      ...new Set(scene.arcs.filter(([p, , forth]) => p === index && !forth).map(([, t]) => t)),
+    ];
+    const out = [
+      ...new Set(scene.arcs.filter(([p, , forth]) => p === index && forth).map(([, t]) => t)),
+    ];
     return [
       h("h2", { text: place.name }),
       h("p", { class: "muted", text: kinds[place.kind] }),
@@ -123,9 +203,18 @@ export class Inspector extends EventTarget {
         ["Capacity", place.capacity === null ? "unlimited" : String(place.capacity)],
         ["Action", place.action || (place.kind === "action" ? "none: done at once" : null)],
       ]),
-      robots.length > 0 && [h("h3", { text: "Robots here" }), robots.map((robot) => robotCard(this.model, robot))],
-      into.length > 0 && [h("h3", { text: "Filled by" }), into.map((t) => h("p", {}, this.link("transition", t)))],
-      out.length > 0 && [h("h3", { text: "Emptied or watched by" }), out.map((t) => h("p", {}, this.link("transition", t)))],
+      robots.length > 0 && [
+        h("h3", { text: "Robots here" }),
+        robots.map((robot) => robotCard(this.model, robot)),
+      ],
+      into.length > 0 && [
+        h("h3", { text: "Filled by" }),
+        into.map((t) => h("p", {}, this.link("transition", t))),
+      ],
+      out.length > 0 && [
+        h("h3", { text: "Emptied or watched by" }),
+        out.map((t) => h("p", {}, this.link("transition", t))),
+      ],
     ];
   }
 
@@ -134,34 +223,107 @@ export class Inspector extends EventTarget {
     const transition = scene.transitions[index];
     const enabled = board.enabled.has(index);
     const choice = (latest.choices || []).find(([t]) => t === index);
-    const servers = transition.servers === null ? ", infinitely many servers" : transition.servers > 1 ? `, ${transition.servers} servers` : "";
-    const order = transition.environment && this.orders.button("Fire as the environment", "fire",
-      () => this.orders.give("fire", { transition: transition.name }, `Fire ${transition.name}`), { title: "In the name of the environment: no robot takes part" });
+    const servers =
+      transition.servers === null
+        ? ", infinitely many servers"
+        : transition.servers > 1
+          ? `, ${transition.servers} servers`
+          : "";
+    const order =
+      transition.environment &&
+      this.orders.button(
+        "Fire as the environment",
+        "fire",
+        () => this.orders.give("fire", { transition: transition.name }, `Fire ${transition.name}`),
+        { title: "In the name of the environment: no robot takes part" },
+      );
     if (order && !enabled) order.disabled = true;
     const mine = info.probabilities?.[String(index)];
-    const arcs = (forth) => scene.arcs.filter(([, t, direction]) => t === index && direction === forth);
+    const arcs = (forth) =>
+      scene.arcs.filter(([, t, direction]) => t === index && direction === forth);
     return [
       h("h2", { text: transition.name }),
-      h("p", {}, h("span", { class: `badge ${enabled ? "good" : ""}`, text: enabled ? "enabled" : "not enabled" })),
+      h(
+        "p",
+        {},
+        h("span", {
+          class: `badge ${enabled ? "good" : ""}`,
+          text: enabled ? "enabled" : "not enabled",
+        }),
+      ),
       this.reasons(enabled),
       this.facts([
         ["Kind", transition.timed ? "exponential" : "immediate"],
         ["Rate", transition.timed ? `${number(transition.rate)} /s${servers}` : null],
-        ["Weight", transition.timed ? null : transition.weight === 0 ? "0: the policy chooses" : number(transition.weight)],
+        [
+          "Weight",
+          transition.timed
+            ? null
+            : transition.weight === 0
+              ? "0: the policy chooses"
+              : number(transition.weight),
+        ],
         ["Priority", transition.timed ? null : String(transition.priority)],
         ["Fired", plural(board.counts[index], "time")],
-        ["Now", mode === "SIMULATE" && this.model.following && choice ? `${(choice[1] * 100).toFixed(1)} % to be the next` : null],
+        [
+          "Now",
+          mode === "SIMULATE" && this.model.following && choice
+            ? `${(choice[1] * 100).toFixed(1)} % to be the next`
+            : null,
+        ],
       ]),
       mode === "SIMULATE" && [
-        h("div", { class: "buttons" }, h("button", { class: "primary", text: "Fire", disabled: !enabled || !this.model.following, title: this.model.following ? "" : "The view is of the past: go back to now first", "data-focus": "fire", onclick: () => this.dispatchEvent(new CustomEvent("fire", { detail: index })) })),
-        h("div", { class: "form" }, h("label", { for: "probability", text: "Firing probability" }),
-          h("input", { id: "probability", type: "number", min: "0", step: "any", value: mine ?? "", placeholder: transition.timed ? "by its rate" : "by its weight", "data-focus": "probability",
+        h(
+          "div",
+          { class: "buttons" },
+          h("button", {
+            class: "primary",
+            text: "Fire",
+            disabled: !enabled || !this.model.following,
+            title: this.model.following ? "" : "The view is of the past: go back to now first",
+            "data-focus": "fire",
+            onclick: () => this.dispatchEvent(new CustomEvent("fire", { detail: index })),
+          }),
+        ),
+        h(
+          "div",
+          { class: "form" },
+          h("label", { for: "probability", text: "Firing probability" }),
+          h("input", {
+            id: "probability",
+            type: "number",
+            min: "0",
+            step: "any",
+            value: mine ?? "",
+            placeholder: transition.timed ? "by its rate" : "by its weight",
+            "data-focus": "probability",
             title: "Relative to the others that are enabled; empty: by rate or weight",
-            onchange: (event) => !badNumber(event.target) && this.dispatchEvent(new CustomEvent("probability", { detail: { index, value: event.target.value } })) })),
+            onchange: (event) =>
+              !badNumber(event.target) &&
+              this.dispatchEvent(
+                new CustomEvent("probability", { detail: { index, value: event.target.value } }),
+              ),
+          }),
+        ),
       ],
       order && h("div", { class: "buttons" }, order),
-      arcs(1).length > 0 && [h("h3", { text: "Takes from" }), arcs(1).map(([p, , , weight, inhibitor]) => h("p", {}, this.link("place", p), inhibitor ? ` (inhibits from ${weight} on)` : weight > 1 ? ` × ${weight}` : ""))],
-      arcs(0).length > 0 && [h("h3", { text: "Gives to" }), arcs(0).map(([p, , , weight]) => h("p", {}, this.link("place", p), weight > 1 ? ` × ${weight}` : ""))],
+      arcs(1).length > 0 && [
+        h("h3", { text: "Takes from" }),
+        arcs(1).map(([p, , , weight, inhibitor]) =>
+          h(
+            "p",
+            {},
+            this.link("place", p),
+            inhibitor ? ` (inhibits from ${weight} on)` : weight > 1 ? ` × ${weight}` : "",
+          ),
+        ),
+      ],
+      arcs(0).length > 0 && [
+        h("h3", { text: "Gives to" }),
+        arcs(0).map(([p, , , weight]) =>
+          h("p", {}, this.link("place", p), weight > 1 ? ` × ${weight}` : ""),
+        ),
+      ],
     ];
   }
 }

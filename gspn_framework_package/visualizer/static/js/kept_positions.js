@@ -9,18 +9,26 @@ export class KeptPositions {
   read() {
     try {
       const kept = Object.entries(JSON.parse(localStorage.getItem(this.key)) || {});
-      return new Map(kept.filter(([, point]) => Array.isArray(point) && point.length === 2 && point.every(Number.isFinite)));
-    } catch (error) {
+      return new Map(
+        kept.filter(
+          ([, point]) => Array.isArray(point) && point.length === 2 && point.every(Number.isFinite),
+        ),
+      );
+    } catch {
       return new Map();
     }
   }
 
   write(nodes) {
-    const moved = nodes.filter((node) => node.moved).map((node) => [node.name, [Math.round(node.x), Math.round(node.y)]]);
+    const moved = nodes
+      .filter((node) => node.moved)
+      .map((node) => [node.name, [Math.round(node.x), Math.round(node.y)]]);
     try {
       if (moved.length) localStorage.setItem(this.key, JSON.stringify(Object.fromEntries(moved)));
       else localStorage.removeItem(this.key);
-    } catch (error) { /* private browsing: kept until the page is closed */ }
+    } catch {
+      /* private browsing: kept until the page is closed */
+    }
   }
 
   forget() {

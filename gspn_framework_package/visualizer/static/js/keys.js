@@ -22,7 +22,10 @@ const TABLE = [
 ];
 
 const SYMBOLS = [
-  ["circle", "a place; dots are tokens, up to 9, then a number; coloured discs are robots with their number"],
+  [
+    "circle",
+    "a place; dots are tokens, up to 9, then a number; coloured discs are robots with their number",
+  ],
   ["dashed circle", "a resource place: its tokens are counters"],
   ["thin bar", "an immediate transition"],
   ["open box", "an exponential transition"],
@@ -32,11 +35,35 @@ const SYMBOLS = [
 ];
 
 export function showHelp() {
-  return ask("Keys and symbols", [
-    h("table", {}, h("tbody", {}, TABLE.map(([key, says]) => h("tr", {}, h("td", {}, h("kbd", { text: key })), h("td", { text: says }))))),
-    h("h3", { text: "In the net" }),
-    h("table", {}, h("tbody", {}, SYMBOLS.map(([sign, says]) => h("tr", {}, h("td", { text: sign }), h("td", { text: says }))))),
-  ], [["Close", "", "primary"]]);
+  return ask(
+    "Keys and symbols",
+    [
+      h(
+        "table",
+        {},
+        h(
+          "tbody",
+          {},
+          TABLE.map(([key, says]) =>
+            h("tr", {}, h("td", {}, h("kbd", { text: key })), h("td", { text: says })),
+          ),
+        ),
+      ),
+      h("h3", { text: "In the net" }),
+      h(
+        "table",
+        {},
+        h(
+          "tbody",
+          {},
+          SYMBOLS.map(([sign, says]) =>
+            h("tr", {}, h("td", { text: sign }), h("td", { text: says })),
+          ),
+        ),
+      ),
+    ],
+    [["Close", "", "primary"]],
+  );
 }
 
 /** Keys act unless a field, a dialog or a button that wants them has the focus. */
@@ -45,7 +72,8 @@ export function bindKeys(page) {
     if (event.ctrlKey || event.metaKey || event.altKey || dialogOpen()) return;
     const target = event.target;
     if (target.matches("input:not([type=checkbox]):not([type=range]), textarea, select")) return;
-    const onButton = target.matches("button, summary, [role=tab]") && (event.key === " " || event.key === "Enter");
+    const onButton =
+      target.matches("button, summary, [role=tab]") && (event.key === " " || event.key === "Enter");
     if (onButton) return;
     if (target.matches("input[type=range], [role=tab]") && event.key.startsWith("Arrow")) return;
     const action = actionOf(event, page);
@@ -61,26 +89,71 @@ function actionOf(event, page) {
   if (!model || !model.board) return null;
   const simulating = model.mode === "SIMULATE";
   switch (event.key) {
-    case " ": return () => (simulating ? (model.following ? tools.toggleRunning() : page.togglePause()) : page.togglePause());
+    case " ":
+      return () =>
+        simulating
+          ? model.following
+            ? tools.toggleRunning()
+            : page.togglePause()
+          : page.togglePause();
     case "ArrowRight":
       if (simulating && model.following) return () => tools.step(event.shiftKey ? tools.steps : 1);
-      return async () => { for (let i = 0; i < (event.shiftKey ? tools.steps : 1); i++) await model.stepView(1); };
-    case "ArrowLeft": return () => (simulating && model.following ? tools.back() : model.stepView(-1));
-    case "x": case "X": return simulating ? () => tools.fireChosen() : null;
-    case "r": case "R": return simulating ? () => tools.reset() : null;
-    case "e": case "E": return () => page.setShowEnabled(!page.showEnabled);
-    case "l": case "L": return () => model.mode !== "REPLAY" && !model.following && model.backToLive();
-    case "f": case "F": return () => view.camera.fit();
-    case "+": case "=": return () => view.camera.zoom(1.25);
-    case "-": return () => view.camera.zoom(0.8);
-    case "p": case "P": return () => page.panels.toggle("left");
-    case "d": case "D": return () => page.panels.toggle("right");
-    case "t": case "T": return () => page.panels.toggle("bottom");
-    case "w": case "W": return () => { page.panels.open("right"); page.panels.widen(); };
-    case "/": return () => { page.panels.open("left"); $("list-search").focus(); $("list-search").select(); };
-    case "1": case "2": case "3": return () => page.showTab(["inspector", "robots", "analysis"][Number(event.key) - 1]);
-    case "o": case "O": return () => page.openScreen(true);
-    case "Escape": return () => page.choose(null);
-    default: return null;
+      return async () => {
+        for (let i = 0; i < (event.shiftKey ? tools.steps : 1); i++) await model.stepView(1);
+      };
+    case "ArrowLeft":
+      return () => (simulating && model.following ? tools.back() : model.stepView(-1));
+    case "x":
+    case "X":
+      return simulating ? () => tools.fireChosen() : null;
+    case "r":
+    case "R":
+      return simulating ? () => tools.reset() : null;
+    case "e":
+    case "E":
+      return () => page.setShowEnabled(!page.showEnabled);
+    case "l":
+    case "L":
+      return () => model.mode !== "REPLAY" && !model.following && model.backToLive();
+    case "f":
+    case "F":
+      return () => view.camera.fit();
+    case "+":
+    case "=":
+      return () => view.camera.zoom(1.25);
+    case "-":
+      return () => view.camera.zoom(0.8);
+    case "p":
+    case "P":
+      return () => page.panels.toggle("left");
+    case "d":
+    case "D":
+      return () => page.panels.toggle("right");
+    case "t":
+    case "T":
+      return () => page.panels.toggle("bottom");
+    case "w":
+    case "W":
+      return () => {
+        page.panels.open("right");
+        page.panels.widen();
+      };
+    case "/":
+      return () => {
+        page.panels.open("left");
+        $("list-search").focus();
+        $("list-search").select();
+      };
+    case "1":
+    case "2":
+    case "3":
+      return () => page.showTab(["inspector", "robots", "analysis"][Number(event.key) - 1]);
+    case "o":
+    case "O":
+      return () => page.openScreen(true);
+    case "Escape":
+      return () => page.choose(null);
+    default:
+      return null;
   }
 }

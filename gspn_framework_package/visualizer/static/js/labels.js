@@ -39,7 +39,8 @@ class Boxes {
   keys([x0, y0, x1, y1]) {
     const keys = [];
     for (let i = Math.floor(x0 / CELL); i <= Math.floor(x1 / CELL); i++) {
-      for (let j = Math.floor(y0 / CELL); j <= Math.floor(y1 / CELL); j++) keys.push(i * 100003 + j);
+      for (let j = Math.floor(y0 / CELL); j <= Math.floor(y1 / CELL); j++)
+        keys.push(i * 100003 + j);
     }
     return keys;
   }
@@ -124,13 +125,20 @@ export class Labels {
     view.container.style.setProperty("--label", `${(shown / k).toFixed(2)}px`);
 
     this.chosen = view.selection && view.nodeOf(view.selection);
-    this.beside = new Set(this.chosen ? view.arcs.all.flatMap(({ from, to }) => (from === this.chosen ? [to] : to === this.chosen ? [from] : [])) : []);
+    this.beside = new Set(
+      this.chosen
+        ? view.arcs.all.flatMap(({ from, to }) =>
+            from === this.chosen ? [to] : to === this.chosen ? [from] : [],
+          )
+        : [],
+    );
     const crowded = (this.few = k < CROWDED);
     const least = k < TINY ? 1 : crowded ? 2 : 3; // rank of what is named at this zoom
     const order = [];
     for (const item of seen) {
       const rank = this.rank(item.node);
-      if (rank <= least) order.push({ ...item, rank }); else this.take(item.node, null);
+      if (rank <= least) order.push({ ...item, rank });
+      else this.take(item.node, null);
     }
     if (!order.length) return;
     this.k = k;
@@ -143,7 +151,12 @@ export class Labels {
     this.points = new Map();
     for (const { node, sx, sy } of seen) {
       const [w, h] = node.kind === "place" ? [RADIUS, RADIUS] : BAR[node.kind];
-      this.fixed.add([sx - w * k, sy - (h + (node.kind === "place" ? 0 : FLAG)) * k, sx + w * k, sy + h * k]);
+      this.fixed.add([
+        sx - w * k,
+        sy - (h + (node.kind === "place" ? 0 : FLAG)) * k,
+        sx + w * k,
+        sy + h * k,
+      ]);
     }
     if (view.arcs.all.length <= ARCS) this.sampleArcs(this.points, view.camera.now);
     for (const element of view.container.parentElement.querySelectorAll(".zoom, .frame-name")) {
@@ -152,22 +165,30 @@ export class Labels {
     }
     for (const { node, sx, sy } of seen) {
       if (!node.value) continue;
-      const half = (node.value.textContent.length * shown * 0.6) / 2, base = sy + Number(node.value.getAttribute("y")) * k;
+      const half = (node.value.textContent.length * shown * 0.6) / 2,
+        base = sy + Number(node.value.getAttribute("y")) * k;
       this.fixed.add([sx - half, base - this.line * 0.85, sx + half, base + this.line * 0.15]);
     }
 
-    order.sort((a, b) => a.rank - b.rank || (a.node.kind === "place" ? 0 : 1) - (b.node.kind === "place" ? 0 : 1));
+    order.sort(
+      (a, b) =>
+        a.rank - b.rank || (a.node.kind === "place" ? 0 : 1) - (b.node.kind === "place" ? 0 : 1),
+    );
     this.thorough = seen.length <= THOROUGH;
     const leftOut = [];
     for (const item of order) {
       if (this.placed.size >= (crowded ? FEW : DRAWN)) break;
       const box = this.bestFree(item) || (item.rank === 0 ? this.leastBad(item) : null);
-      if (box) this.settle(item, box); else leftOut.push(item);
+      if (box) this.settle(item, box);
+      else leftOut.push(item);
     }
     if (seen.length <= PUZZLED) for (const item of leftOut) this.makeRoom(item, 3);
     for (const item of order) {
       const box = this.placed.get(item);
-      this.take(item.node, box ? [(box[0] - item.sx) / k, (box[1] + shown * 0.95 - item.sy) / k] : null);
+      this.take(
+        item.node,
+        box ? [(box[0] - item.sx) / k, (box[1] + shown * 0.95 - item.sy) / k] : null,
+      );
     }
   }
 
@@ -176,16 +197,19 @@ export class Labels {
   spots({ node, sx, sy }) {
     const { k, line } = this;
     const [halfWidth, halfHeight] = node.kind === "place" ? [RADIUS, RADIUS] : BAR[node.kind];
-    const w = halfWidth * k, h = halfHeight * k;
+    const w = halfWidth * k,
+      h = halfHeight * k;
     const above = h + (node.kind === "place" ? 0 : FLAG * k);
     const length = this.width(node) * this.shown * (node === this.chosen ? BOLD : 1);
     const found = [];
-    const spot = (x0, y0, cost) => found.push(Object.assign([x0, y0, x0 + length, y0 + line], { cost }));
+    const spot = (x0, y0, cost) =>
+      found.push(Object.assign([x0, y0, x0 + length, y0 + line], { cost }));
     for (const far of this.thorough ? [0, 0.6, 1.2, 1.8] : [0]) {
       const gap = GAP + far * line;
       for (const slide of this.thorough ? SLIDES : [0]) {
         const cost = far * 24 + Math.abs(slide) * 6;
-        const along = sx - length / 2 + (slide * length) / 2, up = sy - line / 2 + slide * (h + line / 2);
+        const along = sx - length / 2 + (slide * length) / 2,
+          up = sy - line / 2 + slide * (h + line / 2);
         spot(along, sy + h + gap, cost);
         spot(along, sy - above - gap - line, cost + 1);
         spot(sx + w + gap + 1, up, cost + 2);
@@ -202,9 +226,11 @@ export class Labels {
 
   /** The first spot that nothing is at; one that no arc crosses where there is such a one. */
   bestFree(item) {
-    let best = null, least = Infinity;
+    let best = null,
+      least = Infinity;
     for (const box of this.spots(item)) {
-      if (box.cost >= least || !this.inRoom(box) || !this.fixed.free(box) || !this.names.free(box)) continue;
+      if (box.cost >= least || !this.inRoom(box) || !this.fixed.free(box) || !this.names.free(box))
+        continue;
       const cost = this.crossed(box) * 2 + box.cost;
       if (cost < least) [best, least] = [box, cost];
     }
@@ -230,9 +256,13 @@ export class Labels {
 
   /** Put a name where others stand, if those find another spot, for which still others may have to move. */
   makeRoom(item, depth) {
-    const spots = this.spots(item).filter((box) => this.inRoom(box) && this.fixed.free(box))
+    const spots = this.spots(item)
+      .filter((box) => this.inRoom(box) && this.fixed.free(box))
       .map((box) => [box, [...this.names.under(box)]])
-      .filter(([, others]) => others.length <= 2 && others.every((other) => other.item.rank > 0 && !other.held))
+      .filter(
+        ([, others]) =>
+          others.length <= 2 && others.every((other) => other.item.rank > 0 && !other.held),
+      )
       .sort((a, b) => a[1].length - b[1].length || a[0].cost - b[0].cost);
     for (const [box, others] of spots) {
       const before = new Map(this.placed);
@@ -246,7 +276,8 @@ export class Labels {
       });
       box.held = false;
       if (fits) return true;
-      for (const moved of [...this.placed.keys()]) if (before.get(moved) !== this.placed.get(moved)) this.lift(moved);
+      for (const moved of [...this.placed.keys()])
+        if (before.get(moved) !== this.placed.get(moved)) this.lift(moved);
       for (const [moved, spot] of before) if (!this.placed.has(moved)) this.settle(moved, spot);
     }
     return false;
@@ -271,7 +302,8 @@ export class Labels {
         const [bx, by] = [arc.points[i][0] * k + x, arc.points[i][1] * k + y];
         const steps = Math.min(200, Math.ceil(Math.hypot(bx - ax, by - ay) / 6));
         for (let j = 0; j <= steps; j++) {
-          const px = ax + ((bx - ax) * j) / steps, py = ay + ((by - ay) * j) / steps;
+          const px = ax + ((bx - ax) * j) / steps,
+            py = ay + ((by - ay) * j) / steps;
           const key = Math.floor(px / CELL) * 100003 + Math.floor(py / CELL);
           if (!lines.has(key)) lines.set(key, []);
           lines.get(key).push([px, py]);
@@ -282,7 +314,10 @@ export class Labels {
 
   take(node, spot) {
     if (!spot) {
-      if (node.label) { node.label.remove(); node.label = null; }
+      if (node.label) {
+        node.label.remove();
+        node.label = null;
+      }
       return;
     }
     if (!node.label) {

@@ -16,8 +16,24 @@ export class NodeList extends EventTarget {
     this.chosen = null;
     const { scene } = model;
     const inOrder = (items) => items.sort((a, b) => natural(a.name, b.name));
-    this.transitions = inOrder(scene.transitions.map((t, index) => ({ kind: "transition", index, key: `t${index}`, name: t.name, sign: t.timed ? "timed" : "immediate" })));
-    this.places = inOrder(scene.places.map((p, index) => ({ kind: "place", index, key: `p${index}`, name: p.name, sign: p.kind === "resource" ? "resource" : "place" })));
+    this.transitions = inOrder(
+      scene.transitions.map((t, index) => ({
+        kind: "transition",
+        index,
+        key: `t${index}`,
+        name: t.name,
+        sign: t.timed ? "timed" : "immediate",
+      })),
+    );
+    this.places = inOrder(
+      scene.places.map((p, index) => ({
+        kind: "place",
+        index,
+        key: `p${index}`,
+        name: p.name,
+        sign: p.kind === "resource" ? "resource" : "place",
+      })),
+    );
     this.search.oninput = () => this.update();
     this.search.onkeydown = (event) => {
       if (event.key === "ArrowDown" || event.key === "Enter") {
@@ -31,17 +47,32 @@ export class NodeList extends EventTarget {
       }
     };
     this.list.onkeydown = (event) => {
-      const steps = { ArrowDown: 1, ArrowUp: -1, PageDown: 10, PageUp: -10, Home: -Infinity, End: Infinity }[event.key];
-      if (steps) { event.preventDefault(); event.stopPropagation(); this.move(steps, true); }
-      else if (event.key === "Enter") {
+      const steps = {
+        ArrowDown: 1,
+        ArrowUp: -1,
+        PageDown: 10,
+        PageUp: -10,
+        Home: -Infinity,
+        End: Infinity,
+      }[event.key];
+      if (steps) {
         event.preventDefault();
-        if (event.shiftKey && this.chosen?.kind === "transition") this.dispatchEvent(new CustomEvent("fire", { detail: this.chosen.index }));
+        event.stopPropagation();
+        this.move(steps, true);
+      } else if (event.key === "Enter") {
+        event.preventDefault();
+        if (event.shiftKey && this.chosen?.kind === "transition")
+          this.dispatchEvent(new CustomEvent("fire", { detail: this.chosen.index }));
         else this.move(0, true);
       }
     };
     this.list.onclick = (event) => {
       const row = event.target.closest("li[data-key]");
-      if (row) this.choose(this.items.find((item) => item.key === row.dataset.key), true);
+      if (row)
+        this.choose(
+          this.items.find((item) => item.key === row.dataset.key),
+          true,
+        );
     };
     this.update();
   }
@@ -49,7 +80,10 @@ export class NodeList extends EventTarget {
   update() {
     clearTimeout(this.timer);
     this.timer = 0;
-    if (isPressed(this.list)) { this.later(); return; }
+    if (isPressed(this.list)) {
+      this.later();
+      return;
+    }
     const begun = performance.now();
     const { board } = this.model;
     if (!board) return;
@@ -59,7 +93,11 @@ export class NodeList extends EventTarget {
     const others = this.transitions.filter((t) => !board.enabled.has(t.index) && match(t.name));
     const marked = this.places.filter((p) => match(p.name));
     marked.sort((a, b) => (board.marking[b.index] > 0) - (board.marking[a.index] > 0));
-    const groups = [[`Enabled (${enabled.length})`, enabled, true], [`Places (${marked.length})`, marked], [`Not enabled (${others.length})`, others]];
+    const groups = [
+      [`Enabled (${enabled.length})`, enabled, true],
+      [`Places (${marked.length})`, marked],
+      [`Not enabled (${others.length})`, others],
+    ];
     this.items = groups.flatMap(([, items]) => items);
     let left = ROWS_DRAWN;
     const rows = [];
@@ -67,10 +105,24 @@ export class NodeList extends EventTarget {
       if (!items.length) continue;
       rows.push(h("li", { class: "heading", role: "presentation", text: title }));
       for (const item of items.slice(0, Math.max(0, left))) rows.push(this.row(item, on));
-      if (items.length > left) rows.push(h("li", { class: "heading", role: "presentation", text: `${items.length - Math.max(0, left)} more: search` }));
+      if (items.length > left)
+        rows.push(
+          h("li", {
+            class: "heading",
+            role: "presentation",
+            text: `${items.length - Math.max(0, left)} more: search`,
+          }),
+        );
       left -= items.length;
     }
-    if (!this.items.length) rows.push(h("li", { class: "heading", role: "presentation", text: wanted ? "Nothing of that name" : "The net is empty" }));
+    if (!this.items.length)
+      rows.push(
+        h("li", {
+          class: "heading",
+          role: "presentation",
+          text: wanted ? "Nothing of that name" : "The net is empty",
+        }),
+      );
     this.list.replaceChildren(...rows);
     this.mark();
     this.cost = performance.now() - begun;
@@ -78,27 +130,55 @@ export class NodeList extends EventTarget {
 
   row(item, enabled) {
     const tokens = item.kind === "place" ? this.model.board.marking[item.index] : 0;
-    const kind = item.kind === "place" ? `, ${item.sign === "resource" ? "resource place" : "place"}` : `, ${item.sign} transition${enabled ? ", enabled" : ""}`;
+    const kind =
+      item.kind === "place"
+        ? `, ${item.sign === "resource" ? "resource place" : "place"}`
+        : `, ${item.sign} transition${enabled ? ", enabled" : ""}`;
     const unseen = (text) => h("span", { class: "unseen", text });
-    return h("li", { role: "option", id: `list-${item.key}`, "data-key": item.key, class: enabled ? "enabled" : "", title: item.name },
-      h("span", { class: `sign ${item.sign}`, "aria-hidden": "true" }), h("span", { class: "name", text: item.name }), unseen(kind),
-      tokens > 0 && h("span", { class: "tokens" }, unseen(", "), String(tokens), unseen(tokens === 1 ? " token" : " tokens")));
+    return h(
+      "li",
+      {
+        role: "option",
+        id: `list-${item.key}`,
+        "data-key": item.key,
+        class: enabled ? "enabled" : "",
+        title: item.name,
+      },
+      h("span", { class: `sign ${item.sign}`, "aria-hidden": "true" }),
+      h("span", { class: "name", text: item.name }),
+      unseen(kind),
+      tokens > 0 &&
+        h(
+          "span",
+          { class: "tokens" },
+          unseen(", "),
+          String(tokens),
+          unseen(tokens === 1 ? " token" : " tokens"),
+        ),
+    );
   }
 
   /** The board changed: drawn anew a few times a second at most, and for a small part of the time. */
   later() {
-    if (!this.timer) this.timer = setTimeout(() => this.update(), Math.max(250, 25 * (this.cost || 0)));
+    if (!this.timer)
+      this.timer = setTimeout(() => this.update(), Math.max(250, 25 * (this.cost || 0)));
   }
 
   move(steps, fly) {
     if (!this.items.length) return;
-    const at = this.chosen ? this.items.findIndex((item) => item.kind === this.chosen.kind && item.index === this.chosen.index) : -1;
+    const at = this.chosen
+      ? this.items.findIndex(
+          (item) => item.kind === this.chosen.kind && item.index === this.chosen.index,
+        )
+      : -1;
     const next = at < 0 ? 0 : Math.min(this.items.length - 1, Math.max(0, at + steps));
     this.choose(this.items[next], fly);
   }
 
   choose(item, fly) {
-    this.dispatchEvent(new CustomEvent("choose", { detail: { kind: item.kind, index: item.index, fly } }));
+    this.dispatchEvent(
+      new CustomEvent("choose", { detail: { kind: item.kind, index: item.index, fly } }),
+    );
   }
 
   select(selection) {
@@ -107,7 +187,8 @@ export class NodeList extends EventTarget {
   }
 
   mark() {
-    for (const row of this.list.querySelectorAll("[aria-selected]")) row.removeAttribute("aria-selected");
+    for (const row of this.list.querySelectorAll("[aria-selected]"))
+      row.removeAttribute("aria-selected");
     this.list.removeAttribute("aria-activedescendant");
     if (!this.chosen) return;
     const row = document.getElementById(`list-${this.chosen.kind[0]}${this.chosen.index}`);
@@ -115,6 +196,7 @@ export class NodeList extends EventTarget {
     row.setAttribute("aria-selected", "true");
     this.list.setAttribute("aria-activedescendant", row.id);
     const top = row.offsetTop;
-    if (top < this.list.scrollTop || top + ROW > this.list.scrollTop + this.list.clientHeight) this.list.scrollTop = top - this.list.clientHeight / 2;
+    if (top < this.list.scrollTop || top + ROW > this.list.scrollTop + this.list.clientHeight)
+      this.list.scrollTop = top - this.list.clientHeight / 2;
   }
 }

@@ -32,9 +32,19 @@ export class FiringLog extends EventTarget {
   key(event) {
     const rows = [...this.list.querySelectorAll("li[data-n]")];
     if (!rows.length) return;
-    const steps = { ArrowDown: 1, ArrowUp: -1, PageDown: 10, PageUp: -10, Home: -Infinity, End: Infinity }[event.key];
+    const steps = {
+      ArrowDown: 1,
+      ArrowUp: -1,
+      PageDown: 10,
+      PageUp: -10,
+      Home: -Infinity,
+      End: Infinity,
+    }[event.key];
     const at = rows.findIndex((row) => Number(row.dataset.n) === this.chosen);
-    if (steps) this.choose(Number(rows[Math.max(0, Math.min(rows.length - 1, at < 0 ? 0 : at + steps))].dataset.n));
+    if (steps)
+      this.choose(
+        Number(rows[Math.max(0, Math.min(rows.length - 1, at < 0 ? 0 : at + steps))].dataset.n),
+      );
     else if (event.key === "Enter" && at >= 0) this.visit(this.chosen);
     else return;
     event.preventDefault();
@@ -50,7 +60,8 @@ export class FiringLog extends EventTarget {
   mark() {
     this.list.querySelector("[aria-selected]")?.removeAttribute("aria-selected");
     this.list.removeAttribute("aria-activedescendant");
-    const row = this.chosen === null ? null : this.list.querySelector(`li[data-n="${this.chosen}"]`);
+    const row =
+      this.chosen === null ? null : this.list.querySelector(`li[data-n="${this.chosen}"]`);
     if (!row) return null;
     row.setAttribute("aria-selected", "true");
     this.list.setAttribute("aria-activedescendant", row.id);
@@ -58,29 +69,40 @@ export class FiringLog extends EventTarget {
   }
 
   later() {
-    if (!this.timer) this.timer = setTimeout(() => this.update(), Math.max(150, 25 * (this.cost || 0)));
+    if (!this.timer)
+      this.timer = setTimeout(() => this.update(), Math.max(150, 25 * (this.cost || 0)));
   }
 
   say(event) {
     const { scene } = this.model;
     if (event.k === "fire") {
       const moves = event.m.map(([robot, from, to]) => {
-        const ends = [from === null ? "appears" : "", to === null ? "→ ends" : `→ ${scene.places[to].name}`].filter(Boolean).join(" ");
+        const ends = [
+          from === null ? "appears" : "",
+          to === null ? "→ ends" : `→ ${scene.places[to].name}`,
+        ]
+          .filter(Boolean)
+          .join(" ");
         return `${robot} ${ends}`;
       });
       return `${scene.transitions[event.tr].name}${moves.length ? `   ${moves.join(", ")}` : ""}`;
     }
-    if (event.k === "mark") return `— ${event.why}${event.restart ? ": the time begins anew" : ""} —`;
+    if (event.k === "mark")
+      return `— ${event.why}${event.restart ? ": the time begins anew" : ""} —`;
     if (event.k === "note") return `${event.robot ? `${event.robot}: ` : ""}${event.text}`;
     if (event.k === "status" && event.status.ended) return `— ended: ${event.status.ended} —`;
-    if (event.k === "status" && event.status.paused !== undefined) return event.status.paused ? "— the team is paused —" : "— the team goes on —";
+    if (event.k === "status" && event.status.paused !== undefined)
+      return event.status.paused ? "— the team is paused —" : "— the team goes on —";
     return null;
   }
 
   update() {
     clearTimeout(this.timer);
     this.timer = 0;
-    if (isPressed(this.list)) { this.later(); return; }
+    if (isPressed(this.list)) {
+      this.later();
+      return;
+    }
     const { model } = this;
     if (!model.board) return;
     const begun = performance.now();
@@ -95,9 +117,33 @@ export class FiringLog extends EventTarget {
       const text = this.say(event);
       if (text === null || (wanted && !text.toLowerCase().includes(wanted))) continue;
       const kind = event.k === "note" ? (event.level === "fault" ? "fault" : "note") : event.k;
-      rows.push(h("li", { role: "option", id: `log-${event.n}`, class: `${kind}${earlier ? " past" : ""}`, "data-n": event.n, title: text }, h("time", { text: seconds(event.t) }), h("span", { class: "what-happened", text })));
+      rows.push(
+        h(
+          "li",
+          {
+            role: "option",
+            id: `log-${event.n}`,
+            class: `${kind}${earlier ? " past" : ""}`,
+            "data-n": event.n,
+            title: text,
+          },
+          h("time", { text: seconds(event.t) }),
+          h("span", { class: "what-happened", text }),
+        ),
+      );
     }
-    if (!rows.length) rows.push(h("li", { role: "option", class: "nothing", "aria-disabled": "true" }, h("time"), h("span", { class: "what-happened muted", text: wanted ? "nothing like that" : "nothing has fired yet" })));
+    if (!rows.length)
+      rows.push(
+        h(
+          "li",
+          { role: "option", class: "nothing", "aria-disabled": "true" },
+          h("time"),
+          h("span", {
+            class: "what-happened muted",
+            text: wanted ? "nothing like that" : "nothing has fired yet",
+          }),
+        ),
+      );
     this.list.replaceChildren(...rows);
     this.mark();
     this.cost = performance.now() - begun;

@@ -34,7 +34,9 @@ class Page {
     this.selection = null;
     this.connection = "waiting";
     this.theme(localStorage.getItem("gspn-theme"));
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.theme(localStorage.getItem("gspn-theme")));
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () =>
+      this.theme(localStorage.getItem("gspn-theme")),
+    );
     this.panels = new Panels(() => this.room?.shown && this.room.update());
     this.bind();
     bindKeys(this);
@@ -70,7 +72,11 @@ class Page {
     } catch (error) {
       if (error.status !== 401) return;
       const field = h("input", { type: "password", "aria-label": "Token", autocomplete: "off" });
-      await ask("This page asks for a token", [h("p", { class: "muted", text: "It was printed where the server was started." }), field], [["Go on", "go", "primary"]]);
+      await ask(
+        "This page asks for a token",
+        [h("p", { class: "muted", text: "It was printed where the server was started." }), field],
+        [["Go on", "go", "primary"]],
+      );
       await attempt(() => post("login", { token: field.value }));
       await this.login();
     }
@@ -110,7 +116,10 @@ class Page {
   async open(key) {
     hideOpening();
     const session = await attempt(() => get("session", { id: key }));
-    if (!session) { await this.openScreen(); return; }
+    if (!session) {
+      await this.openScreen();
+      return;
+    }
     this.closeNet();
     $("page").hidden = $("folds").hidden = false;
     const model = (this.model = new Model(session));
@@ -137,7 +146,11 @@ class Page {
       this.readyAt = performance.now();
       document.body.dataset.ready = (this.readyAt - begun).toFixed(1);
     });
-    this.stream = new NewsStream(key, (news) => this.takeNews(news), (state, heard, why) => this.setConnection(state, heard, why));
+    this.stream = new NewsStream(
+      key,
+      (news) => this.takeNews(news),
+      (state, heard, why) => this.setConnection(state, heard, why),
+    );
     const cut = this.cutOff(this.hello, key);
     if (cut) this.tellCut("The last run of this plan was cut off.", cut);
   }
@@ -148,23 +161,31 @@ class Page {
     const lost = NOT_HEARD.includes(state);
     const back = !lost && this.model.lostAt !== null;
     this.connection = state;
-    if (lost && this.model.lostAt === null) this.lostSince = new Date(Date.now() - (performance.now() - heard));
+    if (lost && this.model.lostAt === null)
+      this.lostSince = new Date(Date.now() - (performance.now() - heard));
     this.model.setHeard(lost ? heard : null);
     this.showRun();
     this.showConnection();
     if (back) this.askWhoIsThere();
-    if (state === "gone") notice(`This net is no longer open on the server: ${why}.`, [["Open it again", () => this.openAgain()]]);
+    if (state === "gone")
+      notice(`This net is no longer open on the server: ${why}.`, [
+        ["Open it again", () => this.openAgain()],
+      ]);
   }
 
   async openAgain() {
     const { id } = this.model.session;
-    if (id.startsWith("file-")) await attempt(() => post("open", { path: id.slice("file-".length) }));
+    if (id.startsWith("file-"))
+      await attempt(() => post("open", { path: id.slice("file-".length) }));
     await this.open(id);
   }
 
   takeNews(news) {
     const { model } = this;
-    const ran = model.mode === "LIVE" && model.head.status.running ? { epoch: model.epoch, name: model.head.status.run || "" } : null;
+    const ran =
+      model.mode === "LIVE" && model.head.status.running
+        ? { epoch: model.epoch, name: model.head.status.run || "" }
+        : null;
     model.take(news);
     if (ran && model.lostAt !== null && model.epoch !== ran.epoch) this.ranBefore = ran;
   }
@@ -181,7 +202,8 @@ class Page {
     if (hello.server === before.server && !ran) return;
     const cut = this.cutOff(hello, model.session.id);
     const again = `The server was started again (not heard since ${clock(this.lostSince)}).`;
-    if (cut || (ran && !model.head.status.running)) this.tellCut(`${again} The run ${ran?.name ? `“${ran.name}” ` : ""}was cut off.`, cut);
+    if (cut || (ran && !model.head.status.running))
+      this.tellCut(`${again} The run ${ran?.name ? `“${ran.name}” ` : ""}was cut off.`, cut);
     else notice(again);
   }
 
@@ -191,8 +213,20 @@ class Page {
   }
 
   tellCut(says, cut) {
-    const offers = cut?.log ? [["Replay its log", () => attempt(async () => this.go((await post("open", { path: cut.log })).id))]] : [];
-    notice(cut ? `${says} ${plural(cut.events, "event")} of it ${cut.events === 1 ? "is" : "are"} in its log${cut.log ? "" : ", outside the served folder"}.` : says, offers);
+    const offers = cut?.log
+      ? [
+          [
+            "Replay its log",
+            () => attempt(async () => this.go((await post("open", { path: cut.log })).id)),
+          ],
+        ]
+      : [];
+    if (cut) {
+      const place = cut.log ? "its log" : "its log, outside the served folder";
+      const verb = cut.events === 1 ? "is" : "are";
+      says = `${says} ${plural(cut.events, "event")} of it ${verb} in ${place}.`;
+    }
+    notice(says, offers);
   }
 
   closeNet() {
@@ -200,7 +234,14 @@ class Page {
     this.stream?.close();
     this.tools?.stopRunning();
     for (const part of [this.view, this.robots, this.line, this.analysis]) part?.close();
-    this.stream = this.model = this.view = this.robots = this.line = this.analysis = this.tools = null;
+    this.stream =
+      this.model =
+      this.view =
+      this.robots =
+      this.line =
+      this.analysis =
+      this.tools =
+        null;
     this.selection = null;
     this.paused = false;
     delete document.body.dataset.stale;
@@ -231,19 +272,40 @@ class Page {
     });
     model.addEventListener("events", ({ detail }) => {
       this.view.show(detail.events);
-      for (const part of [this.list, this.inspector, this.robots, this.log, this.line]) part.later();
+      for (const part of [this.list, this.inspector, this.robots, this.log, this.line])
+        part.later();
       if (detail.events.some((event) => event.k !== "fire")) this.showRun();
       if (model.mode === "SIMULATE") this.sayFiring(detail.events);
     });
-    model.addEventListener("head", () => { this.line.later(); this.showRun(); });
-    model.addEventListener("past", () => { this.log.update(); this.line.later(); });
-    model.addEventListener("latest", ({ detail }) => {
-      if (detail.keys.includes("info")) { this.tools?.refresh(); this.inspector.later(); this.showRun(); }
-      if (detail.keys.includes("choices")) this.inspector.later();
-      if (detail.keys.includes("feedback")) { this.robots.later(); this.inspector.later(); }
-      if (detail.keys.includes("room") || detail.keys.includes("world")) { if (this.room.news()) this.tools?.build(); }
+    model.addEventListener("head", () => {
+      this.line.later();
+      this.showRun();
     });
-    model.addEventListener("view", () => { this.tools?.refresh(); this.line.later(); this.showRun(); this.showConnection(); });
+    model.addEventListener("past", () => {
+      this.log.update();
+      this.line.later();
+    });
+    model.addEventListener("latest", ({ detail }) => {
+      if (detail.keys.includes("info")) {
+        this.tools?.refresh();
+        this.inspector.later();
+        this.showRun();
+      }
+      if (detail.keys.includes("choices")) this.inspector.later();
+      if (detail.keys.includes("feedback")) {
+        this.robots.later();
+        this.inspector.later();
+      }
+      if (detail.keys.includes("room") || detail.keys.includes("world")) {
+        if (this.room.news()) this.tools?.build();
+      }
+    });
+    model.addEventListener("view", () => {
+      this.tools?.refresh();
+      this.line.later();
+      this.showRun();
+      this.showConnection();
+    });
     this.view.addEventListener("select", ({ detail }) => {
       this.choose(detail);
       if (detail && this.panels.form !== "wide") this.panels.open("right");
@@ -251,20 +313,29 @@ class Page {
     this.view.addEventListener("activate", ({ detail }) => {
       if (detail.kind === "transition" && model.mode === "SIMULATE") this.tools.fire(detail.index);
     });
-    const chosen = ({ detail }) => { this.choose(detail); if (detail.fly) this.view.flyTo(detail.kind, detail.index); };
+    const chosen = ({ detail }) => {
+      this.choose(detail);
+      if (detail.fly) this.view.flyTo(detail.kind, detail.index);
+    };
     this.list.addEventListener("choose", chosen);
     this.inspector.addEventListener("choose", chosen);
     this.analysis.addEventListener("choose", chosen);
     const fire = ({ detail }) => model.mode === "SIMULATE" && this.tools.fire(detail);
     this.list.addEventListener("fire", fire);
     this.inspector.addEventListener("fire", fire);
-    this.inspector.addEventListener("probability", ({ detail }) => this.tools.setProbability(detail.index, detail.value));
-    for (const part of [this.log, this.line]) part.addEventListener("visit", ({ detail }) => attempt(() => model.show(detail)));
+    this.inspector.addEventListener("probability", ({ detail }) =>
+      this.tools.setProbability(detail.index, detail.value),
+    );
+    for (const part of [this.log, this.line])
+      part.addEventListener("visit", ({ detail }) => attempt(() => model.show(detail)));
   }
 
   sayFiring(events) {
     const last = [...events].reverse().find((event) => event.k === "fire");
-    if (last) announce(`${events.length > 1 ? `${events.length} events, the last: ` : ""}${this.model.scene.transitions[last.tr].name} fired; ${this.model.board.enabled.size} enabled`);
+    if (!last) return;
+    const many = events.length > 1 ? `${events.length} events, the last: ` : "";
+    const { name } = this.model.scene.transitions[last.tr];
+    announce(`${many}${name} fired; ${this.model.board.enabled.size} enabled`);
   }
 
   choose(selection) {
@@ -283,15 +354,25 @@ class Page {
   }
 
   /** Whether this viewer may act, or only look. */
-  get mayAct() { return this.hello?.role !== "viewer"; }
+  get mayAct() {
+    return this.hello?.role !== "viewer";
+  }
 
   togglePause() {
     const { model } = this;
-    if (model.mode === "SIMULATE" && model.following) { this.tools.toggleRunning(); return; }
+    if (model.mode === "SIMULATE" && model.following) {
+      this.tools.toggleRunning();
+      return;
+    }
     if (model.following) model.pause();
     else if (model.playing) model.stopPlaying();
-    else if (model.board.n >= model.head.n && model.mode === "REPLAY") attempt(async () => { await model.show(0); model.play(); });
-    else if (model.mode !== "REPLAY" && model.board.n >= model.head.n) attempt(() => model.backToLive());
+    else if (model.board.n >= model.head.n && model.mode === "REPLAY")
+      attempt(async () => {
+        await model.show(0);
+        model.play();
+      });
+    else if (model.mode !== "REPLAY" && model.board.n >= model.head.n)
+      attempt(() => model.backToLive());
     else model.play();
   }
 
@@ -330,21 +411,39 @@ class Page {
     document.body.toggleAttribute("data-stale", model.stale || model.unheard);
     document.body.toggleAttribute("data-fault", Boolean(model.mode === "LIVE" && status.fault));
     let says = model.info.says || MODE_SAYS[model.mode] || "";
-    if (model.mode === "LIVE" && status.ended) says = `${status.fault ? "broke off" : "over"}: ${status.ended}`;
-    if (model.unheard) says = "no robot of the team has been heard yet; this is the beginning of the plan";
+    if (model.mode === "LIVE" && status.ended)
+      says = `${status.fault ? "broke off" : "over"}: ${status.ended}`;
+    if (model.unheard)
+      says = "no robot of the team has been heard yet; this is the beginning of the plan";
     if (model.info.loading) says += ", still being read";
     if (model.stale) says = `as it was at ${clock(this.lostSince)}; nothing has been heard since`;
     $("frame-name").replaceChildren(h("b", { text: model.mode }), says ? ` — ${says}` : "");
     this.showOrders(status);
     const alarms = [];
     const robots = [...(model.mode === "REPLAY" ? model.board : model.head).robots.values()];
-    const named = (phase) => robots.filter((robot) => robot.phase === phase).map((robot) => robot.name);
-    const alarm = (text, kind = "") => alarms.push(h("button", { class: `alarm ${kind}`, title: text, onclick: (event) => this.showAlarm(event.currentTarget) }, h("span", { text })));
+    const named = (phase) =>
+      robots.filter((robot) => robot.phase === phase).map((robot) => robot.name);
+    const alarm = (text, kind = "") =>
+      alarms.push(
+        h(
+          "button",
+          {
+            class: `alarm ${kind}`,
+            title: text,
+            onclick: (event) => this.showAlarm(event.currentTarget),
+          },
+          h("span", { text }),
+        ),
+      );
     if (named("lost").length) alarm(`Lost: ${named("lost").join(", ")}`);
     if (named("failed").length) alarm(`Failed: ${named("failed").join(", ")}`);
     if (status.stalled) alarm(`Stalled: ${status.stalled}`);
     if (status.paused) alarm("The team is paused", "warning");
-    if (status.ended) alarm(`${status.fault ? "Broke off" : status.finished ? "Finished" : "Ended"}: ${status.ended}`, status.fault ? "" : "warning");
+    if (status.ended)
+      alarm(
+        `${status.fault ? "Broke off" : status.finished ? "Finished" : "Ended"}: ${status.ended}`,
+        status.fault ? "" : "warning",
+      );
     const shown = alarms.map((element) => element.textContent).join("\n");
     if (shown !== this.alarmsShown) {
       this.alarmsShown = shown;
@@ -356,7 +455,10 @@ class Page {
   showAlarm(element) {
     this.showTab("robots");
     const text = element.firstChild;
-    if (text.scrollHeight > text.clientHeight + 2) ask("What is the matter", h("p", { class: "whole", text: text.textContent }), [["Close", "", "primary"]]);
+    if (text.scrollHeight > text.clientHeight + 2)
+      ask("What is the matter", h("p", { class: "whole", text: text.textContent }), [
+        ["Close", "", "primary"],
+      ]);
   }
 
   /** What can be started, stopped and ordered now; where it cannot, why. */
@@ -373,7 +475,10 @@ class Page {
     $("pause-team").textContent = status.paused ? "Resume the team" : "Pause the team";
     for (const id of ["start", "to-simulate", "stop", "pause-team", "relayout"]) {
       $(id).disabled = Boolean(orders.refusal);
-      $(id).title = orders.refusal || { stop: `Stop the run “${orders.runName}”`, relayout: "Lay out again" }[id] || "";
+      $(id).title =
+        orders.refusal ||
+        { stop: `Stop the run “${orders.runName}”`, relayout: "Lay out again" }[id] ||
+        "";
     }
     this.robots.later();
     this.inspector.later();
@@ -381,16 +486,32 @@ class Page {
 
   showConnection() {
     const pill = $("connection");
-    if (!this.model) { pill.hidden = true; return; }
+    if (!this.model) {
+      pill.hidden = true;
+      return;
+    }
     pill.hidden = false;
     const since = this.lostSince ? ` since ${clock(this.lostSince)}` : "";
-    const words = { waiting: "connecting", open: "connected", polling: "connected (polling)", lost: `connection lost${since}, trying again`, gone: "no longer open on the server", locked: "the server asks for its token" };
-    pill.dataset.state = this.connection === "gone" || this.connection === "locked" ? "lost" : this.connection;
+    const words = {
+      waiting: "connecting",
+      open: "connected",
+      polling: "connected (polling)",
+      lost: `connection lost${since}, trying again`,
+      gone: "no longer open on the server",
+      locked: "the server asks for its token",
+    };
+    pill.dataset.state =
+      this.connection === "gone" || this.connection === "locked" ? "lost" : this.connection;
     let text = words[this.connection];
     if (pill.dataset.state === "lost" && this.announced !== this.connection) announceNow(text);
-    else if (this.announced && pill.dataset.state !== "lost" && this.connection !== "waiting") announceNow(text);
+    else if (this.announced && pill.dataset.state !== "lost" && this.connection !== "waiting")
+      announceNow(text);
     this.announced = pill.dataset.state === "lost" ? this.connection : null;
-    if (this.model.mode === "LIVE" && this.model.lastEvent !== null && (this.connection === "open" || this.connection === "polling")) {
+    if (
+      this.model.mode === "LIVE" &&
+      this.model.lastEvent !== null &&
+      (this.connection === "open" || this.connection === "polling")
+    ) {
       text = `last event ${seconds((performance.now() - this.model.lastEvent) / 1000)} ago`;
     }
     if (!this.model.following && this.model.mode === "LIVE") text = `view paused · ${text}`;
@@ -407,10 +528,15 @@ class Page {
   bind() {
     $("open-screen").onclick = () => this.openScreen(true);
     // a button of a tool that was clicked lets go of the focus, so that Space is the key of the page again
-    document.addEventListener("click", (event) => { if (event.detail) event.target.closest("#tools button, .zoom button, .scrub button")?.blur(); });
+    document.addEventListener("click", (event) => {
+      if (event.detail) event.target.closest("#tools button, .zoom button, .scrub button")?.blur();
+    });
     $("skip").onclick = (event) => {
       event.preventDefault();
-      if (!this.model) { document.querySelector("#opening button")?.focus(); return; }
+      if (!this.model) {
+        document.querySelector("#opening button")?.focus();
+        return;
+      }
       this.panels.open("left");
       $("list-search").focus();
     };
@@ -424,12 +550,18 @@ class Page {
     $("zoom-out").onclick = () => this.view.camera.zoom(0.8);
     $("fit").onclick = () => this.view.camera.fit();
     $("show-enabled").onclick = () => this.setShowEnabled(!this.showEnabled);
-    $("relayout").onclick = () => attempt(async () => this.view.relayout(await this.tools.do("layout")));
+    $("relayout").onclick = () =>
+      attempt(async () => this.view.relayout(await this.tools.do("layout")));
     $("play").onclick = () => this.togglePause();
     $("back-to-live").onclick = () => attempt(() => this.model.backToLive());
     const scrubber = $("scrubber");
-    scrubber.oninput = () => { this.line.sliding = true; attempt(() => this.model.show(Number(scrubber.value))); };
-    scrubber.onchange = () => { this.line.sliding = false; };
+    scrubber.oninput = () => {
+      this.line.sliding = true;
+      attempt(() => this.model.show(Number(scrubber.value)));
+    };
+    scrubber.onchange = () => {
+      this.line.sliding = false;
+    };
     for (const tab of TABS) {
       $(`tab-${tab}`).onclick = () => this.openTab(tab);
       $(`tab-${tab}`).onkeydown = (event) => {
@@ -445,7 +577,11 @@ class Page {
     $("stop").onclick = () => this.orders.stop();
     $("pause-team").onclick = () => {
       const { paused } = this.model.head.status;
-      this.orders.give(paused ? "resume" : "pause", {}, paused ? "Resume the team" : "Pause the team");
+      this.orders.give(
+        paused ? "resume" : "pause",
+        {},
+        paused ? "Resume the team" : "Pause the team",
+      );
     };
     $("to-simulate").onclick = () => attempt(() => this.tools.do("simulate"));
   }
@@ -453,10 +589,20 @@ class Page {
   async start() {
     const { scene } = this.model;
     const robots = scene.plan.robots.map(([name, place]) => `${name} in ${place}`).join(", ");
-    const answer = await ask("Start the execution?", [
-      h("p", {}, `The actions of the plan “${scene.plan.name}” will run on this server, now.`),
-      h("p", { class: "muted", text: robots.length > 600 ? `${scene.plan.robots.length} robots` : robots }),
-    ], [["Cancel", ""], ["Start", "start", "primary"]]);
+    const answer = await ask(
+      "Start the execution?",
+      [
+        h("p", {}, `The actions of the plan “${scene.plan.name}” will run on this server, now.`),
+        h("p", {
+          class: "muted",
+          text: robots.length > 600 ? `${scene.plan.robots.length} robots` : robots,
+        }),
+      ],
+      [
+        ["Cancel", ""],
+        ["Start", "start", "primary"],
+      ],
+    );
     if (answer === "start") await attempt(() => this.tools.do("start", { confirmed: true }));
   }
 }

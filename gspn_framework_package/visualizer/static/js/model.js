@@ -17,8 +17,17 @@ export function applyEvent(board, event) {
     for (const t of event.dis) board.enabled.delete(t);
     for (const t of event.en) board.enabled.add(t);
     for (const [name, , to] of event.m) {
-      if (to === null) { board.robots.delete(name); continue; }
-      board.robots.set(name, { ...(board.robots.get(name) || { name }), place: to, phase: "doing", why: "", since: event.t });
+      if (to === null) {
+        board.robots.delete(name);
+        continue;
+      }
+      board.robots.set(name, {
+        ...(board.robots.get(name) || { name }),
+        place: to,
+        phase: "doing",
+        why: "",
+        since: event.t,
+      });
     }
   } else if (event.k === "mark") {
     board.marking = event.marking.slice();
@@ -40,10 +49,21 @@ export function applyEvent(board, event) {
   }
 }
 
-const copyOf = (board) => ({ ...board, marking: board.marking.slice(), counts: board.counts.slice(), enabled: new Set(board.enabled), robots: new Map(board.robots), notes: board.notes.slice() });
+const copyOf = (board) => ({
+  ...board,
+  marking: board.marking.slice(),
+  counts: board.counts.slice(),
+  enabled: new Set(board.enabled),
+  robots: new Map(board.robots),
+  notes: board.notes.slice(),
+});
 
 export function boardOf(data) {
-  return { ...data, enabled: new Set(data.enabled), robots: new Map(data.robots.map((robot) => [robot.name, robot])) };
+  return {
+    ...data,
+    enabled: new Set(data.enabled),
+    robots: new Map(data.robots.map((robot) => [robot.name, robot])),
+  };
 }
 
 /** Fires: "scene", "reset" (the board is another one), "events" (detail.events were added to the board),
@@ -57,7 +77,8 @@ export class Model extends EventTarget {
     this.info = {};
     this.epoch = "";
     this.board = null; // what is shown
-    this.head = { n: 0, t: 0, status: {}, robots: new Map() }; // the latest board; the very one that is shown while following
+    // the latest board; the very one that is shown while following
+    this.head = { n: 0, t: 0, status: {}, robots: new Map() };
     this.oldest = 0;
     this.events = []; // some that follow one another
     this.base = null; // the board before them; null while it is not known
@@ -76,7 +97,10 @@ export class Model extends EventTarget {
   /** News of the server's hub. */
   take(news) {
     if (news.snapshot) this.restart(news.snapshot);
-    if (news.head) { this.head = news.head; this.tell("head"); } // of a recording: how far it has been read
+    if (news.head) {
+      this.head = news.head;
+      this.tell("head");
+    } // of a recording: how far it has been read
     if (news.events && news.events.length) this.append(news.events);
     const keys = Object.keys(news.latest || {});
     if (keys.length) {
@@ -97,7 +121,10 @@ export class Model extends EventTarget {
     this.head = board;
     this.lastEvent = snapshot.age === null ? null : performance.now() - snapshot.age * 1000;
     this.clockBase = performance.now() - (snapshot.clock || 0) * 1000;
-    if (!another && !this.following) { this.tell("head"); return; }
+    if (!another && !this.following) {
+      this.tell("head");
+      return;
+    }
     this.events = [];
     this.base = copyOf(board);
     this.following = this.mode !== "REPLAY";
@@ -128,10 +155,16 @@ export class Model extends EventTarget {
   }
 
   /** Whether what is shown may have changed long since: nobody tells. A recorded run does not change. */
-  get stale() { return this.lostAt !== null && this.mode !== "REPLAY"; }
+  get stale() {
+    return this.lostAt !== null && this.mode !== "REPLAY";
+  }
 
   /** Whether nothing of a live run is known yet: the board is the beginning of the plan. */
-  get unheard() { return this.mode === "LIVE" && this.head.status.running === false && this.head.status.ended === null; }
+  get unheard() {
+    return (
+      this.mode === "LIVE" && this.head.status.running === false && this.head.status.ended === null
+    );
+  }
 
   /** Seconds of the run that the view shows; a live one goes on between events, while the server is heard. */
   now() {
@@ -216,7 +249,8 @@ export class Model extends EventTarget {
     const first = this.events.length ? this.events[0].n : Infinity;
     const last = this.events.length ? this.events[this.events.length - 1].n : -1;
     const to = Math.min(this.head.n, n + 2000);
-    if (first <= Math.max(this.oldest + 1, n - 500) && last >= Math.min(this.head.n, n + 500)) return;
+    if (first <= Math.max(this.oldest + 1, n - 500) && last >= Math.min(this.head.n, n + 500))
+      return;
     const found = await this.fetchEvents(Math.max(0, n - 2000), to);
     if (!found) return;
     Object.assign(this, found);
@@ -229,7 +263,13 @@ export class Model extends EventTarget {
     const tail = this.events.length ? this.events[this.events.length - 1].n : -1;
     if (tail < this.board.n) return this.fetchAround();
     const data = await get("events", { id: this.session.id, after: tail, to: tail + AHEAD });
-    if (data.epoch !== epoch || this.epoch !== epoch || this.events[this.events.length - 1]?.n !== tail || data.events[0]?.n !== tail + 1) return undefined;
+    if (
+      data.epoch !== epoch ||
+      this.epoch !== epoch ||
+      this.events[this.events.length - 1]?.n !== tail ||
+      data.events[0]?.n !== tail + 1
+    )
+      return undefined;
     this.events = this.events.concat(data.events);
     if (this.board.n - this.events[0].n > KEPT / 2) this.trim();
     return undefined;
@@ -249,10 +289,12 @@ export class Model extends EventTarget {
   }
 
   indexAfter(n) {
-    let low = 0, high = this.events.length;
+    let low = 0,
+      high = this.events.length;
     while (low < high) {
       const middle = (low + high) >> 1;
-      if (this.events[middle].n <= n) low = middle + 1; else high = middle;
+      if (this.events[middle].n <= n) low = middle + 1;
+      else high = middle;
     }
     return low;
   }
@@ -263,13 +305,18 @@ export class Model extends EventTarget {
     this.playing = false;
     if (direction > 0) {
       const index = this.indexAfter(this.board.n);
-      const next = this.events.slice(index).find((event) => event.k === "fire" || event.k === "mark");
+      const next = this.events
+        .slice(index)
+        .find((event) => event.k === "fire" || event.k === "mark");
       if (next) this.forward(next.n);
       else if (this.board.n < this.head.n) await this.show(Math.min(this.head.n, this.board.n + 1));
       this.tell("view");
       return;
     }
-    const before = this.events.slice(0, this.indexAfter(this.board.n)).reverse().find((event) => event.k === "fire");
+    const before = this.events
+      .slice(0, this.indexAfter(this.board.n))
+      .reverse()
+      .find((event) => event.k === "fire");
     await this.show(before ? before.n - 1 : Math.max(this.oldest, this.board.n - 1));
   }
 
@@ -286,18 +333,30 @@ export class Model extends EventTarget {
       before = now;
       // never ahead of the events at hand: what comes next is not known yet
       const tail = this.events[this.events.length - 1];
-      const known = this.events[this.indexAfter(this.board.n)]?.n === this.board.n + 1 ? tail : null;
-      this.playClock = Math.max(this.playClock, known?.n >= this.head.n ? clock : Math.min(clock, known ? known.t : this.board.t));
+      const known =
+        this.events[this.indexAfter(this.board.n)]?.n === this.board.n + 1 ? tail : null;
+      this.playClock = Math.max(
+        this.playClock,
+        known?.n >= this.head.n ? clock : Math.min(clock, known ? known.t : this.board.t),
+      );
       this.forward(Infinity, this.playClock);
       if (this.board.n >= this.head.n && !this.info.loading) {
         this.playing = false;
         this.tell("view");
         return;
       }
-      const short = !known || (known.n < this.head.n && known.n - this.board.n < KEPT / 2 && known.t - this.playClock < PREPARED * this.speed);
+      const short =
+        !known ||
+        (known.n < this.head.n &&
+          known.n - this.board.n < KEPT / 2 &&
+          known.t - this.playClock < PREPARED * this.speed);
       if (short && !this.loading && this.board.n < this.head.n) {
         this.loading = true;
-        this.fetchAhead().catch(() => {}).finally(() => { this.loading = false; });
+        this.fetchAhead()
+          .catch(() => {})
+          .finally(() => {
+            this.loading = false;
+          });
       }
       requestAnimationFrame(tick);
     };
@@ -320,7 +379,8 @@ export class Model extends EventTarget {
     const last = this.events.length ? this.events[this.events.length - 1].n : -1;
     if (last === this.head.n && this.head.n - this.board.n < 200) {
       this.forward(this.head.n);
-    } else if (last !== this.head.n) { // they are of another time
+    } else if (last !== this.head.n) {
+      // they are of another time
       this.events = [];
       this.base = copyOf(this.head);
     }

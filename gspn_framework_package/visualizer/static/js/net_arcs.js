@@ -3,7 +3,13 @@
 import { s } from "./dom.js";
 import { arcShape, arcLine, arcEnd } from "./geometry.js";
 
-const KINDS = { lines: "lines", inhibitor: "lines inhibitor", near: "lines near", heads: "heads", circles: "circles" };
+const KINDS = {
+  lines: "lines",
+  inhibitor: "lines inhibitor",
+  near: "lines near",
+  heads: "heads",
+  circles: "circles",
+};
 const SIZES = [1, 1.5, 2, 3, 4]; // how many times its usual size an arrowhead is drawn, so that it is seen from afar
 const BEND = 16; // px by which two arcs between the same nodes part
 
@@ -22,7 +28,9 @@ export class Arcs {
     this.size = 1;
     const seen = new Set(scene.arcs.map(([p, t, forth]) => `${p},${t},${forth}`));
     this.all = scene.arcs.map(([p, t, forth, weight, inhibitor], index) => ({
-      index, weight, inhibitor,
+      index,
+      weight,
+      inhibitor,
       from: forth ? places[p] : transitions[t],
       to: forth ? transitions[t] : places[p],
       both: seen.has(`${p},${t},${1 - forth}`),
@@ -38,11 +46,20 @@ export class Arcs {
       arc.line = arcLine(arc.shape, arc.inhibitor);
       Object.assign(arc, { middle: arc.shape.middle, points: arc.shape.points });
     }
-    this.path.lines.setAttribute("d", this.join((a) => !a.inhibitor && a.line));
-    this.path.inhibitor.setAttribute("d", this.join((a) => a.inhibitor && a.line));
+    this.path.lines.setAttribute(
+      "d",
+      this.join((a) => !a.inhibitor && a.line),
+    );
+    this.path.inhibitor.setAttribute(
+      "d",
+      this.join((a) => a.inhibitor && a.line),
+    );
     this.drawEnds();
-    this.weights.replaceChildren(...this.all.filter((a) => a.weight > 1).map((a) =>
-      s("text", { x: a.middle[0], y: a.middle[1], text: String(a.weight) })));
+    this.weights.replaceChildren(
+      ...this.all
+        .filter((a) => a.weight > 1)
+        .map((a) => s("text", { x: a.middle[0], y: a.middle[1], text: String(a.weight) })),
+    );
     this.showNear(this.near);
   }
 
@@ -51,8 +68,14 @@ export class Arcs {
   }
 
   drawEnds() {
-    this.path.heads.setAttribute("d", this.join((a) => !a.inhibitor && arcEnd(a.shape, false, this.size)));
-    this.path.circles.setAttribute("d", this.join((a) => a.inhibitor && arcEnd(a.shape, true, this.size)));
+    this.path.heads.setAttribute(
+      "d",
+      this.join((a) => !a.inhibitor && arcEnd(a.shape, false, this.size)),
+    );
+    this.path.circles.setAttribute(
+      "d",
+      this.join((a) => a.inhibitor && arcEnd(a.shape, true, this.size)),
+    );
   }
 
   /** The net is seen at zoom `k`: from afar arrowheads are drawn larger, in a few steps. */
@@ -66,7 +89,9 @@ export class Arcs {
   /** Set off the arcs of the node that is selected; of none for null. */
   showNear(node) {
     this.near = node;
-    const near = node ? this.all.filter((a) => (a.from === node || a.to === node) && !a.inhibitor) : [];
+    const near = node
+      ? this.all.filter((a) => (a.from === node || a.to === node) && !a.inhibitor)
+      : [];
     this.path.near.setAttribute("d", near.map((a) => a.line).join(""));
   }
 }

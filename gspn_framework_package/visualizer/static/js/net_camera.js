@@ -25,7 +25,9 @@ export class Camera {
     this.observer.observe(view.container);
   }
 
-  get size() { return this.view.container.getBoundingClientRect(); }
+  get size() {
+    return this.view.container.getBoundingClientRect();
+  }
 
   /** The whole net, clear of the buttons and of the words in the corner. */
   fit() {
@@ -33,8 +35,13 @@ export class Camera {
     if (!width || !height) return;
     const [x0, y0, x1, y1] = this.view.bounds();
     const [left, right, top, bottom] = MARGIN;
-    const w = Math.max(50, width - left - right), h = Math.max(50, height - top - bottom);
-    const k = Math.min(w / (x1 - x0), h / (y1 - y0), Math.min(LARGEST_FIT[1], Math.max(LARGEST_FIT[0], width / 900)));
+    const w = Math.max(50, width - left - right),
+      h = Math.max(50, height - top - bottom);
+    const k = Math.min(
+      w / (x1 - x0),
+      h / (y1 - y0),
+      Math.min(LARGEST_FIT[1], Math.max(LARGEST_FIT[0], width / 900)),
+    );
     this.fitted = true;
     this.set(k, left + w / 2 - (k * (x0 + x1)) / 2, top + h / 2 - (k * (y0 + y1)) / 2);
   }
@@ -66,20 +73,30 @@ export class Camera {
     const k = Math.max(from.k, READABLE);
     const to = { k, x: width / 2 - k * node.x, y: height / 2 - k * node.y };
     this.fitted = false;
-    if (matchMedia("(prefers-reduced-motion: reduce)").matches) { this.set(to.k, to.x, to.y); return; }
+    if (matchMedia("(prefers-reduced-motion: reduce)").matches) {
+      this.set(to.k, to.x, to.y);
+      return;
+    }
     const begin = performance.now();
     const flight = (this.flight = {});
     const tick = (now) => {
       if (this.flight !== flight) return;
-      const f = Math.min(1, Math.max(0, now - begin) / FLIGHT), e = 1 - (1 - f) ** 3;
-      this.set(from.k + (to.k - from.k) * e, from.x + (to.x - from.x) * e, from.y + (to.y - from.y) * e);
+      const f = Math.min(1, Math.max(0, now - begin) / FLIGHT),
+        e = 1 - (1 - f) ** 3;
+      this.set(
+        from.k + (to.k - from.k) * e,
+        from.x + (to.x - from.x) * e,
+        from.y + (to.y - from.y) * e,
+      );
       if (f < 1) requestAnimationFrame(tick);
     };
     requestAnimationFrame(tick);
   }
 
   /** End a flight where it is. */
-  stop() { this.flight = null; }
+  stop() {
+    this.flight = null;
+  }
 
   resized() {
     const { width, height } = this.size;
@@ -106,7 +123,12 @@ export class Camera {
     if (nodes.length < CULL || !this.now) return;
     const { width, height } = this.size;
     const { k, x, y } = this.now;
-    const [x0, y0, x1, y1] = [(-x - 80) / k, (-y - 60) / k, (width - x + 80) / k, (height - y + 60) / k];
+    const [x0, y0, x1, y1] = [
+      (-x - 80) / k,
+      (-y - 60) / k,
+      (width - x + 80) / k,
+      (height - y + 60) / k,
+    ];
     for (const node of nodes) {
       const out = node.x < x0 || node.x > x1 || node.y < y0 || node.y > y1;
       if (out !== Boolean(node.out)) {

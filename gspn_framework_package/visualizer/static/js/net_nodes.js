@@ -7,25 +7,36 @@ import { colourOf, shortName } from "./colours.js";
 const MOST = 9; // tokens or robots that are drawn one by one
 
 // one path for all tokens of a place
-const DOTS = Array.from({ length: MOST + 1 }, (_, count) => dots(count).map(([x, y]) => {
-  const r = count === 1 ? 5 : 3.4;
-  return `M${(x - r).toFixed(2)} ${y.toFixed(2)}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0z`;
-}).join(""));
+const DOTS = Array.from({ length: MOST + 1 }, (_, count) =>
+  dots(count)
+    .map(([x, y]) => {
+      const r = count === 1 ? 5 : 3.4;
+      return `M${(x - r).toFixed(2)} ${y.toFixed(2)}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0z`;
+    })
+    .join(""),
+);
 
 export const at = ({ x, y }) => `translate(${x.toFixed(1)} ${y.toFixed(1)})`;
 
 export function buildPlace(node, place) {
-  return s("g", { class: `place ${place.kind}`, transform: at(node), "data-place": node.index },
+  return s(
+    "g",
+    { class: `place ${place.kind}`, transform: at(node), "data-place": node.index },
     s("title", { text: place.name }),
-    s("circle", { r: RADIUS }));
+    s("circle", { r: RADIUS }),
+  );
 }
 
 export function buildTransition(node, transition) {
   const [w, h] = BAR[node.kind];
-  return s("g", { class: `transition ${node.kind}`, transform: at(node), "data-transition": node.index },
+  return s(
+    "g",
+    { class: `transition ${node.kind}`, transform: at(node), "data-transition": node.index },
     s("title", { text: transition.name }),
-    node.kind === "immediate" && s("rect", { class: "hit", x: -12, y: -h, width: 24, height: 2 * h }),
-    s("rect", { class: "body", x: -w, y: -h, width: 2 * w, height: 2 * h, rx: 1 }));
+    node.kind === "immediate" &&
+      s("rect", { class: "hit", x: -12, y: -h, width: 24, height: 2 * h }),
+    s("rect", { class: "body", x: -w, y: -h, width: 2 * w, height: 2 * h, rx: 1 }),
+  );
 }
 
 /** A place with so many tokens, some of which may be robots. */
@@ -42,31 +53,65 @@ export function drawPlace(node, tokens, robots) {
 
 function drawDots(node, count, robotsHere = false) {
   if (node.count === count) return;
-  if ((node.count > 0) !== (count > 0)) node.element.classList.toggle("marked", count > 0 || robotsHere);
+  if (node.count > 0 !== count > 0)
+    node.element.classList.toggle("marked", count > 0 || robotsHere);
   node.count = count;
-  if (node.dots) { node.dots.remove(); node.dots = null; }
+  if (node.dots) {
+    node.dots.remove();
+    node.dots = null;
+  }
   if (count === 0) return;
-  node.dots = count <= MOST
-    ? s("path", { class: "dots", d: DOTS[count], "data-count": count })
-    : s("text", { class: "count", text: count < 100000 ? String(count) : "99999+" });
+  node.dots =
+    count <= MOST
+      ? s("path", { class: "dots", d: DOTS[count], "data-count": count })
+      : s("text", { class: "count", text: count < 100000 ? String(count) : "99999+" });
   if (count > 999) node.dots.style.fontSize = count > 9999 ? "10px" : "12px";
   node.element.append(node.dots);
 }
 
 function drawRobots(node, robots) {
-  if (node.robots) { node.robots.remove(); node.robots = null; }
+  if (node.robots) {
+    node.robots.remove();
+    node.robots = null;
+  }
   if (!robots.length) return;
   const { radius, centres, square } = discs(robots.length);
-  node.robots = s("g", {}, robots.sort((a, b) => natural(a.name, b.name)).map((robot, i) => {
-    const phase = robot.why && robot.phase !== "failed" ? "waiting" : robot.phase || "";
-    const id = shortName(robot.name);
-    const text = s("text", { text: id });
-    text.style.fontSize = `${Math.min(radius * (square ? 1.5 : 1.15), (radius * (square ? 3 : 2.6)) / Math.max(1, id.length)).toFixed(1)}px`;
-    const disc = square ? s("rect", { class: "disc", x: -radius, y: -radius, width: 2 * radius, height: 2 * radius, rx: 3.5 }) : s("circle", { class: "disc", r: radius });
-    disc.style.fill = colourOf(robot.name);
-    return s("g", { class: `robot ${phase}${robot.paused ? " paused" : ""}`, transform: at({ x: centres[i][0], y: centres[i][1] }), "data-robot": robot.name },
-      s("title", { text: robot.name }), disc, text);
-  }));
+  node.robots = s(
+    "g",
+    {},
+    robots
+      .sort((a, b) => natural(a.name, b.name))
+      .map((robot, i) => {
+        const phase = robot.why && robot.phase !== "failed" ? "waiting" : robot.phase || "";
+        const id = shortName(robot.name);
+        const text = s("text", { text: id });
+        const [high, wide] = square ? [1.5, 3] : [1.15, 2.6];
+        const fontSize = radius * Math.min(high, wide / Math.max(1, id.length));
+        text.style.fontSize = `${fontSize.toFixed(1)}px`;
+        const disc = square
+          ? s("rect", {
+              class: "disc",
+              x: -radius,
+              y: -radius,
+              width: 2 * radius,
+              height: 2 * radius,
+              rx: 3.5,
+            })
+          : s("circle", { class: "disc", r: radius });
+        disc.style.fill = colourOf(robot.name);
+        return s(
+          "g",
+          {
+            class: `robot ${phase}${robot.paused ? " paused" : ""}`,
+            transform: at({ x: centres[i][0], y: centres[i][1] }),
+            "data-robot": robot.name,
+          },
+          s("title", { text: robot.name }),
+          disc,
+          text,
+        );
+      }),
+  );
   node.element.append(node.robots);
 }
 
@@ -82,19 +127,42 @@ export function drawEnabled(node, enabled) {
 
 /** The robots that were lost in a place: struck out, at its edge. */
 export function drawLost(node, robots) {
-  if (node.lost) { node.lost.remove(); node.lost = null; }
+  if (node.lost) {
+    node.lost.remove();
+    node.lost = null;
+  }
   if (!robots.length) return;
-  node.lost = s("g", {}, robots.map((robot, i) => s("g", { class: "lost-mark", transform: at({ x: RADIUS * 0.8 + i * 17, y: -RADIUS * 0.8 }), "data-lost": robot.name },
-    s("title", { text: `${robot.name} is lost` }), s("circle", { r: 8 }), s("text", { text: shortName(robot.name) }), s("path", { d: "M-5.5 5.5L5.5 -5.5" }))));
+  node.lost = s(
+    "g",
+    {},
+    robots.map((robot, i) =>
+      s(
+        "g",
+        {
+          class: "lost-mark",
+          transform: at({ x: RADIUS * 0.8 + i * 17, y: -RADIUS * 0.8 }),
+          "data-lost": robot.name,
+        },
+        s("title", { text: `${robot.name} is lost` }),
+        s("circle", { r: 8 }),
+        s("text", { text: shortName(robot.name) }),
+        s("path", { d: "M-5.5 5.5L5.5 -5.5" }),
+      ),
+    ),
+  );
   node.element.append(node.lost);
 }
 
-/** Colour and text of a result; null takes both away. `wanted.kind`: bad, good, mark, or heat with a level from 0 to 1. */
+/** Colour and text of a result; null takes both away. `wanted.kind`: bad, good, mark, or heat with a level from 0
+ * to 1. */
 export function paintNode(node, wanted) {
   node.element.classList.remove("paint-bad", "paint-good", "paint-mark");
   const body = node.element.querySelector(node.kind === "place" ? "circle" : "rect.body");
   body.style.fill = "";
-  if (node.value) { node.value.remove(); node.value = null; }
+  if (node.value) {
+    node.value.remove();
+    node.value = null;
+  }
   if (!wanted) return;
   if (wanted.kind === "heat") {
     body.style.fill = `color-mix(in srgb, var(--accent) ${Math.round(8 + 62 * wanted.level)}%, var(--sheet))`;
@@ -102,7 +170,11 @@ export function paintNode(node, wanted) {
     node.element.classList.add(`paint-${wanted.kind}`);
   }
   if (wanted.text) {
-    node.value = s("text", { class: "value", y: -(node.kind === "place" ? RADIUS : BAR[node.kind][1] + 11) - 6, text: wanted.text });
+    node.value = s("text", {
+      class: "value",
+      y: -(node.kind === "place" ? RADIUS : BAR[node.kind][1] + 11) - 6,
+      text: wanted.text,
+    });
     node.element.append(node.value);
   }
 }

@@ -23,13 +23,18 @@ export class Pointer {
     const element = target.closest("[data-place], [data-transition]");
     if (!element) return null;
     const { place, transition } = element.dataset;
-    return place !== undefined ? { kind: "place", index: Number(place) } : { kind: "transition", index: Number(transition) };
+    return place !== undefined
+      ? { kind: "place", index: Number(place) }
+      : { kind: "transition", index: Number(transition) };
   }
 
   wheel(event) {
     event.preventDefault();
     const pixels = event.deltaY * (event.deltaMode ? 20 : 1);
-    this.view.camera.zoom(Math.exp(-Math.max(-60, Math.min(60, pixels)) / 220), ...this.point(event));
+    this.view.camera.zoom(
+      Math.exp(-Math.max(-60, Math.min(60, pixels)) / 220),
+      ...this.point(event),
+    );
   }
 
   down(event) {
@@ -37,7 +42,13 @@ export class Pointer {
     const { view } = this;
     view.camera.stop();
     const hit = event.button === 0 ? this.hit(event.target) : null;
-    this.gesture = { hit, node: hit && view.nodeOf(hit), at: this.point(event), camera: { ...view.camera.now }, moved: false };
+    this.gesture = {
+      hit,
+      node: hit && view.nodeOf(hit),
+      at: this.point(event),
+      camera: { ...view.camera.now },
+      moved: false,
+    };
     view.container.setPointerCapture(event.pointerId);
   }
 
@@ -73,7 +84,8 @@ export class Pointer {
     }
     if (event.type !== "pointerup") return;
     view.dispatchEvent(new CustomEvent("select", { detail: gesture.hit }));
-    const now = performance.now(), last = this.lastClick;
+    const now = performance.now(),
+      last = this.lastClick;
     this.lastClick = { at: now, node: gesture.node };
     if (gesture.hit && last && now - last.at < AGAIN && last.node === gesture.node) {
       view.dispatchEvent(new CustomEvent("activate", { detail: gesture.hit }));

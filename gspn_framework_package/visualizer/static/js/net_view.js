@@ -5,7 +5,15 @@ import { h, s } from "./dom.js";
 import { Arcs } from "./net_arcs.js";
 import { Camera } from "./net_camera.js";
 import { Pointer } from "./net_pointer.js";
-import { at, buildPlace, buildTransition, drawPlace, drawLost, drawEnabled, paintNode } from "./net_nodes.js";
+import {
+  at,
+  buildPlace,
+  buildTransition,
+  drawPlace,
+  drawLost,
+  drawEnabled,
+  paintNode,
+} from "./net_nodes.js";
 import { KeptPositions } from "./kept_positions.js";
 import { Travel } from "./travel.js";
 import { Labels } from "./labels.js";
@@ -45,13 +53,19 @@ export class NetView extends EventTarget {
     const moved = this.kept.read();
     this.routes = layout.routes;
     const make = (kind, index, [x, y], name) => {
-      const node = this.nodes[index + (kind === "place" ? 0 : scene.places.length)] || { kind, index, name };
+      const node = this.nodes[index + (kind === "place" ? 0 : scene.places.length)] || {
+        kind,
+        index,
+        name,
+      };
       [node.x, node.y] = moved.get(name) || [x, y];
       node.moved = moved.has(name);
       return node;
     };
     this.places = scene.places.map((p, i) => make("place", i, layout.places[i], p.name));
-    this.transitions = scene.transitions.map((t, i) => make(t.timed ? "timed" : "immediate", i, layout.transitions[i], t.name));
+    this.transitions = scene.transitions.map((t, i) =>
+      make(t.timed ? "timed" : "immediate", i, layout.transitions[i], t.name),
+    );
     this.nodes = [...this.places, ...this.transitions];
   }
 
@@ -59,15 +73,28 @@ export class NetView extends EventTarget {
     const { scene } = this;
     this.arcs = new Arcs(scene, this.places, this.transitions);
     this.layer = { arcs: this.arcs.layer, travel: s("g") };
-    const sheet = (name, ...content) => s("svg", { class: name, "aria-hidden": "true" }, ...content);
+    const sheet = (name, ...content) =>
+      s("svg", { class: name, "aria-hidden": "true" }, ...content);
     this.tiles = new Map();
     for (const node of this.nodes) {
-      node.element = node.kind === "place" ? buildPlace(node, scene.places[node.index]) : buildTransition(node, scene.transitions[node.index]);
+      node.element =
+        node.kind === "place"
+          ? buildPlace(node, scene.places[node.index])
+          : buildTransition(node, scene.transitions[node.index]);
       this.tileOf(node).append(node.element);
     }
-    const says = `The net: ${scene.places.length} places, ${scene.transitions.length} transitions. Use the list to go through it.`;
-    const nodes = h("div", { class: "nodes", role: "img", "aria-label": says }, [...this.tiles.values()].map((tile) => sheet("tile", tile)));
-    this.container.replaceChildren(sheet("arcs", this.layer.arcs), nodes, sheet("travel", this.layer.travel));
+    const counts = `${scene.places.length} places, ${scene.transitions.length} transitions`;
+    const says = `The net: ${counts}. Use the list to go through it.`;
+    const nodes = h(
+      "div",
+      { class: "nodes", role: "img", "aria-label": says },
+      [...this.tiles.values()].map((tile) => sheet("tile", tile)),
+    );
+    this.container.replaceChildren(
+      sheet("arcs", this.layer.arcs),
+      nodes,
+      sheet("travel", this.layer.travel),
+    );
     this.moving = [...Object.values(this.layer), ...this.tiles.values()];
     this.arcs.route(this.routes);
   }
@@ -79,7 +106,9 @@ export class NetView extends EventTarget {
       const [x0, y0, x1, y1] = this.bounds();
       this.tileSize = Math.sqrt(((x1 - x0) * (y1 - y0) * TILE) / this.nodes.length);
     }
-    const key = many ? `${Math.floor(node.x / this.tileSize)},${Math.floor(node.y / this.tileSize)}` : "";
+    const key = many
+      ? `${Math.floor(node.x / this.tileSize)},${Math.floor(node.y / this.tileSize)}`
+      : "";
     if (!this.tiles.has(key)) this.tiles.set(key, s("g"));
     return this.tiles.get(key);
   }
@@ -87,7 +116,10 @@ export class NetView extends EventTarget {
   bounds() {
     let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
     for (const { x, y } of this.nodes) {
-      x0 = Math.min(x0, x); y0 = Math.min(y0, y); x1 = Math.max(x1, x); y1 = Math.max(y1, y);
+      x0 = Math.min(x0, x);
+      y0 = Math.min(y0, y);
+      x1 = Math.max(x1, x);
+      y1 = Math.max(y1, y);
     }
     return this.nodes.length ? [x0 - 24, y0 - 32, x1 + 24, y1 + 24] : [0, 0, 100, 100];
   }
@@ -119,7 +151,8 @@ export class NetView extends EventTarget {
       } else if (event.k === "mark") {
         this.reset();
       } else if (event.k === "robots") {
-        for (let p = 0; p < this.places.length; p++) if (this.places[p].robots || this.places[p].lost) this.dirty.places.add(p);
+        for (let p = 0; p < this.places.length; p++)
+          if (this.places[p].robots || this.places[p].lost) this.dirty.places.add(p);
         for (const { name } of event.r) {
           const place = this.model.board.robots.get(name)?.place;
           if (place >= 0) this.dirty.places.add(place);
@@ -142,7 +175,10 @@ export class NetView extends EventTarget {
 
   draw() {
     this.frame = 0;
-    if (this.skips()) { this.request(); return; }
+    if (this.skips()) {
+      this.request();
+      return;
+    }
     const { board } = this.model;
     if (this.camera.dirty) {
       this.camera.draw();
@@ -172,7 +208,13 @@ export class NetView extends EventTarget {
   robotsByPlace(board) {
     const [here, lost] = [new Map(), new Map()];
     for (const robot of board.robots.values()) {
-      if (robot.place === undefined || robot.place < 0 || robot.phase === "left" || this.pendingRobots.has(robot.name)) continue;
+      if (
+        robot.place === undefined ||
+        robot.place < 0 ||
+        robot.phase === "left" ||
+        this.pendingRobots.has(robot.name)
+      )
+        continue;
       const robots = robot.phase === "lost" ? lost : here;
       if (!robots.has(robot.place)) robots.set(robot.place, []);
       robots.get(robot.place).push(robot);
@@ -194,7 +236,10 @@ export class NetView extends EventTarget {
   /** `paint`: {places: {index: what}, transitions: {index: what}}, see paintNode; null takes all paint away. */
   paint(paint) {
     for (const node of this.nodes) {
-      paintNode(node, paint && (node.kind === "place" ? paint.places : paint.transitions)?.[node.index]);
+      paintNode(
+        node,
+        paint && (node.kind === "place" ? paint.places : paint.transitions)?.[node.index],
+      );
     }
     this.labels.later();
   }
@@ -222,7 +267,11 @@ export class NetView extends EventTarget {
   moveNode(node, x, y) {
     Object.assign(node, { x, y, moved: true });
     node.element.setAttribute("transform", at(node));
-    if (!this.routing) this.routing = requestAnimationFrame(() => { this.routing = 0; this.arcs.route(this.routes, node); });
+    if (!this.routing)
+      this.routing = requestAnimationFrame(() => {
+        this.routing = 0;
+        this.arcs.route(this.routes, node);
+      });
   }
 
   /** A node was let go. */

@@ -9,9 +9,16 @@ const bar = h("div", { id: "notice", class: "notice", role: "alert", hidden: tru
 export function notice(text, actions = []) {
   $("tools").after(bar);
   bar.hidden = false;
-  bar.replaceChildren(h("span", { class: "what-is", text }),
+  bar.replaceChildren(
+    h("span", { class: "what-is", text }),
     ...actions.map(([label, act]) => h("button", { text: label, onclick: act })),
-    h("button", { class: "icon small", "aria-label": "Close this notice", text: "×", onclick: closeNotice }));
+    h("button", {
+      class: "icon small",
+      "aria-label": "Close this notice",
+      text: "×",
+      onclick: closeNotice,
+    }),
+  );
 }
 
 export function closeNotice() {

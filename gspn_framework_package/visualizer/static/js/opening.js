@@ -8,7 +8,8 @@ const KINDS = { net: "net", plan: "plan", log: "recorded run" };
 async function encoded(file) {
   const bytes = new Uint8Array(await file.arrayBuffer());
   let text = "";
-  for (let i = 0; i < bytes.length; i += 0x8000) text += String.fromCharCode(...bytes.subarray(i, i + 0x8000));
+  for (let i = 0; i < bytes.length; i += 0x8000)
+    text += String.fromCharCode(...bytes.subarray(i, i + 0x8000));
   return { name: file.name, content: btoa(text) };
 }
 
@@ -18,34 +19,96 @@ export async function openingScreen(hello) {
   const fresh = (await attempt(() => get("hello"))) || hello;
   const screen = $("opening");
   return new Promise((resolve) => {
-    const open = (path) => attempt(async () => resolve(mayAct ? (await post("open", { path })).id : `file-${path}`));
-    const upload = (files) => attempt(async () => {
-      if (!files.length) return;
-      resolve((await post("upload", { files: await Promise.all([...files].map(encoded)) })).id);
+    const open = (path) =>
+      attempt(async () => resolve(mayAct ? (await post("open", { path })).id : `file-${path}`));
+    const upload = (files) =>
+      attempt(async () => {
+        if (!files.length) return;
+        resolve((await post("upload", { files: await Promise.all([...files].map(encoded)) })).id);
+      });
+    const chooser = h("input", {
+      type: "file",
+      multiple: true,
+      class: "unseen",
+      tabindex: "-1",
+      id: "chooser",
+      "aria-label": "Files of your own",
+      onchange: async (event) => {
+        await upload(event.target.files);
+        event.target.value = ""; // so that the same file can be chosen again
+      },
     });
-    const chooser = h("input", { type: "file", multiple: true, class: "unseen", tabindex: "-1", id: "chooser", "aria-label": "Files of your own", onchange: async (event) => {
-      await upload(event.target.files);
-      event.target.value = ""; // so that the same file can be chosen again
-    } });
-    const drop = h("div", { class: "drop" },
+    const drop = h(
+      "div",
+      { class: "drop" },
       h("p", {}, "Drop a net here, or an input file together with its net."),
-      h("button", { text: "Choose files …", onclick: () => chooser.click() }), chooser,
-      h("p", { class: "muted", text: "PIPE XML, PNML, PNPRO, TINA .net; input files of plans as JSON." }),
-      h("p", { class: "muted", text: "What is uploaded is shown, simulated and analysed. It is never executed." }));
-    drop.ondragover = (event) => { event.preventDefault(); drop.classList.add("over"); };
+      h("button", { text: "Choose files …", onclick: () => chooser.click() }),
+      chooser,
+      h("p", {
+        class: "muted",
+        text: "PIPE XML, PNML, PNPRO, TINA .net; input files of plans as JSON.",
+      }),
+      h("p", {
+        class: "muted",
+        text: "What is uploaded is shown, simulated and analysed. It is never executed.",
+      }),
+    );
+    drop.ondragover = (event) => {
+      event.preventDefault();
+      drop.classList.add("over");
+    };
     drop.ondragleave = () => drop.classList.remove("over");
-    drop.ondrop = (event) => { event.preventDefault(); drop.classList.remove("over"); upload(event.dataTransfer.files); };
+    drop.ondrop = (event) => {
+      event.preventDefault();
+      drop.classList.remove("over");
+      upload(event.dataTransfer.files);
+    };
     const isCut = (file) => (fresh.cut || []).some(({ log }) => log === file.path);
-    const rows = (kind) => fresh.files.filter((file) => file.kind === kind).map((file) =>
-      h("li", {}, h("button", { onclick: () => open(file.path) }, h("span", { class: "path", text: file.path }), h("span", { class: "badge", text: isCut(file) ? "cut off" : KINDS[kind] }))));
+    const rows = (kind) =>
+      fresh.files
+        .filter((file) => file.kind === kind)
+        .map((file) =>
+          h(
+            "li",
+            {},
+            h(
+              "button",
+              { onclick: () => open(file.path) },
+              h("span", { class: "path", text: file.path }),
+              h("span", { class: "badge", text: isCut(file) ? "cut off" : KINDS[kind] }),
+            ),
+          ),
+        );
     const all = [...rows("plan"), ...rows("net"), ...rows("log")];
-    screen.replaceChildren(h("div", {},
-      h("h2", { text: "Open a net or a plan" }),
-      h("p", { class: "muted", text: "A plan of this folder can be executed too; a net is simulated and analysed; a recorded run is replayed." }),
-      h("div", { class: "columns" },
-        h("div", { class: "card" }, h("h3", { text: "In this folder" }),
-          fresh.can_open ? (all.length ? h("ul", { class: "files" }, all) : h("p", { class: "muted", text: "There is no net, plan or recorded run in this folder." })) : h("p", { class: "muted", text: "No folder is served here." })),
-        mayAct && h("div", { class: "card" }, h("h3", { text: "Of your own" }), drop))));
+    screen.replaceChildren(
+      h(
+        "div",
+        {},
+        h("h2", { text: "Open a net or a plan" }),
+        h("p", {
+          class: "muted",
+          text: "A plan of this folder can be executed too, a net simulated and analysed, a recorded run replayed.",
+        }),
+        h(
+          "div",
+          { class: "columns" },
+          h(
+            "div",
+            { class: "card" },
+            h("h3", { text: "In this folder" }),
+            fresh.can_open
+              ? all.length
+                ? h("ul", { class: "files" }, all)
+                : h("p", {
+                    class: "muted",
+                    text: "There is no net, plan or recorded run in this folder.",
+                  })
+              : h("p", { class: "muted", text: "No folder is served here." }),
+          ),
+          mayAct && h("div", { class: "card" }, h("h3", { text: "Of your own" }), drop),
+        ),
+      ),
+    );
     screen.hidden = false;
     screen.querySelector("button")?.focus();
   });

@@ -16,12 +16,18 @@ export class Orders extends EventTarget {
     this.given = []; // the latest first: {time, says, answer, good}
   }
 
-  get model() { return this.page.model; }
+  get model() {
+    return this.page.model;
+  }
 
   /** Whether this run takes such orders at all. */
   offers(command) {
     const { model } = this;
-    return model.mode === "LIVE" && !model.head.status.ended && (model.info.commands || []).includes(command);
+    return (
+      model.mode === "LIVE" &&
+      !model.head.status.ended &&
+      (model.info.commands || []).includes(command)
+    );
   }
 
   /** Why no order can be given now; "" when one can. */
@@ -35,9 +41,16 @@ export class Orders extends EventTarget {
   /** A button that does `act`, and tells why it cannot be pressed; none where the run does not take `command`. */
   button(label, command, act, { about = "", kind = "", title = "" } = {}) {
     if (!this.offers(command)) return null;
-    const refusal = this.refusal || (this.model.following ? "" : "the view is paused: go back to live first");
+    const refusal =
+      this.refusal || (this.model.following ? "" : "the view is paused: go back to live first");
     return h("button", {
-      text: label, class: kind, "data-order": command, "data-focus": `${command} ${about}`, disabled: Boolean(refusal), title: refusal || title, onclick: act,
+      text: label,
+      class: kind,
+      "data-order": command,
+      "data-focus": `${command} ${about}`,
+      disabled: Boolean(refusal),
+      title: refusal || title,
+      onclick: act,
     });
   }
 
@@ -46,7 +59,11 @@ export class Orders extends EventTarget {
     const { model } = this;
     const order = { time: new Date(), says, answer: "", good: false };
     try {
-      const answer = await post("do", { command, ...fields, run: model.head.status.run || "" }, { id: model.session.id });
+      const answer = await post(
+        "do",
+        { command, ...fields, run: model.head.status.run || "" },
+        { id: model.session.id },
+      );
       Object.assign(order, { answer: answer.message || "taken", good: true });
     } catch (error) {
       order.answer = error.message;
@@ -63,23 +80,71 @@ export class Orders extends EventTarget {
   /** The orders of this page and what came of them. */
   list() {
     if (!this.given.length) return null;
-    this.listed = this.listed || h("section", {}, h("h3", { text: "Orders from this page" }), h("ol", { class: "orders" }, this.given.map(({ time, says, answer, good }) =>
-      h("li", { class: good ? "" : "refused" }, h("time", { text: time.toLocaleTimeString([], { hour12: false }) }), h("span", {}, says, h("span", { class: "muted", text: ` — ${good ? "" : "refused: "}${answer}` }))))));
+    this.listed =
+      this.listed ||
+      h(
+        "section",
+        {},
+        h("h3", { text: "Orders from this page" }),
+        h(
+          "ol",
+          { class: "orders" },
+          this.given.map(({ time, says, answer, good }) =>
+            h(
+              "li",
+              { class: good ? "" : "refused" },
+              h("time", { text: time.toLocaleTimeString([], { hour12: false }) }),
+              h(
+                "span",
+                {},
+                says,
+                h("span", { class: "muted", text: ` — ${good ? "" : "refused: "}${answer}` }),
+              ),
+            ),
+          ),
+        ),
+      );
     return this.listed;
   }
 
   // -- orders that ask first -------------------------------------------------------------------------
 
-  get runName() { return this.model.head.status.run || this.model.scene.plan?.name || this.model.scene.name; }
+  get runName() {
+    return this.model.head.status.run || this.model.scene.plan?.name || this.model.scene.name;
+  }
 
   async stop() {
     const { model } = this;
-    const robots = [...model.board.robots.values()].filter(({ phase }) => !["lost", "left"].includes(phase)).map(({ name }) => name);
-    const reason = h("input", { type: "text", id: "stop-reason", placeholder: "stopped on the page", maxlength: 200, autocomplete: "off" });
-    const answer = await ask(`Stop the run “${this.runName}”?`, [
-      h("p", { text: `The run ends for the whole team: ${robots.length > 12 ? `${robots.length} robots` : robots.join(", ") || "no robot is known"}. Actions under way are cancelled. It cannot be taken back.` }),
-      h("div", { class: "form" }, h("label", { for: "stop-reason", text: "Reason, for the log" }), reason),
-    ], [["Cancel", ""], ["Stop the run", "stop", "danger primary"]]);
+    const robots = [...model.board.robots.values()]
+      .filter(({ phase }) => !["lost", "left"].includes(phase))
+      .map(({ name }) => name);
+    const known = robots.join(", ") || "no robot is known";
+    const team = robots.length > 12 ? `${robots.length} robots` : known;
+    const reason = h("input", {
+      type: "text",
+      id: "stop-reason",
+      placeholder: "stopped on the page",
+      maxlength: 200,
+      autocomplete: "off",
+    });
+    const answer = await ask(
+      `Stop the run “${this.runName}”?`,
+      [
+        h("p", {
+          text: `The run ends for the whole team: ${team}. Actions under way are cancelled. It cannot be taken back.`,
+        }),
+        h(
+          "div",
+          { class: "form" },
+          h("label", { for: "stop-reason", text: "Reason, for the log" }),
+          reason,
+        ),
+      ],
+      [
+        ["Cancel", ""],
+        ["Stop the run", "stop", "danger primary"],
+      ],
+    );
     if (answer !== "stop" || this.model !== model) return;
     const fields = { reason: reason.value.trim() || "stopped on the page" };
     await this.give("stop", fields, `Stop ${this.runName}`);
@@ -90,17 +155,68 @@ export class Orders extends EventTarget {
     const { scene } = this.model;
     const places = scene.places.filter(({ kind }) => kind === "action");
     const present = scene.places[robot.place]?.name;
-    const place = h("select", { "aria-label": "Place" }, places.map(({ name }) => h("option", { value: name, text: name, selected: name === present })));
-    const row = (command, label, does, kind, ...fields) => this.offers(command) && h("div", { class: "choice" }, h("p", {}, does),
-      h("div", { class: "buttons" }, fields, h("button", { text: label, class: kind, value: command, onclick: (event) => event.target.closest("dialog").close(command) })));
-    const answer = await ask(`Orders for ${robot.name}`, [
-      h("p", { class: "muted", text: `Run “${this.runName}”; ${robot.name} is in ${present || "no place"}.` }),
-      row("set_place", "Put there", "Put it into a place, as where somebody carried it. The action there begins.", "", place),
-      row("leave", "Have it leave", "It leaves the team of its own will, and takes its token along.", ""),
-      row("evict", "Evict it", "Take it out of the team as lost. For a robot that will not come back by itself.", "danger"),
-    ], [["Cancel", ""]]);
-    if (answer === "set_place") await this.give("set_place", { robot: robot.name, place: place.value }, `Put ${robot.name} into ${place.value}`);
-    if (answer === "leave") await this.give("leave", { robot: robot.name }, `Have ${robot.name} leave`);
+    const place = h(
+      "select",
+      { "aria-label": "Place" },
+      places.map(({ name }) =>
+        h("option", { value: name, text: name, selected: name === present }),
+      ),
+    );
+    const row = (command, label, does, kind, ...fields) =>
+      this.offers(command) &&
+      h(
+        "div",
+        { class: "choice" },
+        h("p", {}, does),
+        h(
+          "div",
+          { class: "buttons" },
+          fields,
+          h("button", {
+            text: label,
+            class: kind,
+            value: command,
+            onclick: (event) => event.target.closest("dialog").close(command),
+          }),
+        ),
+      );
+    const answer = await ask(
+      `Orders for ${robot.name}`,
+      [
+        h("p", {
+          class: "muted",
+          text: `Run “${this.runName}”; ${robot.name} is in ${present || "no place"}.`,
+        }),
+        row(
+          "set_place",
+          "Put there",
+          "Put it into a place, as where somebody carried it. The action there begins.",
+          "",
+          place,
+        ),
+        row(
+          "leave",
+          "Have it leave",
+          "It leaves the team of its own will, and takes its token along.",
+          "",
+        ),
+        row(
+          "evict",
+          "Evict it",
+          "Take it out of the team as lost. For a robot that will not come back by itself.",
+          "danger",
+        ),
+      ],
+      [["Cancel", ""]],
+    );
+    if (answer === "set_place")
+      await this.give(
+        "set_place",
+        { robot: robot.name, place: place.value },
+        `Put ${robot.name} into ${place.value}`,
+      );
+    if (answer === "leave")
+      await this.give("leave", { robot: robot.name }, `Have ${robot.name} leave`);
     if (answer === "evict") await this.give("evict", { robot: robot.name }, `Evict ${robot.name}`);
   }
 
@@ -109,12 +225,28 @@ export class Orders extends EventTarget {
     if (["lost", "left", "inactive"].includes(robot.phase)) return [];
     const { name } = robot;
     const simple = (label, command, title, kind = "") =>
-      this.button(label, command, () => this.give(command, { robot: name }, label === "Try again" ? `Have ${name} try again` : `${label} ${name}`), { about: name, kind, title });
+      this.button(
+        label,
+        command,
+        () =>
+          this.give(
+            command,
+            { robot: name },
+            label === "Try again" ? `Have ${name} try again` : `${label} ${name}`,
+          ),
+        { about: name, kind, title },
+      );
     const rare = RARE.find((command) => this.offers(command));
     return [
       robot.phase === "failed" && simple("Try again", "retry", "Start its action again", "primary"),
-      robot.paused ? simple("Resume", "resume", "") : simple("Pause", "pause", "It joins no firing until it is resumed; its action goes on"),
-      rare && this.button("More …", rare, () => this.more(robot), { about: name, title: "Put it into a place, have it leave, evict it" }),
+      robot.paused
+        ? simple("Resume", "resume", "")
+        : simple("Pause", "pause", "It joins no firing until it is resumed; its action goes on"),
+      rare &&
+        this.button("More …", rare, () => this.more(robot), {
+          about: name,
+          title: "Put it into a place, have it leave, evict it",
+        }),
     ].filter(Boolean);
   }
 }

@@ -1,5 +1,6 @@
 // The panels around the net: each folds and can be resized, by pointer and by keys, and stays so in this browser.
-// Three forms of the page: wide (all panels at once), medium (the list or the details), narrow (one panel, under the net).
+// Three forms of the page: wide (all panels at once), medium (the list or the details), narrow (one panel, under the
+// net).
 
 import { $ } from "./dom.js";
 
@@ -10,7 +11,8 @@ const STEP = 24; // px that a key moves a separator
 const CENTRE = 280; // px that are left for the net
 const LOG = [180, 240]; // px at least for the log, and for the time line beside it
 
-const between = (low, value, high) => Math.round(Math.max(low, Math.min(Math.max(low, high), value)));
+const between = (low, value, high) =>
+  Math.round(Math.max(low, Math.min(Math.max(low, high), value)));
 
 /** How large each part is where nobody has resized it. */
 const DEFAULT = {
@@ -30,7 +32,10 @@ export class Panels {
     this.kept = read();
     this.page = $("page");
     this.separators = {
-      left: $("split-left"), right: $("split-right"), bottom: $("split-bottom"), log: $("split-log"),
+      left: $("split-left"),
+      right: $("split-right"),
+      bottom: $("split-bottom"),
+      log: $("split-log"),
     };
     for (const [part, separator] of Object.entries(this.separators)) this.bind(part, separator);
     for (const panel of PANELS) $(`fold-${panel}`).onclick = () => this.toggle(panel);
@@ -57,7 +62,11 @@ export class Panels {
   /** Unfold a panel; where there is not the room for two, the other one folds. */
   open(panel) {
     if (this.isOpen(panel)) return;
-    const others = { wide: [], medium: panel === "bottom" ? [] : ["left", "right"], narrow: PANELS }[this.form];
+    const others = {
+      wide: [],
+      medium: panel === "bottom" ? [] : ["left", "right"],
+      narrow: PANELS,
+    }[this.form];
     this.state.open = [...this.state.open.filter((other) => !others.includes(other)), panel];
     this.done();
   }
@@ -71,7 +80,8 @@ export class Panels {
   }
 
   toggle(panel) {
-    if (this.isOpen(panel)) this.fold(panel); else this.open(panel);
+    if (this.isOpen(panel)) this.fold(panel);
+    else this.open(panel);
   }
 
   /** Give the details half of the page, for an analysis; or take it back. */
@@ -88,13 +98,19 @@ export class Panels {
   /** Smallest and largest size of a part, in px. */
   limits(part) {
     const { width, height } = this.page.getBoundingClientRect();
-    const used = (panel) => (this.form !== "narrow" && this.isOpen(panel) ? this.size(panel, width, height) : 0);
+    const used = (panel) =>
+      this.form !== "narrow" && this.isOpen(panel) ? this.size(panel, width, height) : 0;
     switch (part) {
-      case "left": return [150, width - CENTRE - used("right")];
-      case "right": return [240, width - CENTRE - (this.isOpen("left") ? 150 : 0)];
-      case "log": return [LOG[0], width - LOG[1]];
-      case "bottom": return [96, height * 0.6];
-      default: return [110, height * 0.8];
+      case "left":
+        return [150, width - CENTRE - used("right")];
+      case "right":
+        return [240, width - CENTRE - (this.isOpen("left") ? 150 : 0)];
+      case "log":
+        return [LOG[0], width - LOG[1]];
+      case "bottom":
+        return [96, height * 0.6];
+      default:
+        return [110, height * 0.8];
     }
   }
 
@@ -116,7 +132,9 @@ export class Panels {
     }
     this.separators.left.hidden = form === "narrow" || !this.isOpen("left");
     this.separators.right.hidden = form === "narrow" || !this.isOpen("right");
-    this.separators.bottom.hidden = !(form === "narrow" ? state.open.length : this.isOpen("bottom"));
+    this.separators.bottom.hidden = !(form === "narrow"
+      ? state.open.length
+      : this.isOpen("bottom"));
     this.separators.log.hidden = form === "narrow" || !this.isOpen("bottom");
     $("widen").setAttribute("aria-pressed", state.grown);
     if (!width || !height) return;
@@ -153,25 +171,38 @@ export class Panels {
     element.onkeydown = (event) => {
       const steps = upright ? { ArrowRight: 1, ArrowLeft: -1 } : { ArrowDown: 1, ArrowUp: -1 };
       const part = this.part(separator);
-      const act = {
-        Home: () => this.resize(part, -Infinity),
-        End: () => this.resize(part, Infinity),
-        Enter: () => this.foldBeside(separator),
-      }[event.key] || (steps[event.key] && (() => this.resize(part, now() + steps[event.key] * grows * STEP)));
+      const act =
+        {
+          Home: () => this.resize(part, -Infinity),
+          End: () => this.resize(part, Infinity),
+          Enter: () => this.foldBeside(separator),
+        }[event.key] ||
+        (steps[event.key] && (() => this.resize(part, now() + steps[event.key] * grows * STEP)));
       if (!act) return;
       event.preventDefault();
       event.stopPropagation();
       act();
     };
-    element.ondblclick = () => { delete this.state.sizes[this.part(separator)]; this.state.grown = false; this.done(); };
+    element.ondblclick = () => {
+      delete this.state.sizes[this.part(separator)];
+      this.state.grown = false;
+      this.done();
+    };
     element.onpointerdown = (event) => {
       if (event.button !== 0) return;
       event.preventDefault();
       element.focus();
       element.setPointerCapture(event.pointerId);
-      const begin = upright ? event.clientX : event.clientY, size = now();
-      element.onpointermove = (moved) => this.resize(this.part(separator), size + grows * ((upright ? moved.clientX : moved.clientY) - begin));
-      element.onpointerup = element.onpointercancel = () => { element.onpointermove = null; };
+      const begin = upright ? event.clientX : event.clientY,
+        size = now();
+      element.onpointermove = (moved) =>
+        this.resize(
+          this.part(separator),
+          size + grows * ((upright ? moved.clientX : moved.clientY) - begin),
+        );
+      element.onpointerup = element.onpointercancel = () => {
+        element.onpointermove = null;
+      };
     };
   }
 
@@ -186,13 +217,25 @@ function read() {
   let data = null;
   try {
     data = JSON.parse(localStorage.getItem(KEPT));
-  } catch (error) { /* what cannot be read is left behind */ }
+  } catch {
+    /* what cannot be read is left behind */
+  }
   for (const form of Object.keys(OPEN)) {
     const { open, sizes, grown } = data?.[form] || {};
     if (!Array.isArray(open)) continue;
     kept[form] = {
-      open: PANELS.filter((panel) => open.includes(panel)).slice(form === "narrow" ? -1 : form === "medium" && open.includes("left") && open.includes("right") ? -2 : 0),
-      sizes: Object.fromEntries(Object.keys(DEFAULT).filter((part) => Number.isFinite(sizes?.[part])).map((part) => [part, sizes[part]])),
+      open: PANELS.filter((panel) => open.includes(panel)).slice(
+        form === "narrow"
+          ? -1
+          : form === "medium" && open.includes("left") && open.includes("right")
+            ? -2
+            : 0,
+      ),
+      sizes: Object.fromEntries(
+        Object.keys(DEFAULT)
+          .filter((part) => Number.isFinite(sizes?.[part]))
+          .map((part) => [part, sizes[part]]),
+      ),
       grown: Boolean(grown),
     };
   }
@@ -202,5 +245,7 @@ function read() {
 function write(kept) {
   try {
     localStorage.setItem(KEPT, JSON.stringify(kept));
-  } catch (error) { /* private browsing: kept until the page is closed */ }
+  } catch {
+    /* private browsing: kept until the page is closed */
+  }
 }

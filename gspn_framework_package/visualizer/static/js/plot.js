@@ -2,9 +2,23 @@
 
 import { s, number } from "./dom.js";
 
-export const CURVES = ["#2f7fc1", "#d1622b", "#2a9d63", "#9a55c4", "#c43b5f", "#17899a", "#a07a13", "#6a66d6"];
+export const CURVES = [
+  "#2f7fc1",
+  "#d1622b",
+  "#2a9d63",
+  "#9a55c4",
+  "#c43b5f",
+  "#17899a",
+  "#a07a13",
+  "#6a66d6",
+];
 
-const W = 316, H = 170, LEFT = 40, BOTTOM = 31, TOP = 8, RIGHT = 8;
+const W = 316,
+  H = 170,
+  LEFT = 40,
+  BOTTOM = 31,
+  TOP = 8,
+  RIGHT = 8;
 
 function nice(value) {
   if (value <= 0) return 1;
@@ -15,18 +29,39 @@ function nice(value) {
 /** `curves`: [{name, points: [[x, y], ...]}, ...]. */
 export function curvePlot(curves, xName) {
   const all = curves.flatMap((curve) => curve.points);
-  const x1 = Math.max(...all.map(([x]) => x), 1e-9), y1 = nice(Math.max(...all.map(([, y]) => y), 1e-9));
-  const px = (x) => LEFT + (x / x1) * (W - LEFT - RIGHT), py = (y) => H - BOTTOM - (y / y1) * (H - BOTTOM - TOP);
-  const plot = s("svg", { class: "plot", viewBox: `0 0 ${W} ${H}`, role: "img", "aria-label": `${curves.map((c) => c.name).join(", ")} over ${xName}` });
+  const x1 = Math.max(...all.map(([x]) => x), 1e-9),
+    y1 = nice(Math.max(...all.map(([, y]) => y), 1e-9));
+  const px = (x) => LEFT + (x / x1) * (W - LEFT - RIGHT),
+    py = (y) => H - BOTTOM - (y / y1) * (H - BOTTOM - TOP);
+  const plot = s("svg", {
+    class: "plot",
+    viewBox: `0 0 ${W} ${H}`,
+    role: "img",
+    "aria-label": `${curves.map((c) => c.name).join(", ")} over ${xName}`,
+  });
   for (let i = 0; i <= 4; i++) {
-    const y = (y1 * i) / 4, x = (x1 * i) / 4;
+    const y = (y1 * i) / 4,
+      x = (x1 * i) / 4;
     plot.append(s("line", { class: "axis", x1: LEFT, x2: W - RIGHT, y1: py(y), y2: py(y) }));
     plot.append(s("text", { x: LEFT - 5, y: py(y) + 3, "text-anchor": "end", text: number(y) }));
-    plot.append(s("text", { x: px(x), y: H - BOTTOM + 13, "text-anchor": i === 4 ? "end" : "middle", text: number(Number(x.toPrecision(3))) }));
+    plot.append(
+      s("text", {
+        x: px(x),
+        y: H - BOTTOM + 13,
+        "text-anchor": i === 4 ? "end" : "middle",
+        text: number(Number(x.toPrecision(3))),
+      }),
+    );
   }
-  plot.append(s("text", { x: (LEFT + W - RIGHT) / 2, y: H - 2, "text-anchor": "middle", text: xName }));
+  plot.append(
+    s("text", { x: (LEFT + W - RIGHT) / 2, y: H - 2, "text-anchor": "middle", text: xName }),
+  );
   curves.forEach((curve, i) => {
-    const path = s("path", { d: curve.points.map(([x, y], j) => `${j ? "L" : "M"}${px(x).toFixed(1)} ${py(y).toFixed(1)}`).join("") });
+    const path = s("path", {
+      d: curve.points
+        .map(([x, y], j) => `${j ? "L" : "M"}${px(x).toFixed(1)} ${py(y).toFixed(1)}`)
+        .join(""),
+    });
     path.style.stroke = CURVES[i % CURVES.length];
     plot.append(path);
   });
@@ -35,12 +70,24 @@ export function curvePlot(curves, xName) {
 
 /** `bars`: [[name, value from 0 to 1], ...]. */
 export function barPlot(bars) {
-  const row = 18, height = bars.length * row + 4;
-  const plot = s("svg", { class: "plot", viewBox: `0 0 ${W} ${height}`, role: "img", "aria-label": bars.map(([name, value]) => `${name}: ${number(value)}`).join(", ") });
+  const row = 18,
+    height = bars.length * row + 4;
+  const plot = s("svg", {
+    class: "plot",
+    viewBox: `0 0 ${W} ${height}`,
+    role: "img",
+    "aria-label": bars.map(([name, value]) => `${name}: ${number(value)}`).join(", "),
+  });
   bars.forEach(([name, value], i) => {
     const y = i * row + 3;
     plot.append(s("text", { x: 34, y: y + 10, "text-anchor": "end", text: name }));
-    const bar = s("rect", { x: 40, y, width: Math.max(0.5, value * (W - 100)), height: row - 6, rx: 2 });
+    const bar = s("rect", {
+      x: 40,
+      y,
+      width: Math.max(0.5, value * (W - 100)),
+      height: row - 6,
+      rx: 2,
+    });
     bar.style.fill = CURVES[0];
     plot.append(bar, s("text", { x: 46 + value * (W - 100), y: y + 10, text: number(value) }));
   });

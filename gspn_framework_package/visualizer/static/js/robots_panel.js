@@ -1,14 +1,21 @@
-// The robots as persons see them: colour and id, what each does and since when, why it waits, what can be ordered of it.
+// The robots as persons see them: colour and id, what each does and since when, why it waits, what can be ordered of
+// it.
 
 import { h, $, isPressed, seconds } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
 
 const PHASES = new Map([
-  ["doing", ["acts", "good"]], ["done", ["waits", "warn"]], ["waiting", ["waits", "warn"]], ["failed", ["failed", "bad"]], ["lost", ["lost", "bad"]],
-  ["left", ["has left", ""]], ["inactive", ["has finished", ""]],
+  ["doing", ["acts", "good"]],
+  ["done", ["waits", "warn"]],
+  ["waiting", ["waits", "warn"]],
+  ["failed", ["failed", "bad"]],
+  ["lost", ["lost", "bad"]],
+  ["left", ["has left", ""]],
+  ["inactive", ["has finished", ""]],
 ]);
 
-/** What a robot is up to, in one word, and the kind of badge. After the end of a run (`status`) nobody acts or waits. */
+/** What a robot is up to, in one word, and the kind of badge. After the end of a run (`status`) nobody acts or
+ * waits. */
 export function phaseOf(robot, status) {
   const over = Boolean(status.ended) && !["lost", "left", "failed"].includes(robot.phase);
   if (over && !(status.finished && robot.phase === "inactive")) return ["stopped", ""];
@@ -20,7 +27,13 @@ const gone = (robot) => robot.phase === "lost" || robot.phase === "left";
 
 /** How long a robot has been at what it does. */
 function since(model, robot) {
-  if (gone(robot) || (!robot.phase && !robot.paused) || robot.since === undefined || robot.since === null) return "";
+  if (
+    gone(robot) ||
+    (!robot.phase && !robot.paused) ||
+    robot.since === undefined ||
+    robot.since === null
+  )
+    return "";
   return seconds(Math.max(0, model.now() - robot.since));
 }
 
@@ -32,13 +45,32 @@ export function robotCard(model, robot, buttons = []) {
   disc.style.background = colourOf(robot.name);
   const feedback = model.following && !ended && !gone(robot) ? feedbackOf(model, robot) : null;
   const attempt = robot.attempt > 1 ? `, attempt ${robot.attempt}` : "";
-  return h("div", { class: `robot-card is-${robot.phase}`, "data-robot": robot.name }, disc,
-    h("div", {},
-      h("div", { class: "line" }, h("strong", { text: robot.name }), h("span", { class: `badge ${kind}`, text: word })),
-      h("div", { class: "line muted" }, h("span", { text: place ? `${gone(robot) || ended ? "was in " : ""}${place.name}${attempt}` : "" }), h("span", { class: "since", text: ended ? "" : since(model, robot) }))),
+  return h(
+    "div",
+    { class: `robot-card is-${robot.phase}`, "data-robot": robot.name },
+    disc,
+    h(
+      "div",
+      {},
+      h(
+        "div",
+        { class: "line" },
+        h("strong", { text: robot.name }),
+        h("span", { class: `badge ${kind}`, text: word }),
+      ),
+      h(
+        "div",
+        { class: "line muted" },
+        h("span", {
+          text: place ? `${gone(robot) || ended ? "was in " : ""}${place.name}${attempt}` : "",
+        }),
+        h("span", { class: "since", text: ended ? "" : since(model, robot) }),
+      ),
+    ),
     robot.why && !ended ? h("div", { class: "why", text: robot.why }) : null,
     feedback ? h("div", { class: "feedback", text: feedback }) : null,
-    buttons.length > 0 && h("div", { class: "buttons" }, buttons));
+    buttons.length > 0 && h("div", { class: "buttons" }, buttons),
+  );
 }
 
 function feedbackOf(model, robot) {
@@ -51,41 +83,67 @@ export class RobotsPanel {
     this.model = model;
     this.orders = orders;
     this.panel = $("robots");
-    this.cards = new Map(); // name -> {element, looks}: drawn anew only where another card is due, so that a button stays
+    // name -> {element, looks}: drawn anew only where another card is due, so that a button stays
+    this.cards = new Map();
     this.update();
-    this.clock = setInterval(() => { if (!this.panel.hidden && model.mode === "LIVE" && model.lostAt === null) this.update(); }, 1000);
+    this.clock = setInterval(() => {
+      if (!this.panel.hidden && model.mode === "LIVE" && model.lostAt === null) this.update();
+    }, 1000);
     orders.addEventListener("given", () => this.later());
   }
 
   later() {
-    if (!this.timer) this.timer = setTimeout(() => { this.timer = 0; this.update(); }, 250);
+    if (!this.timer)
+      this.timer = setTimeout(() => {
+        this.timer = 0;
+        this.update();
+      }, 250);
   }
 
   update() {
     const { model, orders, panel } = this;
     if (panel.hidden || !model.board) return;
-    if (isPressed(panel)) { this.later(); return; }
-    const focused = panel.contains(document.activeElement) ? document.activeElement.dataset.focus : null;
-    const robots = [...model.board.robots.values()].sort((a, b) => a.name.localeCompare(b.name, undefined, { numeric: true }));
+    if (isPressed(panel)) {
+      this.later();
+      return;
+    }
+    const focused = panel.contains(document.activeElement)
+      ? document.activeElement.dataset.focus
+      : null;
+    const robots = [...model.board.robots.values()].sort((a, b) =>
+      a.name.localeCompare(b.name, undefined, { numeric: true }),
+    );
     const cards = robots.map((robot) => this.card(robot));
-    for (const name of [...this.cards.keys()]) if (!model.board.robots.has(name)) this.cards.delete(name);
+    for (const name of [...this.cards.keys()])
+      if (!model.board.robots.has(name)) this.cards.delete(name);
     if (!cards.length) {
-      cards.push(h("p", { class: "muted", text: model.mode === "SIMULATE"
-        ? "A simulation moves tokens that have no name. Robots are seen in a live run or in a replay."
-        : "No robot has been heard of yet." }));
+      cards.push(
+        h("p", {
+          class: "muted",
+          text:
+            model.mode === "SIMULATE"
+              ? "A simulation moves tokens that have no name. Robots are seen in a live run or in a replay."
+              : "No robot has been heard of yet.",
+        }),
+      );
     }
     const content = [this.look(), ...cards, orders.list()].filter(Boolean);
-    const same = content.length === panel.children.length && content.every((element, i) => element === panel.children[i]);
+    const same =
+      content.length === panel.children.length &&
+      content.every((element, i) => element === panel.children[i]);
     if (!same) panel.replaceChildren(...content);
     if (focused && !panel.contains(document.activeElement)) {
-      const again = [...panel.querySelectorAll("[data-focus]")].find((element) => element.dataset.focus === focused && !element.disabled);
+      const again = [...panel.querySelectorAll("[data-focus]")].find(
+        (element) => element.dataset.focus === focused && !element.disabled,
+      );
       (again || panel).focus();
     }
   }
 
   /** For one who may only look: why there is nothing to press. */
   look() {
-    if (this.model.mode !== "LIVE" || !this.orders.refusal || this.model.head.status.ended) return null;
+    if (this.model.mode !== "LIVE" || !this.orders.refusal || this.model.head.status.ended)
+      return null;
     const text = `No orders: ${this.orders.refusal}.`;
     if (this.looking?.textContent !== text) this.looking = h("p", { class: "muted", text });
     return this.looking;
@@ -94,16 +152,30 @@ export class RobotsPanel {
   card(robot) {
     const { model, orders } = this;
     const buttons = model.mode === "LIVE" ? orders.ofRobot(robot) : [];
-    const looks = JSON.stringify([robot.place, robot.phase, robot.paused, robot.attempt, robot.why, model.board.status.ended, model.following, buttons.map((b) => [b.textContent, b.disabled])]);
+    const looks = JSON.stringify([
+      robot.place,
+      robot.phase,
+      robot.paused,
+      robot.attempt,
+      robot.why,
+      model.board.status.ended,
+      model.following,
+      buttons.map((b) => [b.textContent, b.disabled]),
+    ]);
     const known = this.cards.get(robot.name);
     const feedback = model.following && !model.board.status.ended ? feedbackOf(model, robot) : null;
     if (known && known.looks === looks && Boolean(feedback) === known.fed) {
-      if (!model.board.status.ended) known.element.querySelector(".since").textContent = since(model, robot);
+      if (!model.board.status.ended)
+        known.element.querySelector(".since").textContent = since(model, robot);
       if (feedback) known.element.querySelector(".feedback").textContent = feedback;
       return known.element;
     }
     const element = robotCard(model, robot, buttons);
-    this.cards.set(robot.name, { element, looks, fed: Boolean(element.querySelector(".feedback")) });
+    this.cards.set(robot.name, {
+      element,
+      looks,
+      fed: Boolean(element.querySelector(".feedback")),
+    });
     return element;
   }
 

@@ -29,18 +29,25 @@ export class Room {
       this.toggle(true);
       return true;
     }
-    if (this.shown && !this.frame) this.frame = requestAnimationFrame(() => { this.frame = 0; this.update(); });
+    if (this.shown && !this.frame)
+      this.frame = requestAnimationFrame(() => {
+        this.frame = 0;
+        this.update();
+      });
     return false;
   }
 
   update() {
-    const room = this.model.latest.room, world = this.model.latest.world;
+    const room = this.model.latest.room,
+      world = this.model.latest.world;
     const c = this.canvas.getContext("2d");
     const ratio = window.devicePixelRatio || 1;
     const [x0, y0, x1, y1] = extent(room);
     const { clientWidth, clientHeight } = this.box.parentElement;
     const width = Math.min(WIDEST, clientWidth - 28);
-    const height = Math.round(Math.min(WIDEST, clientHeight * SHARE, Math.max(150, (width * (y1 - y0)) / (x1 - x0))));
+    const height = Math.round(
+      Math.min(WIDEST, clientHeight * SHARE, Math.max(150, (width * (y1 - y0)) / (x1 - x0))),
+    );
     if (this.canvas.width !== width * ratio || this.canvas.height !== height * ratio) {
       this.canvas.width = width * ratio;
       this.canvas.height = height * ratio;
@@ -48,7 +55,10 @@ export class Room {
       this.canvas.style.height = `${height}px`;
     }
     const k = Math.min(width / (x1 - x0), height / (y1 - y0)) * 0.94;
-    const at = ([x, y]) => [width / 2 + (x - (x0 + x1) / 2) * k, height / 2 - (y - (y0 + y1) / 2) * k];
+    const at = ([x, y]) => [
+      width / 2 + (x - (x0 + x1) / 2) * k,
+      height / 2 - (y - (y0 + y1) / 2) * k,
+    ];
     const style = getComputedStyle(document.body);
     const ink = (name) => style.getPropertyValue(name).trim();
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -61,13 +71,17 @@ export class Room {
     for (const spot of world?.hot_spots || []) {
       const [x, y] = at(spot.at);
       c.fillStyle = "rgba(214, 72, 40, .35)";
-      c.beginPath(); c.arc(x, y, spot.radius * k, 0, 7); c.fill();
+      c.beginPath();
+      c.arc(x, y, spot.radius * k, 0, 7);
+      c.fill();
     }
     c.fillStyle = ink("--node-line");
     for (const box of room.boxes || []) polygon(c, boxCorners(box).map(at));
     for (const pillar of room.cylinders || []) {
       const [x, y] = at(pillar.at);
-      c.beginPath(); c.arc(x, y, pillar.radius * k, 0, 7); c.fill();
+      c.beginPath();
+      c.arc(x, y, pillar.radius * k, 0, 7);
+      c.fill();
     }
     c.font = "600 10px system-ui, sans-serif";
     c.textAlign = "center";
@@ -82,7 +96,11 @@ export class Room {
         c.globalAlpha = 0.5;
         c.setLineDash([4, 3]);
         c.beginPath();
-        robot.path.forEach((point, i) => { const [x, y] = at(point); if (i) c.lineTo(x, y); else c.moveTo(x, y); });
+        robot.path.forEach((point, i) => {
+          const [x, y] = at(point);
+          if (i) c.lineTo(x, y);
+          else c.moveTo(x, y);
+        });
         c.stroke();
         c.setLineDash([]);
         c.globalAlpha = 1;
@@ -93,11 +111,15 @@ export class Room {
       const [x, y] = at([px, py]);
       const radius = Math.max(7, (room.robot_radius || 0.2) * k);
       c.fillStyle = colourOf(name);
-      c.beginPath(); c.arc(x, y, radius, 0, 7); c.fill();
+      c.beginPath();
+      c.arc(x, y, radius, 0, 7);
+      c.fill();
       c.strokeStyle = colourOf(name);
       c.lineWidth = 2.5;
-      c.beginPath(); c.moveTo(x + Math.cos(yaw) * radius, y - Math.sin(yaw) * radius);
-      c.lineTo(x + Math.cos(yaw) * (radius + 5), y - Math.sin(yaw) * (radius + 5)); c.stroke();
+      c.beginPath();
+      c.moveTo(x + Math.cos(yaw) * radius, y - Math.sin(yaw) * radius);
+      c.lineTo(x + Math.cos(yaw) * (radius + 5), y - Math.sin(yaw) * (radius + 5));
+      c.stroke();
       c.lineWidth = 1;
       c.fillStyle = "#fff";
       c.textBaseline = "middle";
@@ -107,11 +129,21 @@ export class Room {
   }
 }
 
-const rectangle = ([[x0, y0], [x1, y1]]) => [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
+const rectangle = ([[x0, y0], [x1, y1]]) => [
+  [x0, y0],
+  [x1, y0],
+  [x1, y1],
+  [x0, y1],
+];
 
 function boxCorners({ at: [x, y], size: [w, d], yaw = 0 }) {
   const [c, s] = [Math.cos(yaw), Math.sin(yaw)];
-  return [[-w / 2, -d / 2], [w / 2, -d / 2], [w / 2, d / 2], [-w / 2, d / 2]].map(([a, b]) => [x + a * c - b * s, y + a * s + b * c]);
+  return [
+    [-w / 2, -d / 2],
+    [w / 2, -d / 2],
+    [w / 2, d / 2],
+    [-w / 2, d / 2],
+  ].map(([a, b]) => [x + a * c - b * s, y + a * s + b * c]);
 }
 
 function extent(room) {

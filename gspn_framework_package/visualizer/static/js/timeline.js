@@ -18,10 +18,12 @@ const axisTime = (t) => (t < 60 ? `${Number(t.toFixed(1))} s` : seconds(t));
 
 /** Index of the first event that is not before `t`; `events` in the order of their times. */
 function firstAt(events, t) {
-  let low = 0, high = events.length;
+  let low = 0,
+    high = events.length;
   while (low < high) {
     const middle = (low + high) >> 1;
-    if (events[middle].t < t) low = middle + 1; else high = middle;
+    if (events[middle].t < t) low = middle + 1;
+    else high = middle;
   }
   return low;
 }
@@ -42,11 +44,25 @@ export class TimeLine extends EventTarget {
     };
     this.canvas.onkeydown = (event) => this.key(event);
     const spans = $("span");
-    spans.replaceChildren(h("option", { value: "", text: "auto" }), ...SPANS.map((span) => h("option", { value: span, text: spanText(span) })));
-    spans.onchange = () => { this.span = Number(spans.value) || null; this.update(); };
+    spans.replaceChildren(
+      h("option", { value: "", text: "auto" }),
+      ...SPANS.map((span) => h("option", { value: span, text: spanText(span) })),
+    );
+    spans.onchange = () => {
+      this.span = Number(spans.value) || null;
+      this.update();
+    };
     this.observer = new ResizeObserver(() => this.update());
     this.observer.observe(this.canvas.parentElement);
-    this.clock = setInterval(() => { if (model.mode === "LIVE" && model.following && model.lostAt === null && model.board?.status.running) this.later(); }, 200);
+    this.clock = setInterval(() => {
+      if (
+        model.mode === "LIVE" &&
+        model.following &&
+        model.lostAt === null &&
+        model.board?.status.running
+      )
+        this.later();
+    }, 200);
   }
 
   /** Show more of the run (1), or less (-1). */
@@ -61,10 +77,14 @@ export class TimeLine extends EventTarget {
     const { model } = this;
     const visit = (n) => this.dispatchEvent(new CustomEvent("visit", { detail: n }));
     const act = {
-      ArrowRight: () => model.stepView(1), ArrowLeft: () => model.stepView(-1),
-      Home: () => visit(model.oldest), End: () => visit(model.head.n),
-      PageUp: () => visit(this.eventAt(model.board.t + this.shownSpan / 2)), PageDown: () => visit(this.eventAt(model.board.t - this.shownSpan / 2)),
-      "+": () => this.zoom(-1), "-": () => this.zoom(1),
+      ArrowRight: () => model.stepView(1),
+      ArrowLeft: () => model.stepView(-1),
+      Home: () => visit(model.oldest),
+      End: () => visit(model.head.n),
+      PageUp: () => visit(this.eventAt(model.board.t + this.shownSpan / 2)),
+      PageDown: () => visit(this.eventAt(model.board.t - this.shownSpan / 2)),
+      "+": () => this.zoom(-1),
+      "-": () => this.zoom(1),
     }[event.key];
     if (!act || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
@@ -81,7 +101,14 @@ export class TimeLine extends EventTarget {
   }
 
   later() {
-    if (!this.timer) this.timer = setTimeout(() => { this.timer = 0; requestAnimationFrame(() => this.update()); }, Math.max(90, 25 * (this.cost || 0)));
+    if (!this.timer)
+      this.timer = setTimeout(
+        () => {
+          this.timer = 0;
+          requestAnimationFrame(() => this.update());
+        },
+        Math.max(90, 25 * (this.cost || 0)),
+      );
   }
 
   segments(begin, end) {
@@ -94,22 +121,28 @@ export class TimeLine extends EventTarget {
     const { model } = this;
     const { marking } = model.board;
     const course = courseOf(model);
-    const last = course.length, first = firstAt(course, begin);
+    const last = course.length,
+      first = firstAt(course, begin);
     const changes = new Map(); // place -> how often
     for (let i = first; i < last; i++) {
       for (const [p] of course[i].d || []) changes.set(p, (changes.get(p) || 0) + 1);
     }
     const chosen = window.gspn?.page.selection;
     if (chosen?.kind === "place") changes.set(chosen.index, Infinity);
-    const order = changes.size ? [...changes].sort((a, b) => b[1] - a[1]).map(([p]) => p) : marking.map((_, p) => p).filter((p) => marking[p] > 0);
+    const order = changes.size
+      ? [...changes].sort((a, b) => b[1] - a[1]).map(([p]) => p)
+      : marking.map((_, p) => p).filter((p) => marking[p] > 0);
     const wanted = order.slice(0, Math.max(0, count));
     let from = first; // after the last reset: what was before it is not told
     for (let i = first; i < last; i++) if (course[i].k === "mark") from = i;
     const counts = new Map(wanted.map((p) => [p, marking[p]]));
     for (let i = from; i < last; i++) {
-      for (const [p, change] of course[i].d || []) if (counts.has(p)) counts.set(p, counts.get(p) - change);
+      for (const [p, change] of course[i].d || [])
+        if (counts.has(p)) counts.set(p, counts.get(p) - change);
     }
-    const points = new Map(wanted.map((p) => [p, [[from === first ? begin : course[from].t, counts.get(p)]]]));
+    const points = new Map(
+      wanted.map((p) => [p, [[from === first ? begin : course[from].t, counts.get(p)]]]),
+    );
     for (let i = from; i < last; i++) {
       const event = course[i];
       for (const [p, change] of event.d || []) {
@@ -118,7 +151,12 @@ export class TimeLine extends EventTarget {
         points.get(p).push([event.t, counts.get(p)]);
       }
     }
-    return wanted.map((p) => ({ name: model.scene.places[p].name, points: points.get(p), most: Math.max(...points.get(p).map(([, tokens]) => tokens)) }))
+    return wanted
+      .map((p) => ({
+        name: model.scene.places[p].name,
+        points: points.get(p),
+        most: Math.max(...points.get(p).map(([, tokens]) => tokens)),
+      }))
       .sort((a, b) => natural(a.name, b.name));
   }
 
@@ -128,7 +166,10 @@ export class TimeLine extends EventTarget {
     if (!model.board) return;
     const ratio = window.devicePixelRatio || 1;
     const { clientWidth: width, clientHeight: shown } = canvas.parentElement;
-    if (!width || !shown) { this.drawScrubber(); return; } // the lanes are folded
+    if (!width || !shown) {
+      this.drawScrubber();
+      return;
+    } // the lanes are folded
     const end = model.now();
     const course = courseOf(model);
     const have = course.length ? end - course[0].t : 0;
@@ -137,12 +178,18 @@ export class TimeLine extends EventTarget {
     const lanes = this.segments(begin, end);
     const names = [...lanes.keys()].sort(natural);
     const [top, bottom] = EDGE;
-    const places = model.mode === "SIMULATE" ? this.tokens(begin, Math.floor((shown - top - bottom) / TOKENS) - 1) : [];
+    const places =
+      model.mode === "SIMULATE"
+        ? this.tokens(begin, Math.floor((shown - top - bottom) / TOKENS) - 1)
+        : [];
     const rows = names.length + places.length + 1;
     const height = Math.max(shown, top + bottom + rows * LANE[0]);
     const step = Math.min(LANE[1], (height - top - bottom) / rows);
     canvas.style.height = height > shown ? `${height}px` : "100%";
-    if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+    if (
+      canvas.width !== Math.round(width * ratio) ||
+      canvas.height !== Math.round(height * ratio)
+    ) {
       canvas.width = Math.round(width * ratio);
       canvas.height = Math.round(height * ratio);
     }
@@ -153,11 +200,16 @@ export class TimeLine extends EventTarget {
     c.clearRect(0, 0, width, height);
     c.font = "11px system-ui, sans-serif";
     c.textBaseline = "middle";
-    const widest = Math.max(0, ...names.concat(places.map((place) => place.name)).map((name) => c.measureText(name).width));
-    const label = Math.max(LABEL[0], Math.min(widest + 26, width * LABEL[1])), right = width - 14;
+    const widest = Math.max(
+      0,
+      ...names.concat(places.map((place) => place.name)).map((name) => c.measureText(name).width),
+    );
+    const label = Math.max(LABEL[0], Math.min(widest + 26, width * LABEL[1])),
+      right = width - 14;
     const fitted = (name) => {
       let text = name;
-      for (let length = name.length; length > 1 && c.measureText(text).width > label - 24; length--) text = `${name.slice(0, length - 1)}…`;
+      for (let length = name.length; length > 1 && c.measureText(text).width > label - 24; length--)
+        text = `${name.slice(0, length - 1)}…`;
       return text;
     };
     const x = (t) => label + ((t - begin) / this.shownSpan) * (right - label);
@@ -167,16 +219,21 @@ export class TimeLine extends EventTarget {
     c.strokeStyle = ink("--line-soft");
     c.fillStyle = ink("--ink-3");
     c.textAlign = "center";
-    const tick = TICKS.find((step) => (step / this.shownSpan) * (right - label) >= 70) || this.shownSpan;
+    const tick =
+      TICKS.find((length) => (length / this.shownSpan) * (right - label) >= 70) || this.shownSpan;
     for (let i = Math.ceil(begin / tick - 1e-9); i * tick <= begin + this.shownSpan + 1e-9; i++) {
       const t = i * tick;
-      c.beginPath(); c.moveTo(x(t), top - 4); c.lineTo(x(t), height - bottom); c.stroke();
+      c.beginPath();
+      c.moveTo(x(t), top - 4);
+      c.lineTo(x(t), height - bottom);
+      c.stroke();
       c.textAlign = x(t) > right - 20 ? "right" : "center";
       c.fillText(axisTime(t), Math.min(right, x(t)), top / 2);
     }
 
     // firings
-    const timed = ink("--accent"), immediate = ink("--ink-3");
+    const timed = ink("--accent"),
+      immediate = ink("--ink-3");
     const y0 = top + step / 2;
     c.textAlign = "left";
     c.fillStyle = ink("--ink-2");
@@ -202,7 +259,8 @@ export class TimeLine extends EventTarget {
       for (const [from, to, place, phase] of lanes.get(name).parts) {
         if (to < begin || x(to) - reached < 0.5) continue;
         reached = x(to);
-        const a = Math.max(label, x(from)), b = x(to);
+        const a = Math.max(label, x(from)),
+          b = x(to);
         const bar = Math.max(2, step - 5);
         const waits = phase === "done" || phase === "waiting";
         c.globalAlpha = waits ? 0.32 : phase === "inactive" ? 0.18 : 0.85;
@@ -214,14 +272,17 @@ export class TimeLine extends EventTarget {
           c.fillStyle = waits || phase === "inactive" ? ink("--ink") : "#fff";
           c.textAlign = "left";
           c.save();
-          c.beginPath(); c.rect(a + 3, y, b - a - 7, step); c.clip();
+          c.beginPath();
+          c.rect(a + 3, y, b - a - 7, step);
+          c.clip();
           c.fillText(does, a + 5, y + 2 + bar / 2);
           c.restore();
         }
       }
     });
     places.forEach(({ name, points, most }, row) => {
-      const base = top + step * (row + 2) - 4, rise = (step - 7) / Math.max(1, most);
+      const base = top + step * (row + 2) - 4,
+        rise = (step - 7) / Math.max(1, most);
       c.fillStyle = ink("--ink-2");
       c.textAlign = "left";
       c.fillText(fitted(name), 14, base - step / 2 + 4);
@@ -240,7 +301,8 @@ export class TimeLine extends EventTarget {
       c.beginPath();
       points.forEach(([t, count], i) => {
         const y = base - count * rise;
-        if (i) c.lineTo(x(t), y); else c.moveTo(Math.max(label, x(t)), y);
+        if (i) c.lineTo(x(t), y);
+        else c.moveTo(Math.max(label, x(t)), y);
         c.lineTo(Math.max(label, x(i + 1 < points.length ? points[i + 1][0] : end)), y);
       });
       c.strokeStyle = timed;
@@ -259,15 +321,22 @@ export class TimeLine extends EventTarget {
     const range = $("scrubber");
     range.min = model.oldest;
     range.max = Math.max(model.head.n, model.oldest);
-    if (document.activeElement !== range || !this.sliding) range.value = model.following ? model.head.n : model.board.n;
-    range.setAttribute("aria-valuetext", `event ${model.board.n} of ${model.head.n}, ${seconds(model.board.t)}`);
+    if (document.activeElement !== range || !this.sliding)
+      range.value = model.following ? model.head.n : model.board.n;
+    range.setAttribute(
+      "aria-valuetext",
+      `event ${model.board.n} of ${model.head.n}, ${seconds(model.board.t)}`,
+    );
     const { canvas } = this;
     canvas.setAttribute("aria-valuemin", model.oldest);
     canvas.setAttribute("aria-valuemax", Math.max(model.head.n, model.oldest));
     canvas.setAttribute("aria-valuenow", model.board.n);
     canvas.setAttribute("aria-valuetext", this.says());
-    const reading = model.info.loading ? `   ·   reading the log: ${Math.floor(100 * (model.info.progress || 0))} %` : "";
-    $("position").textContent = `${seconds(model.now())}   ·   ${model.board.n} / ${model.head.n}${reading}`;
+    const reading = model.info.loading
+      ? `   ·   reading the log: ${Math.floor(100 * (model.info.progress || 0))} %`
+      : "";
+    $("position").textContent =
+      `${seconds(model.now())}   ·   ${model.board.n} / ${model.head.n}${reading}`;
     $("back-to-live").hidden = model.following || model.mode === "REPLAY";
     $("back-to-live").textContent = model.mode === "LIVE" ? "Back to live" : "Back to now";
   }
@@ -276,13 +345,20 @@ export class TimeLine extends EventTarget {
   says() {
     const { board, scene, head } = this.model;
     const robots = [...board.robots.values()].sort((a, b) => natural(a.name, b.name)).slice(0, 8);
-    const does = robots.map((robot) => `${robot.name} ${phaseOf(robot, board.status)[0]}${robot.place >= 0 ? ` in ${scene.places[robot.place].name}` : ""}`);
+    const does = robots.map(
+      (robot) =>
+        `${robot.name} ${phaseOf(robot, board.status)[0]}` +
+        (robot.place >= 0 ? ` in ${scene.places[robot.place].name}` : ""),
+    );
     return [`${seconds(board.t)}, event ${board.n} of ${head.n}`, ...does].join("; ");
   }
 
   clicked(event) {
     const { begin, end, left, right } = this.scale;
-    const t = begin + ((event.clientX - this.canvas.getBoundingClientRect().left - left) / (right - left)) * (end - begin);
+    const t =
+      begin +
+      ((event.clientX - this.canvas.getBoundingClientRect().left - left) / (right - left)) *
+        (end - begin);
     const found = Math.min(this.eventAt(t), this.model.board.n);
     this.dispatchEvent(new CustomEvent("visit", { detail: found }));
   }

@@ -11,7 +11,9 @@ export class Tools {
     this.build();
   }
 
-  get model() { return this.page.model; }
+  get model() {
+    return this.page.model;
+  }
 
   do(command, fields = {}) {
     if (!this.page.mayAct) throw new Error(ONLY_LOOK);
@@ -35,29 +37,47 @@ export class Tools {
     const done = await this.simulate("step", { steps });
     if (done && done.dead) {
       this.stopRunning();
-      const says = done.fired ? `${plural(done.fired, "step")}, then nothing is enabled` : "nothing is enabled: no step can be made";
+      const says = done.fired
+        ? `${plural(done.fired, "step")}, then nothing is enabled`
+        : "nothing is enabled: no step can be made";
       toast(says, true);
       announce(says);
     }
     return done;
   }
 
-  back() { return this.simulate("back", { steps: 1 }); }
+  back() {
+    return this.simulate("back", { steps: 1 });
+  }
 
-  reset() { this.stopRunning(); return this.simulate("reset").then((done) => done && toast("Reset, for all viewers. Back (←) takes it back.", true)); }
+  reset() {
+    this.stopRunning();
+    return this.simulate("reset").then(
+      (done) => done && toast("Reset, for all viewers. Back (←) takes it back.", true),
+    );
+  }
 
-  clear() { this.stopRunning(); return this.simulate("clear").then((done) => done && announce("cleared")); }
+  clear() {
+    this.stopRunning();
+    return this.simulate("clear").then((done) => done && announce("cleared"));
+  }
 
-  fire(index) { return this.simulate("fire", { transition: this.model.scene.transitions[index].name }); }
+  fire(index) {
+    return this.simulate("fire", { transition: this.model.scene.transitions[index].name });
+  }
 
   fireChosen() {
     const { selection } = this.page;
-    if (selection?.kind !== "transition") { toast("choose a transition first, in the net or in the list", true); return null; }
+    if (selection?.kind !== "transition") {
+      toast("choose a transition first, in the net or in the list", true);
+      return null;
+    }
     return this.fire(selection.index);
   }
 
   toggleRunning() {
-    if (this.running) this.stopRunning(); else this.startRunning();
+    if (this.running) this.stopRunning();
+    else this.startRunning();
   }
 
   startRunning() {
@@ -67,7 +87,10 @@ export class Tools {
       if (!this.running) return;
       const begin = performance.now();
       const done = await this.step(1);
-      if (!done || done.dead) { this.stopRunning(); return; }
+      if (!done || done.dead) {
+        this.stopRunning();
+        return;
+      }
       this.timer = setTimeout(tick, Math.max(0, 1000 / this.speed - (performance.now() - begin)));
     };
     tick();
@@ -81,7 +104,9 @@ export class Tools {
 
   setProbability(index, value) {
     const { scene, info } = this.model;
-    const probabilities = new Map(Object.entries(info.probabilities || {}).map(([t, p]) => [scene.transitions[t].name, p]));
+    const probabilities = new Map(
+      Object.entries(info.probabilities || {}).map(([t, p]) => [scene.transitions[t].name, p]),
+    );
     const { name } = scene.transitions[index];
     if (String(value).trim() === "") probabilities.delete(name);
     else probabilities.set(name, Number(value));
@@ -93,27 +118,79 @@ export class Tools {
     const { scene, info, board } = model;
     const choices = new Map(model.latest.choices || []);
     const inputs = new Map();
-    const order = scene.transitions.map((t, index) => index).sort((a, b) => board.enabled.has(b) - board.enabled.has(a));
+    const order = scene.transitions
+      .map((t, index) => index)
+      .sort((a, b) => board.enabled.has(b) - board.enabled.has(a));
     const rows = order.slice(0, 500).map((index) => {
       const transition = scene.transitions[index];
-      const input = h("input", { type: "number", min: "0", step: "any", value: info.probabilities?.[String(index)] ?? "", "aria-label": `Firing probability of ${transition.name}` });
+      const input = h("input", {
+        type: "number",
+        min: "0",
+        step: "any",
+        value: info.probabilities?.[String(index)] ?? "",
+        "aria-label": `Firing probability of ${transition.name}`,
+      });
       inputs.set(index, input);
-      return h("tr", {}, h("td", { text: transition.name }), h("td", { text: transition.timed ? `rate ${number(transition.rate)}` : `weight ${number(transition.weight)}` }),
-        h("td", { class: "number", text: choices.has(index) ? `${(choices.get(index) * 100).toFixed(1)} %` : "–" }), h("td", {}, input));
+      return h(
+        "tr",
+        {},
+        h("td", { text: transition.name }),
+        h("td", {
+          text: transition.timed
+            ? `rate ${number(transition.rate)}`
+            : `weight ${number(transition.weight)}`,
+        }),
+        h("td", {
+          class: "number",
+          text: choices.has(index) ? `${(choices.get(index) * 100).toFixed(1)} %` : "–",
+        }),
+        h("td", {}, input),
+      );
     });
-    await ask("Firing probabilities", [
-      h("p", { class: "muted", text: "Relative to the other transitions that are enabled at the same time. Left empty: by rate or weight. They change which transition fires, not how long it takes." }),
-      h("table", {}, h("thead", {}, h("tr", {}, h("th", { text: "Transition" }), h("th", { text: "In the net" }), h("th", { class: "number", text: "Now" }), h("th", { text: "Probability" }))), h("tbody", {}, rows)),
-    ], [["Cancel", ""], ["All by rate and weight", "none"], ["Set", "set", "primary"]], async (answer) => {
-      const probabilities = new Map();
-      for (const [index, input] of answer === "set" ? inputs : []) {
-        const { name } = scene.transitions[index];
-        if (input.validity.badInput) throw new Error(`the firing probability of '${name}' is not a number`);
-        if (input.value.trim() !== "") probabilities.set(name, Number(input.value));
-      }
-      await this.toNow();
-      await this.do("probabilities", { probabilities: Object.fromEntries(probabilities) });
-    });
+    await ask(
+      "Firing probabilities",
+      [
+        h("p", {
+          class: "muted",
+          text:
+            "Relative to the other transitions that are enabled at the same time. Left empty: by rate or weight. " +
+            "They change which transition fires, not how long it takes.",
+        }),
+        h(
+          "table",
+          {},
+          h(
+            "thead",
+            {},
+            h(
+              "tr",
+              {},
+              h("th", { text: "Transition" }),
+              h("th", { text: "In the net" }),
+              h("th", { class: "number", text: "Now" }),
+              h("th", { text: "Probability" }),
+            ),
+          ),
+          h("tbody", {}, rows),
+        ),
+      ],
+      [
+        ["Cancel", ""],
+        ["All by rate and weight", "none"],
+        ["Set", "set", "primary"],
+      ],
+      async (answer) => {
+        const probabilities = new Map();
+        for (const [index, input] of answer === "set" ? inputs : []) {
+          const { name } = scene.transitions[index];
+          if (input.validity.badInput)
+            throw new Error(`the firing probability of '${name}' is not a number`);
+          if (input.value.trim() !== "") probabilities.set(name, Number(input.value));
+        }
+        await this.toNow();
+        await this.do("probabilities", { probabilities: Object.fromEntries(probabilities) });
+      },
+    );
   }
 
   // -- the bar -------------------------------------------------------------------------------------
@@ -122,21 +199,73 @@ export class Tools {
     const { page } = this;
     const { mode } = this.model;
     this.speed = this.speed || 4;
-    const button = (id, label, action, title) => h("button", { id, text: label, title, onclick: action });
-    const act = (id, label, action, title) => h("button", { id, text: label, title: page.mayAct ? title : ONLY_LOOK, disabled: !page.mayAct, onclick: action });
+    const button = (id, label, action, title) =>
+      h("button", { id, text: label, title, onclick: action });
+    const act = (id, label, action, title) =>
+      h("button", {
+        id,
+        text: label,
+        title: page.mayAct ? title : ONLY_LOOK,
+        disabled: !page.mayAct,
+        onclick: action,
+      });
     const rule = () => h("span", { class: "rule" });
-    let tools = [];
+    let tools;
     if (mode === "SIMULATE") {
       tools = [
         act("back", "◂ Back", () => this.back(), "Take a step back (←)"),
         act("step", "Step ▸", () => this.step(1), "Simulate 1 step (→)"),
         act("steps", "n steps ▸▸", () => this.step(this.steps), "Simulate n steps (Shift+→)"),
-        h("label", {}, h("input", { id: "n-steps", type: "number", min: 1, max: 10000, value: this.steps, "aria-label": "Number of steps", onchange: (event) => { this.steps = Math.max(1, Math.min(10000, Math.round(Number(event.target.value)) || 1)); event.target.value = this.steps; } })),
+        h(
+          "label",
+          {},
+          h("input", {
+            id: "n-steps",
+            type: "number",
+            min: 1,
+            max: 10000,
+            value: this.steps,
+            "aria-label": "Number of steps",
+            onchange: (event) => {
+              this.steps = Math.max(
+                1,
+                Math.min(10000, Math.round(Number(event.target.value)) || 1),
+              );
+              event.target.value = this.steps;
+            },
+          }),
+        ),
         act("run", "▶ Run", () => this.toggleRunning(), "Step after step, until stopped (Space)"),
-        h("label", {}, h("select", { id: "speed", "aria-label": "Steps a second", onchange: (event) => { this.speed = Number(event.target.value); } }, [1, 2, 4, 10, 30].map((v) => h("option", { value: v, selected: v === this.speed, text: `${v} /s` })))),
+        h(
+          "label",
+          {},
+          h(
+            "select",
+            {
+              id: "speed",
+              "aria-label": "Steps a second",
+              onchange: (event) => {
+                this.speed = Number(event.target.value);
+              },
+            },
+            [1, 2, 4, 10, 30].map((v) =>
+              h("option", { value: v, selected: v === this.speed, text: `${v} /s` }),
+            ),
+          ),
+        ),
         rule(),
-        act("fire-chosen", "Fire chosen", () => this.fireChosen(), "Fire the transition that is selected (X)"),
-        act("probabilities", "Probabilities …", () => this.probabilities(), "Set firing probabilities"),
+        act(
+          "fire-chosen",
+          "Fire chosen",
+          () => this.fireChosen(),
+          "Fire the transition that is selected (X)",
+        ),
+        act(
+          "probabilities",
+          "Probabilities …",
+          () => this.probabilities(),
+          "Set firing probabilities",
+        ),
         rule(),
         act("reset", "Reset", () => this.reset(), "Back to the initial marking (R)"),
         act("clear", "Clear", () => this.clear(), "Take every token out of the net"),
@@ -146,10 +275,32 @@ export class Tools {
         button("view-back", "◂", () => this.model.stepView(-1), "The firing before (←)"),
         button("view-play", "", () => page.togglePause(), ""),
         button("view-step", "▸", () => this.model.stepView(1), "The next firing (→)"),
-        h("label", {}, h("select", { id: "view-speed", "aria-label": "Speed of the playback", onchange: (event) => this.model.setSpeed(Number(event.target.value)) }, [0.25, 0.5, 1, 2, 5, 20, 100].map((v) => h("option", { value: v, selected: v === this.model.speed, text: `${v} ×` })))),
+        h(
+          "label",
+          {},
+          h(
+            "select",
+            {
+              id: "view-speed",
+              "aria-label": "Speed of the playback",
+              onchange: (event) => this.model.setSpeed(Number(event.target.value)),
+            },
+            [0.25, 0.5, 1, 2, 5, 20, 100].map((v) =>
+              h("option", { value: v, selected: v === this.model.speed, text: `${v} ×` }),
+            ),
+          ),
+        ),
       ];
     }
-    if (this.model.latest.room || this.model.info.room) tools.push(h("button", { id: "show-room", text: "Room", title: "The room and the robots in it", onclick: () => page.room.toggle() }));
+    if (this.model.latest.room || this.model.info.room)
+      tools.push(
+        h("button", {
+          id: "show-room",
+          text: "Room",
+          title: "The room and the robots in it",
+          onclick: () => page.room.toggle(),
+        }),
+      );
     $("tools").replaceChildren(...tools);
     this.built = mode;
     this.refresh();
@@ -157,7 +308,11 @@ export class Tools {
 
   refresh() {
     const { model, page } = this;
-    if (this.built !== model.mode) { this.running = false; this.build(); return; }
+    if (this.built !== model.mode) {
+      this.running = false;
+      this.build();
+      return;
+    }
     const run = $("run");
     if (run) run.textContent = this.running ? "❚❚ Stop" : "▶ Run";
     const play = $("view-play");

@@ -24,13 +24,18 @@ export class Travel {
   /** The tokens that a firing moves, [from, to, robot]; from or to may be null. */
   flights(event) {
     const flights = event.m.map(([robot, from, to]) => [from, to, robot]);
-    const busyIn = new Map(), busyOut = new Map();
+    const busyIn = new Map(),
+      busyOut = new Map();
     for (const [from, to] of flights) {
       if (from !== null) busyIn.set(from, (busyIn.get(from) || 0) + 1);
       if (to !== null) busyOut.set(to, (busyOut.get(to) || 0) + 1);
     }
-    const left = (arcs, busy) => arcs.flatMap(([p, weight]) => Array(Math.max(0, Math.min(weight, 4) - (busy.get(p) || 0))).fill(p));
-    const sources = left(this.inputs[event.tr], busyIn), targets = left(this.outputs[event.tr], busyOut);
+    const left = (arcs, busy) =>
+      arcs.flatMap(([p, weight]) =>
+        Array(Math.max(0, Math.min(weight, 4) - (busy.get(p) || 0))).fill(p),
+      );
+    const sources = left(this.inputs[event.tr], busyIn),
+      targets = left(this.outputs[event.tr], busyOut);
     for (let i = 0; i < Math.max(sources.length, targets.length); i++) {
       flights.push([sources[i] ?? null, targets[i] ?? null, null]);
     }
@@ -41,8 +46,13 @@ export class Travel {
     const { view } = this;
     const node = view.transitions[event.tr];
     const flights = this.flights(event);
-    if (this.reduced.matches || document.hidden || node.out || view.camera.small
-      || this.inFlight.size + this.waiting.length + flights.length > IN_FLIGHT) {
+    if (
+      this.reduced.matches ||
+      document.hidden ||
+      node.out ||
+      view.camera.small ||
+      this.inFlight.size + this.waiting.length + flights.length > IN_FLIGHT
+    ) {
       if (!node.out) view.flash(event.tr);
       return;
     }
@@ -62,13 +72,20 @@ export class Travel {
     const { view } = this;
     for (const flight of this.waiting) {
       const { from, to, robot, node } = flight;
-      const points = [from !== null ? view.places[from] : null, node, to !== null ? view.places[to] : null].filter(Boolean);
+      const points = [
+        from !== null ? view.places[from] : null,
+        node,
+        to !== null ? view.places[to] : null,
+      ].filter(Boolean);
       const dot = s("circle", { r: robot ? 8 : 5 });
       if (robot) dot.style.fill = colourOf(robot);
       view.layer.travel.append(dot);
       const frames = points.map(({ x, y }) => ({ transform: `translate(${x}px, ${y}px)` }));
-      const motion = dot.animate(frames.length > 1 ? frames : [frames[0], frames[0]],
-        { duration: points.length === 3 ? MILLISECONDS : MILLISECONDS / 2, easing: "ease-in-out", fill: "both" });
+      const motion = dot.animate(frames.length > 1 ? frames : [frames[0], frames[0]], {
+        duration: points.length === 3 ? MILLISECONDS : MILLISECONDS / 2,
+        easing: "ease-in-out",
+        fill: "both",
+      });
       flight.dot = dot;
       flight.motion = motion;
       this.inFlight.add(flight);
@@ -90,12 +107,14 @@ export class Travel {
     const { view } = this;
     if (to !== null) {
       const left = (view.pending.get(to) || 0) - 1;
-      if (left > 0) view.pending.set(to, left); else view.pending.delete(to);
+      if (left > 0) view.pending.set(to, left);
+      else view.pending.delete(to);
       view.dirty.places.add(to);
     }
     if (robot) {
       const under = (view.pendingRobots.get(robot) || 0) - 1;
-      if (under > 0) view.pendingRobots.set(robot, under); else view.pendingRobots.delete(robot);
+      if (under > 0) view.pendingRobots.set(robot, under);
+      else view.pendingRobots.delete(robot);
       const now = view.model.board.robots.get(robot);
       if (now && now.place >= 0) view.dirty.places.add(now.place);
     }
