@@ -144,8 +144,9 @@ class Grid:
 
     def clearance_at(self, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
         """The clearance in points (bilinear between the cells), metres."""
-        column = np.clip((xs - self._low[0]) / RESOLUTION, 0, self.columns - 1.001)
-        row = np.clip((ys - self._low[1]) / RESOLUTION, 0, self.rows - 1.001)
+        # np.clip takes three times as long on so few points, and this is asked for all the time
+        column = np.minimum(np.maximum((xs - self._low[0]) / RESOLUTION, 0), self.columns - 1.001)
+        row = np.minimum(np.maximum((ys - self._low[1]) / RESOLUTION, 0), self.rows - 1.001)
         left, low = column.astype(int), row.astype(int)
         right, up = column - left, row - low
         table = self._table
