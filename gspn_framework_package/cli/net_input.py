@@ -8,7 +8,7 @@ import sys
 from typing import Dict, List, Tuple, Union
 
 from gspn_framework_package.cli.interrupts import interruptible
-from gspn_framework_package.formats import FORMATS, plan_file
+from gspn_framework_package.formats import FORMATS, ReadOptions, plan_file
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -20,7 +20,7 @@ def add_net_arguments(parser: argparse.ArgumentParser) -> None:
         "net_file",
         metavar="NET",
         help="a net (%s), or a plan, whose net is taken"
-        % ", ".join(f.title for f in FORMATS.values() if f.from_xml or f.from_text),
+        % ", ".join(f.title for f in FORMATS.values() if f.reader is not None),
     )
     reading = parser.add_argument_group("reading the net")
     reading.add_argument(
@@ -64,17 +64,14 @@ def read_net_or_plan_argument(args: argparse.Namespace) -> Tuple[Union[Net, Plan
 
     :raises GspnError: it cannot be read, or the arguments make no sense.
     """
-    constants = _constants(args.const)
-    found = interruptible(
-        lambda: plan_file.read_net_or_plan(
-            args.net_file,
-            format=args.source_format,
-            net=args.net,
-            constants=constants,
-            infinite_servers=None if args.servers is None else args.servers == "infinite",
-            missing_weight=0.0 if args.controllable else 1.0,
-        )
+    options = ReadOptions(
+        format=args.source_format,
+        net=args.net,
+        constants=_constants(args.const),
+        infinite_servers=None if args.servers is None else args.servers == "infinite",
+        missing_weight=0.0 if args.controllable else 1.0,
     )
+    found = interruptible(lambda: plan_file.read_net_or_plan(args.net_file, options))
     return found.plan or found.net, list(found.notes)
 
 

@@ -5,24 +5,30 @@
 []
 """
 
+from gspn_framework_package.formats.draft import ReadOptions
+from gspn_framework_package.formats.format import Format, TextReader, XmlReader
 from gspn_framework_package.formats.registry import (
     FORMATS,
-    Format,
     encode_net,
     format_named,
     format_of_name,
     read_net,
     read_net_with_notes,
+    register,
     write_net,
 )
 
 __all__ = [
     "FORMATS",
     "Format",
+    "ReadOptions",
+    "TextReader",
+    "XmlReader",
     "encode_net",
     "format_named",
     "format_of_name",
     "read_net",
     "read_net_with_notes",
+    "register",
     "write_net",
 ]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import subprocess
 from typing import Dict, List, Mapping, Optional, Sequence, Union
 
+from gspn_framework_package.formats.format import Format
 from gspn_framework_package.formats.routes import Box, Layout, Line, Point, layout
 from gspn_framework_package.model.errors import InputError, LimitError, UsageError
 from gspn_framework_package.model.net import Net, Place, Position, Transition
@@ -256,3 +257,6 @@ def render(text: str, image: str = "svg", timeout: float = 60.0) -> bytes:
         ]
         raise InputError("Graphviz cannot draw it: %s" % reason[0])
     return done.stdout
+
+
+FORMAT = Format("dot", "Graphviz DOT", (".dot", ".gv"), to_bytes)

@@ -18,15 +18,20 @@ NO_CONSTANTS: Mapping[str, float] = {}
 
 
 class ReadOptions(NamedTuple):
-    """What a reader assumes where tools differ, and what it is told from outside.
+    """How a net is to be read: what a reader assumes where tools differ, and what it is told from
+    outside.
 
+    :ivar format: name of the file's format, when the content should not decide.
     :ivar net: name of the net to take from a file of several.
-    :ivar constants: values of constants; they go before those of the file.
+    :ivar constants: values of constants; they take precedence over those of the file.
     :ivar infinite_servers: whether an exponential transition whose file does not say how many
-        servers it has has infinitely many; None takes the default of the format.
+        servers it has has infinitely many; None takes the default of the format (PNPRO: infinitely
+        many, others: one).
     :ivar missing_weight: weight of an immediate transition whose file gives none: 1, or 0 for
-        "controllable", as robotics users read it."""
+        "controllable", as robotics users read it.
+    """
 
+    format: Optional[str] = None
     net: Optional[str] = None
     constants: Mapping[str, float] = NO_CONSTANTS
     infinite_servers: Optional[bool] = None

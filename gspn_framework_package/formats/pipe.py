@@ -24,6 +24,8 @@ from lxml import etree
 
 from gspn_framework_package.formats import vocabulary
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions
+from gspn_framework_package.formats.format import Format, XmlReader
+from gspn_framework_package.formats.pnml_family import PIPE, member
 from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
     all_of,
@@ -77,10 +79,6 @@ def from_xml(
     root: etree._Element, file: Optional[str], options: ReadOptions
 ) -> Tuple[Net, List[str]]:
     """The net in a parsed document, and notes."""
-    if tag(root) not in ("pnml", "net"):
-        raise NetError(
-            "the root element is <%s>, not <pnml>" % tag(root), file=file, line=line_of(root)
-        )
     nets = [root] if tag(root) == "net" else all_of(root, "net")
     element = choose_net(nets, options.net, file)
     if tag(root) == "pnml":
@@ -364,3 +362,14 @@ def _arc_id(source: str, target: str, used: Set[str]) -> str:
         identifier = "%s (%d)" % (wanted, number)
     used.add(identifier)
     return identifier
+
+
+FORMAT = Format(
+    "pipe",
+    "PIPE XML",
+    (".xml",),
+    to_bytes,
+    XmlReader(
+        from_xml, ("pnml", "net"), lambda root: tag(root) == "net" or member(root).kind == PIPE
+    ),
+)

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import os
 import re
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.formats import thesis_input
-from gspn_framework_package.formats.draft import NO_CONSTANTS
+from gspn_framework_package.formats.draft import ReadOptions
+from gspn_framework_package.formats.format import is_xml
 from gspn_framework_package.formats.json_file import JsonDocument, read_document
 from gspn_framework_package.formats.plan_json import check_schema, plan_from_json, policy_from_json
-from gspn_framework_package.formats.registry import is_xml, read_net, read_net_with_notes
+from gspn_framework_package.formats.registry import (
+    AS_THE_FILE_SAYS,
+    read_net,
+    read_net_with_notes,
+)
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.model.errors import GspnError, InputError, PlanError, UsageError
 from gspn_framework_package.model.net import Net
@@ -92,41 +97,28 @@ class NetOrPlan(NamedTuple):
 
 
 def read_net_or_plan(
-    path: str,
-    *,
-    format: Optional[str] = None,
-    net: Optional[str] = None,
-    constants: Mapping[str, float] = NO_CONSTANTS,
-    infinite_servers: Optional[bool] = None,
-    missing_weight: float = 1.0,
-    net_will_do: bool = False,
+    path: str, options: ReadOptions = AS_THE_FILE_SAYS, *, net_will_do: bool = False
 ) -> NetOrPlan:
     """Read a plan, as :func:`read_plan`, or a net, as
-    :func:`~gspn_framework_package.formats.registry.read_net`, with the options of that. A folder
-    and a JSON file are taken for a plan, unless a format is given. An input file of the thesis that
-    maps no place to an action is taken for its net (5.3).
+    :func:`~gspn_framework_package.formats.registry.read_net`. A folder and a JSON file are taken
+    for a plan, unless the options name a format. An input file of the thesis that maps no place to
+    an action is taken for its net (5.3).
 
+    :param options: how to read a net.
     :param net_will_do: take an input file of the thesis for its net also where the rest of it makes
         no plan; a note says why.
     :raises UsageError: a plan, and options that it says itself.
     :raises GspnError: it cannot be read.
     """
-    if format is None and is_plan(path):
-        if constants or net is not None or infinite_servers is not None or missing_weight != 1.0:
+    if options.format is None and is_plan(path):
+        if options != AS_THE_FILE_SAYS:
             raise UsageError(
                 "how a net is read (its name in the file, constants, servers, weights) can be "
                 "said of a net only",
                 hint="this is a plan, which says it itself",
             )
         return _net_of_thesis(path, net_will_do) or _whole_plan(path)
-    found, notes = read_net_with_notes(
-        path,
-        format=format,
-        net=net,
-        constants=constants,
-        infinite_servers=infinite_servers,
-        missing_weight=missing_weight,
-    )
+    found, notes = read_net_with_notes(path, options)
     return NetOrPlan(found, None, tuple(notes))
 
 
@@ -201,9 +193,7 @@ def _net(data: Any, folder: str) -> Tuple[Optional[Net], List[str]]:
     if "file" in data:
         return read_net_with_notes(
             os.path.join(folder, data["file"]),
-            format=data.get("format"),
-            net=data.get("name"),
-            constants=data.get("constants", {}),
+            ReadOptions(data.get("format"), data.get("name"), data.get("constants", {})),
         )
     return None, []
 

@@ -22,6 +22,8 @@ from lxml import etree
 
 from gspn_framework_package.formats import vocabulary
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions
+from gspn_framework_package.formats.format import Format, XmlReader
+from gspn_framework_package.formats.pnml_family import PNML, member
 from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
     all_of,
@@ -448,3 +450,12 @@ def _write_properties(
     node = etree.SubElement(parent, "toolspecific", tool=tool, version=version)
     for key, value in values.items():
         etree.SubElement(node, "property", key=key).text = value
+
+
+FORMAT = Format(
+    "pnml",
+    "ISO 15909-2 PNML",
+    (".pnml",),
+    to_bytes,
+    XmlReader(from_xml, ("pnml",), lambda root: member(root).kind == PNML),
+)

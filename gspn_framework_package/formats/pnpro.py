@@ -19,6 +19,7 @@ from lxml import etree
 
 from gspn_framework_package.formats import vocabulary
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions, capacity_losses
+from gspn_framework_package.formats.format import Format, XmlReader
 from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
     all_of,
@@ -395,3 +396,13 @@ def _write_position(node: etree._Element, where: Optional[Position], kind: str) 
     if where is not None:
         node.set("x", number_text(round(where[0] / UNIT + _CORNER[kind], 9)))
         node.set("y", number_text(where[1] / UNIT))
+
+
+FORMAT = Format(
+    "pnpro",
+    "PNPRO (GreatSPN)",
+    (".pnpro",),
+    to_bytes,
+    XmlReader(from_xml, ("project", "gspn")),
+    losses,
+)

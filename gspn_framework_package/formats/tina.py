@@ -18,6 +18,7 @@ import re
 from typing import Dict, List, NamedTuple, NoReturn, Optional, Tuple
 
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions, capacity_losses
+from gspn_framework_package.formats.format import Format, TextReader
 from gspn_framework_package.model.capacity import capacities_as_inhibitors
 from gspn_framework_package.model.errors import NetError
 from gspn_framework_package.model.expression import shorten
@@ -275,3 +276,6 @@ def _quote(name: str) -> str:
             element="'%s'" % shorten(name),
         )
     return name if _PLAIN.match(name) else "{%s}" % re.sub(r"([{}\\])", r"\\\1", name)
+
+
+FORMAT = Format("tina", "TINA .net", (".net",), to_bytes, TextReader(from_text, recognises), losses)

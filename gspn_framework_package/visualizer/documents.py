@@ -21,7 +21,6 @@ from gspn_framework_package.model.errors import InputError, LimitError, RefusedE
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
-NET_ENDINGS = tuple(e for f in FORMATS.values() for e in f.extensions)
 LOG_ENDINGS = (".jsonl", ".bag")
 
 FILES_LISTED = 500
@@ -141,7 +140,8 @@ class Folder:
             return "log"
         if name.endswith(".json"):
             return "plan" if _looks_like_plan(whole) else ""
-        return "net" if name.endswith(NET_ENDINGS) else ""
+        endings = tuple(ending for known in FORMATS.values() for ending in known.extensions)
+        return "net" if name.endswith(endings) else ""
 
 
 def _check_text(name: str) -> None:

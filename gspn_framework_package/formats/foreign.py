@@ -1,0 +1,64 @@
+"""Files that are often given for a net and are not read: each with what to do instead."""
+
+from __future__ import annotations
+
+from typing import Callable, NamedTuple, Optional, Tuple
+
+from lxml import etree
+
+from gspn_framework_package.formats.format import NetFile
+from gspn_framework_package.formats.pnml_family import TAPAAL, member
+from gspn_framework_package.formats.xml_tree import line_of, tag
+from gspn_framework_package.model.errors import InputError
+
+
+class Foreign(NamedTuple):
+    """A kind of file that is recognised in order to be refused.
+
+    :ivar recognises: whether a file is of this kind.
+    :ivar message: what the file is.
+    :ivar hint: what to do instead.
+    :ivar element: the element to name the line of, in an XML file.
+    """
+
+    recognises: Callable[[NetFile], bool]
+    message: str
+    hint: str
+    element: Callable[[etree._Element], Optional[etree._Element]] = lambda root: None
+
+
+def _in_tapaal(file: NetFile) -> bool:
+    return file.is_xml and tag(file.root) == "pnml" and member(file.root).kind == TAPAAL
+
+
+FOREIGN: Tuple[Foreign, ...] = (
+    Foreign(
+        lambda file: not file.is_xml and file.text.lstrip().startswith(("{", "[")),
+        "this is JSON, not a net",
+        "a plan is given where a plan is asked for; its net is the file it names",
+    ),
+    Foreign(
+        lambda file: not file.is_xml and file.text.startswith("|0|"),
+        "the old .net/.def format of GreatSPN is not read",
+        "open it in the editor of GreatSPN and save it as PNPRO",
+    ),
+    Foreign(
+        _in_tapaal,
+        "a net in TAPAAL's own form (.tapn), which is not read",
+        "save it from TAPAAL as PNML, which leaves its times out",
+        lambda root: member(root).shown_by,
+    ),
+)
+
+
+def refuse_foreign(file: NetFile) -> None:
+    """:raises InputError: the file is of a known kind that is not read."""
+    for kind in FOREIGN:
+        if kind.recognises(file):
+            element = kind.element(file.root) if file.is_xml else None
+            raise InputError(
+                kind.message,
+                file=file.path,
+                line=None if element is None else line_of(element),
+                hint=kind.hint,
+            )

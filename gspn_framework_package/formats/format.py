@@ -1,0 +1,146 @@
+"""A file format of nets, as the registry knows it: each format module ends with its own record.
+
+To add a format, write a module with a :class:`Format` called ``FORMAT`` and add the module to the
+table in :mod:`~gspn_framework_package.formats.registry`; from outside the package, call
+:func:`~gspn_framework_package.formats.registry.register`."""
+
+from __future__ import annotations
+
+import codecs
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Callable, List, Mapping, Optional, Tuple, Union
+
+from lxml import etree
+
+from gspn_framework_package.formats.draft import ReadOptions
+from gspn_framework_package.formats.xml_tree import line_of, parse_xml, tag
+from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.model.expression import shorten
+from gspn_framework_package.model.net import Net
+
+Bounds = Mapping[str, int]
+"""Place -> the most tokens it can hold, where that is known."""
+
+NetAndNotes = Tuple[Net, List[str]]
+"""What a reader returns: the net, and notes on what it had to assume or left out."""
+
+
+class NetFile:
+    """The content of a file, parsed or decoded when a reader first asks for it.
+
+    :ivar data: the bytes of the file.
+    :ivar path: its name, for messages.
+    :param hint: what to say of a file that is neither XML nor text.
+    """
+
+    def __init__(self, data: bytes, path: str, hint: str = "") -> None:
+        self.data = data
+        self.path = path
+        self._hint = hint
+
+    @cached_property
+    def root(self) -> etree._Element:
+        """The root element. :raises InputError: the content is not well-formed XML."""
+        return parse_xml(self.data, self.path)
+
+    @cached_property
+    def text(self) -> str:
+        """The content as text. :raises InputError: it is not UTF-8."""
+        try:
+            text = self.data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = "\0"
+        if "\0" in text:
+            raise InputError(
+                "neither XML nor text: not a net in any format that is known",
+                file=self.path,
+                hint=self._hint or None,
+            )
+        return text
+
+    @cached_property
+    def is_xml(self) -> bool:
+        """Whether the content is meant as XML."""
+        return is_xml(self.data)
+
+
+def is_xml(data: bytes) -> bool:
+    """Whether a file with this content is meant as XML."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return True
+    if data.startswith(codecs.BOM_UTF8):
+        data = data[len(codecs.BOM_UTF8) :]
+    return data.lstrip()[:1] == b"<"
+
+
+@dataclass(frozen=True)
+class XmlReader:
+    """How an XML format is recognised and read.
+
+    :ivar read: reads the net under a root element: (root, path of the file, options).
+    :ivar roots: the root elements that the format has.
+    :ivar recognises: whether a document with one of these roots is in this format; needed where
+        formats share a root element.
+    """
+
+    read: Callable[[etree._Element, Optional[str], ReadOptions], NetAndNotes]
+    roots: Tuple[str, ...]
+    recognises: Callable[[etree._Element], bool] = lambda root: True
+
+    def takes(self, file: NetFile) -> bool:
+        """Whether a file is in this format."""
+        return file.is_xml and tag(file.root) in self.roots and self.recognises(file.root)
+
+    def read_file(self, file: NetFile, title: str, options: ReadOptions) -> NetAndNotes:
+        """Read a file as this format. :raises InputError: it is in another one, or damaged."""
+        if tag(file.root) not in self.roots:
+            raise InputError(
+                "the root element is <%s>, not <%s> as in %s"
+                % (shorten(tag(file.root)), self.roots[0], title),
+                file=file.path,
+                line=line_of(file.root),
+            )
+        return self.read(file.root, file.path, options)
+
+
+@dataclass(frozen=True)
+class TextReader:
+    """How a text format is recognised and read.
+
+    :ivar read: reads the net in a text: (text, path of the file, options).
+    :ivar recognises: whether a text is in this format, by how it begins.
+    """
+
+    read: Callable[[str, Optional[str], ReadOptions], NetAndNotes]
+    recognises: Callable[[str], bool]
+
+    def takes(self, file: NetFile) -> bool:
+        """Whether a file is in this format."""
+        return not file.is_xml and self.recognises(file.text)
+
+    def read_file(self, file: NetFile, title: str, options: ReadOptions) -> NetAndNotes:
+        """Read a file as this format. :raises InputError: it is in another one, or damaged."""
+        return self.read(file.text, file.path, options)
+
+
+@dataclass(frozen=True)
+class Format:
+    """A file format.
+
+    :ivar name: what it is called in ``--to`` and ``--from``.
+    :ivar title: what it is called in sentences.
+    :ivar extensions: how its files end; the first is the usual one.
+    :ivar to_bytes: the writer. It takes a net, and :data:`Bounds` too where ``takes_bounds``.
+    :ivar reader: how it is recognised and read; None where it is only written.
+    :ivar losses: what writing a net leaves out or says in other words, in sentences.
+    :ivar takes_bounds: whether the writer wants to know the most tokens that places hold.
+    """
+
+    name: str
+    title: str
+    extensions: Tuple[str, ...]
+    to_bytes: Callable[..., bytes]
+    reader: Optional[Union[XmlReader, TextReader]] = None
+    losses: Callable[[Net], List[str]] = lambda net: []
+    takes_bounds: bool = False
