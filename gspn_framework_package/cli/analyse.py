@@ -27,9 +27,6 @@ from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.model.errors import UsageError
 
-NAME = "analyse"
-HELP = "analyse a net, or a plan under its policy: structure, state space, time"
-
 _PARTS = 10_000
 """Parts of the JSON text (a name, a number, a bracket) that are written together."""
 

@@ -17,9 +17,6 @@ from gspn_framework_package.benchmark.team_run import LAUNCH_FILES, Master, need
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.model.errors import UsageError
 
-NAME = "bench"
-HELP = "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)"
-
 COLUMNS = (
     ("robots", "robots"),
     ("places", "places"),

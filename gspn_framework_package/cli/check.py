@@ -14,9 +14,6 @@ from gspn_framework_package.execution.actions import missing_function
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.plan import FunctionAction, Plan, ServerAction
 
-NAME = "check"
-HELP = "check whether a plan may run, before any robot moves"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""

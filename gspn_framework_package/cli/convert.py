@@ -40,9 +40,6 @@ from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import FunctionAction, Plan
 
-NAME = "convert"
-HELP = "write a net in another format, or a plan as one file"
-
 CHAINS = {"prism-chain": ".tra", "drn": ".drn"}
 """What a computed Markov chain is written as -> how the files end: PRISM's explicit files, and
 Storm's DRN."""

@@ -21,9 +21,6 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.model.plan import Plan
 
-NAME = "demo"
-HELP = "run a plan on a team of robots (needs ROS and a master), and show what happens"
-
 LINES = 8
 """Firings that the live view shows."""
 
@@ -369,7 +366,9 @@ def _log_folder() -> str:
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
     """What ``run_demo`` starts: the verb by itself."""
-    parser = argparse.ArgumentParser(prog="gspn demo", description=HELP)
+    from gspn_framework_package.cli.main import VERBS
+
+    parser = argparse.ArgumentParser(prog="gspn demo", description=VERBS["demo"].help)
     add_arguments(parser)
     try:
         return run(parser.parse_args(arguments))

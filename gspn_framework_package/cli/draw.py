@@ -24,9 +24,6 @@ from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
-NAME = "draw"
-HELP = "draw a net, its coverability tree or its Markov chain"
-
 DEFAULT_LIMIT = 500
 """Most nodes of a tree or chain that are drawn: more is no picture any more."""
 

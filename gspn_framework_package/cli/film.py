@@ -13,9 +13,6 @@ from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.model.errors import InputError, UsageError
 
-NAME = "film"
-HELP = "film robots in a room, without a display: a recorded run, or a patrol simulated for it"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""

@@ -1,8 +1,8 @@
 """The dispatcher of the command line: finds the module of the verb that is asked for, and runs it.
 
-A verb is a module beside this one that has ``NAME``, ``HELP``, ``add_arguments(parser)`` and
-``run(args) -> int``. Only the module of the verb asked for is imported, so that ``gspn --help`` and
-the light verbs start at once.
+A verb is a module that has ``add_arguments(parser)`` and ``run(args) -> int``, and a row of
+:data:`VERBS`. Only the module of the verb asked for is imported, so that ``gspn --help`` and the
+light verbs start at once.
 
 Exit codes: 0 yes, 1 the plan or the answer is no, 2 the input or the usage is wrong, 70 a fault of
 this program, 130 interrupted, 141 the reader of the output has gone.
@@ -16,65 +16,67 @@ import io
 import os
 import sys
 import traceback
-from typing import Dict, NoReturn, Optional, Sequence, Tuple
+from typing import Any, Dict, NamedTuple, NoReturn, Optional, Sequence, Tuple, Union
 
 from gspn_framework_package import __version__
 from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED, INTERRUPTED, Interrupts
+from gspn_framework_package.cli.orders import ORDERS, Order
 from gspn_framework_package.model.errors import GspnError, missing_library
 
 EXIT_USAGE = 2
 EXIT_INTERNAL = 70  # EX_SOFTWARE of sysexits.h
 EXIT_BROKEN_PIPE = 141  # 128 + SIGPIPE
 
-# : Verb -> (its module in this package, its HELP: one line, repeated here so that ``--help`` need :
-# not import the module; a test holds the two together). In the order in which one comes to need
-# them.
-VERBS: Dict[str, Tuple[str, str]] = {
-    "check": ("check", "check whether a plan may run, before any robot moves"),
-    "run": ("run", "execute a plan without ROS, its agents on threads"),
-    "simulate": ("simulate", "simulate many runs of a net or plan, with confidence intervals"),
-    "analyse": (
-        "analyse",
-        "analyse a net, or a plan under its policy: structure, state space, time",
+
+class Verb(NamedTuple):
+    """A verb with a module of its own.
+
+    :ivar module: the module, by its full name or, with a dot before it, by its name in this folder.
+    :ivar help: what the verb does, in one line.
+    """
+
+    module: str
+    help: str
+
+    def load(self) -> Any:
+        """What declares the words of the verb and runs it: the module."""
+        return importlib.import_module(self.module, __package__)
+
+
+VERBS: Dict[str, Union[Verb, Order]] = {
+    "check": Verb(".check", "check whether a plan may run, before any robot moves"),
+    "run": Verb(".run", "execute a plan without ROS, its agents on threads"),
+    "simulate": Verb(".simulate", "simulate many runs of a net or plan, with confidence intervals"),
+    "analyse": Verb(
+        ".analyse", "analyse a net, or a plan under its policy: structure, state space, time"
     ),
-    "plot": ("plot", "plot results of the analysis: tokens over time, distributions, throughput"),
-    "draw": ("draw", "draw a net, its coverability tree or its Markov chain"),
-    "convert": ("convert", "write a net in another format, or a plan as one file"),
-    "serve": (
-        "serve",
-        "open the page: simulate, analyse and execute the nets and plans of a folder",
+    "plot": Verb(
+        ".plot", "plot results of the analysis: tokens over time, distributions, throughput"
     ),
-    "replay": (
-        "replay",
-        "open the page on a recorded run: an event log, or a rosbag of fired_transitions",
+    "draw": Verb(".draw", "draw a net, its coverability tree or its Markov chain"),
+    "convert": Verb(".convert", "write a net in another format, or a plan as one file"),
+    "serve": Verb(
+        ".serve", "open the page: simulate, analyse and execute the nets and plans of a folder"
     ),
-    "verify": ("verify", "check the logs of a run against the rules, from the logs alone"),
-    "film": (
-        "film",
+    "replay": Verb(
+        ".replay", "open the page on a recorded run: an event log, or a rosbag of fired_transitions"
+    ),
+    "verify": Verb(".verify", "check the logs of a run against the rules, from the logs alone"),
+    "film": Verb(
+        ".film",
         "film robots in a room, without a display: a recorded run, or a patrol simulated for it",
     ),
-    "demo": (
-        "demo",
-        "run a plan on a team of robots (needs ROS and a master), and show what happens",
+    "demo": Verb(
+        ".demo", "run a plan on a team of robots (needs ROS and a master), and show what happens"
     ),
-    "bench": (
-        "bench",
+    "bench": Verb(
+        ".bench",
         "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)",
     ),
-    "status": ("orders.status", "what every robot of a running team does, and what it waits for"),
-    "pause": ("orders.pause", "let nothing fire, or a robot join no firing, until resume"),
-    "resume": ("orders.resume", "end a pause of the team, or of one robot"),
-    "set-place": ("orders.set_place", "put a robot into a place; its action there begins"),
-    "retry": ("orders.retry", "try the failed action of a robot again"),
-    "fire": ("orders.fire", "fire a transition of the environment"),
-    "evict": ("orders.evict", "take a robot out of the team as lost"),
-    "force-evict": (
-        "orders.force_evict",
-        "the same without a quorum: you assert that the robot is switched off",
-    ),
-    "leave": ("orders.leave", "have a robot leave the team, with its token"),
-    "stop": ("orders.stop", "end the run of a team"),
+    "status": Verb(".status", "what every robot of a running team does, and what it waits for"),
+    **ORDERS,
 }
+"""Verb -> where it is, in the order in which one comes to need them."""
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
@@ -176,11 +178,11 @@ def _parser(words: Sequence[str]) -> _Parser:
     parser.add_argument("--version", action="version", version=f"gspn {__version__}")
     verbs = parser.add_subparsers(title="verbs", metavar="VERB", dest="verb", required=True)
     asked = next((word for word in words if not word.startswith("-")), None)
-    for name, (module_name, summary) in VERBS.items():
-        verb = verbs.add_parser(name, help=summary, parents=[common], allow_abbrev=False)
+    for name, entry in VERBS.items():
+        verb = verbs.add_parser(name, help=entry.help, parents=[common], allow_abbrev=False)
         if name == asked:
-            module = importlib.import_module(f"{__package__}.{module_name}")
-            verb.description = module.HELP
-            module.add_arguments(verb)
-            verb.set_defaults(run=module.run, parser=verb)
+            verb.description = entry.help
+            loaded = entry.load()
+            loaded.add_arguments(verb)
+            verb.set_defaults(run=loaded.run, parser=verb)
     return parser

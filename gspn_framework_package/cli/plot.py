@@ -18,9 +18,6 @@ from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.model.errors import UsageError
 
-NAME = "plot"
-HELP = "plot results of the analysis: tokens over time, distributions, throughput"
-
 _COLORS = 10
 """Colours of matplotlib's usual cycle; what comes after them is told apart by its line."""
 

@@ -8,9 +8,6 @@ import os
 from gspn_framework_package.cli.serve import add_address_arguments, serve
 from gspn_framework_package.model.errors import InputError
 
-NAME = "replay"
-HELP = "open the page on a recorded run: an event log, or a rosbag of fired_transitions"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""

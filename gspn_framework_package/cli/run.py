@@ -23,9 +23,6 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError, RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan
 
-NAME = "run"
-HELP = "execute a plan without ROS, its agents on threads"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""

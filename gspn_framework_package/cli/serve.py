@@ -9,9 +9,6 @@ from typing import Optional
 
 from gspn_framework_package.model.errors import InputError, UsageError
 
-NAME = "serve"
-HELP = "open the page: simulate, analyse and execute the nets and plans of a folder"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of the verb."""

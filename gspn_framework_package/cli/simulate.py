@@ -16,9 +16,6 @@ from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 
-NAME = "simulate"
-HELP = "simulate many runs of a net or plan, with confidence intervals"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""

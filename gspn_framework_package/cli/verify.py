@@ -11,9 +11,6 @@ from gspn_framework_package.execution.event_log import DamagedLogError, read_log
 from gspn_framework_package.execution.history import Verdict, Violation, verify
 from gspn_framework_package.model.errors import LogError
 
-NAME = "verify"
-HELP = "check the logs of a run against the rules, from the logs alone"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""

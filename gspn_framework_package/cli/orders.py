@@ -1,24 +1,35 @@
-"""The operator's orders to a running team: a module for each verb, and here what they share."""
+"""The operator's orders to a running team: one row of :data:`ORDERS` for each verb.
+
+To add an order, add a row here and its command to
+:mod:`~gspn_framework_package.execution.agreement.orders`."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import os
-from typing import NamedTuple
+from typing import Dict, NamedTuple, Tuple
 
 from gspn_framework_package.model.errors import UsageError
 
 
 class Order(NamedTuple):
-    """A verb that gives an order: the ``command`` of the Command service; ``robot`` and
-    ``argument`` say what words it takes ("" for none, "ROBOT" for one, "[ROBOT]" for one that may
-    be left out)."""
+    """A verb that gives an order.
+
+    :ivar command: the ``command`` of the Command service.
+    :ivar help: what the verb does, in one line.
+    :ivar robot: ``ROBOT`` where it takes a robot, ``[ROBOT]`` where the robot may be left out.
+    :ivar argument: what its argument is called, and what that is, in words; empty for none.
+    """
 
     command: str
+    help: str
     robot: str = ""
-    argument: str = ""
-    help: str = ""
+    argument: Tuple[str, str] = ("", "")
+
+    def load(self) -> Order:
+        """What declares the words of the verb and runs it."""
+        return self
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the words of the verb."""
@@ -30,8 +41,9 @@ class Order(NamedTuple):
                 default="",
                 help="name of the robot" + ("; none: the team" if "[" in self.robot else ""),
             )
-        if self.argument:
-            parser.add_argument("argument", metavar=self.argument.strip("[]"), help=self.help)
+        metavar, meaning = self.argument
+        if metavar:
+            parser.add_argument("argument", metavar=metavar, help=meaning)
         add_team_options(parser)
 
     def run(self, args: argparse.Namespace) -> int:
@@ -46,6 +58,31 @@ class Order(NamedTuple):
         else:
             print("%s: %s" % ("done" if done else "not done", message))
         return 0 if done else 1
+
+
+ORDERS: Dict[str, Order] = {
+    "pause": Order("pause", "let nothing fire, or a robot join no firing, until resume", "[ROBOT]"),
+    "resume": Order("resume", "end a pause of the team, or of one robot", "[ROBOT]"),
+    "set-place": Order(
+        "set_place",
+        "put a robot into a place; its action there begins",
+        "ROBOT",
+        ("PLACE", "the place"),
+    ),
+    "retry": Order("retry", "try the failed action of a robot again", "ROBOT"),
+    "fire": Order(
+        "fire", "fire a transition of the environment", argument=("TRANSITION", "the transition")
+    ),
+    "evict": Order("evict", "take a robot out of the team as lost", "ROBOT"),
+    "force-evict": Order(
+        "force_evict",
+        "the same without a quorum: you assert that the robot is switched off",
+        "ROBOT",
+    ),
+    "leave": Order("leave", "have a robot leave the team, with its token", "ROBOT"),
+    "stop": Order("stop", "end the run of a team"),
+}
+"""Verb -> order."""
 
 
 def add_team_options(parser: argparse.ArgumentParser) -> None:

@@ -8,9 +8,6 @@ from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.cli.orders import add_team_options, require_ros
 
-NAME = "status"
-HELP = "what every robot of a running team does, and what it waits for"
-
 COLUMNS = ("robot", "place", "state", "visit", "log length", "last contact", "waits for")
 
 
