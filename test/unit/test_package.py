@@ -19,7 +19,9 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "gspn_framework_package"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 #: Programs for rosrun and roslaunch; the other files in scripts/ have a suffix.
-PROGRAMS = sorted(path for path in (ROOT / "scripts").iterdir() if not path.suffix)
+PROGRAMS = sorted(
+    path for path in (ROOT / "scripts").iterdir() if path.is_file() and not path.suffix
+)
 SCRIPTS = [ROOT / "setup.py", *PROGRAMS, *sorted((ROOT / "scripts").glob("*.py"))]
 PLANS = sorted((ROOT / "plans").rglob("*.py"))
 TESTS = sorted((ROOT / "test").rglob("*.py"))
