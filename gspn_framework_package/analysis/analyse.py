@@ -32,19 +32,19 @@ from typing import (
 
 import numpy as np
 
-from gspn_framework_package.analysis.chain import Chain
-from gspn_framework_package.analysis.coverability import CoverabilityTree
-from gspn_framework_package.analysis.exploration import Cancel, Progress, Watch
-from gspn_framework_package.analysis.invariants import bounds_of
+from gspn_framework_package.analysis.chain.markov_chain import Chain
 from gspn_framework_package.analysis.limits import Limits, states_of
-from gspn_framework_package.analysis.measures import Measures
-from gspn_framework_package.analysis.passage import Passage, first_passage
-from gspn_framework_package.analysis.plan_analysis import PlanSpace, explore_plan
-from gspn_framework_package.analysis.properties import Liveness, Properties
-from gspn_framework_package.analysis.state_space import StateSpace, Step, explore
-from gspn_framework_package.analysis.steady_state import SteadyState, steady_state
-from gspn_framework_package.analysis.structure import Structure
-from gspn_framework_package.analysis.transient import time_to_steady_state, transient
+from gspn_framework_package.analysis.plan.space import PlanSpace, explore_plan
+from gspn_framework_package.analysis.solution.measures import Measures
+from gspn_framework_package.analysis.solution.passage import Passage, first_passage
+from gspn_framework_package.analysis.solution.steady_state import SteadyState, steady_state
+from gspn_framework_package.analysis.solution.transient import time_to_steady_state, transient
+from gspn_framework_package.analysis.state_space.coverability import CoverabilityTree
+from gspn_framework_package.analysis.state_space.properties import Liveness, Properties
+from gspn_framework_package.analysis.state_space.space import StateSpace, Step, explore
+from gspn_framework_package.analysis.structure.invariants import bounds_of
+from gspn_framework_package.analysis.structure.net_structure import Structure
+from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
@@ -91,7 +91,7 @@ class Analysis:
     :param limits: how far each part may go.
     :param structure: whether P-invariants may be asked for bounds. Without them, the coverability
         tree alone says what grows without bound.
-    :param engine: see :func:`~gspn_framework_package.analysis.state_space.explore`.
+    :param engine: see :func:`~gspn_framework_package.analysis.state_space.space.explore`.
     :param progress: told how far long work is.
     :param cancel: asked now and then whether to stop.
 

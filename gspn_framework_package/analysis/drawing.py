@@ -7,8 +7,8 @@ from typing import Dict, Mapping, Sequence
 
 import numpy as np
 
-from gspn_framework_package.analysis.chain import Chain
-from gspn_framework_package.analysis.coverability import OMEGA, CoverabilityTree
+from gspn_framework_package.analysis.chain.markov_chain import Chain
+from gspn_framework_package.analysis.state_space.coverability import OMEGA, CoverabilityTree
 from gspn_framework_package.formats.dot import Attribute, Graph
 from gspn_framework_package.model.net import Net
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, Optional
 
-from gspn_framework_package.analysis.exploration import Watch
+from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
 
 STATE_LIMIT = 2_000_000
@@ -58,9 +58,12 @@ class Effort:
     :param limit: how many there may be.
     :param watch: asked now and then whether to stop.
 
-    >>> effort = Effort(100) >>> effort.spend(60, "rows") >>> effort.spend(60, "rows") Traceback
-    (most recent call last): ... gspn_framework_package.model.errors.LimitError: too much work: more
-    than 100 steps (raise --limit-structure)
+    >>> effort = Effort(100)
+    >>> effort.spend(60, "rows")
+    >>> effort.spend(60, "rows")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    gspn_framework_package.model.errors.LimitError: too much work: more than 100 steps...
     """
 
     def __init__(self, limit: int, watch: Optional[Watch] = None) -> None:

@@ -12,8 +12,8 @@ from typing import Any, Callable, Dict, Iterator, List, Mapping, NamedTuple, Opt
 import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis, Reachability
-from gspn_framework_package.analysis.chain import Component
-from gspn_framework_package.analysis.measures import Measures
+from gspn_framework_package.analysis.chain.markov_chain import Component
+from gspn_framework_package.analysis.solution.measures import Measures
 from gspn_framework_package.model.errors import CancelledError, LimitError, RefusedError
 
 INFINITE = "infinite"

@@ -178,8 +178,8 @@ def _chain(engine: str, net: Net) -> Measurement:
     if engine == "numpy":
         sys.modules["numba"] = None  # type: ignore[assignment]  # as where it is not installed
     from gspn_framework_package.analysis.chain import Chain
+    from gspn_framework_package.analysis.solution.steady_state import steady_state
     from gspn_framework_package.analysis.state_space import explore
-    from gspn_framework_package.analysis.steady_state import steady_state
 
     for small in (nets.kanban(2), nets.philosophers(12)):  # loads everything
         steady_state(Chain.of(explore(small, engine=engine)))

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, List, Mapping, Sequence, Tuple
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.report import STRUCTURE, Questions, report, rows
 from gspn_framework_package.analysis.state_space import ENGINES
+from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli.interrupts import leave
 from gspn_framework_package.cli.limits import (
     add_limit_arguments,

@@ -7,7 +7,7 @@ import json
 from typing import List
 
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT, check
-from gspn_framework_package.analysis.preflight_report import CheckItem, Severity, names
+from gspn_framework_package.analysis.preflight.report import CheckItem, Severity, names
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.actions import missing_function

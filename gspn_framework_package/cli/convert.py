@@ -12,8 +12,8 @@ from typing import Dict, List
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain_export import explicit_chain
-from gspn_framework_package.analysis.invariants import invariant_bounds
 from gspn_framework_package.analysis.limits import STATE_LIMIT
+from gspn_framework_package.analysis.structure.invariants import invariant_bounds
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import (
     add_net_arguments,

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import List, Union
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.coverability import CoverabilityTree
 from gspn_framework_package.analysis.drawing import chain_graph, note_of_rates_left_out, tree_graph
-from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.limits import MEMORY
+from gspn_framework_package.analysis.state_space.coverability import CoverabilityTree
+from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.limits import working
 from gspn_framework_package.cli.net_input import (

@@ -10,7 +10,6 @@ import threading
 from contextlib import contextmanager
 from typing import Any, Callable, Iterator, TypeVar
 
-from gspn_framework_package.analysis.exploration import Cancel, Progress
 from gspn_framework_package.analysis.limits import (
     LARGE_NET,
     MEMORY,
@@ -20,6 +19,7 @@ from gspn_framework_package.analysis.limits import (
     TREE_LIMIT,
     Limits,
 )
+from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli.interrupts import interruptible, leave
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.model.errors import CancelledError, LimitError, UsageError

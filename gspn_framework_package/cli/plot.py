@@ -11,7 +11,7 @@ from typing import Any, List, Mapping, Sequence
 import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.exploration import Cancel, Progress
+from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, working
 from gspn_framework_package.cli.net_input import print_notes

@@ -101,7 +101,7 @@ def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
     """Refuse a plan that must not run, and warn, once for each kind of finding. :raises
     ExecutionError: refused."""
     from gspn_framework_package.analysis.preflight import check
-    from gspn_framework_package.analysis.preflight_report import Severity
+    from gspn_framework_package.analysis.preflight.report import Severity
 
     report = check(plan)
     warnings: Dict[str, List[str]] = {}

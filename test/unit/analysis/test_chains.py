@@ -10,23 +10,23 @@ from hypothesis import HealthCheck, assume, given, settings
 from scipy import sparse
 from scipy.linalg import expm
 
-from gspn_framework_package.analysis import linear
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain import Chain
-from gspn_framework_package.analysis.exploration import Watch
-from gspn_framework_package.analysis.linear import solve
-from gspn_framework_package.analysis.measures import Measures
-from gspn_framework_package.analysis.ordering import sweep_order
-from gspn_framework_package.analysis.passage import first_passage
 from gspn_framework_package.analysis.report import Questions, report
-from gspn_framework_package.analysis.state_space import explore
-from gspn_framework_package.analysis.steady_state import stationary, steady_state
-from gspn_framework_package.analysis.transient import (
+from gspn_framework_package.analysis.solution import linear
+from gspn_framework_package.analysis.solution.linear import solve
+from gspn_framework_package.analysis.solution.measures import Measures
+from gspn_framework_package.analysis.solution.ordering import sweep_order
+from gspn_framework_package.analysis.solution.passage import first_passage
+from gspn_framework_package.analysis.solution.steady_state import stationary, steady_state
+from gspn_framework_package.analysis.solution.transient import (
     Evolution,
     poisson,
     time_to_steady_state,
     transient,
 )
+from gspn_framework_package.analysis.state_space import explore
+from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.benchmark.large_nets import endings
 from gspn_framework_package.benchmark.nets import kanban, polling
 from gspn_framework_package.model.builder import NetBuilder

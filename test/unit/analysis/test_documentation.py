@@ -23,13 +23,17 @@ def test_the_examples_of_the_page(monkeypatch):
     assert doctest.DocTestRunner().run(test).failed == 0
 
 
-MODULES = [name for _, name, _ in pkgutil.iter_modules(gspn_framework_package.analysis.__path__)]
+PREFIX = "gspn_framework_package.analysis."
+MODULES = [
+    found.name[len(PREFIX) :]
+    for found in pkgutil.walk_packages(gspn_framework_package.analysis.__path__, PREFIX)
+]
 
 
 @pytest.mark.parametrize("name", MODULES)
 def test_the_examples_of_the_docstrings(name):
     try:
-        module = importlib.import_module("gspn_framework_package.analysis." + name)
+        module = importlib.import_module(PREFIX + name)
     except ImportError as error:
         assert "numba" in str(error)
         pytest.skip("numba is missing")

@@ -6,8 +6,8 @@ import shutil
 import pytest
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.coverability import CoverabilityTree
 from gspn_framework_package.analysis.drawing import chain_graph, tree_graph
+from gspn_framework_package.analysis.state_space.coverability import CoverabilityTree
 from gspn_framework_package.benchmark.large_nets import ring
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import write_net

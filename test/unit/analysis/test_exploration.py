@@ -11,10 +11,10 @@ from generated_nets import bounded_nets, reference_space
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gspn_framework_package.analysis import sparse_engine
-from gspn_framework_package.analysis.exploration import Watch
-from gspn_framework_package.analysis.packing import PackedNet, starting_widths
-from gspn_framework_package.analysis.state_space import explore, numba_is_there
+from gspn_framework_package.analysis.state_space import sparse_engine
+from gspn_framework_package.analysis.state_space.packing import PackedNet, starting_widths
+from gspn_framework_package.analysis.state_space.space import explore, numba_is_there
+from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.benchmark.large_nets import ring, star
 from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.model.builder import NetBuilder
@@ -153,7 +153,7 @@ def test_a_count_that_is_too_large_is_told(arcs):
 @relaxed
 @given(net=bounded_nets(), cores=st.integers(2, 4))
 def test_cores_number_the_states_alike(net, cores):
-    from gspn_framework_package.analysis import numba_engine
+    from gspn_framework_package.analysis.state_space import numba_engine
 
     packed = PackedNet(net, starting_widths(net, [8] * len(net.places)))
     with pytest.MonkeyPatch.context() as patch:

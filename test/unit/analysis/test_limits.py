@@ -10,10 +10,11 @@ import threading
 import pytest
 from waiting import wait_for
 
-from gspn_framework_package.analysis import analyse, invariants
+from gspn_framework_package.analysis import analyse
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.limits import LARGE_NET, STATE_LIMIT, Limits, states_of
 from gspn_framework_package.analysis.report import Questions, report
+from gspn_framework_package.analysis.structure import invariants
 from gspn_framework_package.benchmark.large_nets import cells, ring, workflow
 from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.cli.limits import working

@@ -8,10 +8,10 @@ from hypothesis import HealthCheck, assume, given, settings
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain import Chain
-from gspn_framework_package.analysis.measures import Measures
-from gspn_framework_package.analysis.plan_analysis import WAITING, PlanRules, explore_plan
+from gspn_framework_package.analysis.plan.space import WAITING, PlanRules, explore_plan
+from gspn_framework_package.analysis.solution.measures import Measures
+from gspn_framework_package.analysis.solution.steady_state import steady_state
 from gspn_framework_package.analysis.state_space import explore
-from gspn_framework_package.analysis.steady_state import steady_state
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.plan import Plan

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gspn_framework_package.analysis.preflight import check
-from gspn_framework_package.analysis.preflight_report import Severity
+from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import CancelledError, PlanError

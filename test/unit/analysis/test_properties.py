@@ -6,9 +6,9 @@ from generated_nets import bounded_nets, reference_space
 from hypothesis import HealthCheck, given, settings
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.coverability import OMEGA, CoverabilityTree
-from gspn_framework_package.analysis.properties import Liveness, Properties
 from gspn_framework_package.analysis.state_space import explore
+from gspn_framework_package.analysis.state_space.coverability import OMEGA, CoverabilityTree
+from gspn_framework_package.analysis.state_space.properties import Liveness, Properties
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LimitError
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.properties import Properties
 from gspn_framework_package.analysis.state_space import explore
+from gspn_framework_package.analysis.state_space.properties import Properties
 from gspn_framework_package.benchmark.nets import (
     courier,
     flexible_manufacturing,

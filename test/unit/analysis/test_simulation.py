@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from scipy import stats
 
-from gspn_framework_package.analysis import simulation
 from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.simulation import runs as simulation
 from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.benchmark.nets import flexible_manufacturing, kanban, philosophers
 from gspn_framework_package.formats.plan_file import read_plan

@@ -10,12 +10,12 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from gspn_framework_package.analysis.chain import Chain
-from gspn_framework_package.analysis.measures import Measures
-from gspn_framework_package.analysis.passage import first_passage
-from gspn_framework_package.analysis.rated_graph import rate
+from gspn_framework_package.analysis.solution.measures import Measures
+from gspn_framework_package.analysis.solution.passage import first_passage
+from gspn_framework_package.analysis.solution.steady_state import steady_state
+from gspn_framework_package.analysis.solution.transient import transient
 from gspn_framework_package.analysis.state_space import explore
-from gspn_framework_package.analysis.steady_state import steady_state
-from gspn_framework_package.analysis.transient import transient
+from gspn_framework_package.analysis.state_space.rated_graph import rate
 from gspn_framework_package.model.errors import RefusedError
 
 pytest.importorskip(

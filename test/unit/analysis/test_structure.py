@@ -7,20 +7,20 @@ from generated_nets import bounded_nets
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gspn_framework_package.analysis.invariants import (
+from gspn_framework_package.analysis.state_space import explore
+from gspn_framework_package.analysis.structure import Structure, classify, conflict_sets
+from gspn_framework_package.analysis.structure.invariants import (
     invariant_bounds,
     place_invariants,
     transition_invariants,
 )
-from gspn_framework_package.analysis.siphons import (
+from gspn_framework_package.analysis.structure.siphons import (
     largest_siphon,
     largest_trap,
     minimal_siphons,
     minimal_traps,
     unguarded_siphon,
 )
-from gspn_framework_package.analysis.state_space import explore
-from gspn_framework_package.analysis.structure import Structure, classify, conflict_sets
 from gspn_framework_package.benchmark.large_nets import ring
 from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.model.builder import NetBuilder

@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("rospy")
 
 from gspn_framework_package.analysis import preflight
-from gspn_framework_package.analysis.preflight_report import CheckItem, PreflightReport, Severity
+from gspn_framework_package.analysis.preflight.report import CheckItem, PreflightReport, Severity
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.ros.node_main import check_plan
 

@@ -1,0 +1,5 @@
+"""The Markov chain of a state space: tangible markings only, vanishing ones eliminated."""
+
+from gspn_framework_package.analysis.chain.markov_chain import Chain, Component
+
+__all__ = ["Chain", "Component"]

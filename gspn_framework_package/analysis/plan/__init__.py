@@ -1,0 +1,1 @@
+"""What a plan adds to its net: the policy, what robots do on their own, places that only count."""

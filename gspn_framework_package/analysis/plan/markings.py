@@ -1,0 +1,346 @@
+"""The markings that a run of a plan can reach, for the check before any robot moves.
+
+They are the *untimed* ones: a robot in a decision place is busy with its action while others move,
+so immediate transitions have no priority here. Counters that nothing reads are left out, so that
+the exploration ends. A robot can be lost anywhere, so smaller teams are covered too. Then the
+policy has its say: firings that it never chooses are crossed out (an action that names an immediate
+transition itself is not foreseen by that).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
+
+import numpy as np
+
+from gspn_framework_package.analysis.graph import ShortestWays, adjacency
+from gspn_framework_package.analysis.plan.structure import only_written, terminal_places
+from gspn_framework_package.analysis.state_space.space import StateSpace, explore
+from gspn_framework_package.analysis.watch import Cancel, Progress
+from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.net import Arc, Net, Place, Transition
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.policy import Distribution, PolicyTable
+
+
+class Finding(NamedTuple):
+    """A marking with a shortest firing sequence that leads to it; ``place`` where one is
+    concerned."""
+
+    marking: Dict[str, int]
+    sequence: List[str]
+    place: Optional[str] = None
+
+    def to_json(self) -> Dict[str, Any]:
+        """As plain JSON values."""
+        data: Dict[str, Any] = {"marking": self.marking, "sequence": self.sequence}
+        return {**data, "place": self.place} if self.place else data
+
+
+class PlanMarkings:
+    """The reachable markings of a plan.
+
+    :param plan: a validated plan.
+    :param limit: on the states that are visited.
+    :param losses: whether robots can be lost.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        limit: int,
+        *,
+        losses: bool,
+        progress: Optional[Progress] = None,
+        cancel: Optional[Cancel] = None,
+    ) -> None:
+        self.plan = plan
+        self.left_out = only_written(plan)
+        net = plan.net.without_places(self.left_out)
+        self._own = len(net.transitions)
+        if losses:
+            net = _with_losses(net, plan, set(self.left_out))
+        self.net = net = _with_end(net, plan)
+        self.space: StateSpace = explore(
+            net, limit=limit, untimed=True, progress=progress, cancel=cancel
+        )
+        self._table = plan.policy.bind(plan.net)
+        self._number = {p: plan.net.place_index[place.name] for p, place in enumerate(net.places)}
+        self._sources = self.space.sources
+        self._is_loss = self.space.transitions >= self._own
+        self._over = self._until()
+        self.allowed = ~self._over[self._sources]
+        self._answers = _Answers(self, self._table, plan)
+        self._cross_out()
+        ways = ShortestWays(
+            len(self.space), self._sources, self.space.targets, self.allowed & ~self._is_loss
+        )
+        self._ways = ways
+        self._ways_with_losses = (
+            ShortestWays(len(self.space), self._sources, self.space.targets, self.allowed)
+            if losses
+            else ways
+        )
+
+    @property
+    def complete(self) -> bool:
+        """Whether these are all."""
+        return self.space.complete
+
+    def _until(self) -> Any:
+        if not self.plan.until:
+            return np.zeros(len(self.space), dtype=bool)
+        return self.space.holds(self.plan.until)
+
+    # -- the policy --------------------------------------------------------------------------------
+
+    def _cross_out(self) -> None:
+        """Disallow the firings of immediate transitions that nobody would choose."""
+        transitions = self.net.transitions
+        robots = {
+            p
+            for p, place in enumerate(self.net.places)
+            if place.name not in self.plan.resource_places
+        }
+        for t in range(self._own):
+            if transitions[t].timed:
+                continue
+            asking = [p for p, _ in self.net.inputs[t] if p in robots]
+            if not asking:
+                continue
+            arcs = np.flatnonzero(self.space.transitions == t)
+            if not len(arcs):
+                continue
+            wanted = np.zeros(len(arcs), dtype=bool)
+            for p in asking:
+                wanted |= self._answers.chosen(p, t, self._sources[arcs])
+            self.allowed[arcs[~wanted]] = False
+
+    def policy_gaps(self) -> Iterator[Finding]:
+        """Markings that ask for a decision and find no row of the policy: of a strict plan with any
+        enabled immediate transition, of others with a choice between two."""
+        need = 1 if self.plan.strict else 2
+        for p, leaving in self._decision_places():
+            states = self._deciding(leaving, need)
+            yield from self._findings(states[self._answers.silent(p, states)], p)
+
+    def undecided_choices(self) -> Iterator[Finding]:
+        """Markings in which neither the policy nor a positive weight decides, so that a robot waits
+        for good."""
+        if self.plan.strict:
+            return
+        weights = [t.weight for t in self.net.transitions]
+        for p, leaving in self._decision_places():
+            states = self._deciding(leaving, 1)
+            weighty = [t for t in leaving if weights[t] > 0]
+            some = np.zeros(len(self.space), dtype=bool)
+            some[self._sources[np.isin(self.space.transitions, weighty)]] = True
+            states = states[~some[states]]
+            yield from self._findings(states[self._answers.silent(p, states)], p)
+
+    def _decision_places(self) -> Iterator[Tuple[int, List[int]]]:
+        for p, place in enumerate(self.net.places):
+            leaving = [
+                t
+                for t in self.net.consumers[p]
+                if t < self._own and not self.net.transitions[t].timed
+            ]
+            if leaving and place.name not in self.plan.resource_places:
+                yield p, leaving
+
+    def _deciding(self, leaving: List[int], need: int) -> Any:
+        """States of a run, not over, in which at least ``need`` of ``leaving`` are enabled."""
+        arcs = np.isin(self.space.transitions, leaving)
+        enabled = np.bincount(self._sources[arcs], minlength=len(self.space))
+        return np.flatnonzero((enabled >= need) & self._ways_with_losses.reached & ~self._over)
+
+    # -- dead markings -----------------------------------------------------------------------------
+
+    def dead(self, *, after_losses: bool) -> Iterator[Finding]:
+        """Markings in which nothing goes on although some robot is not at an end: of the whole
+        team, or (with ``after_losses``) only where robots were lost on the way."""
+        moving = np.zeros(len(self.space), dtype=bool)
+        moving[self._sources[self.allowed & ~self._is_loss]] = True
+        ends = terminal_places(self.plan)
+        busy = np.zeros(len(self.space), dtype=bool)
+        for p, place in enumerate(self.net.places):
+            if place.name not in self.plan.resource_places and self._number[p] not in ends:
+                busy |= self.space.column(p) > 0
+        dead = ~moving & busy & ~self._over
+        dead[self.space.explored :] = False
+        if after_losses:
+            return self._findings(
+                np.flatnonzero(dead & self._ways_with_losses.reached & ~self._ways.reached)
+            )
+        return self._findings(np.flatnonzero(dead & self._ways.reached))
+
+    # -- other questions ---------------------------------------------------------------------------
+
+    def firing(self, transition: int) -> Optional[Finding]:
+        """A reachable marking right after transition number ``transition`` of the plan's net fired,
+        or None."""
+        arcs = np.flatnonzero(
+            (self.space.transitions == transition)
+            & self.allowed
+            & self._ways_with_losses.reached[self._sources]
+        )
+        if not len(arcs):
+            return None
+        found = self._finding(int(self._sources[arcs[0]]))
+        name = self.net.transitions[transition].name
+        return found._replace(
+            sequence=found.sequence + [name],
+            marking=self.space.named(int(self.space.targets[arcs[0]])),
+        )
+
+    def never_fire(self) -> List[str]:
+        """Transitions that no reachable marking of the whole team fires."""
+        fired = np.zeros(len(self.net.transitions), dtype=bool)
+        fired[self.space.transitions[self.allowed & self._ways.reached[self._sources]]] = True
+        return [t.name for t, seen in zip(self.net.transitions[: self._own], fired) if not seen]
+
+    def bounds(self) -> Dict[str, int]:
+        """The most tokens that each place holds in any marking visited."""
+        return {
+            place.name: int(self.space.column(p).max()) for p, place in enumerate(self.net.places)
+        }
+
+    def timeless_traps(self, timeless: List[int]) -> Iterator[Finding]:
+        """Markings from which the firings of ``timeless`` transitions go on for ever."""
+        arcs = np.isin(self.space.transitions, timeless) & self.allowed
+        arcs &= self._ways_with_losses.reached[self._sources]
+        alive = np.zeros(len(self.space), dtype=bool)
+        alive[self._sources[arcs]] = True
+        # Take away, again and again, the states from which a firing leads to where none goes on.
+        backward = adjacency(len(self.space), self.space.targets[arcs], self._sources[arcs])
+        frontier = np.flatnonzero(~alive)
+        while len(frontier):
+            before = np.unique(backward[frontier].indices)
+            frontier = before[alive[before]]
+            alive[frontier] = False
+        return self._findings(np.flatnonzero(alive))
+
+    # -- helpers -----------------------------------------------------------------------------------
+
+    def full_markings(self, states: Any) -> Any:
+        """Markings in the place order of the plan's net; places left out are 0."""
+        full = np.zeros((len(states), len(self.plan.net.places)), dtype=np.int64)
+        full[:, [self._number[p] for p in range(len(self.net.places))]] = self.space.markings(
+            states
+        )
+        return full
+
+    def original(self, p: int) -> int:
+        """The number in the plan's net of place number ``p`` of the net explored."""
+        return self._number[p]
+
+    def _findings(self, states: Any, place: Optional[int] = None) -> Iterator[Finding]:
+        for state in states.tolist():
+            yield self._finding(state, place)
+
+    def _finding(self, state: int, place: Optional[int] = None) -> Finding:
+        ways = self._ways if self._ways.reached[state] else self._ways_with_losses
+        names = [
+            self.net.transitions[self.space.transitions[arc]].name for arc in ways.way_to(state)
+        ]
+        return Finding(
+            self.space.named(state), names, None if place is None else self.net.places[place].name
+        )
+
+
+class _Answers:
+    """What the policy answers, asked once for each combination of the counts that it looks at."""
+
+    def __init__(self, markings: PlanMarkings, table: PolicyTable, plan: Plan) -> None:
+        self._markings = markings
+        self._table = table
+        self._plan = plan
+        self._columns = [plan.net.place_number(p) for p in plan.policy.places]
+        self._known: Dict[Tuple[Tuple[int, ...], int], Tuple[Optional[Distribution], bool]] = {}
+
+    def chosen(self, p: int, t: int, states: Any) -> Any:
+        """In which of ``states`` a robot in place ``p`` may choose transition ``t``."""
+        weighty = self._markings.net.transitions[t].weight > 0
+
+        def verdict(distribution: Optional[Distribution], matched: bool) -> bool:
+            if distribution is not None:
+                return any(chosen == t for chosen, _ in distribution.choices)
+            return not matched and not self._plan.strict and weighty
+
+        return self._per_state(p, states, verdict)
+
+    def silent(self, p: int, states: Any) -> Any:
+        """In which of ``states`` no row of the policy matches, for a robot in place ``p``."""
+        return self._per_state(
+            p, states, lambda distribution, matched: distribution is None and not matched
+        )
+
+    def _per_state(self, p: int, states: Any, verdict: Any) -> Any:
+        if not len(states):
+            return np.zeros(0, dtype=bool)
+        if not self._plan.policy.rows:
+            return np.full(len(states), verdict(None, False), dtype=bool)
+        counts_of = self._markings.full_markings(states)[:, self._columns]
+        first, of = _distinct_rows(counts_of)
+        kinds = counts_of[first]
+        place = self._markings.original(p)
+        result = np.empty(len(kinds), dtype=bool)
+        marking = [0] * len(self._plan.net.places)
+        for i, counts in enumerate(map(tuple, kinds.tolist())):
+            key = counts, place
+            if key not in self._known:
+                for column, count in zip(self._columns, counts):
+                    marking[column] = count
+                self._known[key] = (
+                    self._table.distribution(marking, place),
+                    self._table.matches(marking),
+                )
+            result[i] = verdict(*self._known[key])
+        return result[of]
+
+
+def _distinct_rows(rows: Any) -> Tuple[Any, Any]:
+    """Numbers of the first of each kind of row, and for each row the number of its kind."""
+    spans = [int(n) + 1 for n in rows.max(axis=0)]
+    if math.prod(spans) < 2**62:
+        keys = np.zeros(len(rows), dtype=np.int64)
+        for column, span in enumerate(spans):
+            keys = keys * span + rows[:, column]
+        _, first, of = np.unique(keys, return_index=True, return_inverse=True)
+    else:
+        _, first, of = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    return first, of.reshape(-1)
+
+
+def _with_end(net: Net, plan: Plan) -> Net:
+    """The net without the firings after ``until``: what a run that is over would count is not
+    explored.
+
+    An inhibitor arc to every transition says so, for each count that is enough for ``until`` by
+    itself.
+    """
+    if not plan.until:
+        return net
+    enough = parse_condition(plan.until, [p.name for p in plan.net.places]).enough()
+    ends = [(place, count) for place, count in enough if place in net.place_index and count >= 1]
+    arcs = [Arc(place, t.name, count, True) for place, count in ends for t in net.transitions]
+    return Net(net.places, net.transitions, net.arcs + tuple(arcs), net.name)
+
+
+def _with_losses(net: Net, plan: Plan, left_out: set[str]) -> Net:
+    """The net with a transition for every action place in which a robot can be lost."""
+    places: List[Place] = list(net.places)
+    transitions: List[Transition] = list(net.transitions)
+    arcs: List[Arc] = list(net.arcs)
+    taken = set(net.place_index) | set(net.transition_index)
+    for place in plan.action_places:
+        name = "(robot lost in %s)" % place
+        while name in taken:
+            name += "'"
+        transitions.append(Transition(name))
+        arcs.append(Arc(place, name))
+        for resource, count in plan.on_evict.get(place, {}).items():
+            if resource not in left_out and count > 0:
+                arcs.append(Arc(name, resource, count))
+    return Net(places, transitions, arcs, net.name)

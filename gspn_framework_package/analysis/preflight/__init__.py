@@ -1,0 +1,5 @@
+"""The check of a plan before any robot moves: names, structure, markings, servers."""
+
+from gspn_framework_package.analysis.preflight.check_plan import MARKING_LIMIT, ServerProbe, check
+
+__all__ = ["MARKING_LIMIT", "ServerProbe", "check"]

@@ -1,0 +1,65 @@
+"""The check before any robot moves ("preflight"; thesis 4.3.5 and ``docs/semantics.md``).
+
+Structure decides first, in milliseconds; markings are visited only for the questions that it leaves
+open, up to a limit, and what is still open then is reported as not decided.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Optional
+
+from gspn_framework_package.analysis.preflight.markings import MarkingChecks
+from gspn_framework_package.analysis.preflight.names import NameChecks, ServerProbe
+from gspn_framework_package.analysis.preflight.report import Checklist, PreflightReport, Severity
+from gspn_framework_package.analysis.preflight.structure import StructureChecks
+from gspn_framework_package.analysis.watch import Cancel, Progress
+from gspn_framework_package.model.plan import Plan
+
+MARKING_LIMIT = 200_000
+"""Markings that the check may visit when nothing else is said."""
+
+__all__ = ["MARKING_LIMIT", "ServerProbe", "check"]
+
+
+def check(
+    plan: Plan,
+    *,
+    limit: int = MARKING_LIMIT,
+    server_probe: Optional[ServerProbe] = None,
+    standalone: bool = False,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+) -> PreflightReport:
+    """Check a plan before it runs.
+
+    :param limit: markings to visit at most.
+    :param server_probe: see :data:`ServerProbe`; without it no server is asked for.
+    :param standalone: for agents, which a net may create and destroy, instead of robots.
+    :param progress: told the number of markings now and then.
+    :param cancel: asked now and then.
+    :raises PlanError: not a plan: a name that does not exist, a rule that makes no sense.
+    :raises PolicyError: the same of its policy.
+    :raises CancelledError: ``cancel`` said so.
+    """
+    start = time.perf_counter()
+    plan.validate()
+    checklist = Checklist()
+    by_name = NameChecks(plan, checklist)
+    by_name.look_at_names()
+    by_structure = StructureChecks(plan, checklist, standalone)
+    by_structure.look_at_structure()
+    by_marking = MarkingChecks(by_structure, checklist, limit, progress, cancel)
+    by_marking.look_at_markings()
+    if server_probe is not None:
+        by_name.look_at_servers(server_probe)
+    markings = by_marking.markings
+    order = list(Severity)[::-1]
+    items = sorted(checklist.items, key=lambda item: order.index(item.severity))
+    return PreflightReport(
+        plan.name,
+        tuple(items),
+        len(markings.space) if markings else 0,
+        markings.complete if markings else True,
+        time.perf_counter() - start,
+    )

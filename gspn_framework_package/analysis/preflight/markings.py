@@ -1,0 +1,299 @@
+"""The part of the check that visits markings, for the questions that structure left open."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Any, Dict, Iterable, List, Optional, Sequence
+
+from gspn_framework_package.analysis.plan.markings import Finding, PlanMarkings
+from gspn_framework_package.analysis.plan.structure import only_written, robot_flows
+from gspn_framework_package.analysis.preflight.report import (
+    LISTED,
+    Checklist,
+    Severity,
+    marking_text,
+    names,
+    sequence,
+)
+from gspn_framework_package.analysis.preflight.structure import StructureChecks
+from gspn_framework_package.analysis.state_space.coverability import CoverabilityTree
+from gspn_framework_package.analysis.watch import Cancel, Progress
+from gspn_framework_package.model.errors import LimitError
+
+TREE_NODES = 5_000
+"""Nodes of the coverability tree that tells which places grow."""
+
+
+class MarkingChecks:
+    """Adds what the reachable markings say to a checklist.
+
+    :param structure: what structure said, and left open.
+    :param limit: on the markings to visit.
+    :ivar markings: those that were visited, if any.
+    """
+
+    def __init__(
+        self,
+        structure: StructureChecks,
+        checklist: Checklist,
+        limit: int,
+        progress: Optional[Progress],
+        cancel: Optional[Cancel],
+    ) -> None:
+        self.plan = structure.plan
+        self.net = structure.net
+        self.limit = limit
+        self.progress, self.cancel = progress, cancel
+        self.markings: Optional[PlanMarkings] = None
+        self._structure = structure
+        self._list = checklist
+
+    def look_at_markings(self) -> None:
+        """Visit markings if there is an open question, and answer it."""
+        if not self._structure.open:
+            return
+        losses = (
+            self.plan.timing.evict_after > 0
+            and len(self.plan.robots) > 1
+            and not self._structure.standalone
+        )
+        self.markings = self._visit(False)
+        if losses and self.markings.complete:
+            with_losses = self._visit(True)
+            if with_losses.complete:
+                self.markings = with_losses
+            else:
+                self._list.add(
+                    "smaller_teams",
+                    Severity.WARNING,
+                    "teams that lost a robot were not checked: more than %d markings" % self.limit,
+                )
+        if not self.markings.complete:
+            self._list.add(
+                "exploration",
+                Severity.WARNING,
+                "not decided within %d markings: %s; what was found so far is "
+                "listed" % (len(self.markings.space), names(self._structure.open)),
+                open=list(self._structure.open),
+            )
+        answers = {
+            "conservative": self._decide_conservative,
+            "timeless_cycle": self._decide_cycle,
+            "resource_bounds": self._decide_bounds,
+            "dead_markings": self._decide_dead,
+            "policy": self._decide_policy,
+        }
+        for question in self._structure.open:
+            answers[question](self.markings)
+        if self.markings.complete:
+            never = self.markings.never_fire()
+            if never:
+                self._list.add(
+                    "never_fire",
+                    Severity.WARNING,
+                    "%s can never fire" % names(never),
+                    transitions=never,
+                )
+
+    def _visit(self, losses: bool) -> PlanMarkings:
+        from gspn_framework_package.analysis.plan.markings import PlanMarkings
+
+        return PlanMarkings(
+            self.plan, self.limit, losses=losses, progress=self.progress, cancel=self.cancel
+        )
+
+    def _decide_conservative(self, markings: PlanMarkings) -> None:
+        flows = robot_flows(self.plan)
+        found = False
+        for t in self._structure.unbalanced:
+            firing = markings.firing(t)
+            if firing is not None:
+                found = True
+                name = self.net.transitions[t].name
+                self._list.add(
+                    "conservative",
+                    Severity.REFUSED,
+                    "%s takes %d robot(s) and puts %d: robots cannot be created "
+                    "or destroyed; it fires after %s"
+                    % (name, flows[t].taken, flows[t].put, sequence(firing.sequence)),
+                    transition=name,
+                    taken=flows[t].taken,
+                    put=flows[t].put,
+                    **firing.to_json(),
+                )
+        culprits = [self.net.transitions[t].name for t in self._structure.unbalanced]
+        if not found and markings.complete:
+            self._list.add(
+                "conservative",
+                Severity.OK,
+                "%s would create or destroy robots, but never fires" % names(culprits),
+                transitions=culprits,
+                decided_by="exploration",
+            )
+        elif not found:
+            self._undecided(
+                markings,
+                "conservative",
+                "whether %s, which would create or destroy robots, can fire" % names(culprits),
+            )
+
+    def _decide_cycle(self, markings: PlanMarkings) -> None:
+        traps = list(itertools.islice(markings.timeless_traps(self._structure.timeless), 1))
+        if traps:
+            self._list.add(
+                "timeless_cycle",
+                Severity.REFUSED,
+                "immediate transitions go round for ever, without an action "
+                "or a time between them, after %s, in %s"
+                % (sequence(traps[0].sequence), marking_text(traps[0].marking)),
+                cycle=self._structure.cycle,
+                **traps[0].to_json(),
+            )
+        elif markings.complete:
+            self._list.add(
+                "timeless_cycle",
+                Severity.OK,
+                "the cycle %s of immediate transitions always ends"
+                % " -> ".join(self._structure.cycle),
+                cycle=self._structure.cycle,
+                decided_by="exploration",
+            )
+        else:
+            self._undecided(
+                markings,
+                "timeless_cycle",
+                "whether the cycle %s can go on for ever" % " -> ".join(self._structure.cycle),
+            )
+
+    def _decide_bounds(self, markings: PlanMarkings) -> None:
+        if markings.complete:
+            bounds = markings.bounds()
+            self._list.tell_bounds(
+                {p: bounds[p] for p in self._structure.resource_bounds}, "exploration"
+            )
+            return
+        unknown = [p for p, bound in self._structure.resource_bounds.items() if bound is None]
+        grows = [p for p in self._growing() if p in unknown]
+        if grows:
+            self._list.add(
+                "resource_bounds",
+                Severity.WARNING,
+                "%s can grow without bound" % names(grows),
+                grows=grows,
+                places=unknown,
+            )
+            return
+        seen = markings.bounds()
+        self._list.add(
+            "resource_bounds",
+            Severity.WARNING,
+            "%s may grow: not decided within %d markings"
+            % (
+                ", ".join("%s (%d seen)" % (p, seen[p]) for p in unknown[:LISTED]),
+                len(markings.space),
+            ),
+            places=unknown,
+            seen={p: seen[p] for p in unknown},
+        )
+
+    def _growing(self) -> List[str]:
+        """The places that can hold any number of tokens, where a coverability tree of some size can
+        tell."""
+        try:
+            tree = CoverabilityTree(
+                self.net.without_places(self._structure.written),
+                untimed=True,
+                limit=TREE_NODES,
+                cancel=self.cancel,
+            )
+        except LimitError:
+            return []
+        return tree.unbounded_places
+
+    def _decide_dead(self, markings: PlanMarkings) -> None:
+        found = list(markings.dead(after_losses=False))
+        self._tell_findings(
+            "dead_markings", Severity.WARNING, found, "dead marking: nothing goes on"
+        )
+        lost = list(markings.dead(after_losses=True))
+        if lost:
+            more = " (and in %d other markings)" % (len(lost) - 1) if len(lost) > 1 else ""
+            self._list.add(
+                "dead_after_loss",
+                Severity.WARNING,
+                "when a robot is lost, the others can be stuck: in %s, reached by %s%s"
+                % (marking_text(lost[0].marking), sequence(lost[0].sequence), more),
+                **lost[0].to_json(),
+                count=len(lost),
+                others=[finding.to_json() for finding in lost[1:LISTED]],
+            )
+        if not found and markings.complete:
+            self._list.add(
+                "dead_markings",
+                Severity.OK,
+                "no dead marking is reachable",
+                decided_by="exploration",
+            )
+        elif not found:
+            self._undecided(markings, "dead_markings", "whether a dead marking can be reached")
+
+    def _decide_policy(self, markings: PlanMarkings) -> None:
+        severity = Severity.REFUSED if self.plan.strict else Severity.WARNING
+        gaps = (
+            self._kinds(markings.policy_gaps()) if self.plan.policy.rows or self.plan.strict else []
+        )
+        self._tell_findings(
+            "policy",
+            severity,
+            gaps,
+            "the policy has no row" + ("" if self.plan.strict else ", so that the weights decide"),
+        )
+        waiting = list(markings.undecided_choices())
+        self._tell_findings(
+            "policy", Severity.WARNING, waiting, "neither the policy nor a weight above 0 decides"
+        )
+        if not gaps and not waiting and markings.complete:
+            self._list.add(
+                "policy",
+                Severity.OK,
+                "the policy has a row for every marking that asks for a decision",
+                decided_by="exploration",
+            )
+        elif not gaps and not waiting:
+            self._undecided(markings, "policy", "whether the policy covers every marking")
+
+    def _kinds(self, findings: Iterable[Finding]) -> List[Finding]:
+        """The findings, the first of those that differ only in counters that ``until`` alone
+        reads."""
+        counters = set(only_written(replace(self.plan, until=None)))
+        kinds: Dict[Any, Finding] = {}
+        for finding in findings:
+            counts = tuple(item for item in finding.marking.items() if item[0] not in counters)
+            kinds.setdefault((finding.place, counts), finding)
+        return list(kinds.values())
+
+    def _tell_findings(
+        self, check: str, severity: Severity, found: Sequence[Finding], what: str
+    ) -> None:
+        for finding in found[:LISTED]:
+            where = " for a robot in %s" % finding.place if finding.place else ""
+            self._list.add(
+                check,
+                severity,
+                "%s%s in %s, reached by %s"
+                % (what, where, marking_text(finding.marking), sequence(finding.sequence)),
+                **finding.to_json(),
+            )
+        if len(found) > LISTED:
+            self._list.add(
+                check, severity, "%s: %d markings in all" % (what, len(found)), count=len(found)
+            )
+
+    def _undecided(self, markings: PlanMarkings, check: str, what: str) -> None:
+        self._list.add(
+            check,
+            Severity.WARNING,
+            "%s was not decided within %d markings" % (what, len(markings.space)),
+            undecided=True,
+        )

@@ -1,0 +1,179 @@
+"""The part of the check that compares names and maps: actions, initial places, overlapping rows,
+servers."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any, Callable, Dict, List, Optional
+
+from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, Severity, names
+from gspn_framework_package.model.plan import Action, Plan
+
+ServerProbe = Callable[[str, str, Action], Optional[str]]
+"""Asked for (robot, place, action) whether the action's server answers: None if so, else what is
+wrong."""
+
+
+class NameChecks:
+    """Adds what the names and maps of ``plan`` say to a checklist."""
+
+    def __init__(self, plan: Plan, checklist: Checklist) -> None:
+        self.plan = plan
+        self.net = plan.net
+        self._list = checklist
+
+    def look_at_names(self) -> None:
+        """Compare the maps with the net."""
+        net = self.net
+        self._list.add(
+            "net",
+            Severity.OK,
+            "%d places, %d transitions, %d robots"
+            % (len(net.places), len(net.transitions), len(self.plan.robots)),
+        )
+        self._look_at_actions()
+        self._look_at_initial()
+        self._look_at_overlaps()
+        self._look_at_idle_places()
+        self._look_at_decision_places()
+
+    def _look_at_actions(self) -> None:
+        plan = self.plan
+        robots = plan.robots
+        unmapped = [
+            p
+            for p in plan.action_places
+            if p not in plan.actions and not (robots and all(p in r.actions for r in robots))
+        ]
+        mapped_resources = sorted(
+            {p for p in plan.resource_places if p in plan.actions}
+            | {p for r in robots for p in r.actions if p in plan.resource_places}
+        )
+        if unmapped:
+            self._list.add(
+                "actions",
+                Severity.REFUSED,
+                "no action is mapped to %s; map null where robots have nothing to "
+                "do, or list it as a resource place" % names(unmapped),
+                places=unmapped,
+            )
+        if mapped_resources:
+            self._list.add(
+                "actions",
+                Severity.REFUSED,
+                "%s: a resource place has no action" % names(mapped_resources),
+                places=mapped_resources,
+            )
+        if not unmapped and not mapped_resources:
+            self._list.add(
+                "actions", Severity.OK, "every action place is mapped, and no resource place is"
+            )
+
+    def _look_at_initial(self) -> None:
+        counts = dict.fromkeys(self.plan.action_places, 0)
+        for robot in self.plan.robots:
+            counts[robot.place] += 1
+        differing = {
+            p: {"tokens": self.net.place(p).tokens, "robots": n}
+            for p, n in counts.items()
+            if self.net.place(p).tokens != n
+        }
+        if differing:
+            text = "; ".join(
+                "%s has %d token(s) and %d robot(s)" % (p, d["tokens"], d["robots"])
+                for p, d in itertools.islice(differing.items(), LISTED)
+            )
+            self._list.add(
+                "initial",
+                Severity.REFUSED,
+                "the initial marking and the robots' initial places differ: " + text,
+                places=differing,
+            )
+        else:
+            self._list.add(
+                "initial", Severity.OK, "the robots' initial places agree with the initial marking"
+            )
+
+    def _look_at_overlaps(self) -> None:
+        overlaps = self.plan.policy.bind(self.net).overlaps()
+        listed: List[Dict[str, Any]] = [
+            {"place": self.net.places[p].name, "rows": [a + 1, b + 1]} for p, a, b in overlaps
+        ]
+        for entry in listed[:LISTED]:
+            first, second = entry["rows"]
+            self._list.add(
+                "policy_overlaps",
+                Severity.WARNING,
+                "rows %d and %d of the policy can both match, and both speak "
+                "of %s: row %d goes first" % (first, second, entry["place"], first),
+                **entry,
+            )
+        if len(listed) > LISTED:
+            self._list.add(
+                "policy_overlaps",
+                Severity.WARNING,
+                "%s%d pairs of rows overlap"
+                % ("at least " if len(listed) >= 100 else "", len(listed)),
+                pairs=listed,
+            )
+
+    def _look_at_idle_places(self) -> None:
+        """With no action nobody says which of several exponential transitions a robot asks for."""
+        for name in self.plan.action_places:
+            leaving = [
+                self.net.transitions[t] for t in self.net.consumers[self.net.place_number(name)]
+            ]
+            if (
+                name in self.plan.actions
+                and self.plan.actions[name] is None
+                and len(leaving) > 1
+                and all(t.timed for t in leaving)
+            ):
+                self._list.add(
+                    "unasked",
+                    Severity.WARNING,
+                    "%s has no action, and only exponential outputs (%s): nobody "
+                    "says which one to ask for" % (name, names(t.name for t in leaving)),
+                    place=name,
+                )
+
+    def _look_at_decision_places(self) -> None:
+        places = [
+            name
+            for name in self.plan.action_places
+            if self.plan.actions.get(name) is not None
+            and self._only_immediate(self.net.place_number(name))
+        ]
+        if places:
+            self._list.add(
+                "decision_actions",
+                Severity.OK,
+                "%s: robots run an action there before they decide; analysis "
+                "takes these places as taking no time" % names(places),
+                places=places,
+            )
+
+    def _only_immediate(self, p: int) -> bool:
+        leaving = self.net.consumers[p]
+        return bool(leaving) and not any(self.net.transitions[t].timed for t in leaving)
+
+    def look_at_servers(self, probe: ServerProbe) -> None:
+        """Ask for every action's server."""
+        asked: Dict[str, Optional[str]] = {}
+        for robot in self.plan.robots:
+            for place in self.plan.action_places:
+                action = self.plan.action(robot.name, place)
+                if action is None:
+                    continue
+                problem = probe(robot.name, place, action)
+                asked["%s in %s" % (robot.name, place)] = problem
+                if problem:
+                    self._list.add(
+                        "servers_answer",
+                        Severity.REFUSED,
+                        "%s in %s: %s" % (robot.name, place, problem),
+                        robot=robot.name,
+                        place=place,
+                    )
+        if not any(asked.values()):
+            self._list.add("servers_answer", Severity.OK, "%d action server(s) answer" % len(asked))

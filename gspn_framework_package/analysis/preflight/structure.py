@@ -1,0 +1,242 @@
+"""The part of the check that structure decides, in milliseconds; what it leaves open is for the
+markings."""
+
+from __future__ import annotations
+
+from typing import Dict, List, Optional
+
+from gspn_framework_package.analysis.plan.structure import (
+    PolicyCover,
+    always_leavable,
+    find_cycle,
+    only_written,
+    robot_flows,
+    terminal_places,
+    timeless_transitions,
+)
+from gspn_framework_package.analysis.preflight.report import Checklist, Severity, names
+from gspn_framework_package.analysis.structure.invariants import invariant_bounds
+from gspn_framework_package.model.plan import Plan
+
+
+class StructureChecks:
+    """Adds what the structure of ``plan`` says to a checklist.
+
+    :ivar open: the questions that only markings can decide.
+    :ivar unbalanced: numbers of the transitions that would create or destroy robots.
+    :ivar timeless: numbers of the immediate transitions that may follow each other without time.
+    :ivar cycle: a cycle of these, by names; empty without one.
+    :ivar written: the counters that nothing reads.
+    :ivar resource_bounds: of the other resource places, as far as known.
+    """
+
+    def __init__(self, plan: Plan, checklist: Checklist, standalone: bool) -> None:
+        self.plan = plan
+        self.net = plan.net
+        self.standalone = standalone
+        self.open: List[str] = []
+        self.unbalanced: List[int] = []
+        self.timeless: List[int] = []
+        self.cycle: List[str] = []
+        self.written = only_written(plan)
+        self.resource_bounds: Dict[str, Optional[int]] = {}
+        self._list = checklist
+        self._cover = PolicyCover(plan)
+
+    def look_at_structure(self) -> None:
+        """Answer what can be answered, and note what is open."""
+        self._look_at_flows()
+        self._look_at_cycles()
+        self._look_at_servers_of_transitions()
+        self._look_at_resources()
+        self._look_at_dead_ends()
+        self._look_at_policy()
+
+    def _look_at_flows(self) -> None:
+        flows = robot_flows(self.plan)
+        transitions = self.net.transitions
+        if self.standalone:
+            self._list.add(
+                "conservative", Severity.OK, "agents may be created and destroyed: not asked for"
+            )
+            return
+        creating = [t for t, flow in enumerate(flows) if not flow.taken and flow.put]
+        for t in creating:
+            self._list.add(
+                "creates_robots",
+                Severity.REFUSED,
+                "%s takes no robot and has an action place among its outputs: there is no robot "
+                "to move" % transitions[t].name,
+                transition=transitions[t].name,
+            )
+        unbalanced = [
+            t for t, flow in enumerate(flows) if flow.taken != flow.put and t not in creating
+        ]
+        if unbalanced:
+            self.unbalanced = unbalanced
+            self.open.append("conservative")
+        elif not creating:
+            self._list.add(
+                "conservative",
+                Severity.OK,
+                "every transition moves as many robots in as out, resource places aside (by "
+                "structure)",
+                decided_by="structure",
+            )
+
+    def _look_at_cycles(self) -> None:
+        self.timeless = timeless_transitions(self.plan)
+        cycle = find_cycle(self.net, self.timeless)
+        if not cycle:
+            self._list.add(
+                "timeless_cycle",
+                Severity.OK,
+                "immediate transitions cannot go round without an action or a time between them "
+                "(by structure)",
+                decided_by="structure",
+            )
+        elif len(cycle) == 1:
+            self._list.add(
+                "timeless_cycle",
+                Severity.REFUSED,
+                "the immediate transition %s has no input place: it would fire without end"
+                % cycle[0],
+                cycle=cycle,
+            )
+        else:
+            self.open.append("timeless_cycle")
+            self.cycle = cycle
+
+    def _look_at_servers_of_transitions(self) -> None:
+        if (
+            sum(
+                place.tokens
+                for place in self.net.places
+                if place.name not in self.plan.resource_places
+            )
+            < 2
+        ):
+            return
+        acts = {self.net.place_number(p) for p in self.plan.action_places}
+        differing = [
+            t
+            for i, t in enumerate(self.net.transitions)
+            if t.timed and t.servers is not None and any(p in acts for p, _ in self.net.inputs[i])
+        ]
+        # one server is also what a file means that says nothing of servers
+        for single, severity, what in (
+            (False, Severity.WARNING, "the file says a limited number of servers"),
+            (True, Severity.OK, "one server in the file, or none said"),
+        ):
+            listed = [t.name for t in differing if (t.servers == 1) is single]
+            if listed:
+                self._list.add(
+                    "servers",
+                    severity,
+                    "%s: %s; robots work in parallel, so runs and the analysis of the plan have "
+                    "as many servers as "
+                    "robots; the analysis of the net takes the file's word" % (names(listed), what),
+                    transitions=listed,
+                )
+
+    def _look_at_resources(self) -> None:
+        if self.written:
+            self._list.add(
+                "counters",
+                Severity.OK,
+                "%s: only written, so that they may grow without bound; left out of the "
+                "exploration" % names(self.written),
+                places=list(self.written),
+            )
+        if set(self.plan.resource_places) <= set(self.written):
+            return
+        net = self.net.without_places(self.written)
+        bounds = dict(zip((p.name for p in net.places), invariant_bounds(net, 200_000)))
+        self.resource_bounds = {
+            p.name: bounds[p.name] for p in net.places if p.name in self.plan.resource_places
+        }
+        unknown = [p for p, bound in self.resource_bounds.items() if bound is None]
+        if unknown:
+            self.open.append("resource_bounds")
+        elif self.resource_bounds:
+            self._list.tell_bounds(
+                {p: b for p, b in self.resource_bounds.items() if b is not None}, "structure"
+            )
+
+    def _look_at_dead_ends(self) -> None:
+        ends = terminal_places(self.plan)
+        stuck = [
+            name
+            for name in self.plan.action_places
+            for p in (self.net.place_number(name),)
+            if p not in ends and not self._always_moves(p)
+        ]
+        if stuck or self.plan.until:
+            self.open.append("dead_markings")
+        else:
+            self._list.add(
+                "dead_markings",
+                Severity.OK,
+                "no dead marking: a robot alone can leave every place that has outputs (by "
+                "structure)",
+                decided_by="structure",
+            )
+
+    def _always_moves(self, p: int) -> bool:
+        """Whether a robot in place number ``p`` can go on whatever the others do."""
+        if not always_leavable(self.net, p):
+            return False
+        leaving = [self.net.transitions[t] for t in self.net.consumers[p]]
+        if any(t.timed for t in leaving) or self._cover.always_moves(p):
+            return True
+        return (
+            not self.plan.policy.rows
+            and not self.plan.strict
+            and all(t.weight > 0 for t in leaving)
+        )
+
+    def _look_at_policy(self) -> None:
+        plan = self.plan
+        asking = [
+            name
+            for name in plan.action_places
+            for p in (self.net.place_number(name),)
+            for leaving in (
+                [t for t in self.net.consumers[p] if not self.net.transitions[t].timed],
+            )
+            if len(leaving) > (0 if plan.strict else 1)
+        ]
+        weighty = all(t.weight > 0 for t in self.net.transitions if not t.timed)
+        ignored = [name for name in asking if self._cover.never_speaks(self.net.place_number(name))]
+        if ignored:
+            self._list.add(
+                "policy",
+                Severity.WARNING,
+                "a row of the policy always matches, and none speaks of a robot in %s: "
+                "it waits there for good, unless its action names a transition" % names(ignored),
+                places=ignored,
+            )
+        if not asking:
+            self._list.add(
+                "policy",
+                Severity.OK,
+                "no place asks for a decision (by structure)",
+                decided_by="structure",
+            )
+        elif all(self._cover.matches(self.net.place_number(name)) for name in asking):
+            self._list.add(
+                "policy",
+                Severity.OK,
+                "every marking that asks for a decision has a row (by structure)",
+                decided_by="structure",
+            )
+        elif not plan.policy.rows and not plan.strict and weighty:
+            self._list.add(
+                "policy",
+                Severity.OK,
+                "there is no policy: the weights decide in %s" % names(asking),
+                places=asking,
+                decided_by="structure",
+            )
+        else:
+            self.open.append("policy")

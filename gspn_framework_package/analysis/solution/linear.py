@@ -1,0 +1,274 @@
+"""The linear systems of Markov chains, ``x = (b + M x) / d``, and who solves them.
+
+Small systems go to a sparse LU decomposition, large ones to Gauss-Seidel sweeps (compiled by numba
+where it is there, else a triangular solve per sweep), which Anderson acceleration puts to better
+use. Nobody is believed: the residual of the answer decides.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from typing import Any, Callable, NamedTuple, Optional
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import linalg
+
+from gspn_framework_package.analysis.solution.anderson import Anderson
+from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.model.errors import LimitError
+
+TOLERANCE = 1e-12
+"""Residual at which sweeps stop."""
+
+ACCEPTED = 1e-9
+"""Residual above which a steady state is not given."""
+
+ACCEPTED_TIMES = 1e-4
+"""Residual above which mean times and the like are not given. It is a bound of their relative
+error, which is far less as a rule; only where a time is 10^11 times a sojourn does rounding alone
+come near."""
+
+DIRECT_SIZE = 2_000
+"""Up to this many unknowns LU goes first."""
+
+FALLBACK_SIZE = 50_000
+"""Up to this many unknowns LU is tried where the sweeps fail."""
+
+MAX_SWEEPS = 20_000
+
+_REFINEMENTS = 2
+"""How often the answer of a decomposition is corrected by what it leaves."""
+
+_STRIDE = 2
+"""Sweeps between two accelerations, which cost about as much as one sweep."""
+
+_CHECKED = 8
+"""The residual is computed after at most this many strides, and sooner where the changes have
+become small."""
+
+_ROUNDING = 1e-14
+"""Imbalance, relative to the largest term, that rounding alone may cause."""
+
+_WORTH_LOADING = 1_000_000
+"""Entries of a matrix from which on compiled sweeps save more time than it takes to load numba,
+half a second."""
+
+_PATIENCE = 100
+"""Strides without a residual half as large after which an answer that is acceptable is taken: the
+rest is rounding."""
+
+
+class Solution(NamedTuple):
+    """``values``; ``residual``: see :func:`residual`; ``method``: ``LU`` or ``Gauss-Seidel``;
+    ``sweeps``: how many were done."""
+
+    values: Any
+    residual: float
+    method: str
+    sweeps: int = 0
+
+
+def solve(
+    matrix: Any,
+    diagonal: Any,
+    rhs: Optional[Any],
+    *,
+    backward: bool = False,
+    order: Optional[Any] = None,
+    watch: Optional[Watch] = None,
+    start: Optional[Any] = None,
+) -> Solution:
+    """Solve ``diagonal * x = rhs + matrix @ x``.
+
+    :param matrix: sparse, non-negative, nothing on its diagonal.
+    :param diagonal: float array, above 0.
+    :param rhs: float array; None for 0: then ``x`` is the solution that sums to 1.
+    :param order: the order in which to sweep, as positions of unknowns; None: as they are numbered.
+    :param backward: sweep from the last unknown to the first: better where information flows
+      against the order.
+    :param start: a first guess.
+    :raises LimitError: no method came to a residual of :data:`ACCEPTED`, or :data:`ACCEPTED_TIMES`
+      with a ``rhs``.
+    :raises CancelledError: the watch said so.
+    """
+    matrix = sparse.csr_matrix(matrix)
+    size = len(diagonal)
+    accepted = ACCEPTED if rhs is None else ACCEPTED_TIMES
+    best: Optional[Solution] = None
+    if size <= DIRECT_SIZE:
+        best = _direct(matrix, diagonal, rhs)
+    if best is None or not best.residual <= accepted:
+        best = _better(
+            best, _swept_in_order(matrix, diagonal, rhs, backward, order, watch or Watch(), start)
+        )
+    if not best.residual <= accepted and DIRECT_SIZE < size <= FALLBACK_SIZE:
+        best = _better(best, _direct(matrix, diagonal, rhs))
+    if not best.residual <= accepted:
+        raise LimitError(
+            "the linear system was not solved: %s came to a residual of %.1e after %d sweeps"
+            % (best.method, best.residual, best.sweeps)
+        )
+    return best
+
+
+def residual(matrix: Any, diagonal: Any, rhs: Optional[Any], values: Any) -> float:
+    """The largest imbalance of an equation, relative to the largest term ``d x``, or to the largest
+    of ``rhs``.
+
+    With a ``rhs`` of ones (mean times) the latter bounds the relative error of every unknown: the
+    inverse of the system has no negative entry, so the error is at most the imbalance times what a
+    ``rhs`` of ones gives.
+    """
+    terms = diagonal * values
+    scale = float(np.abs(terms if rhs is None else rhs).max(initial=0.0))
+    imbalance = terms - matrix @ values
+    if rhs is not None:
+        imbalance -= rhs
+    worst = float(np.abs(imbalance).max(initial=0.0))
+    return worst / scale if scale > 0 else worst
+
+
+def _better(first: Optional[Solution], second: Solution) -> Solution:
+    return second if first is None or not first.residual <= second.residual else first
+
+
+def _direct(matrix: Any, diagonal: Any, rhs: Optional[Any]) -> Solution:
+    """Sparse LU; of the homogeneous system one unknown is set to 1 and its equation left out."""
+    size = len(diagonal)
+    if rhs is None and size == 1:
+        return Solution(np.ones(1), 0.0, "LU")
+    system = (sparse.diags(diagonal) - matrix).tocsc()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", linalg.MatrixRankWarning)
+            if rhs is None:
+                # The column sums vanish, so the reduced matrix is a non-singular M-matrix: LU is
+                # stable on it.
+                tail = linalg.splu(system[1:, 1:]).solve(-system[1:, 0].toarray().reshape(-1))
+                values = np.concatenate([[1.0], np.maximum(tail, 0.0)])
+                values /= values.sum()
+            else:
+                factor = linalg.splu(system)
+                values = factor.solve(np.asarray(rhs, dtype=np.float64))
+                for _ in range(_REFINEMENTS):
+                    values += factor.solve(rhs - diagonal * values + matrix @ values)
+    except (RuntimeError, MemoryError):  # singular, or it does not fit
+        return Solution(np.full(size, np.nan), float("inf"), "LU")
+    return Solution(values, residual(matrix, diagonal, rhs, values), "LU")
+
+
+def _swept_in_order(
+    matrix: Any,
+    diagonal: Any,
+    rhs: Optional[Any],
+    backward: bool,
+    order: Optional[Any],
+    watch: Watch,
+    start: Optional[Any],
+) -> Solution:
+    if order is None:
+        return _swept(matrix, diagonal, rhs, backward, watch, start)
+    place = np.empty(len(order), dtype=matrix.indices.dtype)
+    place[order] = np.arange(len(order), dtype=place.dtype)
+    sorted_matrix = matrix[order]
+    sorted_matrix.indices = place[sorted_matrix.indices]
+    sorted_matrix.has_sorted_indices = False
+    found = _swept(
+        sorted_matrix,
+        diagonal[order],
+        None if rhs is None else rhs[order],
+        backward,
+        watch,
+        None if start is None else start[order],
+    )
+    return found._replace(values=found.values[place])
+
+
+def _swept(
+    matrix: Any,
+    diagonal: Any,
+    rhs: Optional[Any],
+    backward: bool,
+    watch: Watch,
+    start: Optional[Any],
+) -> Solution:
+    size = len(diagonal)
+    constant = np.zeros(size) if rhs is None else np.asarray(rhs, dtype=np.float64)
+    scale = float(np.abs(constant).max()) or 1.0
+    sweep = _sweeper(matrix, diagonal, constant, backward)
+    if start is None:
+        values = np.full(size, 1.0 / size) if rhs is None else np.zeros(size)
+    else:
+        values = np.array(start, dtype=np.float64)
+    accelerated = Anderson(size)
+    best, best_residual, best_at = values, float("inf"), 0
+    unchecked = 0
+    for stride in range(1, MAX_SWEEPS // _STRIDE + 1):
+        image = values.copy()
+        for _ in range(_STRIDE):
+            image = sweep(image)
+        unchecked += 1
+        # What the sweeps changed tells, at no cost, when a look at the residual is worth it.
+        largest = float((diagonal * image).max())
+        changed = float(np.abs(diagonal * (image - values)).max())
+        tolerance = TOLERANCE
+        if rhs is None:
+            changed /= largest or 1.0
+        else:
+            changed /= scale
+            tolerance = max(TOLERANCE, _ROUNDING * largest / scale)
+        if changed <= 2 * tolerance or unchecked >= _CHECKED:
+            unchecked = 0
+            now = residual(matrix, diagonal, rhs, image)
+            if now < 0.5 * best_residual:
+                best_at = stride
+            if now < best_residual:
+                best, best_residual = image, now
+            if now <= tolerance or (best_residual <= 1e-11 and stride - best_at >= _PATIENCE):
+                break
+            if not np.isfinite(now) or now > 1e6 * best_residual:
+                accelerated.forget()
+                values = best
+                continue
+            watch.step("sweeps (residual %.0e)" % now, stride * _STRIDE)
+        values = accelerated.next(values, image)
+    if rhs is None:
+        best = best / best.sum()
+    return Solution(best, best_residual, "Gauss-Seidel", stride * _STRIDE)
+
+
+def _sweeper(matrix: Any, diagonal: Any, constant: Any, backward: bool) -> Callable[[Any], Any]:
+    """One Gauss-Seidel sweep, as a function of the values; it may change them in place."""
+    if matrix.nnz < _WORTH_LOADING and "numba" not in sys.modules:
+        return _scipy_sweeper(matrix, diagonal, constant, backward)
+    try:
+        from gspn_framework_package.analysis.solution.numba_sweeps import sweep
+    except ImportError:
+        return _scipy_sweeper(matrix, diagonal, constant, backward)
+    share = 1.0 / diagonal
+
+    def compiled(values: Any) -> Any:
+        sweep(matrix.indptr, matrix.indices, matrix.data, constant, share, values, backward)
+        return values
+
+    return compiled
+
+
+def _scipy_sweeper(
+    matrix: Any, diagonal: Any, constant: Any, backward: bool
+) -> Callable[[Any], Any]:
+    own = sparse.diags(diagonal, format="csr")
+    lower, upper = sparse.tril(matrix, -1, format="csr"), sparse.triu(matrix, 1, format="csr")
+    solved, known = (own - upper, lower) if backward else (own - lower, upper)
+    # With the natural order and no pivoting the decomposition of a triangular matrix is that
+    # matrix.
+    factor = linalg.splu(
+        solved.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    )
+
+    def triangular(values: Any) -> Any:
+        return factor.solve(known @ values + constant)
+
+    return triangular

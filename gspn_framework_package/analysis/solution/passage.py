@@ -1,0 +1,92 @@
+"""When does the net come to a condition? Mean time, probability ever, probability within a time.
+
+States in which the condition holds are not left any more, vanishing ones included: a condition that
+holds for no time at all has held.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, List, NamedTuple, Optional, Sequence
+
+import numpy as np
+
+from gspn_framework_package.analysis.chain.markov_chain import Chain
+from gspn_framework_package.analysis.graph import can_reach, reachable_from
+from gspn_framework_package.analysis.solution.linear import solve
+from gspn_framework_package.analysis.solution.ordering import sweep_order
+from gspn_framework_package.analysis.solution.transient import transient
+from gspn_framework_package.analysis.state_space.rated_graph import RatedGraph
+from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
+
+
+class Passage(NamedTuple):
+    """How a net comes to a condition for the first time.
+
+    :ivar probability: that it ever does.
+    :ivar mean_time: mean time (s) until then; infinite when it may never come.
+    :ivar within: probability to come there within each of the times asked for.
+    :ivar residual: of the worst linear system behind it.
+    """
+
+    probability: float
+    mean_time: float
+    within: List[float]
+    residual: float
+
+
+def first_passage(
+    graph: RatedGraph,
+    goal: Any,
+    times: Sequence[float] = (),
+    *,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+    seconds: float = math.inf,
+) -> Passage:
+    """The first time that a condition holds, from the initial marking on.
+
+    :param graph: the graph with rates.
+    :param goal: boolean array: the states of ``graph`` in which the condition holds.
+    :param times: ask for the probability to be there within each of these (s).
+    :param seconds: longest time that each part of the work may take.
+    :raises LimitError: a linear system was not solved to an acceptable residual, or not in time.
+    :raises RefusedError: there is a timeless trap.
+    """
+    if goal[0]:
+        return Passage(1.0, 0.0, [1.0] * len(times), 0.0)
+    if not goal.any():
+        return Passage(0.0, math.inf, [0.0] * len(times), 0.0)
+    watch = Watch(progress, cancel, seconds=seconds)
+    chain = Chain(graph, absorbing=goal)
+    there = goal[chain.states]
+    sources = np.repeat(np.arange(len(chain)), np.diff(chain.rates.indptr))
+    targets = chain.rates.indices
+    visited = reachable_from(len(chain), sources, targets, chain.initial > 0)
+    hopeful = can_reach(len(chain), sources, targets, there)
+    lost = bool((visited & ~hopeful).any())
+    inside = np.flatnonzero(visited & hopeful & ~there)
+    among = chain.rates[inside][:, inside]
+    exits, order = chain.exit_rates[inside], sweep_order(chain, inside)
+    worst = 0.0
+    if lost:
+        into = np.asarray(chain.rates[inside][:, there].sum(axis=1)).reshape(-1)
+        solution = solve(among, exits, into, backward=True, order=order, watch=watch)
+        probability = float(chain.initial[there].sum() + chain.initial[inside] @ solution.values)
+        mean = math.inf
+        worst = solution.residual
+    else:
+        probability, mean = 1.0, 0.0
+        if len(inside):
+            solution = solve(
+                among, exits, np.ones(len(inside)), backward=True, order=order, watch=watch
+            )
+            mean = float(chain.initial[inside] @ solution.values)
+            worst = solution.residual
+    evolution = (
+        transient(chain, times, progress=progress, cancel=cancel, seconds=seconds)
+        if len(times)
+        else []
+    )
+    within = [float(at.distribution[there].sum()) for at in evolution]
+    return Passage(min(probability, 1.0), mean, within, worst)

@@ -1,0 +1,171 @@
+"""The steady state of a Markov chain.
+
+The recurrent classes are found first; each has its own stationary distribution, and a probability
+to end up in it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Iterator, List, NamedTuple, Optional
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import linalg
+
+from gspn_framework_package.analysis.chain.markov_chain import Chain, Component
+from gspn_framework_package.analysis.graph import flat_ranges
+from gspn_framework_package.analysis.solution.linear import ACCEPTED, Solution, solve
+from gspn_framework_package.analysis.solution.ordering import sweep_order
+from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
+
+
+class SteadyState(NamedTuple):
+    """Where the chain is in the long run.
+
+    :ivar chain: the chain.
+    :ivar distribution: float array over its states: the long-run share of time in each.
+    :ivar components: the recurrent classes by their first state, each with the probability to end
+      up in it.
+    :ivar residual: of the worst of the linear systems behind it, relative to its largest term.
+    :ivar method: how the largest of them was solved.
+    """
+
+    chain: Chain
+    distribution: Any
+    components: List[Component]
+    residual: float
+    method: str
+
+    def likeliest(self, number: int) -> List[Component]:
+        """The recurrent classes that one most probably ends up in, the most probable first."""
+        return sorted(self.components, key=lambda c: (-c.probability, int(c.states[0])))[:number]
+
+
+TOGETHER = 2_000
+"""Recurrent classes of up to so many states are dealt with together, where there are several."""
+
+
+def steady_state(
+    chain: Chain,
+    *,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+    seconds: float = math.inf,
+) -> SteadyState:
+    """The steady state.
+
+    :param seconds: longest time.
+    :raises LimitError: a linear system was not solved to an acceptable residual, or the time was
+      over.
+    :raises CancelledError: ``cancel`` said so.
+    """
+    watch = Watch(progress, cancel, seconds=seconds)
+    classes = chain.bottom_components()
+    reached = _absorption(chain, classes, watch)
+    distribution = np.zeros(len(chain))
+    components, worst, method, largest = [], reached.residual, reached.method, 0
+    for states, probability, solution in zip(
+        classes, reached.values, _stationary_in_each(chain, classes, watch)
+    ):
+        components.append(Component(states, float(probability), solution.values))
+        distribution[states] = probability * solution.values
+        worst = max(worst, solution.residual)
+        if len(states) > largest:
+            largest, method = len(states), solution.method
+    return SteadyState(chain, distribution, components, worst, method)
+
+
+def _stationary_in_each(chain: Chain, classes: List[Any], watch: Watch) -> Iterator[Solution]:
+    """The stationary distribution over each recurrent class, in their order."""
+    several = [states for states in classes if 1 < len(states) <= TOGETHER]
+    together = iter(_stationary_together(chain, several) if len(several) > 1 else [])
+    for count, states in enumerate(classes):
+        if count % 64 == 0:
+            watch.step("recurrent classes", count)
+        if len(states) == 1:
+            yield Solution(np.ones(1), 0.0, "LU")
+            continue
+        solution = next(together, None) if len(states) <= TOGETHER else None
+        if solution is None or not solution.residual <= ACCEPTED:
+            solution = stationary(chain, states, watch)
+        yield solution
+
+
+def _stationary_together(chain: Chain, classes: List[Any]) -> List[Solution]:
+    """The stationary distributions over small recurrent classes, by one decomposition: nothing
+    leads from one to another, so each is a block of it, with its own first state as the measure of
+    the others."""
+    order = np.concatenate(classes)
+    ends = np.cumsum([len(states) for states in classes])
+    begins = ends - [len(states) for states in classes]
+    inflow = _part(chain.inflow, order, len(chain))
+    exits = chain.exit_rates[order]
+    given = np.zeros(len(order), dtype=bool)
+    given[begins] = True
+    unknown = np.flatnonzero(~given)
+    system = (sparse.diags(exits) - inflow).tocsc()[:, unknown].tocsr()[unknown].tocsc()
+    values = np.ones(len(order))
+    try:
+        factor = linalg.splu(system)
+        values[unknown] = np.maximum(factor.solve(inflow[unknown] @ given.astype(np.float64)), 0.0)
+    except (RuntimeError, MemoryError):  # singular, or it does not fit
+        return []
+    values /= np.repeat(np.add.reduceat(values, begins), ends - begins)
+    terms = exits * values
+    imbalance = np.maximum.reduceat(np.abs(terms - inflow @ values), begins)
+    scale = np.maximum.reduceat(terms, begins)
+    return [
+        Solution(values[begin:end], float(wrong / size), "LU")
+        for begin, end, wrong, size in zip(begins, ends, imbalance, scale)
+    ]
+
+
+def _part(matrix: Any, states: Any, size: int) -> Any:
+    """The rows and columns ``states`` of a square sparse matrix (CSR) in which they are only joined
+    to each other."""
+    number = np.full(size, -1, dtype=matrix.indices.dtype)
+    number[states] = np.arange(len(states))
+    begin, end = matrix.indptr[states], matrix.indptr[states + 1]
+    entries = flat_ranges(begin, end)
+    columns = number[matrix.indices[entries]]
+    inside = columns >= 0
+    counts = np.concatenate([[0], np.cumsum(inside)])
+    offsets = counts[np.concatenate([[0], np.cumsum(end - begin)])]
+    return sparse.csr_matrix(
+        (matrix.data[entries][inside], columns[inside], offsets), shape=(len(states), len(states))
+    )
+
+
+def stationary(chain: Chain, states: Any, watch: Optional[Watch] = None) -> Solution:
+    """The stationary distribution over a recurrent class."""
+    if len(states) == 1:
+        return Solution(np.ones(1), 0.0, "LU")
+    whole = len(states) == len(chain)
+    inflow = chain.inflow if whole else _part(chain.inflow, states, len(chain))
+    exits = chain.exit_rates if whole else chain.exit_rates[states]
+    return solve(inflow, exits, None, order=sweep_order(chain, states), watch=watch)
+
+
+def _absorption(chain: Chain, classes: List[Any], watch: Watch) -> Solution:
+    """The probability to end up in each class."""
+    if len(classes) == 1:
+        return Solution(np.ones(1), 0.0, "LU")
+    transient = np.ones(len(chain), dtype=bool)
+    transient[np.concatenate(classes)] = False
+    inside = np.flatnonzero(transient)
+    inflow = chain.initial.copy()
+    worst, method = 0.0, "LU"
+    if len(inside) and chain.initial[inside].any():
+        among = _part(chain.inflow, inside, len(chain))
+        order = sweep_order(chain, inside)
+        times = solve(
+            among, chain.exit_rates[inside], chain.initial[inside], order=order, watch=watch
+        )
+        flows = chain.rates[inside].T @ times.values
+        inflow = inflow + flows
+        worst, method = times.residual, times.method
+    order = np.concatenate(classes)
+    begins = np.cumsum([0] + [len(states) for states in classes[:-1]])
+    values = np.add.reduceat(inflow[order], begins)
+    return Solution(values / values.sum(), worst, method)

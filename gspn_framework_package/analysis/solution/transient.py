@@ -1,0 +1,170 @@
+"""How a Markov chain evolves: distributions at given times, by uniformisation (Jensen 1953).
+
+``distribution(t) = sum over k of Poisson(k; rate * t) * initial * P**k``, with P the chain seen at
+the ticks of a Poisson clock that is at least as fast as every state.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Iterable, List, NamedTuple, Optional, Tuple
+
+import numpy as np
+from scipy import special
+
+from gspn_framework_package.analysis.chain.markov_chain import Chain
+from gspn_framework_package.analysis.solution.steady_state import SteadyState, steady_state
+from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
+from gspn_framework_package.model.errors import UsageError
+
+ERROR = 1e-12
+"""Probability that the sums over the Poisson distribution may leave out."""
+
+
+class Transient(NamedTuple):
+    """The chain at one time: ``time`` (s), ``distribution`` (float array over the states of the
+    chain)."""
+
+    time: float
+    distribution: Any
+
+
+class Evolution:
+    """Steps a chain through time.
+
+    :param chain: the chain.
+    :param initial: another distribution to start from.
+    """
+
+    def __init__(
+        self, chain: Chain, initial: Optional[Any] = None, *, watch: Optional[Watch] = None
+    ) -> None:
+        self.chain = chain
+        self.time = 0.0
+        self.distribution = np.array(
+            chain.initial if initial is None else initial, dtype=np.float64
+        )
+        self._clock = float(chain.exit_rates.max(initial=0.0)) * 1.02
+        self._watch = watch or Watch()
+        self._stays: Optional[Any] = None
+        self._moves: Optional[Any] = None
+
+    def advance(self, duration: float) -> Any:
+        """Let ``duration`` seconds pass; the distribution then.
+
+        :raises UsageError: a duration that is negative or not finite.
+        """
+        if not (duration >= 0 and math.isfinite(duration)):
+            raise UsageError("a duration of %g s makes no sense" % duration)
+        self.time += duration
+        ticks = self._clock * duration
+        if ticks == 0:
+            return self.distribution
+        first, weights = poisson(ticks)
+        vector = self.distribution
+        result = np.zeros_like(vector)
+        left = 1.0  # of the Poisson weights
+        for k in range(first + len(weights)):
+            if k >= first:
+                result += weights[k - first] * vector
+                left -= weights[k - first]
+            following = self._tick(vector)
+            if k % 16 == 15:
+                self._watch.step("ticks", k)
+                change = float(np.abs(following - vector).sum())
+                if change * (first + len(weights) - k) < ERROR:
+                    vector = following
+                    break  # it does not change any more
+            vector = following
+        result += max(left, 0.0) * vector
+        self.distribution = result / result.sum()
+        return self.distribution
+
+    def _tick(self, vector: Any) -> Any:
+        if self._moves is None:
+            self._moves = self.chain.inflow / self._clock
+            self._stays = 1.0 - self.chain.exit_rates / self._clock
+        return self._stays * vector + self._moves @ vector
+
+
+def transient(
+    chain: Chain,
+    times: Iterable[float],
+    *,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+    seconds: float = math.inf,
+) -> List[Transient]:
+    """The distributions at ``times`` (s), in their order.
+
+    :param seconds: longest time that the work may take.
+    :raises LimitError: it took longer.
+    :raises UsageError: a time that is negative or not finite.
+    :raises CancelledError: ``cancel`` said so.
+    """
+    asked = list(times)
+    evolution = Evolution(chain, watch=Watch(progress, cancel, seconds=seconds))
+    found = {}
+    for time in sorted(set(asked)):
+        found[time] = evolution.advance(time - evolution.time)
+    return [Transient(time, found[time]) for time in asked]
+
+
+def time_to_steady_state(
+    chain: Chain,
+    tolerance: float = 1e-3,
+    *,
+    steady: Optional[SteadyState] = None,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+    seconds: float = math.inf,
+) -> float:
+    """The time (s), to about 1 %, from which on the distribution stays within ``tolerance`` of the
+    steady state (half the sum of absolute differences, the total variation distance).
+
+    :param seconds: longest time that the work may take.
+    :raises LimitError: the steady state was not found, or it took longer.
+    """
+    if not 0 < tolerance < 1:
+        raise UsageError(
+            "a tolerance of %g makes no sense" % tolerance, hint="give a number between 0 and 1"
+        )
+    goal = (
+        steady or steady_state(chain, progress=progress, cancel=cancel, seconds=seconds)
+    ).distribution
+    watch = Watch(progress, cancel, seconds=seconds)
+
+    def away(vector: Any) -> float:
+        return 0.5 * float(np.abs(vector - goal).sum())
+
+    if away(chain.initial) <= tolerance:
+        return 0.0
+    # The distance never grows, so it can be bracketed by doubling and then halved down to.
+    low, step = Evolution(chain, watch=watch), 1.0 / max(float(chain.exit_rates.max()), 1e-300)
+    while True:
+        high = Evolution(chain, low.distribution, watch=watch)
+        high.time = low.time
+        high.advance(step)
+        if away(high.distribution) <= tolerance:
+            break
+        low, step = high, 2 * step
+        if low.time > 1e300:
+            raise UsageError("the steady state is not approached")
+    while step > 0.01 * (low.time + step):
+        step /= 2
+        middle = Evolution(chain, low.distribution, watch=watch)
+        middle.time = low.time
+        middle.advance(step)
+        if away(middle.distribution) > tolerance:
+            low = middle
+    return low.time + step
+
+
+def poisson(mean: float) -> Tuple[int, Any]:
+    """The Poisson weights that matter: the first count, and the weights from there on; what is left
+    out sums to less than :data:`ERROR`."""
+    spread = 8 * math.sqrt(mean) + 24
+    first = max(0, int(mean - spread))
+    counts = np.arange(first, int(mean + spread) + 1)
+    weights = np.exp(counts * math.log(mean) - mean - special.gammaln(counts + 1.0))
+    return first, weights / weights.sum()

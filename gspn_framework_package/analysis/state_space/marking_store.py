@@ -1,0 +1,182 @@
+"""The markings of a state space, kept in one of two ways with the same questions to ask.
+
+:class:`PackedStore` has machine words, a field for each place. In nets of thousands of places
+nearly all of them would say "as at the start": :class:`SparseStore` has only the places that differ
+from one base marking.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, Sequence
+
+import numpy as np
+
+from gspn_framework_package.analysis.graph import flat_ranges
+from gspn_framework_package.analysis.state_space.packing import Packing
+
+
+class PackedStore:
+    """Markings as machine words.
+
+    :param packing: where each place has its field.
+    :param words: uint64 array, one row a marking.
+    """
+
+    def __init__(self, packing: Packing, words: Any) -> None:
+        self.packing = packing
+        self._words = words
+
+    def __len__(self) -> int:
+        return len(self._words)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return int(self._words.nbytes)
+
+    def rows(self, states: Any = None) -> Any:
+        """Markings as an int64 array, one row a state: all, or those numbered, sliced or masked by
+        ``states``."""
+        return self.packing.unpack(self._words if states is None else self._words[states])
+
+    def column(self, place: int, states: Any = None) -> Any:
+        """The token counts of place number ``place`` as an int64 array, in all states or in
+        ``states``."""
+        return self.packing.column(self._words if states is None else self._words[states], place)
+
+    def find(self, counts: Sequence[int]) -> Any:
+        """The numbers of the states with that marking."""
+        if not self.packing.fits(counts):
+            return np.zeros(0, dtype=np.int64)
+        return np.flatnonzero((self._words == self.packing.pack(counts)).all(axis=1))
+
+    def largest(self) -> List[int]:
+        """The most tokens of each place."""
+        return [int(self.column(p).max()) for p in range(len(self.packing.widths))]
+
+    def means(self, states: Any, weights: Any) -> List[float]:
+        """For each place the sum of its counts in ``states`` (numbers), by ``weights`` (floats)."""
+        return [float(weights @ self.column(p)[states]) for p in range(len(self.packing.widths))]
+
+    def distributions(self, states: Any, weights: Any) -> List[Dict[int, float]]:
+        """For each place: count -> the weights of those of ``states`` that have it; without those
+        of weight 0."""
+        found = []
+        for p in range(len(self.packing.widths)):
+            totals = np.bincount(self.column(p)[states], weights=weights)
+            found.append({n: float(v) for n, v in enumerate(totals) if v > 0})
+        return found
+
+
+class SparseStore:
+    """Markings as the places that differ from ``base``.
+
+    :param base: a marking: int array, or a sequence of counts.
+    :param offsets: int array: the entries of state ``s`` are ``offsets[s]`` to ``offsets[s + 1]``.
+    :param places: int array: the place of each entry, ascending inside a state.
+    :param counts: int array: its token count, which is another one than in ``base``.
+    """
+
+    def __init__(self, base: Any, offsets: Any, places: Any, counts: Any) -> None:
+        self._base = np.array(base, dtype=np.int64)
+        self._offsets, self._places, self._counts = offsets, places, counts
+        self._by_place: Any = None
+
+    def __len__(self) -> int:
+        return len(self._offsets) - 1
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return int(
+            self._offsets.nbytes + self._places.nbytes + self._counts.nbytes + self._base.nbytes
+        )
+
+    def rows(self, states: Any = None) -> Any:
+        """See :meth:`PackedStore.rows`; this is one number for every place of every state."""
+        chosen = self._chosen(states)
+        found = np.tile(self._base, (len(chosen), 1))
+        entries, lengths = self._entries(chosen)
+        found[np.repeat(np.arange(len(chosen)), lengths), self._places[entries]] = self._counts[
+            entries
+        ]
+        return found
+
+    def column(self, place: int, states: Any = None) -> Any:
+        """See :meth:`PackedStore.column`."""
+        order, ends = self._sorted_by_place()
+        entries = order[ends[place] : ends[place + 1]]
+        found = np.full(len(self), self._base[place], dtype=np.int64)
+        found[np.searchsorted(self._offsets, entries, side="right") - 1] = self._counts[entries]
+        return found if states is None else found[states]
+
+    def find(self, counts: Sequence[int]) -> Any:
+        """See :meth:`PackedStore.find`."""
+        wanted = np.array(counts, dtype=np.int64)
+        places = np.flatnonzero(wanted != self._base)
+        alike = np.flatnonzero(np.diff(self._offsets) == len(places))
+        entries = self._offsets[alike][:, None] + np.arange(len(places))
+        same = (self._places[entries] == places) & (self._counts[entries] == wanted[places])
+        return alike[same.all(axis=1)]
+
+    def largest(self) -> List[int]:
+        """See :meth:`PackedStore.largest`."""
+        most = np.full(len(self._base), -1, dtype=np.int64)
+        np.maximum.at(most, self._places, self._counts)
+        unchanged = np.bincount(self._places, minlength=len(self._base)) < len(self)
+        return np.where(unchanged, np.maximum(most, self._base), most).tolist()
+
+    def means(self, states: Any, weights: Any) -> List[float]:
+        """See :meth:`PackedStore.means`."""
+        entries, each = self._weighed(states, weights)
+        places = self._places[entries]
+        found = np.bincount(places, weights=each * self._counts[entries], minlength=len(self._base))
+        return (found + self._base * self._unchanged(places, each, weights)).tolist()
+
+    def distributions(self, states: Any, weights: Any) -> List[Dict[int, float]]:
+        """See :meth:`PackedStore.distributions`."""
+        entries, each = self._weighed(states, weights)
+        places, counts = self._places[entries], self._counts[entries]
+        order = np.lexsort((counts, places))
+        places, counts, each_sorted = places[order], counts[order], each[order]
+        first = np.ones(len(order), dtype=bool)
+        first[1:] = (places[1:] != places[:-1]) | (counts[1:] != counts[:-1])
+        group = np.cumsum(first) - 1
+        totals = np.bincount(group, weights=each_sorted, minlength=int(first.sum()))
+        rest = self._unchanged(places, each_sorted, weights)
+        found: List[Dict[int, float]] = [
+            {int(n): float(v)} if v > 0 else {} for n, v in zip(self._base, rest)
+        ]
+        for p, n, v in zip(places[first].tolist(), counts[first].tolist(), totals.tolist()):
+            if v > 0:
+                found[p][n] = v
+        return [dict(sorted(counts.items())) for counts in found]
+
+    def _weighed(self, states: Any, weights: Any) -> Any:
+        """The entries of those of ``states`` that have a weight, and the weight of each."""
+        chosen = np.flatnonzero(weights)
+        entries, lengths = self._entries(np.asarray(states)[chosen])
+        return entries, np.repeat(weights[chosen], lengths)
+
+    def _unchanged(self, places: Any, each: Any, weights: Any) -> Any:
+        """For each place the weight of the states in which it is as in the base marking."""
+        changed = np.bincount(places, weights=each, minlength=len(self._base))
+        everywhere = np.bincount(places, minlength=len(self._base)) == np.count_nonzero(weights)
+        return np.where(everywhere, 0.0, np.maximum(weights.sum() - changed, 0.0))
+
+    def _chosen(self, states: Any) -> Any:
+        numbers = np.arange(len(self))
+        return numbers if states is None else np.atleast_1d(numbers[states])
+
+    def _entries(self, states: Any) -> Any:
+        begin, end = self._offsets[states], self._offsets[states + 1]
+        return flat_ranges(begin, end), end - begin
+
+    def _sorted_by_place(self) -> Any:
+        if self._by_place is None:
+            order = np.argsort(self._places, kind="stable")
+            self._by_place = (
+                order,
+                np.searchsorted(self._places[order], np.arange(len(self._base) + 1)),
+            )
+        return self._by_place

@@ -1,0 +1,458 @@
+"""Exploration of the reachable markings, compiled by numba and cached: the fast engine, where numba
+is there.
+
+States are taken in order of discovery, a round at a time. First every core expands its share of the
+round: it computes the successors, and looks them up in a hash table that nobody changes meanwhile.
+Most successors are known; the others are then entered one after the other, in the order of their
+arcs. So the numbering does not depend on the number of cores, and there is nothing to lock.
+
+Inside a share, the successors of a block of states are computed and the table's slots for them
+touched, so that the memory of many slots is on its way at once; only then are they looked up. That
+order, not the arithmetic, is what the speed of one core comes from.
+
+The cores in use are numba's own setting, the environment variable ``NUMBA_NUM_THREADS``.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import Any, List, NamedTuple, Tuple
+
+import numpy as np
+from numba import config
+
+from gspn_framework_package.analysis.compiling import compiled
+from gspn_framework_package.analysis.state_space.exploration import (
+    ENDLESS,
+    FieldOverflowError,
+    Growing,
+    RawGraph,
+    Room,
+    label_type,
+)
+from gspn_framework_package.analysis.state_space.packing import PackedNet
+from gspn_framework_package.analysis.watch import Watch
+
+_MIX_1 = np.uint64(0x9E3779B97F4A7C15)
+_MIX_2 = np.uint64(0xFF51AFD7ED558CCD)
+_HALF = np.uint64(32)
+_ZERO = np.uint64(0)
+_ONE = np.uint64(1)
+_LOW = np.uint64(0xFFFFFFFF)
+
+_BLOCK = 32
+"""States, or entries to come, that are in flight together."""
+
+_SHARE = 8192
+"""States of a round that one core expands, at most; where there are no more, one does it alone."""
+
+_SHARE_ARCS = 1 << 17
+"""Arcs that the buffers of a share have room for, at most (but for nets of very many
+transitions)."""
+
+_NARROW = 512
+"""Rounds of fewer states are done one after the other in compiled code: starting it takes longer
+than they do."""
+
+_STRIDE = 1 << 18
+"""States between two looks at the watch there."""
+
+_CORES = 8
+"""More cores do not help: the entering waits for all of them, and they for it."""
+
+
+def explore(
+    packed: PackedNet, limit: int, watch: Watch, cores: int = 0, room: Room = ENDLESS
+) -> RawGraph:
+    """The reachability graph of ``packed``; same meaning as in ``numpy_engine``.
+
+    :param cores: how many to use; 0: as many as numba may use, at most 8.
+    :param room: the exploration ends where this is used up.
+    """
+    transitions = len(packed.order)
+    cores = cores or min(int(vars(config)["NUMBA_NUM_THREADS"]), _CORES)
+    share = max(_BLOCK, min(_SHARE, _SHARE_ARCS // max(transitions, 1)))
+    narrow = min(_NARROW, share)
+    states = Growing(np.uint64, packed.words)
+    states.extend(packed.initial[None, :])
+    offsets = Growing(np.int64)
+    offsets.extend(np.zeros(1, dtype=np.int64))
+    targets = Growing(np.int32 if limit < 2**31 - 2**24 else np.int64)
+    labels = Growing(label_type(transitions))
+    table = np.zeros(1 << 12, dtype=np.uint64)
+    expand, enter = _expand_for(packed.words), _enter_for(packed.words)
+    enter(table, states.array, 0, packed.initial[None, :], np.zeros(0, np.int64), targets.array)
+    rules = _Rules(*(getattr(packed, name) for name in _Rules._fields))
+    buffers = [_new_buffers(share, transitions, packed.words, targets, labels)]
+    explored = 0
+    with ThreadPoolExecutor(max(cores - 1, 1), thread_name_prefix="explore") as others:
+        while explored < states.used <= limit:
+            if not room.left(
+                table.nbytes + sum(a.array.nbytes for a in (states, offsets, targets, labels))
+            ):
+                break
+            if states.used - explored < narrow:
+                explored = _go_narrow(
+                    rules, explored, limit, table, states, offsets, targets, labels, buffers[0]
+                )
+                table = _with_room(table, states.used + narrow * transitions)
+                watch.step("states", states.used)
+                continue
+            end = min(explored + share * cores, states.used)
+            bounds = _shares(explored, end, -(-(end - explored) // share))
+            while len(buffers) < len(bounds):
+                buffers.append(_new_buffers(share, transitions, packed.words, targets, labels))
+            work: List[Tuple[Any, ...]] = [
+                (rules, states.array, table, part, buffer) for part, buffer in zip(bounds, buffers)
+            ]
+            running = [others.submit(expand, *arguments) for arguments in work[1:]]
+            done = [expand(*work[0])] + [future.result() for future in running]
+            _check_overflow(buffers)
+            new = sum(misses for _, misses, _ in done)
+            states.reserve(states.used + new)
+            table = _with_room(table, states.used + new)
+            offsets.reserve(offsets.used + end - explored)
+            for (arcs, misses, _), buffer, (begin, stop) in zip(done, buffers, bounds):
+                base = targets.used
+                targets.extend(buffer.targets[:arcs])
+                labels.extend(buffer.labels[:arcs])
+                offsets.extend(buffer.ends[: stop - begin] + base)
+                states.used = enter(
+                    table,
+                    states.array,
+                    states.used,
+                    buffer.keys[:misses],
+                    buffer.arcs[:misses],
+                    targets.array[base:],
+                )
+            explored = end
+            watch.step("states", states.used)
+    rest = np.full(states.used - explored, targets.used, dtype=np.int64)
+    offsets.extend(rest)
+    return RawGraph(
+        states.finished(), offsets.finished(), targets.finished(), labels.finished(), explored
+    )
+
+
+class _Rules(NamedTuple):
+    """What the compiled code reads of a packed net."""
+
+    need: Any
+    need_guard: Any
+    inhibit: Any
+    inhibit_guard: Any
+    change: Any
+    class_ends: Any
+    guard: Any
+
+
+class _Buffers(NamedTuple):
+    """What one core finds in its share: targets (-1: not known yet) and labels of the arcs, where
+    the arcs of each state end; and of the arcs whose target is not known their numbers, and the
+    packed markings that they lead to."""
+
+    targets: Any
+    labels: Any
+    ends: Any
+    keys: Any
+    arcs: Any
+    overflow: Any
+
+
+def _new_buffers(
+    states: int, transitions: int, words: int, targets: Growing, labels: Growing
+) -> _Buffers:
+    room = states * transitions
+    return _Buffers(
+        np.empty(room, dtype=targets.array.dtype),
+        np.empty(room, dtype=labels.array.dtype),
+        np.empty(states, dtype=np.int64),
+        np.empty((room, words), dtype=np.uint64),
+        np.empty(room, dtype=np.int64),
+        np.zeros(words, dtype=np.uint64),
+    )
+
+
+def _shares(begin: int, end: int, cores: int) -> List[Tuple[int, int]]:
+    """The states of a round, shared out."""
+    cuts = [begin + (end - begin) * core // cores for core in range(cores + 1)]
+    return list(zip(cuts, cuts[1:]))
+
+
+def _check_overflow(buffers: List[_Buffers]) -> None:
+    overflow = np.bitwise_or.reduce([buffer.overflow for buffer in buffers])
+    if overflow.any():
+        raise FieldOverflowError(tuple(int(bits) for bits in overflow))
+
+
+def _go_narrow(
+    rules: _Rules,
+    explored: int,
+    limit: int,
+    table: Any,
+    states: Growing,
+    offsets: Growing,
+    targets: Growing,
+    labels: Growing,
+    buffer: _Buffers,
+) -> int:
+    """Do rounds of few states until they grow or the room is used up; returns the first state not
+    explored."""
+    room = _NARROW * max(len(rules.need), 1)
+    states.reserve(states.used + 2 * room)
+    targets.reserve(targets.used + 2 * room)
+    labels.reserve(len(targets.array))
+    offsets.reserve(len(states.array) + 1)
+    most = min(limit, len(states.array) - room, states.used + _STRIDE)
+    explored, states.used, targets.used = _narrow_for(len(rules.guard))(
+        rules,
+        explored,
+        states.used,
+        most,
+        min(_NARROW, len(buffer.ends)),
+        states.array,
+        table,
+        offsets.array,
+        buffer._replace(targets=targets.array, labels=labels.array),
+        targets.used,
+    )
+    labels.used, offsets.used = targets.used, explored + 1
+    _check_overflow([buffer])
+    return int(explored)
+
+
+# -- the hash table --------------------------------------------------------------------------------
+#
+# A slot holds the number of a state plus 1 in its low half, and the high half of the hash in its
+# high half. The slot where the search begins is the top bits of the hash: so entries stand nearly
+# sorted, and a table of twice the size is filled from one end to the other, without a look at the
+# states.
+
+
+def _with_room(table: Any, states: int) -> Any:
+    """The table, or a larger one with the same entries, that so many states fill no more than
+    half."""
+    while 2 * states > len(table):
+        larger = np.zeros(2 * len(table), dtype=np.uint64)
+        _refill(table, larger)
+        table = larger
+    return table
+
+
+@compiled
+def _shift(table: Any) -> Any:
+    """How far a hash is shifted down to the number of its first slot."""
+    shift = np.uint64(64)
+    size = len(table)
+    while size > 1:
+        size >>= 1
+        shift -= _ONE
+    return shift
+
+
+@compiled
+def _refill(table: Any, larger: Any) -> None:
+    shift, mask = _shift(larger), np.uint64(len(larger) - 1)
+    for i in range(len(table)):
+        entry = table[i]
+        if entry != _ZERO:
+            slot = entry >> shift
+            while larger[slot] != _ZERO:
+                slot = (slot + _ONE) & mask
+            larger[slot] = entry
+
+
+@compiled
+def _hash(keys: Any, row: int, words: int) -> Any:
+    value = keys[row, 0] * _MIX_1
+    for w in range(1, words):
+        value ^= value >> _HALF
+        value += keys[row, w]
+        value *= _MIX_2
+    value ^= value >> _HALF
+    value *= _MIX_1
+    return value
+
+
+@lru_cache(maxsize=None)
+def _enter_for(words: int) -> Any:
+    """Entering for markings of that many words: a constant, so that the compiler unrolls what
+    depends on it."""
+
+    @compiled
+    def enter(table: Any, states: Any, known: Any, keys: Any, arcs: Any, targets: Any) -> Any:
+        """Number the states ``keys`` that are not known yet, from ``known`` on, and tell the
+        targets of ``arcs``; the number of states known then. Without arcs the keys are entered all
+        the same."""
+        shift, mask = _shift(table), np.uint64(len(table) - 1)
+        hashes = np.empty(_BLOCK, np.uint64)
+        for begin in range(0, len(keys), _BLOCK):
+            stop = min(begin + _BLOCK, len(keys))
+            for i in range(begin, stop):
+                hashes[i - begin] = _hash(keys, i, words)
+            for i in range(begin, stop):
+                value = hashes[i - begin]
+                slot = value >> shift
+                high = value & ~_LOW
+                while True:
+                    entry = table[slot]
+                    if entry == _ZERO:
+                        for w in range(words):
+                            states[known, w] = keys[i, w]
+                        number = known
+                        known += 1
+                        table[slot] = high | np.uint64(known)
+                        break
+                    if entry & ~_LOW == high:
+                        number = np.int64(entry & _LOW) - 1
+                        same = True
+                        for w in range(words):
+                            if states[number, w] != keys[i, w]:
+                                same = False
+                                break
+                        if same:
+                            break
+                    slot = (slot + _ONE) & mask
+                if len(arcs):
+                    targets[arcs[i]] = number
+        return known
+
+    return enter
+
+
+@lru_cache(maxsize=None)
+def _expand_for(words: int) -> Any:
+    """Expanding for markings of that many words."""
+
+    @compiled
+    def expand(rules: Any, states: Any, table: Any, share: Any, found: Any) -> Any:
+        """Expand the states from the first of ``share`` up to the second; what comes of them goes
+        into ``found``.
+
+        Returns the number of arcs, that of arcs that lead to markings not known yet, and what keeps
+        the compiler from leaving the touching out.
+        """
+        need, need_guard, inhibit, inhibit_guard, change, class_ends, guard = rules
+        targets, labels, ends, keys, key_arcs, overflow = found
+        begin, end = share
+        transitions = need.shape[0]
+        shift, mask = _shift(table), np.uint64(len(table) - 1)
+        batch = np.empty((_BLOCK * transitions, words), np.uint64)
+        hashes = np.empty(_BLOCK * transitions, np.uint64)
+        # not the caller's array, which may share a cache line with another core's
+        hit = np.zeros(words, np.uint64)
+        touched = _ZERO
+        arcs, misses = 0, 0
+        for here in range(begin, end, _BLOCK):
+            n = 0
+            for s in range(here, min(here + _BLOCK, end)):
+                first = 0
+                for c in range(len(class_ends)):
+                    before = n
+                    for t in range(first, class_ends[c]):
+                        enabled = True
+                        for w in range(words):
+                            word = states[s, w]
+                            g = need_guard[t, w]
+                            if ((word | g) - need[t, w]) & g != g:
+                                enabled = False
+                                break
+                            g = inhibit_guard[t, w]
+                            if ((word | g) - inhibit[t, w]) & g != _ZERO:
+                                enabled = False
+                                break
+                        if enabled:
+                            for w in range(words):
+                                batch[n, w] = states[s, w] + change[t, w]
+                                hit[w] |= batch[n, w] & guard[w]
+                            value = _hash(batch, n, words)
+                            hashes[n] = value
+                            touched ^= table[value >> shift]
+                            labels[arcs + n] = t
+                            n += 1
+                    first = class_ends[c]
+                    if n > before:
+                        break
+                ends[s - begin] = arcs + n
+            for w in range(words):
+                if hit[w] != _ZERO:
+                    overflow[:] = hit
+                    return arcs, misses, touched
+            for i in range(n):
+                entry = table[hashes[i] >> shift]
+                if entry != _ZERO:
+                    touched ^= states[np.int64(entry & _LOW) - 1, 0]
+            for i in range(n):
+                value = hashes[i]
+                slot = value >> shift
+                high = value & ~_LOW
+                number = np.int64(-1)
+                while True:
+                    entry = table[slot]
+                    if entry == _ZERO:
+                        break
+                    if entry & ~_LOW == high:
+                        known = np.int64(entry & _LOW) - 1
+                        same = True
+                        for w in range(words):
+                            if states[known, w] != batch[i, w]:
+                                same = False
+                                break
+                        if same:
+                            number = known
+                            break
+                    slot = (slot + _ONE) & mask
+                targets[arcs + i] = number
+                if number < 0:
+                    for w in range(words):
+                        keys[misses, w] = batch[i, w]
+                    key_arcs[misses] = arcs + i
+                    misses += 1
+            arcs += n
+        return arcs, misses, touched
+
+    return expand
+
+
+@lru_cache(maxsize=None)
+def _narrow_for(words: int) -> Any:
+    """Rounds of few states, for markings of that many words."""
+    expand, enter = _expand_for(words), _enter_for(words)
+
+    @compiled
+    def narrow(
+        rules: Any,
+        explored: Any,
+        known: Any,
+        most: Any,
+        few: Any,
+        states: Any,
+        table: Any,
+        offsets: Any,
+        found: Any,
+        arcs: Any,
+    ) -> Any:
+        """Go on while fewer than ``few`` states are waiting and at most ``most`` are known, and
+        while there is room for what they may lead to: of targets and labels ``found`` has all,
+        ``arcs`` of them told. Returns the first state not explored, the number known, and that of
+        arcs."""
+        while explored < known <= most and known - explored < few:
+            new = (known - explored) * rules.need.shape[0]
+            if 2 * (known + new) > len(table) or arcs + new > len(found.targets):
+                break
+            targets, labels = found.targets[arcs:], found.labels[arcs:]
+            buffers = _Buffers(targets, labels, found.ends, found.keys, found.arcs, found.overflow)
+            more, misses, _ = expand(rules, states, table, (explored, known), buffers)
+            if found.overflow.any():
+                break
+            for s in range(explored, known):
+                offsets[s + 1] = arcs + found.ends[s - explored]
+            known, explored = (
+                enter(table, states, known, found.keys[:misses], found.arcs[:misses], targets),
+                known,
+            )
+            arcs += more
+        return explored, known, arcs
+
+    return narrow

@@ -1,0 +1,256 @@
+"""Exploration of the reachable markings, whole frontiers at a time, with numpy alone.
+
+One round takes the next states in order of discovery, tests every transition on all of them at
+once, and looks the successors up in a hash table with open addressing whose probing is vectorised
+too: every key that finds an empty slot writes its candidate number there, reads back who won, and
+goes on probing if it was another key.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Optional, Tuple
+
+import numpy as np
+
+from gspn_framework_package.analysis.state_space.exploration import (
+    ENDLESS,
+    FieldOverflowError,
+    Growing,
+    RawGraph,
+    Room,
+    label_type,
+)
+from gspn_framework_package.analysis.state_space.packing import PackedNet
+from gspn_framework_package.analysis.watch import Watch
+
+_MIX = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xFF51AFD7ED558CCD))
+_SHIFT = np.uint64(32)
+_EMPTY = -1
+
+_SMALL_TABLE = 1 << 17
+"""Slots of a table up to which it is a quarter full at most, instead of half: fewer searches then
+take long."""
+
+_ROWS = 1 << 15
+"""States of one round, at most."""
+
+
+def explore(
+    packed: PackedNet, limit: int, watch: Watch, rounds: Optional[int] = None, room: Room = ENDLESS
+) -> RawGraph:
+    """The reachability graph of ``packed``.
+
+    :param limit: the exploration ends when more than this many states are known.
+    :param rounds: it also ends after so many rounds.
+    :param room: it also ends where this is used up.
+    :raises FieldOverflowError: the fields are too narrow.
+    """
+    transitions = len(packed.order)
+    states = Growing(np.uint64, packed.words)
+    states.extend(packed.initial[None, :])
+    offsets = Growing(np.int64)
+    offsets.extend(np.zeros(1, dtype=np.int64))
+    targets = Growing(np.int32 if limit < 2**31 - 2**24 else np.int64)
+    labels = Growing(label_type(transitions))
+    table = _Table(states)
+    explored = 0
+    rows = max(1, min(_ROWS, (1 << 20) // max(transitions, 1)))
+    done = 0
+    while explored < states.used <= limit and done != rounds:
+        if not room.left(
+            table.nbytes + sum(a.array.nbytes for a in (states, offsets, targets, labels))
+        ):
+            break
+        done += 1
+        block = states.array[explored : min(explored + rows, states.used)]
+        sources, fired = _enabled(packed, block)
+        successors = block[sources]
+        successors += packed.change[fired]
+        overflow = (
+            np.bitwise_or.reduce(successors, axis=0) & packed.guard if len(successors) else ()
+        )
+        if np.any(overflow):
+            raise FieldOverflowError(tuple(int(bits) for bits in overflow))
+        targets.extend(table.insert(successors, states))
+        labels.extend(fired)
+        counts = np.bincount(sources, minlength=len(block))
+        offsets.extend(np.cumsum(counts) + offsets.array[offsets.used - 1])
+        explored += len(block)
+        watch.step("states", states.used)
+    found = states.used
+    open_states = np.full(found - explored, offsets.array[offsets.used - 1], dtype=np.int64)
+    offsets.extend(open_states)
+    return RawGraph(
+        states.finished(), offsets.finished(), targets.finished(), labels.finished(), explored
+    )
+
+
+def _enabled(packed: PackedNet, block: Any) -> Tuple[Any, Any]:
+    """Which transitions fire in which states: row numbers (ascending) and transitions in engine
+    order."""
+    size, transitions = len(block), len(packed.order)
+    if size < 2048 and size * transitions < 1 << 16:
+        mask = _mask_broadcast(packed, block)
+    else:
+        mask = _mask_by_transition(packed, block)
+    begin = 0
+    taken: Optional[Any] = None  # states in which a class of higher precedence is enabled
+    for end in packed.class_ends[:-1].tolist():
+        if taken is not None:
+            mask[taken, begin:end] = False
+        some = mask[:, begin:end].any(axis=1)
+        taken = some if taken is None else taken | some
+        begin = end
+    if taken is not None and taken.any():
+        mask[taken, begin:] = False
+    found = np.flatnonzero(mask)
+    if transitions == 0:
+        return found, found
+    sources = found // transitions
+    return sources, found - sources * transitions
+
+
+def _mask_broadcast(packed: PackedNet, block: Any) -> Any:
+    mask = np.ones((len(block), len(packed.order)), dtype=bool)
+    for w in range(packed.words):
+        column = block[:, w, None]
+        guard = packed.need_guard[:, w]
+        if guard.any():
+            mask &= ((column | guard) - packed.need[:, w]) & guard == guard
+        guard = packed.inhibit_guard[:, w]
+        if guard.any():
+            mask &= ((column | guard) - packed.inhibit[:, w]) & guard == 0
+    return mask
+
+
+def _mask_by_transition(packed: PackedNet, block: Any) -> Any:
+    """The same, transition by transition, on the words that each of them looks at."""
+    mask = np.empty((len(packed.order), len(block)), dtype=bool)
+    columns = [np.ascontiguousarray(block[:, w]) for w in range(packed.words)]
+    work = np.empty(len(block), dtype=np.uint64)
+    for row in range(len(packed.order)):
+        result: Optional[Any] = None
+        for w in range(packed.words):
+            for weights, guards, enabled in (
+                (packed.need, packed.need_guard, True),
+                (packed.inhibit, packed.inhibit_guard, False),
+            ):
+                guard = guards[row, w]
+                if not guard:
+                    continue
+                np.bitwise_or(columns[w], guard, out=work)
+                np.subtract(work, weights[row, w], out=work)
+                np.bitwise_and(work, guard, out=work)
+                if result is None:
+                    result = np.equal(work, guard if enabled else np.uint64(0), out=mask[row])
+                else:
+                    result &= work == (guard if enabled else np.uint64(0))
+        if result is None:
+            mask[row] = True
+    return np.ascontiguousarray(mask.T)
+
+
+class _Table:
+    """Hash table from packed states to their numbers; half full at most. The steps of a search grow
+    by one each time: they reach every slot all the same, and few searches take long, which matters
+    since all go on until the last ends.
+    """
+
+    def __init__(self, states: Growing) -> None:
+        self._rebuild(1 << 12, states)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return int(self._slots.nbytes)
+
+    def insert(self, keys: Any, states: Growing) -> Any:
+        """Numbers of ``keys``; those not seen before are appended to ``states``, in order of
+        appearance."""
+        known = states.used
+        self._make_room(known + len(keys), states)
+        slots = self._slots
+        mask = len(slots) - 1
+        numbers = np.empty(len(keys), dtype=slots.dtype)
+        at = _hash(keys) & mask
+        open_keys: Any = np.arange(len(keys), dtype=slots.dtype)
+        # Behind the states, where their candidate numbers point: so a slot's number leads to what
+        # it stands for.
+        states.reserve(known + len(keys))
+        states.array[known : known + len(keys)] = keys
+        pool = states.array
+        fresh = []
+        step = 0
+        while len(open_keys):
+            here = at[open_keys]
+            seen = slots[here]
+            empty = (seen == _EMPTY).nonzero()[0]
+            if len(empty):
+                # Candidates are numbered from ``known`` on. Written backwards, because of several
+                # writers to one slot the last one stays: so states are numbered in order of
+                # discovery, as in numba.
+                candidates = open_keys[empty] + known
+                slots[here[empty[::-1]]] = candidates[::-1]
+                seen[empty] = slots[here[empty]]
+                won = open_keys[empty[seen[empty] == candidates]]
+                fresh.append(won)
+            same = keys[open_keys, 0] == pool[seen, 0]
+            for w in range(1, keys.shape[1]):
+                same &= keys[open_keys, w] == pool[seen, w]
+            numbers[open_keys[same]] = seen[same]
+            open_keys = open_keys[~same]
+            step += 1
+            at[open_keys] = (at[open_keys] + step) & mask
+        return self._number(numbers, keys, fresh, known, at, states)
+
+    def _number(
+        self, numbers: Any, keys: Any, fresh: Any, known: int, at: Any, states: Growing
+    ) -> Any:
+        """Turn candidate numbers into state numbers."""
+        if not fresh:
+            return numbers
+        winners = np.sort(np.concatenate(fresh))
+        final = np.arange(known, known + len(winners), dtype=numbers.dtype)
+        self._slots[at[winners]] = final
+        state_of = np.empty(len(keys), dtype=numbers.dtype)
+        state_of[winners] = final
+        new = numbers >= known
+        numbers[new] = state_of[numbers[new] - known]
+        states.extend(keys[winners])
+        return numbers
+
+    def _make_room(self, count: int, states: Growing) -> None:
+        capacity = len(self._slots)
+        while capacity < (4 if capacity < _SMALL_TABLE else 2) * count:
+            capacity *= 2
+        if capacity > len(self._slots):
+            self._rebuild(capacity, states)
+
+    def _rebuild(self, capacity: int, states: Growing) -> None:
+        self._slots = np.full(capacity, _EMPTY, dtype=np.int32 if capacity < 2**31 else np.int64)
+        mask = capacity - 1
+        for begin in range(0, states.used, 1 << 20):
+            keys = states.array[begin : min(begin + (1 << 20), states.used)]
+            at = _hash(keys) & mask
+            numbers = np.arange(begin, begin + len(keys), dtype=self._slots.dtype)
+            open_keys = np.arange(len(keys))
+            step = 0
+            while len(open_keys):  # all keys differ: whoever does not hold its slot goes on
+                step += 1
+                here = at[open_keys]
+                free = self._slots[here] == _EMPTY
+                self._slots[here[free]] = numbers[open_keys[free]]
+                open_keys = open_keys[self._slots[here] != numbers[open_keys]]
+                at[open_keys] = (at[open_keys] + step) & mask
+
+
+def _hash(keys: Any) -> Any:
+    value = keys[:, 0] * _MIX[0]
+    for w in range(1, keys.shape[1]):
+        value ^= value >> _SHIFT
+        value += keys[:, w]
+        value *= _MIX[1]
+    value ^= value >> _SHIFT
+    value *= _MIX[0]
+    value ^= value >> _SHIFT
+    return value.astype(np.int64) & np.int64(0x7FFFFFFFFFFFFFFF)

@@ -1,0 +1,147 @@
+"""Qualitative properties of a bounded net, read off its complete state space (thesis 2.4).
+
+>>> from gspn_framework_package.model.builder import NetBuilder
+>>> from gspn_framework_package.analysis.state_space.space import explore
+>>> net = (NetBuilder().place("a", tokens=1).place("b").place("end")
+...        .exponential("go", inputs="a", outputs="b").exponential("back", inputs="b", outputs="a")
+...        .exponential("leave", inputs="b", outputs="end").build())
+>>> properties = Properties(explore(net))
+>>> properties.deadlocks, properties.reversible, properties.bounds["a"]
+([2], False, 1)
+>>> properties.liveness["go"].name, properties.liveness["leave"].name
+('L3', 'L1')
+"""
+
+from __future__ import annotations
+
+import enum
+from functools import lru_cache
+from typing import Any, Dict, List, NamedTuple, Optional
+
+import numpy as np
+
+from gspn_framework_package.analysis.graph import Components, components
+from gspn_framework_package.analysis.state_space.space import StateSpace, Step
+
+
+class Liveness(enum.IntEnum):
+    """Levels of liveness of a transition (Murata 1989). In a bounded net L2 (it can fire any number
+    of times) and L3 (it can fire for ever) are the same; L3 is said."""
+
+    L0 = 0
+    """Dead: it can never fire."""
+    L1 = 1
+    """It can fire at least once."""
+    L2 = 2
+    """For every number there is a firing sequence with that many firings of it."""
+    L3 = 3
+    """There is an infinite firing sequence with infinitely many firings of it."""
+    L4 = 4
+    """Live: whatever happened before, it can still fire."""
+
+
+class Deadlocks(NamedTuple):
+    """How many reachable markings enable nothing; a shortest way to one, and that marking (None:
+    there is none)."""
+
+    number: int
+    witness: Optional[List[str]]
+    marking: Optional[Dict[str, int]]
+
+
+class Properties:
+    """Properties of a state space.
+
+    :param space: explored completely.
+    :raises LimitError: it is not complete.
+    """
+
+    def __init__(self, space: StateSpace) -> None:
+        space.require_complete("its properties")
+        self.space = space
+
+    @property
+    def bounds(self) -> Dict[str, int]:
+        """The most tokens that each place can hold."""
+        return {
+            place.name: most
+            for place, most in zip(self.space.net.places, self.space.store.largest())
+        }
+
+    @property
+    def k_safe(self) -> int:
+        """The smallest k such that the net is k-safe; 1 is called *safe*."""
+        return max(self.bounds.values(), default=0)
+
+    @property
+    def deadlocks(self) -> List[int]:
+        """Numbers of the states in which nothing is enabled."""
+        return [int(s) for s in self.space.deadlocks]
+
+    def deadlock_summary(self) -> Deadlocks:
+        """How many deadlocks there are, and a shortest way to one."""
+        dead = self.space.deadlocks
+        if not len(dead):
+            return Deadlocks(0, None, None)
+        first = int(dead[0])  # the numbering is breadth-first, so none is nearer
+        return Deadlocks(len(dead), self.space.path_to(first), self.space.named(first))
+
+    @property
+    def components(self) -> Components:
+        """The strongly connected components of the reachability graph."""
+        return _components(self.space)
+
+    @property
+    def reversible(self) -> bool:
+        """Whether the initial marking can be reached again from every reachable marking."""
+        return self.components.number == 1
+
+    @property
+    def home_states(self) -> Any:
+        """Numbers of the home states: those that can be reached from every reachable marking."""
+        found = self.components
+        if int(found.bottom.sum()) != 1:
+            return np.zeros(0, dtype=np.int64)
+        return np.flatnonzero(found.bottom[found.of])
+
+    @property
+    def liveness(self) -> Dict[str, Liveness]:
+        """The level of every transition."""
+        space, found = self.space, self.components
+        count = len(space.net.transitions) + 1  # the last: a plan's robots wait, see plan.space
+        level = np.zeros(count, dtype=np.int64)
+        level[np.unique(space.transitions)] = Liveness.L1
+        sources = space.sources
+        inside = found.of[sources] == found.of[space.targets]
+        level[np.unique(space.transitions[inside])] = Liveness.L3
+        bottom = np.flatnonzero(found.bottom)
+        number = np.full(found.number, -1, dtype=np.int64)
+        number[bottom] = np.arange(len(bottom))
+        last = number[found.of[sources]]
+        pairs = np.unique(
+            space.transitions[last >= 0].astype(np.int64) * len(bottom) + last[last >= 0]
+        )
+        everywhere = np.bincount(pairs // max(len(bottom), 1), minlength=count) == len(bottom)
+        level[everywhere] = Liveness.L4
+        return {t.name: Liveness(int(v)) for t, v in zip(space.net.transitions, level)}
+
+    @property
+    def live(self) -> bool:
+        """Whether every transition is live."""
+        return all(level is Liveness.L4 for level in self.liveness.values())
+
+    @property
+    def dead_transitions(self) -> List[str]:
+        """Transitions that can never fire."""
+        return [name for name, level in self.liveness.items() if level is Liveness.L0]
+
+    def way_to(self, states: Any) -> Optional[List[Step]]:
+        """A shortest firing sequence to one of ``states`` (a boolean array), or None when there is
+        none."""
+        found = np.flatnonzero(states)
+        return self.space.witness(int(found[0])) if len(found) else None
+
+
+@lru_cache(maxsize=4)
+def _components(space: StateSpace) -> Components:
+    return components(len(space), space.sources, space.targets)

@@ -1,0 +1,135 @@
+"""A reachability graph with numbers on its arcs: rates where time passes, probabilities where none
+does.
+
+It comes from a net's state space (:func:`rate`), or from a plan under its policy
+(``plan.space``); what follows, from the elimination of the vanishing markings on, does not care
+which.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Iterator, NamedTuple, Tuple, Union
+
+import numpy as np
+
+from gspn_framework_package.analysis.state_space.marking_store import PackedStore, SparseStore
+from gspn_framework_package.analysis.state_space.space import StateSpace
+from gspn_framework_package.model.errors import RefusedError
+from gspn_framework_package.model.net import Marking, Net
+
+
+class RatedGraph(NamedTuple):
+    """Arcs are sorted by source; state 0 is the initial one.
+
+    :ivar net: the net whose markings and transitions these are.
+    :ivar vanishing: boolean array, one value a state: no time is spent there.
+    :ivar sources: int array, one value an arc, as the next three.
+    :ivar targets: int array.
+    :ivar transitions: int array, numbers of transitions.
+    :ivar values: float array: the rate (1/s) of an arc that leaves a tangible state, the
+        probability of one that leaves a vanishing state.
+    :ivar store: the markings of the states.
+    """
+
+    net: Net
+    vanishing: Any
+    sources: Any
+    targets: Any
+    transitions: Any
+    values: Any
+    store: Union[PackedStore, SparseStore]
+
+    def __len__(self) -> int:
+        return len(self.vanishing)
+
+    def markings(self, states: Any) -> Any:
+        """The markings of states (numbers) as an int64 array, one row a state."""
+        return self.store.rows(states)
+
+    def column(self, place: int, states: Any = None) -> Any:
+        """The token counts of place number ``place`` in all states, or in ``states``."""
+        return self.store.column(place, states)
+
+    def marking(self, state: int) -> Marking:
+        """The marking of one state."""
+        return tuple(self.markings(np.array([state]))[0].tolist())
+
+    def text(self, state: int) -> str:
+        """The marking of one state, for messages."""
+        named = self.net.named(self.marking(state), zeros=False)
+        return "(%s)" % ", ".join("%s: %d" % item for item in named.items())
+
+
+def rate(space: StateSpace) -> RatedGraph:
+    """The state space with rates and probabilities, as the net gives them.
+
+    Exponential transitions work with the servers that the net says; immediate ones of one priority
+    share by weight.
+
+    :raises LimitError: the state space is not complete.
+    :raises UsageError: it was explored untimed.
+    :raises RefusedError: a choice that no weight decides (weight 0 is for a policy to decide).
+    """
+    space.require_complete("its Markov chain")
+    if space.untimed:
+        raise RefusedError(
+            "an untimed state space has no Markov chain", hint="explore it with untimed=False"
+        )
+    vanishing = space.is_vanishing
+    sources = space.sources
+    values = np.empty(space.arcs, dtype=np.float64)
+    for t, arcs in _arcs_by_transition(space.transitions):
+        transition = space.net.transitions[t]
+        if not transition.timed:
+            values[arcs] = transition.weight
+        elif transition.servers == 1:
+            values[arcs] = transition.rate
+        else:
+            degree = _enabling_degree(space, t, sources[arcs])
+            if transition.servers is not None:
+                degree = np.minimum(degree, transition.servers)
+            values[arcs] = transition.rate * degree
+    _normalise(space, vanishing, sources, values)
+    return RatedGraph(
+        space.net, vanishing, sources, space.targets, space.transitions, values, space.store
+    )
+
+
+def _arcs_by_transition(transitions: Any) -> Iterator[Tuple[int, Any]]:
+    """The transitions that fire somewhere, each with the numbers of its arcs."""
+    order = np.argsort(transitions, kind="stable")
+    numbers, begin = np.unique(transitions[order], return_index=True)
+    ends = np.append(begin[1:], len(order))
+    for t, first, last in zip(numbers.tolist(), begin.tolist(), ends.tolist()):
+        yield t, order[first:last]
+
+
+def _enabling_degree(space: StateSpace, t: int, states: Any) -> Any:
+    degree = np.full(len(states), np.iinfo(np.int64).max, dtype=np.int64)
+    for p, weight in space.net.inputs[t]:
+        np.minimum(degree, space.column(p, states) // weight, out=degree)
+    return degree if space.net.inputs[t] else np.ones(len(states), dtype=np.int64)
+
+
+def _normalise(space: StateSpace, vanishing: Any, sources: Any, values: Any) -> None:
+    """Make probabilities of the weights that leave vanishing states."""
+    arcs = np.flatnonzero(vanishing[sources])
+    if not len(arcs):
+        return
+    count = np.bincount(sources[arcs], minlength=len(space))
+    unweighted = arcs[(values[arcs] == 0) & (count[sources[arcs]] > 1)]
+    if len(unweighted):
+        state = int(sources[unweighted[0]])
+        names = [name for name, _ in space.successors(state)]
+        raise RefusedError(
+            "no weight decides between %s in %s" % (", ".join(names), _text(space, state)),
+            hint="give them weights, or analyse a plan with a policy",
+        )
+    alone = arcs[count[sources[arcs]] == 1]
+    values[alone] = 1.0
+    total = np.bincount(sources[arcs], weights=values[arcs], minlength=len(space))
+    values[arcs] /= total[sources[arcs]]
+
+
+def _text(space: StateSpace, state: int) -> str:
+    return "(%s)" % ", ".join("%s: %d" % item for item in space.named(state).items())

@@ -1,0 +1,376 @@
+"""The state space of a net: its reachable markings and the firings between them.
+
+>>> from gspn_framework_package.model.builder import NetBuilder
+>>> net = (NetBuilder().place("a", tokens=2).place("b")
+...        .exponential("go", inputs="a", outputs="b")
+...        .exponential("back", inputs="b", outputs="a").build())
+>>> space = explore(net)
+>>> len(space), space.arcs, space.complete
+(3, 4, True)
+>>> space.path_to(2)
+['go', 'go']
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import sys
+import time
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+
+import numpy as np
+
+from gspn_framework_package.analysis.limits import STATE_LIMIT
+from gspn_framework_package.analysis.state_space import numpy_engine, sparse_engine
+from gspn_framework_package.analysis.state_space.exploration import (
+    FieldOverflowError,
+    RawGraph,
+    Room,
+)
+from gspn_framework_package.analysis.state_space.marking_store import PackedStore, SparseStore
+from gspn_framework_package.analysis.state_space.packing import PackedNet, Packing, starting_widths
+from gspn_framework_package.analysis.structure.invariants import invariant_bounds
+from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
+from gspn_framework_package.model.condition import Condition, parse_condition
+from gspn_framework_package.model.errors import LimitError, UsageError
+from gspn_framework_package.model.net import Marking, Net
+
+ENGINES = ("auto", "numpy", "numba", "sparse")
+
+_SPARSE = 1 << 15
+"""Machine words of all transitions from which on markings are explored one at a time, as what
+changes in them."""
+
+_SMALL = 1_500_000
+"""Up to this many states numpy is done before numba's machine code is even loaded, which takes more
+than a second."""
+
+_FEW_ROUNDS = 5_000
+"""Rounds that numpy is given for them, a second or so: it is slow where the graph is deep and
+narrow."""
+
+_INVARIANT_EFFORT = 100_000
+"""Steps of a search for invariants that narrow fields are worth."""
+
+
+class Step(NamedTuple):
+    """One firing of a witness: the transition, and the marking after it."""
+
+    transition: str
+    marking: Dict[str, int]
+
+
+class StateSpace:
+    """Reachable markings and firings, as arrays; made by :func:`explore`.
+
+    States are numbered from 0, the initial marking, in breadth-first order.
+
+    :ivar net: the net.
+    :ivar untimed: whether immediate transitions had no precedence.
+    :ivar offsets: int array of ``len(self) + 1``: the arcs of state ``s`` are ``offsets[s]`` to
+      ``offsets[s + 1]``.
+    :ivar targets: int array: the state that each arc leads to.
+    :ivar transitions: int array: the number of the transition of each arc.
+    :ivar explored: the successors of this many states are known.
+    :ivar engine: what explored it, ``numpy``, ``numba`` or ``sparse``.
+    :ivar store: the markings.
+    :ivar shortage: what there was too little of, where it is not complete: the option to raise, and
+      how much there was.
+    """
+
+    def __init__(
+        self,
+        net: Net,
+        store: Union[PackedStore, SparseStore],
+        graph: RawGraph,
+        order: Any,
+        *,
+        untimed: bool,
+        engine: str,
+        shortage: Tuple[str, str] = ("", ""),
+    ) -> None:
+        self.net = net
+        self.untimed = untimed
+        self.engine = engine
+        self.shortage = shortage
+        self.store = store
+        self.offsets = graph.offsets
+        self.targets = graph.targets
+        self.explored = graph.explored
+        in_file_order = bool((np.diff(order) > 0).all())
+        self.transitions = (
+            graph.labels if in_file_order else order.astype(graph.labels.dtype)[graph.labels]
+        )
+        self._parents: Optional[Any] = None
+
+    def __len__(self) -> int:
+        return len(self.store)
+
+    @property
+    def arcs(self) -> int:
+        """How many firings there are between the states."""
+        return len(self.targets)
+
+    @property
+    def complete(self) -> bool:
+        """Whether these are all reachable markings: the limit was not met."""
+        return self.explored == len(self)
+
+    @property
+    def memory(self) -> int:
+        """Bytes that the arrays take."""
+        return int(
+            self.store.nbytes + self.offsets.nbytes + self.targets.nbytes + self.transitions.nbytes
+        )
+
+    def require_complete(self, question: str) -> None:
+        """:raises LimitError: the limit on states was met, so that ``question`` is not decided."""
+        if not self.complete:
+            raise LimitError(
+                "not decided within %s" % self.extent, element=question, hint=self.hint
+            )
+
+    @property
+    def extent(self) -> str:
+        """For people: what was looked at."""
+        amount = self.shortage[1]
+        return "%d states" % len(self) + (" and %s" % amount if amount else "")
+
+    @property
+    def hint(self) -> str:
+        """For people: what to do where it is not complete."""
+        return "raise %s, or ask about a smaller net" % (self.shortage[0] or "--limit")
+
+    # -- markings ----------------------------------------------------------------------------------
+
+    def marking(self, state: int) -> Marking:
+        """The marking of one state."""
+        return tuple(self.store.rows(slice(state, state + 1))[0].tolist())
+
+    def named(self, state: int) -> Dict[str, int]:
+        """The marking of one state as place -> count, without the empty places."""
+        return self.net.named(self.marking(state), zeros=False)
+
+    def markings(self, states: Any = None) -> Any:
+        """Markings as an int64 array, one row a state, one column a place; of all states, or of
+        those numbered (or sliced, or masked) by ``states``."""
+        return self.store.rows(states)
+
+    def column(self, place: int, states: Any = None) -> Any:
+        """Token counts of place number ``place`` in every state, or in ``states``, as an int64
+        array."""
+        return self.store.column(place, states)
+
+    def find(self, marking: Union[Sequence[int], Mapping[str, int]]) -> Optional[int]:
+        """The number of the state with that marking (in place order, or place -> count), or
+        None."""
+        counts = self.net.marking(marking) if isinstance(marking, Mapping) else tuple(marking)
+        found = self.store.find(counts)
+        return int(found[0]) if len(found) else None
+
+    def holds(self, condition: Union[str, Condition]) -> Any:
+        """In which states a condition holds, as a boolean array; ``deadlock`` may be part of it.
+
+        :raises ExpressionError: it cannot be read.
+        """
+        if isinstance(condition, str):
+            condition = self.condition(condition)
+        result = np.empty(len(self), dtype=bool)
+        dead = self.is_dead if condition.labels else None
+        for begin in range(0, len(self), 1 << 17):
+            part = slice(begin, min(begin + (1 << 17), len(self)))
+            labels = {} if dead is None else {"deadlock": dead[part]}
+            columns = _Columns(self, part)
+            result[part] = condition.holds_in_columns(columns, part.stop - part.start, labels)
+        return result
+
+    def condition(self, text: str) -> Condition:
+        """A condition on the markings of this net; ``deadlock`` may be part of it."""
+        return parse_condition(text, [p.name for p in self.net.places], ["deadlock"])
+
+    # -- kinds of states ---------------------------------------------------------------------------
+
+    @property
+    def is_dead(self) -> Any:
+        """Boolean array: no transition is enabled (known of explored states only)."""
+        dead = np.diff(self.offsets) == 0
+        dead[self.explored :] = False
+        return dead
+
+    @property
+    def is_vanishing(self) -> Any:
+        """Boolean array: an immediate transition is enabled, so no time is spent there."""
+        timed = np.array([t.timed for t in self.net.transitions] or [True])
+        result = np.zeros(len(self), dtype=bool)
+        has_arcs = np.flatnonzero(np.diff(self.offsets))
+        result[has_arcs] = ~timed[self.transitions[self.offsets[has_arcs]]]
+        return result
+
+    @property
+    def deadlocks(self) -> Any:
+        """Numbers of the states in which no transition is enabled."""
+        return np.flatnonzero(self.is_dead)
+
+    # -- arcs --------------------------------------------------------------------------------------
+
+    @property
+    def sources(self) -> Any:
+        """int array: the state that each arc leaves."""
+        return np.repeat(np.arange(len(self), dtype=self.targets.dtype), np.diff(self.offsets))
+
+    def successors(self, state: int) -> List[Tuple[str, int]]:
+        """Pairs (transition, state) of one state."""
+        part = slice(self.offsets[state], self.offsets[state + 1])
+        return [
+            (self.transition_name(t), int(s))
+            for t, s in zip(self.transitions[part], self.targets[part])
+        ]
+
+    def transition_name(self, transition: int) -> str:
+        """The name of transition number ``transition``."""
+        return self.net.transitions[transition].name
+
+    def path_to(self, state: int) -> List[str]:
+        """Names of the transitions of a shortest firing sequence from the initial marking to
+        ``state``."""
+        return [self.transition_name(t) for t, _ in self._way_to(state)]
+
+    def witness(self, state: int) -> List[Step]:
+        """The same with the marking after each firing."""
+        return [Step(self.transition_name(t), self.named(s)) for t, s in self._way_to(state)]
+
+    def _way_to(self, state: int) -> List[Tuple[int, int]]:
+        if self._parents is None:
+            # The arc that discovered a state is the first that leads to it.
+            parents = np.full(len(self), -1, dtype=np.int64)
+            parents[self.targets[::-1]] = np.arange(self.arcs - 1, -1, -1)
+            self._parents = parents
+        way = []
+        while state:
+            arc = int(self._parents[state])
+            way.append((int(self.transitions[arc]), state))
+            state = int(np.searchsorted(self.offsets, arc, side="right")) - 1
+        return way[::-1]
+
+    def __repr__(self) -> str:
+        return "<StateSpace of %s: %d states, %d arcs%s>" % (
+            self.net.name or "a net",
+            len(self),
+            self.arcs,
+            "" if self.complete else ", not complete",
+        )
+
+
+def explore(
+    net: Net,
+    *,
+    limit: int = STATE_LIMIT,
+    engine: str = "auto",
+    untimed: bool = False,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+    bounds: Optional[Sequence[Optional[int]]] = None,
+    memory: float = math.inf,
+    seconds: float = math.inf,
+) -> StateSpace:
+    """Find the reachable markings.
+
+    :param limit: stop soon after this many states are known; the result then is not ``complete``.
+    :param engine: ``numpy``, ``numba``, ``sparse``, or ``auto``: sparse for nets of thousands of
+        places, numba for large state spaces, where it is installed.
+    :param untimed: let immediate transitions have no precedence over others, nor priorities among
+        themselves: what the robots of a plan, which take time in decision places too, can reach.
+    :param progress: told the number of states now and then.
+    :param cancel: asked now and then.
+    :param bounds: of each place, the most tokens it can hold (None: unknown), if the caller knows;
+        otherwise the P-invariants are asked. A bound that is too low costs time, never correctness.
+    :param memory: stop when it takes more than so many bytes.
+    :param seconds: stop after so long.
+    :raises CancelledError: ``cancel`` said so.
+    :raises UsageError: the engine is not there.
+    """
+    if engine not in ENGINES:
+        raise UsageError(
+            "there is no engine '%s'" % engine, hint="choose among %s" % ", ".join(ENGINES)
+        )
+    if limit < 1:
+        raise UsageError(
+            "a limit of %d states makes no sense" % limit, hint="give a number of at least 1"
+        )
+    watch = Watch(progress, cancel)
+    room = Room(memory, time.monotonic() + seconds)
+
+    def space(
+        store: Union[PackedStore, SparseStore], graph: RawGraph, order: Any, name: str
+    ) -> StateSpace:
+        shortage = ("--limit", "")
+        if len(store) <= limit:
+            shortage = ("--limit-memory", "%.3g GB" % (memory / 1e9))
+            if time.monotonic() >= room.until:
+                shortage = ("--limit-time", "%g s" % seconds)
+        return StateSpace(net, store, graph, order, untimed=untimed, engine=name, shortage=shortage)
+
+    if engine == "sparse" or (engine == "auto" and _is_sparse(net)):
+        return space(*_run_sparse(net, limit, watch, untimed, room), "sparse")
+    if bounds is None:
+        bounds = invariant_bounds(net, _INVARIANT_EFFORT, watch)
+    widths = starting_widths(net, bounds)
+    while True:
+        packed = PackedNet(net, widths, by_priority=not untimed)
+        try:
+            graph, name = _run(packed, limit, watch, engine, room)
+        except FieldOverflowError as overflow:
+            widths = packed.wider(overflow.bits)
+        else:
+            return space(PackedStore(Packing(net, widths), graph.states), graph, packed.order, name)
+
+
+def _is_sparse(net: Net) -> bool:
+    """Whether the machine words of the markings would be many, and their transitions too."""
+    # 21 fields of 3 bits in a word
+    return len(net.transitions) * (len(net.places) // 21 + 1) > _SPARSE
+
+
+def _run_sparse(
+    net: Net, limit: int, watch: Watch, untimed: bool, room: Room
+) -> Tuple[SparseStore, RawGraph, Any]:
+    graph, store, order = sparse_engine.explore(
+        net, limit, watch, by_priority=not untimed, room=room
+    )
+    return store, graph, order
+
+
+class _Columns:
+    """The columns of some of the markings, made when they are looked at."""
+
+    def __init__(self, space: StateSpace, part: slice) -> None:
+        self._space, self._part = space, part
+
+    def __getitem__(self, place: int) -> Any:
+        return self._space.column(place, self._part)
+
+
+def _run(
+    packed: PackedNet, limit: int, watch: Watch, engine: str, room: Room
+) -> Tuple[RawGraph, str]:
+    if engine == "numpy" or (engine == "auto" and not numba_is_there()):
+        return numpy_engine.explore(packed, limit, watch, room=room), "numpy"
+    if engine == "auto" and "%s.numba_engine" % __package__ not in sys.modules:
+        graph = numpy_engine.explore(
+            packed, min(limit, _SMALL), watch, rounds=_FEW_ROUNDS, room=room
+        )
+        if graph.explored == len(graph.states) or len(graph.states) > limit or not room.left(0):
+            return graph, "numpy"
+    try:
+        from gspn_framework_package.analysis.state_space import numba_engine
+    except ImportError as error:
+        raise UsageError(
+            "the engine numba is not there: %s" % error, hint="install numba, or choose numpy"
+        ) from None
+    return numba_engine.explore(packed, limit, watch, room=room), "numba"
+
+
+def numba_is_there() -> bool:
+    """Whether numba is installed (it is not imported for that)."""
+    return importlib.util.find_spec("numba") is not None

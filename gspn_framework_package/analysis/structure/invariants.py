@@ -1,0 +1,362 @@
+"""P-invariants and T-invariants: the minimal non-negative ones (semiflows), and what follows from
+them.
+
+The algorithm is that of Farkas with the support test of Colom and Silva (1991). Before it come the
+columns that one row alone can cancel, or two rows with each other: they ask for no test and make no
+more rows, and in most large nets they are nearly all. There can be exponentially many minimal
+invariants; the work stops at a limit and says so.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from math import gcd
+from typing import Deque, Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
+
+from gspn_framework_package.analysis.limits import STRUCTURE_LIMIT, Effort
+from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.model.errors import LimitError
+from gspn_framework_package.model.net import Marking, Net
+
+Semiflow = Tuple[Tuple[int, int], ...]
+"""Pairs (number of a place or transition, weight), by number."""
+
+
+_ROWS = "steps of invariants"
+
+_ALL = 1 << 62
+
+
+class Invariant(NamedTuple):
+    """A weighted sum over places (or transitions) that firing (or a cycle) leaves as it is.
+
+    :ivar weights: name -> positive whole number; the names that are left out have weight 0.
+    :ivar value: of a P-invariant, the sum in the initial marking, which all reachable markings
+        share; None of a T-invariant.
+    """
+
+    weights: Dict[str, int]
+    value: Optional[int] = None
+
+    def __str__(self) -> str:
+        terms = ["%s%s" % ("" if w == 1 else "%d*" % w, name) for name, w in self.weights.items()]
+        return " + ".join(terms) + ("" if self.value is None else " = %d" % self.value)
+
+
+def place_invariants(
+    net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
+) -> List[Invariant]:
+    """The minimal-support P-invariants.
+
+    :raises LimitError: the search took more than ``limit`` steps.
+    """
+    names = [p.name for p in net.places]
+    return [
+        Invariant({names[p]: w for p, w in row}, sum(w * net.initial_marking[p] for p, w in row))
+        for row in _place_semiflows(net, Effort(limit, watch))
+    ]
+
+
+def transition_invariants(
+    net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
+) -> List[Invariant]:
+    """The minimal-support T-invariants: how often each transition fires on a way back to the same
+    marking.
+
+    :raises LimitError: the search took more than ``limit`` steps.
+    """
+    names = [t.name for t in net.transitions]
+    columns: List[Dict[int, int]] = [dict(net.effect(t)) for t in range(len(names))]
+    return [
+        Invariant({names[t]: w for t, w in row})
+        for row in _semiflows(columns, Effort(limit, watch))
+    ]
+
+
+def transition_surpluses(
+    net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
+) -> List[Dict[str, int]]:
+    """The minimal firing counts (transition -> times) that lose no token, and may win some.
+
+    :raises LimitError: the search took more than ``limit`` steps.
+    """
+    names = [t.name for t in net.transitions]
+    columns: List[Dict[int, int]] = [dict(net.effect(t)) for t in range(len(names))]
+    columns += [{p: -1} for p in range(len(net.places))]  # what a place wins is thrown away
+    rows = _semiflows(columns, Effort(limit, watch))
+    return [{names[t]: w for t, w in row if t < len(names)} for row in rows]
+
+
+def invariant_bounds(
+    net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
+) -> Tuple[Optional[int], ...]:
+    """For each place the bound that the P-invariants and its capacity give, or None. When there are
+    too many invariants the capacities alone speak."""
+    try:
+        rows = _place_semiflows(net, Effort(limit, watch))
+    except LimitError:
+        rows = []
+    return bounds_of(net, rows, net.initial_marking)
+
+
+def bounds_of(
+    net: Net, rows: Sequence[Sequence[Tuple[int, int]]], marking: Marking
+) -> Tuple[Optional[int], ...]:
+    """The bounds that these invariants (pairs of place number and weight) give from ``marking``."""
+    bounds: List[Optional[int]] = [place.capacity for place in net.places]
+    for row in rows:
+        value = sum(w * marking[p] for p, w in row)
+        for p, w in row:
+            known = bounds[p]
+            bounds[p] = value // w if known is None else min(known, value // w)
+    return tuple(bounds)
+
+
+def uncovered_place(net: Net) -> Optional[str]:
+    """A place that is in no P-invariant, where that shows at once (None says nothing)."""
+    lost = _Elimination(_place_columns(net), Effort(_ALL)).lost
+    return net.places[min(lost)].name if lost else None
+
+
+def uncovered_transition(net: Net) -> Optional[str]:
+    """A transition that is in no T-invariant, where that shows at once (None says nothing)."""
+    lost = _Elimination(
+        [dict(net.effect(t)) for t in range(len(net.transitions))], Effort(_ALL)
+    ).lost
+    return net.transitions[min(lost)].name if lost else None
+
+
+def _place_columns(net: Net) -> List[Dict[int, int]]:
+    columns: List[Dict[int, int]] = [{} for _ in net.places]
+    for t in range(len(net.transitions)):
+        for p, change in net.effect(t):
+            columns[p][t] = change
+    return columns
+
+
+def _place_semiflows(net: Net, effort: Effort) -> List[Semiflow]:
+    return _semiflows(_place_columns(net), effort)
+
+
+def _semiflows(columns: Sequence[Dict[int, int]], effort: Effort) -> List[Semiflow]:
+    """The minimal-support non-negative integer combinations of ``columns`` that give zero."""
+    simple = _Elimination(columns, effort)
+    found = [_primitive(row.weights) for row in simple.rows if not row.residual]
+    atoms = [row for row in simple.rows if row.residual]
+    for combination in _combined([row.residual for row in atoms], effort):
+        weights: Dict[int, int] = {}
+        for atom, times in combination.items():
+            effort.spend(len(atoms[atom].weights), _ROWS)
+            weights.update((i, times * w) for i, w in atoms[atom].weights.items())
+        found.append(_primitive(weights))
+    return sorted(found, key=lambda row: [i for i, _ in row])
+
+
+def _primitive(weights: Dict[int, int]) -> Semiflow:
+    divisor = _gcd_all(weights.values())
+    return tuple(sorted((i, w // divisor) for i, w in weights.items()))
+
+
+def _gcd_all(values: Iterable[int]) -> int:
+    divisor = 0
+    for value in values:
+        divisor = gcd(divisor, value)
+        if divisor == 1:
+            break
+    return divisor
+
+
+class _Atom:
+    """A positive combination of columns that share no item with any other: ``weights`` of the
+    columns, and the ``residual`` that is not yet cancelled."""
+
+    __slots__ = ("weights", "residual")
+
+    def __init__(self, item: int, column: Dict[int, int]) -> None:
+        self.weights = {item: 1}
+        self.residual = column
+
+    @property
+    def size(self) -> int:
+        return len(self.weights) + len(self.residual)
+
+    def scale(self, times: int) -> None:
+        if times != 1:
+            self.weights = {i: times * w for i, w in self.weights.items()}
+            self.residual = {i: times * v for i, v in self.residual.items()}
+
+
+class _Elimination:
+    """Cancels what can be cancelled without a choice.
+
+    An index that all columns change one way loses those columns; one that a single column raises
+    and a single one lowers joins the two. The smaller column is merged into the larger one, so a
+    ring costs no more than its arcs.
+
+    :ivar rows: what remains.
+    :ivar lost: the numbers of columns that are in no combination that gives zero.
+    """
+
+    def __init__(self, columns: Sequence[Dict[int, int]], effort: Effort) -> None:
+        self.lost: Set[int] = set()
+        self._effort = effort
+        self._atoms: Dict[int, _Atom] = {i: _Atom(i, column) for i, column in enumerate(columns)}
+        # index -> atoms that lower it, that raise it
+        self._at: Dict[int, Tuple[Set[int], Set[int]]] = {}
+        for number, atom in self._atoms.items():
+            for index, value in atom.residual.items():
+                signs = self._at.get(index)
+                if signs is None:
+                    signs = self._at[index] = set(), set()
+                signs[value > 0].add(number)
+        self._waiting: Deque[int] = deque(self._at)
+        while self._waiting:
+            self._look_at(self._waiting.popleft())
+        self.rows = [self._atoms[number] for number in sorted(self._atoms)]
+
+    def _look_at(self, index: int) -> None:
+        self._effort.spend(1, _ROWS)
+        lowering, raising = self._at[index]
+        if not lowering or not raising:
+            # going through a set that was large takes as long when it is empty
+            if lowering or raising:
+                for number in list(lowering or raising):
+                    self._drop(number)
+        elif len(lowering) == len(raising) == 1:
+            a, b = next(iter(lowering)), next(iter(raising))
+            large, small = (a, b) if self._atoms[a].size >= self._atoms[b].size else (b, a)
+            self._merge(large, small, index)
+
+    def _drop(self, number: int) -> None:
+        atom = self._atoms.pop(number)
+        self._effort.spend(atom.size, _ROWS)
+        self.lost.update(atom.weights)
+        for index, value in atom.residual.items():
+            self._at[index][value > 0].discard(number)
+            self._waiting.append(index)
+
+    def _merge(self, large: int, small: int, index: int) -> None:
+        """Add ``small`` to ``large`` so that ``index`` cancels."""
+        into, other = self._atoms[large], self._atoms.pop(small)
+        self._effort.spend(other.size, _ROWS)
+        x, y = abs(other.residual[index]), abs(into.residual[index])
+        common = gcd(x, y)
+        x, y = x // common, y // common
+        if x != 1:
+            self._effort.spend(into.size, _ROWS)
+        into.scale(x)
+        into.weights.update((i, y * w) for i, w in other.weights.items())
+        for i, v in other.residual.items():
+            before = into.residual.get(i, 0)
+            after = before + y * v
+            self._at[i][v > 0].discard(small)
+            if before:
+                self._at[i][before > 0].discard(large)
+            if after:
+                into.residual[i] = after
+                self._at[i][after > 0].add(large)
+            else:
+                into.residual.pop(i, None)
+            self._waiting.append(i)
+
+
+class _Row(NamedTuple):
+    support: int  # bit set of the atoms
+    weights: Dict[int, int]
+    residual: Dict[int, int]  # what is not yet cancelled
+
+
+def _combined(residuals: Sequence[Dict[int, int]], effort: Effort) -> List[Dict[int, int]]:
+    """The minimal-support non-negative integer combinations of ``residuals`` that give zero."""
+    effort.spend(len(residuals) ** 2 >> 10, _ROWS)  # for the bits of their supports
+    rows: Dict[int, _Row] = {
+        i: _Row(1 << i, {i: 1}, dict(column)) for i, column in enumerate(residuals)
+    }
+    at: Dict[int, Tuple[Set[int], Set[int]]] = {}
+    by_lowest: Dict[int, Dict[int, int]] = {}  # lowest item of a support -> row -> that support
+    for number, row in rows.items():
+        by_lowest[row.support] = {number: row.support}
+        for index, value in row.residual.items():
+            at.setdefault(index, (set(), set()))[value > 0].add(number)
+    heap = [(_cost(at[index]), index) for index in at]
+    heapq.heapify(heap)
+    fresh_number = len(rows)
+    while heap:
+        cost, index = heapq.heappop(heap)
+        if index not in at or cost != _cost(at[index]):
+            continue  # it has changed since, and stands in the heap again
+        negative, positive = at.pop(index)
+        effort.spend(len(positive) * len(negative) + 1, _ROWS, "%d candidates" % len(rows))
+        fresh: List[_Row] = []
+        for a in sorted(positive):
+            for b in sorted(negative):
+                fresh.append(_combine(rows[a], rows[b], index))
+                effort.spend(
+                    8 + len(rows[a].residual) + len(rows[a].weights),
+                    _ROWS,
+                    "%d candidates" % len(rows),
+                )
+        changed: Set[int] = set()
+        for number in positive | negative:
+            row = rows.pop(number)
+            del by_lowest[row.support & -row.support][number]
+            for i, value in row.residual.items():
+                if i != index:
+                    at[i][value > 0].discard(number)
+                    changed.add(i)
+        # The rows that stay were minimal before, and the fresh ones are sums of rows: only those
+        # can be too large.
+        for row in sorted(fresh, key=lambda r: bin(r.support).count("1")):
+            if _holds_another(row.support, by_lowest, effort):
+                continue
+            number, fresh_number = fresh_number, fresh_number + 1
+            rows[number] = row
+            by_lowest.setdefault(row.support & -row.support, {})[number] = row.support
+            for i, value in row.residual.items():
+                at[i][value > 0].add(number)
+                changed.add(i)
+        for i in changed:
+            heapq.heappush(heap, (_cost(at[i]), i))
+    return [row.weights for row in rows.values()]
+
+
+def _cost(signs: Tuple[Set[int], Set[int]]) -> int:
+    """How many rows more there are when an index is cancelled."""
+    lowering, raising = len(signs[0]), len(signs[1])
+    return lowering * raising - lowering - raising
+
+
+def _holds_another(support: int, by_lowest: Dict[int, Dict[int, int]], effort: Effort) -> bool:
+    """Whether the support of a row that is there is part of ``support``."""
+    rest = support
+    while rest:
+        lowest = rest & -rest
+        rest ^= lowest
+        others = by_lowest.get(lowest)
+        if others:
+            effort.spend(len(others), _ROWS)
+            if any(not other & ~support for other in others.values()):
+                return True
+    return False
+
+
+def _combine(a: _Row, b: _Row, index: int) -> _Row:
+    x, y = -b.residual[index], a.residual[index]
+    common = gcd(x, y)
+    x, y = x // common, y // common
+    weights = {i: x * w for i, w in a.weights.items()}
+    for i, w in b.weights.items():
+        weights[i] = weights.get(i, 0) + y * w
+    residual = {i: x * v for i, v in a.residual.items()}
+    for i, v in b.residual.items():
+        total = residual.get(i, 0) + y * v
+        if total:
+            residual[i] = total
+        else:
+            residual.pop(i, None)
+    divisor = gcd(_gcd_all(weights.values()), _gcd_all(residual.values()))
+    if divisor > 1:
+        weights = {i: w // divisor for i, w in weights.items()}
+        residual = {i: v // divisor for i, v in residual.items()}
+    return _Row(a.support | b.support, weights, residual)

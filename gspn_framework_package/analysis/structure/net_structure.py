@@ -1,0 +1,282 @@
+"""What the structure of a net alone says: invariants, siphons, traps, classes, conflicts.
+
+>>> from gspn_framework_package.model.builder import NetBuilder
+>>> net = (NetBuilder().place("idle", tokens=1).place("busy")
+...        .exponential("start", inputs="idle", outputs="busy")
+...        .exponential("stop", inputs="busy", outputs="idle").build())
+>>> structure = Structure(net)
+>>> print(structure.place_invariants[0])
+idle + busy = 1
+>>> structure.conservative, structure.consistent, structure.classes.state_machine
+(True, True, True)
+"""
+
+from __future__ import annotations
+
+from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
+
+from gspn_framework_package.analysis.limits import STRUCTURE_LIMIT
+from gspn_framework_package.analysis.structure.invariants import (
+    Invariant,
+    place_invariants,
+    transition_invariants,
+    transition_surpluses,
+    uncovered_place,
+    uncovered_transition,
+)
+from gspn_framework_package.analysis.structure.siphons import (
+    PlaceSet,
+    largest_siphon,
+    minimal_siphons,
+    minimal_traps,
+    unguarded_siphon,
+)
+from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.model.errors import LimitError
+from gspn_framework_package.model.net import Net
+
+
+class NetClasses(NamedTuple):
+    """The classes a net belongs to.
+
+    :ivar ordinary: all arc weights are 1.
+    :ivar pure: no transition takes from and puts into one place.
+    :ivar state_machine: ordinary; every transition has one input and one output place.
+    :ivar marked_graph: ordinary; every place has one input and one output transition.
+    :ivar free_choice: ordinary; a place with several output transitions is the only input of each.
+    :ivar extended_free_choice: ordinary; transitions that share an input place have the same input
+      places.
+    :ivar asymmetric_choice: ordinary; of two places that share an output transition, one has all
+        the output transitions of the other.
+    :ivar inhibitors: it has inhibitor arcs (which the other classes do not look at).
+    """
+
+    ordinary: bool
+    pure: bool
+    state_machine: bool
+    marked_graph: bool
+    free_choice: bool
+    extended_free_choice: bool
+    asymmetric_choice: bool
+    inhibitors: bool
+
+
+def classify(net: Net) -> NetClasses:
+    """The classes that ``net`` belongs to."""
+    numbers = range(len(net.transitions))
+    ordinary = all(w == 1 for arcs in net.inputs + net.outputs for _, w in arcs)
+    before = [frozenset(p for p, _ in net.inputs[t]) for t in numbers]
+    after = [frozenset(p for p, _ in net.outputs[t]) for t in numbers]
+    leaving = [frozenset(ts) for ts in net.consumers]
+    shared = [ts for ts in net.consumers if len(ts) > 1]
+    return NetClasses(
+        ordinary=ordinary,
+        pure=all(not before[t] & after[t] for t in numbers),
+        state_machine=ordinary and all(len(before[t]) == 1 == len(after[t]) for t in numbers),
+        marked_graph=ordinary
+        and all(
+            len(net.consumers[p]) == 1 == len(net.producers[p]) for p in range(len(net.places))
+        ),
+        free_choice=ordinary and all(len(before[t]) == 1 for ts in shared for t in ts),
+        extended_free_choice=ordinary
+        and all(before[t] == before[ts[0]] for ts in shared for t in ts),
+        asymmetric_choice=ordinary
+        and all(leaving[p] <= leaving[q] for p, q in _neighbours(before, leaving)),
+        inhibitors=any(net.inhibitors),
+    )
+
+
+def _neighbours(
+    before: Sequence[FrozenSet[int]], leaving: Sequence[FrozenSet[int]]
+) -> Set[Tuple[int, int]]:
+    """Pairs of places that share an output transition, the one with fewer of them first: as many as
+    tell whether of any two places that do, one has all that the other has. Each is there once: a
+    place may have 50,000 of them."""
+    found: Set[Tuple[int, int]] = set()
+    for places in before:
+        if len(places) > 1:
+            by_size = sorted(places, key=lambda p: (len(leaving[p]), p))
+            found.update(zip(by_size, by_size[1:]))
+    return found
+
+
+def conflict_sets(net: Net) -> List[Tuple[str, ...]]:
+    """The extended structural conflict sets (Ajmone Marsan et al. 1995): groups of transitions of
+    one kind and priority that can take tokens from each other or inhibit each other, directly or
+    through others. Transitions without a conflict are left out."""
+    groups: Dict[Tuple[bool, int], List[int]] = {}
+    for t, transition in enumerate(net.transitions):
+        groups.setdefault(
+            (transition.timed, 0 if transition.timed else transition.priority), []
+        ).append(t)
+    found = []
+    inhibited_by: List[List[int]] = [[] for _ in net.places]
+    for t, arcs in enumerate(net.inhibitors):
+        for p, _ in arcs:
+            inhibited_by[p].append(t)
+    effects = [dict(net.effect(t)) for t in range(len(net.transitions))]
+    for members in groups.values():
+        parent = {t: t for t in members}
+
+        def root(t: int) -> int:
+            while parent[t] != t:  # noqa: B023
+                parent[t] = parent[parent[t]]  # noqa: B023
+                t = parent[t]  # noqa: B023
+            return t
+
+        for p in {p for t in members for p, _ in net.inputs[t] + net.outputs[t]}:
+            readers = [t for t in net.consumers[p] if t in parent]
+            takers = [t for t in readers if effects[t].get(p, 0) < 0]
+            givers = [t for t in net.producers[p] if t in parent and effects[t].get(p, 0) > 0]
+            inhibited = [t for t in inhibited_by[p] if t in parent]
+            for some, others in ((takers, readers), (givers, inhibited)):
+                if some and others:
+                    for t in some + others:
+                        parent[root(t)] = root(some[0])
+        sets: Dict[int, List[int]] = {}
+        for t in members:
+            sets.setdefault(root(t), []).append(t)
+        found += [sorted(s) for s in sets.values() if len(s) > 1]
+    return [tuple(net.transitions[t].name for t in s) for s in sorted(found)]
+
+
+class Structure:
+    """Structural properties of a net, each computed when it is asked for first.
+
+    Every property raises LimitError where the search it needs would go beyond its limit.
+    """
+
+    def __init__(
+        self, net: Net, *, limit: int = STRUCTURE_LIMIT, watch: Optional[Callable[[], Watch]] = None
+    ) -> None:
+        """:param limit: elementary steps of each search at most.
+        :param watch: makes the watch of a search: where it tells progress and asks whether to
+          stop."""
+        self.net = net
+        self._limit = limit
+        self._watch = watch or Watch
+        self._known: Dict[str, Any] = {}
+
+    @property
+    def place_invariants(self) -> List[Invariant]:
+        """The minimal P-invariants."""
+        return self._search("P", place_invariants)
+
+    @property
+    def transition_invariants(self) -> List[Invariant]:
+        """The minimal T-invariants."""
+        return self._search("T", transition_invariants)
+
+    @property
+    def siphons(self) -> List[PlaceSet]:
+        """The minimal siphons."""
+        return self._search("siphons", minimal_siphons)
+
+    @property
+    def traps(self) -> List[PlaceSet]:
+        """The minimal traps."""
+        return self._search("traps", minimal_traps)
+
+    @property
+    def unguarded_siphon(self) -> Optional[PlaceSet]:
+        """A siphon without a marked trap; see
+        :func:`~gspn_framework_package.analysis.structure.siphons.unguarded_siphon`."""
+
+        def search(net: Net, limit: int, watch: Watch) -> Optional[PlaceSet]:
+            try:
+                return unguarded_siphon(net, limit, watch, minimal=self.siphons)
+            except LimitError:
+                return unguarded_siphon(net, limit, watch)
+
+        return self._search("unguarded", search)
+
+    @property
+    def unmarked_siphon(self) -> Tuple[str, ...]:
+        """The places of the largest siphon without a token: none of them ever gets one."""
+        empty = [place.name for place in self.net.places if not place.tokens]
+        return self._once("unmarked", lambda: largest_siphon(self.net, empty))
+
+    @property
+    def classes(self) -> NetClasses:
+        """The classes it belongs to."""
+        return self._once("classes", lambda: classify(self.net))
+
+    @property
+    def conflict_sets(self) -> List[Tuple[str, ...]]:
+        """See :func:`conflict_sets`."""
+        return self._once("conflicts", lambda: conflict_sets(self.net))
+
+    @property
+    def conservative(self) -> bool:
+        """Whether a weighted sum over *all* places stays the same: every place is in a P-invariant
+        (then the net is bounded)."""
+        try:
+            covered = {name for i in self.place_invariants for name in i.weights}
+        except LimitError:
+            if self.strictly_conservative:
+                return True
+            if uncovered_place(self.net) is not None:
+                return False
+            raise
+        return len(covered) == len(self.net.places)
+
+    @property
+    def strictly_conservative(self) -> bool:
+        """Whether every firing keeps the number of tokens."""
+        return all(
+            sum(c for _, c in self.net.effect(t)) == 0 for t in range(len(self.net.transitions))
+        )
+
+    @property
+    def consistent(self) -> bool:
+        """Whether every transition is in a T-invariant."""
+        try:
+            covered = {name for i in self.transition_invariants for name in i.weights}
+        except LimitError:
+            if not any(self._change_of_all):
+                return True
+            if uncovered_transition(self.net) is not None:
+                return False
+            raise
+        return len(covered) == len(self.net.transitions)
+
+    @property
+    def repetitive(self) -> bool:
+        """Whether some marking allows every transition to fire infinitely often: there are firing
+        counts, all above 0, that lose no token."""
+        if all(change >= 0 for change in self._change_of_all):
+            return True
+        try:
+            if self.consistent:
+                return True
+        except LimitError:
+            pass
+        surpluses = self._search("repetitive", transition_surpluses)
+        covered = {name for row in surpluses for name in row}
+        return len(covered) == len(self.net.transitions)
+
+    @property
+    def _change_of_all(self) -> List[int]:
+        """What every place wins when each transition fires once."""
+        change = [0] * len(self.net.places)
+        for t in range(len(self.net.transitions)):
+            for p, by in self.net.effect(t):
+                change[p] += by
+        return change
+
+    def _search(self, key: str, search: Callable[[Net, int, Watch], Any]) -> Any:
+        """What a search finds; where it went beyond its limit, the same error each time."""
+        if key not in self._known:
+            try:
+                self._known[key] = search(self.net, self._limit, self._watch())
+            except LimitError as error:
+                self._known[key] = error
+        found = self._known[key]
+        if isinstance(found, LimitError):
+            raise found
+        return found
+
+    def _once(self, key: str, compute: Callable[[], Any]) -> Any:
+        if key not in self._known:
+            self._known[key] = compute()
+        return self._known[key]

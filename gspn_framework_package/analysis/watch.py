@@ -1,0 +1,53 @@
+"""Progress, cancelling and time limits of whatever takes long."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Callable, Optional
+
+from gspn_framework_package.model.errors import CancelledError, LimitError
+
+Progress = Callable[[str, int, float], None]
+"""Called with what is counted (``"states"``), how many there are, and the seconds since the
+start."""
+
+Cancel = Callable[[], bool]
+"""Asked now and then; true stops the work with a CancelledError."""
+
+
+class Watch:
+    """Tells progress at most every ``interval`` seconds, and stops the work when it is cancelled or
+    has taken longer than ``seconds``."""
+
+    def __init__(
+        self,
+        progress: Optional[Progress] = None,
+        cancel: Optional[Cancel] = None,
+        interval: float = 0.5,
+        seconds: float = math.inf,
+    ) -> None:
+        self._progress = progress
+        self._cancel = cancel
+        self._interval = interval
+        self._seconds = seconds
+        self._start = time.monotonic()
+        self._last = self._start
+
+    def step(self, what: str, count: int) -> None:
+        """Say that ``count`` of ``what`` are done.
+
+        :raises CancelledError: somebody said stop.
+        :raises LimitError: the time is over.
+        """
+        if self._cancel is not None and self._cancel():
+            raise CancelledError("cancelled after %d %s" % (count, what))
+        now = time.monotonic()
+        if now - self._start > self._seconds:
+            raise LimitError(
+                "not decided within %g s (%s %s)" % (self._seconds, format(count, ","), what),
+                hint="raise --limit-time",
+            )
+        if self._progress is not None and now - self._last >= self._interval:
+            self._last = now
+            self._progress(what, count, now - self._start)
