@@ -140,8 +140,8 @@ class _Demo:
         import rospkg
         import rospy
 
-        from gspn_framework_package.ros.registration import require_master
         from gspn_framework_package.ros.team_monitor import TeamMonitor
+        from gspn_framework_package.ros.transport.registration import require_master
 
         require_master()
         rospy.init_node("gspn_demo", anonymous=True, disable_signals=True)

@@ -17,7 +17,7 @@ from gspn_framework_package.ros.direct_connection import DirectConnection
 from gspn_framework_package.ros.goal_id import GoalIdentity, new_tag
 from gspn_framework_package.ros.patience import DEFAULT_PATIENCE, Patience
 from gspn_framework_package.ros.place_servers import PlaceServer
-from gspn_framework_package.ros.registration import registered_together
+from gspn_framework_package.ros.transport.registration import registered_together
 
 CONNECT_POLL = 0.01
 """Seconds between two looks at whether a server's topics are connected."""

@@ -34,7 +34,6 @@ from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.ros.action_caller import CONNECT_POLL, ActionCaller, ActionEnded
 from gspn_framework_package.ros.action_targets import action_targets
-from gspn_framework_package.ros.eager_publisher import eager_publisher
 from gspn_framework_package.ros.goal_id import GoalIdentity
 from gspn_framework_package.ros.links import ServiceLink, TopicLink
 from gspn_framework_package.ros.messages import FIRED_TOPIC, fired_message, state_name
@@ -42,6 +41,7 @@ from gspn_framework_package.ros.narrator import Narrator, level_of
 from gspn_framework_package.ros.node_services import NodeServices, View, Worker
 from gspn_framework_package.ros.options import NodeOptions
 from gspn_framework_package.ros.place_servers import PlaceServers
+from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
 
 FAREWELL = 2.0
 """Seconds for which a node goes on after the end of the run, so that the others hear of it."""

@@ -14,8 +14,14 @@ import rospy
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError, GspnError, UsageError
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.ros.ending import Ending
-from gspn_framework_package.ros.node_process import (
+from gspn_framework_package.ros.options import (
+    NodeOptions,
+    launched_file,
+    read_options,
+    read_options_of,
+)
+from gspn_framework_package.ros.transport.ending import Ending
+from gspn_framework_package.ros.transport.node_process import (
     ERRORS,
     await_master,
     be_node,
@@ -23,14 +29,8 @@ from gspn_framework_package.ros.node_process import (
     share_log_configuration,
     tell_error,
 )
-from gspn_framework_package.ros.options import (
-    NodeOptions,
-    launched_file,
-    read_options,
-    read_options_of,
-)
-from gspn_framework_package.ros.process_family import Member, run_family
-from gspn_framework_package.ros.registration import (
+from gspn_framework_package.ros.transport.process_family import Member, run_family
+from gspn_framework_package.ros.transport.registration import (
     MASTER_ERRORS,
     published_topics,
     registered_together,
@@ -194,7 +194,7 @@ def _fork(options: NodeOptions) -> int:
         if code:
             return code
     # what all will need, once for all
-    from gspn_framework_package.ros import execution_node, master_watch, operator_client  # noqa: F401
+    from gspn_framework_package.ros.transport import master_watch  # noqa: F401
 
     share_log_configuration()
     members = []
@@ -263,7 +263,7 @@ def _run_robots(
     :returns: the largest of their exit codes.
     """
     from gspn_framework_package.ros.execution_node import ExecutionNode
-    from gspn_framework_package.ros.master_watch import MasterWatch
+    from gspn_framework_package.ros.transport.master_watch import MasterWatch
 
     for note in plan.notes:
         rospy.loginfo("%s: %s", plan.name, note)
@@ -318,8 +318,8 @@ def _serve(options: NodeOptions, ending: Ending) -> int:
 
 
 def _serve_places(plan: Plan, robot: str, namespace: str, ending: Ending) -> int:
-    from gspn_framework_package.ros.master_watch import MasterWatch
     from gspn_framework_package.ros.place_servers import PlaceServers
+    from gspn_framework_package.ros.transport.master_watch import MasterWatch
 
     servers = PlaceServers(plan, robot, namespace)
     servers.start()

@@ -23,7 +23,7 @@ from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.model.plan import FunctionAction, Plan
 from gspn_framework_package.msg import ExecGSPNAction, ExecGSPNFeedback, ExecGSPNResult
 from gspn_framework_package.ros.goal_id import GoalIdentity, parse_goal_id
-from gspn_framework_package.ros.registration import found_parameter, registered_together
+from gspn_framework_package.ros.transport.registration import found_parameter, registered_together
 
 KEPT_ENDED = 10
 """Goals that ended of which a server's status still tells, at most (they go after 5 s in any case).

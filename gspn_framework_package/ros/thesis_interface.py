@@ -21,12 +21,12 @@ import rospy
 
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.msg import FiredTransition, GSPNFiringData
-from gspn_framework_package.ros.ending import Ending
 from gspn_framework_package.ros.messages import FIRED_TOPIC
-from gspn_framework_package.ros.node_process import run_node
 from gspn_framework_package.ros.node_services import ORDER_TIME
-from gspn_framework_package.ros.registration import MASTER_ERRORS, master_proxy
-from gspn_framework_package.ros.service_calls import ServiceCalls
+from gspn_framework_package.ros.transport.ending import Ending
+from gspn_framework_package.ros.transport.node_process import run_node
+from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
+from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import (
     CurrentPlace,
     CurrentPlaceResponse,

@@ -20,8 +20,12 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.ros.messages import FIRED_TOPIC, read_status
-from gspn_framework_package.ros.registration import MASTER_ERRORS, master_proxy, published_topics
-from gspn_framework_package.ros.service_calls import ServiceCalls
+from gspn_framework_package.ros.transport.registration import (
+    MASTER_ERRORS,
+    master_proxy,
+    published_topics,
+)
+from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest
 from gspn_framework_package.visualizer.activity import Activity, Fields, Handler, text_field
 from gspn_framework_package.visualizer.board import Event

@@ -19,7 +19,7 @@ from move_base_msgs.msg import MoveBaseAction, MoveBaseGoal
 from sensor_msgs.msg import Temperature
 
 from gspn_framework_package.execution.actions import ActionFailed
-from gspn_framework_package.ros.registration import MASTER_ERRORS, published_topics
+from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, published_topics
 from gspn_framework_package.world.messages import pose_from, pose_message
 from gspn_framework_package.world.room import Pose
 

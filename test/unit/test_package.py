@@ -178,6 +178,22 @@ def test_every_folder_of_the_package_is_a_layer():
     assert folders <= set(LAYERS)
 
 
+#: What rospy calls its own: a module that is not documented, a name that begins with "_".
+INTERNALS_OF_ROSPY = re.compile(
+    r"\brospy\.(impl|topics)\b|\brospy(\.\w+)*\._[a-z]|\brospy import _"
+)
+
+
+def test_only_the_transport_touches_the_internals_of_rospy():
+    touching = [
+        path
+        for path in MODULES + PROGRAMS
+        if INTERNALS_OF_ROSPY.search(path.read_text(encoding="utf-8"))
+    ]
+    assert touching
+    assert {path.parent for path in touching} == {PACKAGE / "ros" / "transport"}
+
+
 @pytest.mark.parametrize("layer", INNER)
 def test_importing_an_inner_layer_imports_no_ros(layer):
     if not (PACKAGE / layer).is_dir():

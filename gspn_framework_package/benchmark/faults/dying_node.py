@@ -61,7 +61,8 @@ def die_when_told(*told_already: int) -> None:
 
 def main() -> None:
     """Run the execution node of a robot, its parameters as ROS gives them."""
-    from gspn_framework_package.ros import node_main, node_process
+    from gspn_framework_package.ros import node_main
+    from gspn_framework_package.ros.transport import node_process
 
     die_when_told(*([CUT] if AT_ONCE in sys.argv else []))
     node_process.exit_with(node_main.run_execution_node())

@@ -27,7 +27,8 @@ RUN = "lab"
 _PACKAGE = "gspn_framework_package"
 _ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", "..", ".."))
 _NODE = """
-from gspn_framework_package.ros import node_main, node_process
+from gspn_framework_package.ros import node_main
+from gspn_framework_package.ros.transport import node_process
 node_process.exit_with(node_main.run_execution_node())
 """
 

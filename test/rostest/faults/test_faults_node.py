@@ -20,7 +20,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from robots import Robot, RobotTestCase, copy_plan
 from waiting import wait_for
 
-from gspn_framework_package.ros.master_watch import MasterWatch
+from gspn_framework_package.ros.transport.master_watch import MasterWatch
 
 ACTIONS = '''
 def instant(place, is_cancelled):

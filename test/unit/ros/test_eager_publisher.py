@@ -7,7 +7,7 @@ import pytest
 
 rospy = pytest.importorskip("rospy")
 
-from gspn_framework_package.ros import eager_publisher  # noqa: E402
+from gspn_framework_package.ros.transport import eager_publisher  # noqa: E402
 
 
 class Transport:

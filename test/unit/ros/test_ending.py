@@ -9,11 +9,11 @@ import time
 
 import pytest
 
-from gspn_framework_package.ros.ending import Ending
+from gspn_framework_package.ros.transport.ending import Ending
 
 PROGRAM = """
 import os, signal, socket, sys, threading
-from gspn_framework_package.ros.ending import Ending
+from gspn_framework_package.ros.transport.ending import Ending
 
 def idle():
     with socket.socket() as server:

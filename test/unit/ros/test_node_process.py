@@ -6,7 +6,7 @@ import pytest
 
 rospy = pytest.importorskip("rospy")
 
-from gspn_framework_package.ros.node_process import say_nothing_of_sockets_after_the_end  # noqa: E402
+from gspn_framework_package.ros.transport.node_process import say_nothing_of_sockets_after_the_end  # noqa: E402
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,12 @@ import threading
 import pytest
 from waiting import wait_for
 
-from gspn_framework_package.ros.process_family import Member, run_family
+from gspn_framework_package.ros.transport.process_family import Member, run_family
 
 PROGRAM = """
 import os, signal, sys, time
-from gspn_framework_package.ros import process_family
-from gspn_framework_package.ros.process_family import Member, run_family
+from gspn_framework_package.ros.transport import process_family
+from gspn_framework_package.ros.transport.process_family import Member, run_family
 
 process_family.RESPAWN_DELAY = 0.05
 process_family.PATIENCE = 0.5

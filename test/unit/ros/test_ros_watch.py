@@ -11,8 +11,8 @@ pytest.importorskip("rospy")
 
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError, RefusedError
-from gspn_framework_package.ros import registration
 from gspn_framework_package.ros.operator_client import OperatorClient
+from gspn_framework_package.ros.transport import registration
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.ros_watch import UNHEARD, RosWatch
 

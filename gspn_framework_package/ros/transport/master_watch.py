@@ -8,7 +8,12 @@ from typing import Any, Optional
 import rospy
 from rospy.impl import registration
 
-from gspn_framework_package.ros.registration import MASTER_ERRORS, Entry, master_proxy, register
+from gspn_framework_package.ros.transport.registration import (
+    MASTER_ERRORS,
+    Entry,
+    master_proxy,
+    register,
+)
 
 
 class MasterWatch:

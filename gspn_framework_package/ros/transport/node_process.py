@@ -22,8 +22,8 @@ from rospy.impl.paramserver import get_param_server_cache
 from rospy.impl.rosout import RosOutHandler
 
 from gspn_framework_package.model.errors import GspnError
-from gspn_framework_package.ros.ending import Ending
-from gspn_framework_package.ros.registration import MASTER_ERRORS, master_proxy
+from gspn_framework_package.ros.transport.ending import Ending
+from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
 
 ERRORS = (GspnError, rospy.ROSException, *MASTER_ERRORS)
 """What a node may end with, told in one line."""

@@ -11,7 +11,7 @@ import rospy
 from rospy.exceptions import TransportTerminated
 from rospy.topics import _PublisherImpl
 
-from gspn_framework_package.ros.registration import registered_together
+from gspn_framework_package.ros.transport.registration import registered_together
 
 LIMIT = 1000
 """Messages that wait for a subscriber that does not read; then the oldest is dropped."""
