@@ -18,8 +18,12 @@ import sys
 import time
 from typing import Any, Dict, Iterator, List, Optional
 
-from gspn_framework_package.benchmark.team.schedule import KINDS, Schedule, run_schedule
-from gspn_framework_package.benchmark.team.world import ViolationError
+from gspn_framework_package.execution.agreement_simulation.schedule import (
+    KINDS,
+    Schedule,
+    run_schedule,
+)
+from gspn_framework_package.execution.agreement_simulation.world import ViolationError
 
 SIZES = {1: 4, 2: 30, 3: 48, 4: 8, 5: 6, 8: 3, 13: 1}
 """Robots in a team, and how many of a hundred schedules have that many."""

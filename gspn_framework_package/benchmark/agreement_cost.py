@@ -14,10 +14,10 @@ import statistics
 import sys
 from typing import Any, Dict, List, Optional, Tuple
 
-from gspn_framework_package.benchmark.team import world as world_module
-from gspn_framework_package.benchmark.team.plans import make_plan
-from gspn_framework_package.benchmark.team.world import Weather, World
 from gspn_framework_package.execution.agreement.replica import Pace
+from gspn_framework_package.execution.agreement_simulation import world as world_module
+from gspn_framework_package.execution.agreement_simulation.plans import make_plan
+from gspn_framework_package.execution.agreement_simulation.world import Weather, World
 
 DELAY = 0.005
 """Seconds that a message takes, where nothing else is asked for."""

@@ -12,7 +12,7 @@ import json
 import sys
 from typing import List, Optional
 
-from gspn_framework_package.benchmark.team.mutants import MUTANTS, hunt
+from gspn_framework_package.execution.agreement_simulation.mutants import MUTANTS, hunt
 from gspn_framework_package.model.errors import UsageError
 
 

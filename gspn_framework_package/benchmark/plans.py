@@ -6,34 +6,13 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 
+from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
 
 LOOP = "gspn_framework_package.benchmark.load.loop"
 INSTANT = "gspn_framework_package.benchmark.load.instant"
-
-
-def plans_folder() -> str:
-    """The folder of the example plans: beside this package in a checkout, in its share folder once
-    it is installed.
-
-    :raises UsageError: there is none.
-    """
-    package = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    candidates = [os.path.join(os.path.dirname(package), "plans")]
-    try:
-        import rospkg
-
-        share = rospkg.RosPack().get_path("gspn_framework_package")
-        candidates.append(os.path.join(share, "plans"))
-    except Exception:  # no ROS, or a ROS that does not know the package: there is the checkout
-        pass
-    for candidate in candidates:
-        if os.path.isdir(candidate):
-            return candidate
-    raise UsageError("the example plans were not found", hint="looked in " + ", ".join(candidates))
 
 
 def tokens_plan(instant: bool = False) -> Plan:

@@ -21,8 +21,10 @@ import sys
 import time
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
-from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
-from gspn_framework_package.benchmark.plans import plans_folder
+from gspn_framework_package.benchmark.machine import describe_machine, machine_line
+from gspn_framework_package.benchmark.room_report import FAULTS, figures, show
+from gspn_framework_package.benchmark.room_ros import measure_ros
+from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.model.errors import ExecutionError
 
 TEAMS: Tuple[Tuple[int, int], ...] = ((1, 2), (2, 2), (3, 2), (4, 10), (6, 2), (8, 2))
@@ -30,20 +32,6 @@ TEAMS: Tuple[Tuple[int, int], ...] = ((1, 2), (2, 2), (3, 2), (4, 10), (6, 2), (
 
 MINUTES = 15.0
 LIBRARIES = ("numpy", "scipy", "pybullet", "rospy", "actionlib")
-
-FAULTS = (
-    "contacts_between_robots",
-    "contacts_with_solids",
-    "stuck_minutes",
-    "goals_aborted",
-    "two_in_one_location",
-    "overtakings",
-    "failed_actions",
-    "policy_misses",
-    "rule_broken_in_marking",
-    "log_violations",
-)
-"""The figures that are 0 in a good run."""
 
 
 def measure(room: str, robots: int, seed: int, minutes: float) -> Dict[str, Any]:
@@ -74,15 +62,6 @@ def measure(room: str, robots: int, seed: int, minutes: float) -> Dict[str, Any]
     }
 
 
-def figures(report: Dict[str, Any]) -> Dict[str, Any]:
-    """The referee's report, with the laps of each robot, without what is for programs."""
-    chosen = {k: v for k, v in report.items() if k not in ("robots", "entry_log", "laps")}
-    chosen["laps"] = [tally["laps"] for tally in report["robots"].values()]
-    # parts of laps too: how far the robots came in all
-    chosen["locations_per_robot"] = report["entries"] / max(len(report["robots"]), 1)
-    return chosen
-
-
 def measure_apart(args: argparse.Namespace, robots: int, seed: int) -> Dict[str, Any]:
     """The same in a process of its own, so that memory and time are its own."""
     words = [sys.executable, "-m", __spec__.name, "--json", "--room", args.room]
@@ -94,48 +73,6 @@ def measure_apart(args: argparse.Namespace, robots: int, seed: int) -> Dict[str,
     if ended.returncode not in (0, 1):
         raise ExecutionError("the run with %d robots and seed %d failed" % (robots, seed))
     return dict(json.loads(ended.stdout)["results"][0])
-
-
-def show(results: Sequence[Dict[str, Any]]) -> str:
-    """The results as a table."""
-    head = (
-        "robots",
-        "seed",
-        "laps of each",
-        "locations",
-        "metres",
-        "touches",
-        "with walls",
-        "min stuck",
-        "aborted",
-        "two in one",
-        "overtaken",
-        "misses",
-        "real-time factor",
-        "CPU s/min",
-        "MB",
-    )
-    rows = [
-        [
-            str(r["robots"]),
-            str(r["seed"]),
-            " ".join(map(str, r["laps"])),
-            r["entries"],
-            r["distance"],
-            r["contacts_between_robots"],
-            r["contacts_with_solids"],
-            r["stuck_minutes"],
-            r["goals_aborted"] + r["failed_actions"],
-            r["two_in_one_location"],
-            r["overtakings"],
-            r.get("policy_misses"),
-            r["real_time_factor"],
-            r["cpu_seconds_per_minute"],
-            r["memory_mb"],
-        ]
-        for r in results
-    ]
-    return table(head, rows)
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
@@ -163,8 +100,6 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     results: List[Dict[str, Any]] = []
     if args.robots and args.seed is not None:
         if args.ros:
-            from gspn_framework_package.benchmark.room_ros import measure_ros
-
             results.append(
                 measure_ros(args.room, args.robots, args.seed, args.minutes, args.factor, args.lose)
             )

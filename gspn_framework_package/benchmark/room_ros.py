@@ -12,11 +12,12 @@ import threading
 import time
 from typing import Any, Dict, List, Optional, Tuple
 
-from gspn_framework_package.benchmark.plans import plans_folder
 from gspn_framework_package.benchmark.processes import cost_of, descendants
+from gspn_framework_package.benchmark.room_report import figures
 from gspn_framework_package.benchmark.team_run import Master, need_ros
 from gspn_framework_package.execution.event_log import EventLog, read_log, replay
 from gspn_framework_package.execution.history import verify
+from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.world.referee import EntryOrder
@@ -260,8 +261,6 @@ def _watch(
     master: Master,
     loss: Optional[Loss],
 ) -> Dict[str, Any]:
-    from gspn_framework_package.benchmark.room import figures
-
     begin = time.monotonic()
     first: Optional[Tuple[float, float, float]] = None
     # from the first firing on: how long a team takes to start is told apart

@@ -114,7 +114,7 @@ def _size(text: str) -> Tuple[int, int]:
 
 
 def _simulated(args: argparse.Namespace, step: float) -> Tuple[Any, Moments]:
-    from gspn_framework_package.benchmark.plans import plans_folder
+    from gspn_framework_package.formats.example_plans import plans_folder
     from gspn_framework_package.world.room_file import load_room
     from gspn_framework_package.world.traffic import Patrol
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from gspn_framework_package.benchmark.team.mutants import MUTANTS, hunt
+from gspn_framework_package.execution.agreement_simulation.mutants import MUTANTS, hunt
 
 QUICK = (
     "bare half",

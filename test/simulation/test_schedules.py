@@ -8,9 +8,9 @@ import time
 import pytest
 
 from gspn_framework_package.benchmark.agreement import draw_schedules
-from gspn_framework_package.benchmark.team.schedule import Schedule, run_schedule
-from gspn_framework_package.benchmark.team.world import ViolationError
 from gspn_framework_package.execution.agreement import config
+from gspn_framework_package.execution.agreement_simulation.schedule import Schedule, run_schedule
+from gspn_framework_package.execution.agreement_simulation.world import ViolationError
 
 SCHEDULES = int(os.environ.get("GSPN_SCHEDULES", "2500"))
 SECONDS = float(os.environ.get("GSPN_SCHEDULE_SECONDS", "35"))

@@ -173,6 +173,17 @@ def test_the_layer_check_lets_inward_imports_pass(module, line):
     assert outward_imports(PACKAGE / module, line) == []
 
 
+def test_only_the_bench_verb_imports_the_benchmarks():
+    benchmark = PACKAGE / "benchmark"
+    importing = [
+        path.relative_to(PACKAGE)
+        for path in MODULES
+        if benchmark not in path.parents
+        and any(name.startswith(PACKAGE.name + ".benchmark") for name in imports_of(path))
+    ]
+    assert importing == [Path("cli", "bench.py")]
+
+
 def test_every_folder_of_the_package_is_a_layer():
     folders = {path.parent.relative_to(PACKAGE).parts[0] for path in PACKAGE.glob("*/__init__.py")}
     assert folders <= set(LAYERS)

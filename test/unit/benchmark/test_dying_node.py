@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from gspn_framework_package.benchmark.team.plans import make_plan
+from gspn_framework_package.execution.agreement_simulation.plans import make_plan
 from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log
 
 PLAN = make_plan(2, 2, False, 0.0, 0.0, False)

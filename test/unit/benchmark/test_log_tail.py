@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gspn_framework_package.benchmark.latency import latencies
 from gspn_framework_package.benchmark.log_tail import LogTail
-from gspn_framework_package.benchmark.team.plans import make_plan
+from gspn_framework_package.execution.agreement_simulation.plans import make_plan
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 
 PLAN = make_plan(2, 2, False, 0.0, 0.0, False)

@@ -8,9 +8,9 @@ import re
 
 import pytest
 
-from gspn_framework_package.benchmark.team.plans import make_plan
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution import event_log
+from gspn_framework_package.execution.agreement_simulation.plans import make_plan
 from gspn_framework_package.execution.event_log import (
     EventLogWriter,
     end_is_there,

@@ -9,9 +9,9 @@ from typing import Any, Callable, List
 
 import pytest
 
-from gspn_framework_package.benchmark.team.plans import make_plan
-from gspn_framework_package.benchmark.team.world import World
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.execution.agreement_simulation.plans import make_plan
+from gspn_framework_package.execution.agreement_simulation.world import World
 from gspn_framework_package.execution.event_log import (
     DamagedLogError,
     EventLog,

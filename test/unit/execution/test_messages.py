@@ -11,11 +11,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gspn_framework_package.benchmark.team.plans import make_plan
-from gspn_framework_package.benchmark.team.world import World
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement.messages import MessageError, parse
+from gspn_framework_package.execution.agreement_simulation.plans import make_plan
+from gspn_framework_package.execution.agreement_simulation.world import World
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.ledger import Item, Origin

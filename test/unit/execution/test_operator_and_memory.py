@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from gspn_framework_package.benchmark.team.plans import make_plan
-from gspn_framework_package.benchmark.team.world import Node, World
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement.messages import Event
 from gspn_framework_package.execution.agreement.replica import Limits
+from gspn_framework_package.execution.agreement_simulation.plans import make_plan
+from gspn_framework_package.execution.agreement_simulation.world import Node, World
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.ledger import Item, Origin

@@ -8,14 +8,14 @@ from typing import Any, List, Optional
 
 import pytest
 
-from gspn_framework_package.benchmark.team.plans import make_plan
-from gspn_framework_package.benchmark.team.world import Node, Weather, World
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement.local_transitions import LocalTransitions
 from gspn_framework_package.execution.agreement.messages import Envelope, Hello, Learn
 from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
 from gspn_framework_package.execution.agreement.replica import Limits, Pace, Replica
+from gspn_framework_package.execution.agreement_simulation.plans import make_plan
+from gspn_framework_package.execution.agreement_simulation.world import Node, Weather, World
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.firing import Ended, StartAction
 from gspn_framework_package.execution.history import verify

@@ -6,8 +6,12 @@ from __future__ import annotations
 import random
 from typing import Callable, Dict, List, NamedTuple, Type
 
-from gspn_framework_package.benchmark.team.plans import make_plan
-from gspn_framework_package.benchmark.team.world import (
+from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement.quorum import is_quorum
+from gspn_framework_package.execution.agreement.replica import Limits, Replica
+from gspn_framework_package.execution.agreement_simulation.plans import make_plan
+from gspn_framework_package.execution.agreement_simulation.world import (
     PACE,
     Disk,
     Node,
@@ -15,10 +19,6 @@ from gspn_framework_package.benchmark.team.world import (
     Weather,
     World,
 )
-from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution.agreement import interface as io
-from gspn_framework_package.execution.agreement.quorum import is_quorum
-from gspn_framework_package.execution.agreement.replica import Limits, Replica
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.team_state import Phase

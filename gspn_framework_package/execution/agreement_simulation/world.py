@@ -9,10 +9,10 @@ import random
 from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple, Type
 
-from gspn_framework_package.benchmark.team.plans import random_result
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.agreement import interface as io
 from gspn_framework_package.execution.agreement.replica import Limits, Pace, Replica
+from gspn_framework_package.execution.agreement_simulation.plans import random_result
 from gspn_framework_package.execution.event_log import Record, header
 from gspn_framework_package.execution.firing import Ended, Fault, StartAction
 from gspn_framework_package.model.plan import Plan, Synchronisation

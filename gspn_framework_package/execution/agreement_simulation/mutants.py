@@ -21,8 +21,6 @@ from typing import (
 )
 from unittest import mock
 
-from gspn_framework_package.benchmark.team.schedule import Schedule, run_schedule
-from gspn_framework_package.benchmark.team.world import Node, ViolationError
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution import token_game as token_game_module
 from gspn_framework_package.execution import turn
@@ -43,6 +41,8 @@ from gspn_framework_package.execution.agreement.recovery import Recovery
 from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.agreement.replication import Replication
 from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.agreement_simulation.schedule import Schedule, run_schedule
+from gspn_framework_package.execution.agreement_simulation.world import Node, ViolationError
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
