@@ -184,6 +184,17 @@ def test_only_the_bench_verb_imports_the_benchmarks():
     assert importing == [Path("cli", "bench.py")]
 
 
+def test_no_two_modules_import_each_other():
+    modules = {name_of(path): path for path in MODULES if path.name != "__init__.py"}
+    imported = {name: modules.keys() & set(imports_of(path)) for name, path in modules.items()}
+    reached = {name: set(names) for name, names in imported.items()}
+    for between in modules:  # Warshall's algorithm
+        for name in modules:
+            if between in reached[name]:
+                reached[name] |= reached[between]
+    assert [name for name in modules if name in reached[name]] == []
+
+
 def test_every_folder_of_the_package_is_a_layer():
     folders = {path.parent.relative_to(PACKAGE).parts[0] for path in PACKAGE.glob("*/__init__.py")}
     assert folders <= set(LAYERS)
