@@ -6,6 +6,8 @@ A question that could not be decided has the answer ``null``, and its reason sta
 
 from __future__ import annotations
 
+import enum
+import functools
 import math
 from typing import Any, Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Tuple
 
@@ -18,22 +20,99 @@ from gspn_framework_package.model.errors import CancelledError, LimitError, Refu
 
 INFINITE = "infinite"
 
-STRUCTURE = (
-    "place_invariants",
-    "transition_invariants",
-    "conservative",
-    "strictly_conservative",
-    "consistent",
-    "repetitive",
-    "siphons",
-    "traps",
-    "unmarked_siphon",
-    "siphons_hold_marked_traps",
-    "unguarded_siphon",
-    "classes",
-    "conflict_sets",
-)
-"""The keys of what the structure alone says."""
+
+class Part(enum.Enum):
+    """When a measure is computed, and where it is shown."""
+
+    STRUCTURE = "structure"
+    """With the structure, for which no marking is visited."""
+    BEHAVIOUR = "behaviour"
+    """With the state space."""
+    TIMING = "timing"
+    """With the steady state."""
+
+
+class Measure(NamedTuple):
+    """An answer that takes no arguments.
+
+    :ivar key: what it is called in the report.
+    :ivar part: what it belongs to.
+    :ivar compute: the answer, as a value that JSON has a form for; it may raise LimitError where it
+        was not decided and RefusedError where there is no such thing.
+    :ivar title: what the text and the page call it. Empty for measures that they lay out
+        themselves.
+    """
+
+    key: str
+    part: Part
+    compute: Callable[[Analysis], Any]
+    title: str = ""
+
+
+def _most_tokens(analysis: Analysis) -> Optional[float]:
+    found = analysis.boundedness
+    if found.bounded is None:
+        return None
+    return max((math.inf if b is None else b for b in found.bounds.values()), default=0)
+
+
+def _home_states(analysis: Analysis) -> Dict[str, Any]:
+    states = analysis.properties.home_states
+    return {
+        "count": len(states),
+        "example": analysis.space.named(int(states[0])) if len(states) else None,
+        "without": list(analysis.left_out),
+    }
+
+
+MEASURES: List[Measure] = [
+    Measure(
+        "place_invariants",
+        Part.STRUCTURE,
+        lambda a: [{"weights": i.weights, "value": i.value} for i in a.structure.place_invariants],
+    ),
+    Measure(
+        "transition_invariants",
+        Part.STRUCTURE,
+        lambda a: [{"weights": i.weights} for i in a.structure.transition_invariants],
+    ),
+    Measure("conservative", Part.STRUCTURE, lambda a: a.structure.conservative),
+    Measure("strictly_conservative", Part.STRUCTURE, lambda a: a.structure.strictly_conservative),
+    Measure("consistent", Part.STRUCTURE, lambda a: a.structure.consistent),
+    Measure("repetitive", Part.STRUCTURE, lambda a: a.structure.repetitive),
+    Measure("siphons", Part.STRUCTURE, lambda a: [s._asdict() for s in a.structure.siphons]),
+    Measure("traps", Part.STRUCTURE, lambda a: [s._asdict() for s in a.structure.traps]),
+    Measure("unmarked_siphon", Part.STRUCTURE, lambda a: list(a.structure.unmarked_siphon)),
+    Measure(
+        "siphons_hold_marked_traps",
+        Part.STRUCTURE,
+        lambda a: a.structure.unguarded_siphon is None,
+    ),
+    Measure("classes", Part.STRUCTURE, lambda a: dict(a.structure.classes._asdict())),
+    Measure("conflict_sets", Part.STRUCTURE, lambda a: a.structure.conflict_sets),
+    Measure("k_safe", Part.BEHAVIOUR, _most_tokens),
+    Measure("live", Part.BEHAVIOUR, lambda a: a.properties.live),
+    Measure(
+        "liveness",
+        Part.BEHAVIOUR,
+        lambda a: {name: level.name for name, level in a.properties.liveness.items()},
+    ),
+    Measure("dead_transitions", Part.BEHAVIOUR, lambda a: a.properties.dead_transitions),
+    Measure("reversible", Part.BEHAVIOUR, lambda a: a.reversible),
+    Measure("home_states", Part.BEHAVIOUR, _home_states),
+]
+"""To add a measure, add a row here, and one to the table of keys in ``docs/analysis.md``. A row
+with a title is shown in the text, in the CSV file and on the page."""
+
+UNGUARDED = "unguarded_siphon"
+"""The witness of ``siphons_hold_marked_traps``: its search is not made a second time."""
+
+
+def keys_of(part: Part) -> Tuple[str, ...]:
+    """The keys of the measures of a part."""
+    keys = tuple(measure.key for measure in MEASURES if measure.part is part)
+    return (*keys, UNGUARDED) if part is Part.STRUCTURE else keys
+
 
 COMPONENTS = 10
 """Recurrent classes that are told one by one, the most probable ones; the others are counted."""
@@ -81,6 +160,7 @@ def report(analysis: Analysis, questions: Optional[Questions] = None) -> Dict[st
         work.cover(marking)
     if questions.timing:
         work.steady_state(questions.rewards)
+        work.measures(Part.TIMING, work.undecided.get("steady_state", ""))
     if questions.settling is not None:
         tolerance = questions.settling
         work.answer("time_to_steady_state", lambda: analysis.time_to_steady_state(tolerance))
@@ -117,6 +197,22 @@ class _Report:
             self.undecided[key] = "not decided: there is too little memory (raise --limit-memory)"
         return None
 
+    def measures(self, part: Part, undecided: str = "") -> None:
+        """Answer the measures of a part.
+
+        :param undecided: why none of them is decided; empty where they are to be computed.
+        """
+        for measure in MEASURES:
+            if measure.part is not part:
+                continue
+            if undecided:
+                self.data[measure.key] = None
+                self.undecided[measure.key] = undecided
+            else:
+                self.answer(measure.key, functools.partial(measure.compute, self.analysis))
+            if measure.title:
+                self.data["titles"].setdefault(part.value, {})[measure.key] = measure.title
+
     def basics(self) -> None:
         net, plan = self.analysis.net, self.analysis.plan
         self.data["name"] = plan.name if plan else net.name
@@ -134,32 +230,14 @@ class _Report:
             "seconds": limits.seconds,
             "memory_bytes": limits.memory,
         }
+        self.data["titles"] = {}
 
     def structure(self) -> None:
-        structure = self.analysis.structure
-        self.answer(
-            "place_invariants",
-            lambda: [{"weights": i.weights, "value": i.value} for i in structure.place_invariants],
-        )
-        self.answer(
-            "transition_invariants",
-            lambda: [{"weights": i.weights} for i in structure.transition_invariants],
-        )
-        self.answer("conservative", lambda: structure.conservative)
-        self.answer("strictly_conservative", lambda: structure.strictly_conservative)
-        self.answer("consistent", lambda: structure.consistent)
-        self.answer("repetitive", lambda: structure.repetitive)
-        self.answer("siphons", lambda: [s._asdict() for s in structure.siphons])
-        self.answer("traps", lambda: [s._asdict() for s in structure.traps])
-        self.answer("unmarked_siphon", lambda: list(structure.unmarked_siphon))
-        self.answer("siphons_hold_marked_traps", lambda: structure.unguarded_siphon is None)
+        self.measures(Part.STRUCTURE)
+        self.data[UNGUARDED] = None
         if self.data["siphons_hold_marked_traps"] is False:
-            found = structure.unguarded_siphon
-            self.data["unguarded_siphon"] = list(found.places) if found else None
-        else:
-            self.data["unguarded_siphon"] = None
-        self.answer("classes", lambda: dict(structure.classes._asdict()))
-        self.answer("conflict_sets", lambda: structure.conflict_sets)
+            found = self.analysis.structure.unguarded_siphon
+            self.data[UNGUARDED] = list(found.places) if found else None
 
     def behaviour(self) -> None:
         analysis = self.analysis
@@ -193,23 +271,8 @@ class _Report:
             self.undecided["bounded"] = found.reason
         if None in self.data["bounds"].values():
             self.undecided["bounds"] = found.reason
-        self.answer(
-            "k_safe",
-            lambda: (
-                None
-                if found.bounded is None
-                else max((math.inf if b is None else b for b in found.bounds.values()), default=0)
-            ),
-        )
         self._deadlocks()
-        self.answer("live", lambda: analysis.properties.live)
-        self.answer(
-            "liveness",
-            lambda: {name: level.name for name, level in analysis.properties.liveness.items()},
-        )
-        self.answer("dead_transitions", lambda: analysis.properties.dead_transitions)
-        self.answer("reversible", lambda: analysis.reversible)
-        self.answer("home_states", lambda: self._home())
+        self.measures(Part.BEHAVIOUR)
         self._by_tree()
 
     def _deadlocks(self) -> None:
@@ -233,15 +296,6 @@ class _Report:
         else:
             self.data["deadlocks"] = None
             self.undecided["deadlocks"] = "none found within %s, which are not all" % space.extent
-
-    def _home(self) -> Dict[str, Any]:
-        analysis = self.analysis
-        states = analysis.properties.home_states
-        return {
-            "count": len(states),
-            "example": analysis.space.named(int(states[0])) if len(states) else None,
-            "without": list(analysis.left_out),
-        }
 
     def _by_tree(self) -> None:
         """What the coverability tree knows of an unbounded net."""
@@ -414,6 +468,13 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def titled(data: Mapping[str, Any], part: Optional[Part] = None) -> Iterator[Tuple[str, str]]:
+    """The measures with a title in a report: (key, title); of one part, or of all."""
+    for of_part, titles in data["titles"].items():
+        if part is None or of_part == part.value:
+            yield from titles.items()
+
+
 def rows(data: Mapping[str, Any]) -> Iterator[Tuple[str, str, Any]]:
     """The numbers of a report as rows (measure, name, value), for CSV."""
     for key in (
@@ -427,6 +488,10 @@ def rows(data: Mapping[str, Any]) -> Iterator[Tuple[str, str, Any]]:
         "conservative",
     ):
         yield key, "", data.get(key)
+    for key, _ in titled(data):
+        value = data[key]
+        for name, one in value.items() if isinstance(value, dict) else [("", value)]:
+            yield key, name, one
     for name, value in (data.get("states") or {}).items():
         yield "states", name, value
     for name, value in (data.get("bounds") or {}).items():

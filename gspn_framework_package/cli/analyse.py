@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, List, Mapping, Sequence, Tuple
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.report import STRUCTURE, Questions, report, rows
+from gspn_framework_package.analysis.report import Part, Questions, keys_of, report, rows, titled
 from gspn_framework_package.analysis.state_space import ENGINES
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli.interrupts import leave
@@ -146,7 +146,10 @@ def _run(args: argparse.Namespace) -> int:
             writer.writerow(("measure", "name", "value"))
             writer.writerows(rows(data))
     if args.json:
-        for option, keys in ((args.no_structure, STRUCTURE), (args.no_time, ("steady_state",))):
+        for option, keys in (
+            (args.no_structure, keys_of(Part.STRUCTURE)),
+            (args.no_time, ("steady_state", *keys_of(Part.TIMING))),
+        ):
             if option:  # every key is there, whatever is left out
                 data.update(dict.fromkeys(keys))
                 data["undecided"].update(dict.fromkeys(keys, "left out, as asked"))
@@ -197,13 +200,16 @@ def _text(data: Mapping[str, Any]) -> Iterator[str]:
     )
     if "conservative" in data:
         yield from _structure_text(data)
+        yield from _titled_text(data, Part.STRUCTURE)
     yield from _behaviour_text(data)
+    yield from _titled_text(data, Part.BEHAVIOUR)
     for entry in data.get("reach") or ():
         yield from _reach_text(entry, "reachable")
     for entry in data.get("cover") or ():
         yield from _reach_text(entry, "coverable")
     if data.get("steady_state"):
         yield from _steady_text(data["steady_state"])
+    yield from _titled_text(data, Part.TIMING)
     if data.get("time_to_steady_state") is not None:
         yield "time to steady state: %s s" % _number(data["time_to_steady_state"])
     for entry in data.get("transient") or ():
@@ -222,6 +228,20 @@ def _text(data: Mapping[str, Any]) -> Iterator[str]:
                     _number(within["probability"]),
                 )
     yield from _undecided_text(data)
+
+
+def _titled_text(data: Mapping[str, Any], part: Part) -> Iterator[str]:
+    """The measures of a part that have a title and no layout of their own."""
+    for key, title in titled(data, part):
+        value = data[key]
+        if isinstance(value, dict):
+            yield "%s: %s" % (title, _map(value))
+        elif isinstance(value, list):
+            yield "%s: %s" % (title, _some([str(entry) for entry in value]) or "none")
+        elif value is None or isinstance(value, bool):
+            yield "%s: %s" % (title, _answer(value))
+        else:
+            yield "%s: %s" % (title, _number(value))
 
 
 def _undecided_text(data: Mapping[str, Any]) -> Iterator[str]:

@@ -68,6 +68,22 @@ export class AnswerViews {
     );
   }
 
+  /** The measures of a part that have a title and no layout of their own. */
+  titled(result, part) {
+    return Object.entries(result.titles?.[part] || {}).map(([key, title]) => {
+      const value = result[key];
+      if (Array.isArray(value)) return [title, this.names(value)];
+      if (value && typeof value === "object")
+        return [
+          title,
+          Object.entries(value)
+            .map(([name, one]) => `${name} ${typeof one === "number" ? number(one) : one}`)
+            .join(", "),
+        ];
+      return [title, typeof value === "string" ? value : this.answer(result, key)];
+    });
+  }
+
   node(name) {
     const kind = this.places.has(name) ? "place" : "transition";
     const index = (kind === "place" ? this.places : this.transitions).get(name);
@@ -240,6 +256,7 @@ export class AnswerViews {
         ["Consistent", this.answer(result, "consistent")],
         ["Repetitive", this.answer(result, "repetitive")],
         ["Class", classes.join(", ") || "general"],
+        ...this.titled(result, "structure"),
       ]),
       sets(
         "P-invariants",
@@ -342,6 +359,7 @@ export class AnswerViews {
             : this.answer(result, "home_states"),
         ],
         ["Dead transitions", dead ? this.names(dead) : this.answer(result, "dead_transitions")],
+        ...this.titled(result, "behaviour"),
         result.left_out?.length > 0 && ["Left out", `${result.left_out.join(", ")}: only written`],
         [
           "Limits",
@@ -399,9 +417,11 @@ export class AnswerViews {
     const waits = new Map(Object.entries(steady.mean_waiting_time || {}));
     const states = result.likely_states || [];
     const stay = ({ mean_stay: value }) => (value === "infinite" ? "for ever" : number(value));
+    const facts = this.titled(result, "timing");
+    if (steady.reward !== undefined) facts.unshift(["Reward", `${number(steady.reward)} /s`]);
     return this.section(
       "Steady state",
-      steady.reward !== undefined && this.facts([["Reward", `${number(steady.reward)} /s`]]),
+      facts.length > 0 && this.facts(facts),
       steady.component_count > 1 && [
         h("p", {
           class: "muted",

@@ -1,0 +1,133 @@
+"""What ``docs/developing.md`` says under "To add X, touch Y": each X is added here from a package
+that stands for somebody else's, without a change to any other file."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from gspn_framework_package.cli import main as dispatcher
+from gspn_framework_package.formats import FORMATS, read_net, register, write_net
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.errors import NetError, UsageError
+
+
+@pytest.fixture(autouse=True)
+def toys(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parent))
+    yield
+    for name in [name for name in sys.modules if name.split(".")[0] == "toys"]:
+        del sys.modules[name]
+
+
+# -- a file format
+
+
+@pytest.fixture
+def toy_format(monkeypatch):
+    from toys import toy_format
+
+    monkeypatch.setattr("gspn_framework_package.formats.registry.FORMATS", dict(FORMATS))
+    register(toy_format.FORMAT)
+    return toy_format.FORMAT
+
+
+def small_net():
+    net = NetBuilder("toy").place("A", tokens=2).place("B")
+    return net.immediate("go", inputs="A", outputs="B").build()
+
+
+def test_a_format_is_written_recognised_and_read(toy_format, tmp_path):
+    net = small_net()
+    assert write_net(net, tmp_path / "net.toy") == []
+    (tmp_path / "net.toy").rename(tmp_path / "of_any_name")
+    assert read_net(tmp_path / "of_any_name") == net
+
+
+def test_what_is_wrong_in_it_is_reported_with_its_line(toy_format, tmp_path):
+    (tmp_path / "net.toy").write_text("toy net\nplace A 1\nplaec B 1\n")
+    with pytest.raises(NetError) as caught:
+        read_net(tmp_path / "net.toy")
+    assert (caught.value.line, caught.value.file) == (3, str(tmp_path / "net.toy"))
+
+
+def test_it_is_among_those_that_are_listed(toy_format, tmp_path):
+    (tmp_path / "net").write_text("nothing that is known")
+    with pytest.raises(Exception, match="toy nets"):
+        read_net(tmp_path / "net")
+
+
+def test_a_format_that_is_not_registered_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="cannot tell the format"):
+        write_net(small_net(), tmp_path / "net.toy")
+
+
+@pytest.mark.parametrize("changed", [{"name": "pipe"}, {"extensions": (".pnml",)}])
+def test_a_name_or_extension_that_is_taken_is_refused(toy_format, changed):
+    from dataclasses import replace
+
+    with pytest.raises(ValueError, match="shares its name or an extension"):
+        register(replace(toy_format, **{"name": "other", "extensions": (".other",), **changed}))
+
+
+# -- a verb
+
+
+def test_a_verb_is_found_by_its_row(monkeypatch, capsys):
+    verb = dispatcher.Verb("toys.toy_verb", "count words")
+    monkeypatch.setitem(dispatcher.VERBS, "count", verb)
+    assert dispatcher.main(["count", "one", "two"]) == 0
+    assert capsys.readouterr().out == "2\n"
+    assert dispatcher.main(["--help"]) == 0
+    assert "count words" in capsys.readouterr().out
+
+
+# -- a measure
+
+
+@pytest.fixture
+def toy_measures(monkeypatch):
+    from toys import toy_measure
+
+    from gspn_framework_package.analysis import report
+
+    monkeypatch.setattr(report, "MEASURES", report.MEASURES + toy_measure.MEASURES)
+
+
+def machine(folder):
+    net = NetBuilder("machine").place("up", tokens=1).place("down")
+    net.exponential("fail", rate=1.0, inputs="up", outputs="down")
+    net.exponential("repair", rate=3.0, inputs="down", outputs="up")
+    write_net(net.build(), folder / "machine.xml")
+    return str(folder / "machine.xml")
+
+
+def test_a_measure_is_in_the_text_the_json_and_the_csv(toy_measures, tmp_path, capsys):
+    path, table = machine(tmp_path), tmp_path / "numbers.csv"
+    assert dispatcher.main(["analyse", path, "--csv", str(table)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert {"transitions without inputs: none", "most tokens: 1"} <= set(lines)
+    assert "share of time in repair: 0.25" in lines
+    assert {"fullest,,1", "sources,,[]"} <= set(table.read_text().splitlines())
+    assert dispatcher.main(["analyse", path, "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert (data["sources"], data["fullest"]) == ([], 1)
+    assert data["busy"] == pytest.approx(0.25)
+    assert data["titles"]["timing"] == {"busy": "share of time in repair"}
+
+
+def test_a_measure_that_is_not_decided_has_its_reason(toy_measures, tmp_path, capsys):
+    assert dispatcher.main(["analyse", machine(tmp_path), "--json", "--limit", "1"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["fullest"] is data["busy"] is None
+    assert data["undecided"]["busy"] == data["undecided"]["steady_state"]
+    assert "not decided" in data["undecided"]["fullest"]
+
+
+def test_a_measure_of_a_part_that_is_left_out_is_null(toy_measures, tmp_path, capsys):
+    words = ["analyse", machine(tmp_path), "--json", "--no-structure", "--no-time"]
+    assert dispatcher.main(words) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert (data["sources"], data["fullest"], data["busy"]) == (None, 1, None)
+    assert data["undecided"]["sources"] == data["undecided"]["busy"] == "left out, as asked"
