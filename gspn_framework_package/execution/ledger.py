@@ -12,7 +12,8 @@ from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.event_log import Record, first_hash, next_hash
 from gspn_framework_package.execution.firing import firing_to_json
-from gspn_framework_package.execution.team_state import GONE, Phase, TeamState
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import Step, TokenGame
 from gspn_framework_package.model.errors import LogError
 
@@ -133,7 +134,7 @@ class Ledger:
     def is_cast_out(self, name: str) -> bool:
         """Whether the robot was evicted by force and has not joined since."""
         robot = self.state.robots.get(name)
-        return name in self.cast_out and (robot is None or robot.phase in GONE)
+        return name in self.cast_out and (robot is None or robot.phase.gone)
 
     def append_local(self, entries: Sequence[log.Entry]) -> Tuple[Record, Step]:
         """The same for entries of a local log, which have no origin."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import List
 
-from gspn_framework_package.execution.team_state import POLICY, Phase, RobotState, TeamState
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import POLICY, RobotState, TeamState
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.plan import Plan
 

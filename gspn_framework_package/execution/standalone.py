@@ -2,14 +2,13 @@
 
 The executor is one thread with one queue. Actions run on threads of their own, made on demand, and
 only put their results into the queue; the executor turns them into entries of a local log, and the
-token game says what follows. An agent's six states (thesis 4.1.2, Figure 4.5) are told to whoever
+token game says what follows. What an agent is up to (thesis 4.1.2, Figure 4.5) is told to whoever
 listens; what the log says is all there is.
 """
 
 from __future__ import annotations
 
 import contextlib
-import enum
 import heapq
 import itertools
 import queue
@@ -37,29 +36,12 @@ from gspn_framework_package.execution.firing import (
     StartAction,
 )
 from gspn_framework_package.execution.ledger import Ledger
-from gspn_framework_package.execution.team_state import GONE, Phase, TeamState
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import Step, TokenGame
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.model.errors import ExecutionError, GspnError, PlanError, UsageError
 from gspn_framework_package.model.plan import Plan, ServerAction
-
-
-class AgentState(enum.Enum):
-    """What an agent is doing (thesis 4.1.2)."""
-
-    FREE = "Free"
-    """It has come to a new place and is about to start."""
-    OCCUPIED = "Occupied"
-    """It executes the function of its place."""
-    DONE = "Done"
-    """It has finished the function, and the transition is still to be fired."""
-    WAITING = "Waiting"
-    """It has finished, and what it wants is not enabled: it waits for others (or the operator)."""
-    INACTIVE = "Inactive"
-    """It has finished in a place without output arcs."""
-    VOID = "Void"
-    """It was destroyed: a transition consumed more agents than it produced, or the operator took it
-    out."""
 
 
 class Listener:
@@ -71,8 +53,9 @@ class Listener:
     ) -> None:
         """The entries of log slot ``slot`` were reduced, and led to the firings and the state."""
 
-    def on_agent_state(self, agent: str, state: AgentState) -> None:
-        """An agent changed its state."""
+    def on_phase(self, agent: str, phase: Phase) -> None:
+        """What an agent is up to has changed: FREE, DOING (Occupied), DONE, WAITING, FAILED,
+        INACTIVE, and at its end VOID, LEFT or LOST."""
 
     def on_feedback(self, agent: str, visit: int, progress: Tuple[Any, ...]) -> None:
         """The action of an agent tells how far it is (called on the action's thread)."""
@@ -144,7 +127,7 @@ class StandaloneExecutor:
         self._timer_numbers = itertools.count()
         self._environment = Environment(self.game, random.Random(plan.seed))
         self._lock = threading.Lock()
-        self._states: Dict[str, Tuple[AgentState, float]] = {}
+        self._phases: Dict[str, Tuple[Phase, float]] = {}
         self._thread = threading.Thread(target=self._run, name="executor", daemon=True)
         self._crash: Optional[BaseException] = None
         self._over = threading.Event()
@@ -185,11 +168,6 @@ class StandaloneExecutor:
             raise ExecutionError(_broke_off(self._crash)) from self._crash
         return self.result
 
-    def agent_states(self) -> Dict[str, AgentState]:
-        """The state of every agent, those that became Void included."""
-        with self._lock:
-            return {name: state for name, (state, _) in self._states.items()}
-
     def status(self) -> Dict[str, Any]:
         """The run as a JSON object: ``marking`` and, for each agent, its place, state, visit, how
         long it has been in that state (``seconds``), and why it waits."""
@@ -197,12 +175,12 @@ class StandaloneExecutor:
             now = self._clock()
             agents = []
             for robot in self.state.active():
-                state, since = self._states.get(robot.name, (AgentState.FREE, now))
+                phase, since = self._phases.get(robot.name, (Phase.FREE, now))
                 agents.append(
                     {
                         "name": robot.name,
                         "place": self.plan.net.places[robot.place].name,
-                        "state": state.value,
+                        "state": phase.told.agent,
                         "visit": robot.visit,
                         "seconds": round(now - since, 3),
                         "why": self.game.why_waiting(self.state, robot),
@@ -259,13 +237,13 @@ class StandaloneExecutor:
             return
         for entry in entries:
             if isinstance(entry, log.Done):
-                self._set_agent(entry.robot, AgentState.DONE)
+                self._set_phase(entry.robot, Phase.DONE)
         with self._lock:
             slot = self._ledger.length
             step = self.game.reduce(self.state, slot, entries)
         if self._event_log is not None:  # before anything that follows from it leaves the process
             self._record(self._ledger.record(slot, entries, [], step))
-        self._tell_states(step)
+        self._tell_phases(step)
         self._listener.on_step(slot, entries, step.firings, self.state)
         self._fired += len(step.firings)
         limit = self._firing_limit
@@ -285,36 +263,32 @@ class StandaloneExecutor:
         if self._event_log is not None:
             self._event_log.append(*records)
 
-    def _tell_states(self, step: Step) -> None:
+    def _tell_phases(self, step: Step) -> None:
         for firing in step.firings:
             for move in firing.moves:
                 if move.target is None:
                     self._running.pop(move.robot, None)
-                    self._set_agent(move.robot, AgentState.VOID)
+                    self._set_phase(move.robot, Phase.VOID)
                 else:
-                    self._set_agent(move.robot, AgentState.FREE)
+                    self._set_phase(move.robot, Phase.FREE)
         for name in self.state.waiting:
-            self._set_agent(name, AgentState.WAITING)
+            self._set_phase(name, Phase.WAITING)
         for robot in self.state.robots.values():
-            if robot.phase is Phase.INACTIVE:
-                self._set_agent(robot.name, AgentState.INACTIVE)
-            elif robot.phase is Phase.FAILED:
-                self._set_agent(robot.name, AgentState.WAITING)
-            elif robot.phase in GONE:
-                self._set_agent(robot.name, AgentState.VOID)
+            if robot.phase not in (Phase.DOING, Phase.DONE):  # of those more is known
+                self._set_phase(robot.name, robot.phase)
 
-    def _set_agent(self, name: str, state: AgentState) -> None:
-        known = self._states.get(name)
-        if known is not None and known[0] is state:
+    def _set_phase(self, name: str, phase: Phase) -> None:
+        known = self._phases.get(name)
+        if known is not None and known[0] is phase:
             return
         with self._lock:
-            self._states[name] = (state, self._clock())
-        self._listener.on_agent_state(name, state)
+            self._phases[name] = (phase, self._clock())
+        self._listener.on_phase(name, phase)
 
     def _carry_out(self, command: Command) -> None:
         if isinstance(command, StartAction):
             if command.attempt == 1:
-                self._set_agent(command.robot, AgentState.FREE)
+                self._set_phase(command.robot, Phase.FREE)
             if command.delay > 0:
                 self._at(self._clock() + command.delay, lambda: self._start_action(command))
             else:
@@ -345,7 +319,7 @@ class StandaloneExecutor:
         timeout = self.plan.timeout(command.place)
         if timeout is not None:
             self._at(self._clock() + timeout, lambda: self._timed_out(command, timeout))
-        self._set_agent(command.robot, AgentState.OCCUPIED)
+        self._set_phase(command.robot, Phase.DOING)
         try:
             self._pool.submit(lambda: self._execute(command, attempt))
         except RuntimeError as error:  # the system gives no more threads

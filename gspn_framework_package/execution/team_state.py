@@ -7,37 +7,15 @@ A :class:`TeamState` is changed only by the token game. It can be written as JSO
 
 from __future__ import annotations
 
-import enum
 from dataclasses import dataclass, field
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.net import Net
 
 POLICY = -1
 """The request of a robot that lets the policy decide."""
-
-
-class Phase(enum.Enum):
-    """What a token with an identity is up to (thesis 4.1.2; Free and Void are moments, not
-    phases)."""
-
-    DOING = "doing"
-    """Its action runs."""
-    DONE = "done"
-    """Its action is over and it asks for a transition; it is *waiting* when that did not fire at
-    once."""
-    FAILED = "failed"
-    """Its action failed for good; the operator decides."""
-    INACTIVE = "inactive"
-    """It is in a place without output arcs, and has finished there."""
-    LOST = "lost"
-    """It was evicted; its token is in the account of the lost."""
-    LEFT = "left"
-    """It left the team of its own will."""
-
-
-GONE = (Phase.LOST, Phase.LEFT)
 
 
 class Draw(NamedTuple):
@@ -101,11 +79,11 @@ class TeamState:
 
     def members(self) -> List[str]:
         """Who votes: the robots that are neither lost nor have left, and the witnesses."""
-        return [r.name for r in self.robots.values() if r.phase not in GONE] + list(self.witnesses)
+        return [r.name for r in self.robots.values() if not r.phase.gone] + list(self.witnesses)
 
     def active(self) -> List[RobotState]:
         """The robots whose tokens are in the net."""
-        return [r for r in self.robots.values() if r.phase not in GONE]
+        return [r for r in self.robots.values() if not r.phase.gone]
 
     def add_waiting(self, robot: RobotState) -> None:
         """Note that ``robot`` is DONE, after all that are."""
@@ -185,7 +163,7 @@ class TeamState:
                 or not isinstance(robot.why, str)
             ):
                 raise ValueError("a robot has a field of another type")
-            if robot.phase not in GONE and self.marking[robot.place] < 1:
+            if not robot.phase.gone and self.marking[robot.place] < 1:
                 raise ValueError("no token is where %s is" % robot.name)
         if (
             any(type(number) is not int for number in numbers)
@@ -197,6 +175,21 @@ class TeamState:
             raise ValueError("a field is of another type")
         if self.ended is not None and not isinstance(self.ended, str):
             raise ValueError("a field is of another type")
+
+
+def told_phase(state: TeamState, robot: Optional[RobotState]) -> Phase:
+    """What is told of a robot of a team: that it is lost, has left or failed before all else, then
+    the end of the run, then a pause. One that the team does not know (yet) is told as lost."""
+    if robot is None:
+        return Phase.LOST
+    phase = robot.phase
+    if phase.told.outlasts:
+        return phase
+    if state.ended is not None:
+        return phase if state.finished and phase is Phase.INACTIVE else Phase.STOPPED
+    if state.paused or robot.paused:
+        return Phase.PAUSED
+    return Phase.WAITING if phase is Phase.DONE else phase
 
 
 _PLAIN = ("seed", "next_slot", "version", "orders", "created", "paused", "ended")
@@ -223,7 +216,7 @@ def _robot_to_json(robot: RobotState, net: Net) -> Dict[str, Any]:
 def _robot_from_json(data: Dict[str, Any], net: Net) -> RobotState:
     robot = RobotState(
         place=net.place_number(data["place"]),
-        phase=Phase(data["phase"]),
+        phase=Phase.of_log(data["phase"]),
         **{key: data[key] for key in _ROBOT_PLAIN},
     )
     if data["request"]:

@@ -12,8 +12,9 @@ from typing import Iterable, List, NamedTuple, Optional
 
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.firing import Command, Firing
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
-from gspn_framework_package.execution.team_state import GONE, POLICY, Phase, RobotState, TeamState
+from gspn_framework_package.execution.team_state import POLICY, RobotState, TeamState
 from gspn_framework_package.execution.turn import Turn
 from gspn_framework_package.model.plan import LostKind
 
@@ -145,7 +146,7 @@ class _Reducer(Turn):
             self._enter(robot)
         elif entry.incarnation <= robot.incarnation:
             return
-        elif robot.phase in GONE:
+        elif robot.phase.gone:
             robot.incarnation = entry.incarnation
             robot.visit += 1
             self._add(robot)
@@ -159,7 +160,7 @@ class _Reducer(Turn):
     def _depart(self, entry: log.Entry) -> None:
         assert isinstance(entry, (log.Leave, log.Evict))
         robot = self.state.robots.get(entry.robot)
-        if robot is None or robot.phase in GONE:
+        if robot is None or robot.phase.gone:
             return
         if isinstance(entry, log.Evict) and entry.incarnation != robot.incarnation:
             return
@@ -216,7 +217,7 @@ class _Reducer(Turn):
     def _set_place(self, entry: log.SetPlace) -> None:
         robot = self.state.robots.get(entry.robot)
         p = self.net.place_index.get(entry.place)
-        if robot is None or robot.phase in GONE or p is None or self.rules.is_resource[p]:
+        if robot is None or robot.phase.gone or p is None or self.rules.is_resource[p]:
             self._fault(robot, "'%s' cannot be put into '%s'" % (entry.robot, entry.place))
             return
         self._cancel(robot)

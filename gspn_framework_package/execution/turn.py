@@ -15,8 +15,9 @@ from gspn_framework_package.execution.firing import (
     Move,
     StartAction,
 )
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
-from gspn_framework_package.execution.team_state import POLICY, Draw, Phase, RobotState, TeamState
+from gspn_framework_package.execution.team_state import POLICY, Draw, RobotState, TeamState
 from gspn_framework_package.model.plan import FailureKind
 
 FIRINGS_PER_ENTRY = 10_000

@@ -27,7 +27,8 @@ from gspn_framework_package.execution.event_log import (
     read_log,
 )
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
-from gspn_framework_package.execution.team_state import GONE, Phase
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import told_phase
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.plan import Plan, Synchronisation
@@ -36,7 +37,7 @@ from gspn_framework_package.ros.action_caller import CONNECT_POLL, ActionCaller,
 from gspn_framework_package.ros.action_targets import action_targets
 from gspn_framework_package.ros.goal_id import GoalIdentity
 from gspn_framework_package.ros.links import ServiceLink, TopicLink
-from gspn_framework_package.ros.messages import FIRED_TOPIC, fired_message, state_name
+from gspn_framework_package.ros.messages import FIRED_TOPIC, fired_message
 from gspn_framework_package.ros.narrator import Narrator, level_of
 from gspn_framework_package.ros.node_services import NodeServices, View, Worker
 from gspn_framework_package.ros.options import NodeOptions
@@ -285,7 +286,7 @@ class ExecutionNode(Worker):
             return
         first, self._told_length = self._told_length < 0, ledger.length
         gone = {
-            robot.name: robot.phase for robot in ledger.state.robots.values() if robot.phase in GONE
+            robot.name: robot.phase for robot in ledger.state.robots.values() if robot.phase.gone
         }
         if gone != self._gone:
             for name in sorted(set(gone) | set(self._gone)):
@@ -439,19 +440,19 @@ class ExecutionNode(Worker):
         """See :class:`Worker`."""
         ledger, own = self._replica.ledger, self._replica.state
         robot = ledger.state.robots.get(self.robot)
-        place, visit, state = "", 0, state_name(ledger.state, robot)
+        place, visit, phase = "", 0, told_phase(ledger.state, robot)
         if robot is not None and own.position is not None:
             place, visit = self.plan.net.places[own.position.place].name, own.position.visit
             # private moves, which the log does not know yet
             if visit != robot.visit and ledger.state.ended is None:
-                state = "Doing"
-            if state == "Doing" and own.reported == own.position.goal:
-                state = "Done"  # but that is not in the log yet
-        elif robot is not None and robot.phase not in GONE:
+                phase = Phase.DOING
+            if phase is Phase.DOING and own.reported == own.position.goal:
+                phase = Phase.DONE  # but that is not in the log yet
+        elif robot is not None and not robot.phase.gone:
             place, visit = self.plan.net.places[robot.place].name, robot.visit
         return View(
             place,
-            state,
+            phase.told.state,
             self._replica.incarnation,
             visit,
             self._replica.marking(),
@@ -472,10 +473,6 @@ class ExecutionNode(Worker):
         )
         status["waits_for"] = self._waits_for()
         status["needs_operator"] = self._needs_operator()
-        if status["ended"] is not None:
-            for robot in status["robots"]:
-                if robot["state"] in ("Doing", "Waiting", "Paused"):
-                    robot.update(state="Inactive", waits_for="")
         return status
 
     def request(
@@ -515,9 +512,7 @@ class ExecutionNode(Worker):
         robot = state.robots.get(self.robot)
         if self._replica.halted is not None or self._replica.is_stuck():
             return True
-        return (
-            robot is not None and state.ended is None and robot.phase in (Phase.LOST, Phase.FAILED)
-        )
+        return robot is not None and state.ended is None and robot.phase.told.needs_operator
 
     def _activity(self) -> Dict[str, Any]:
         view, state = self.view(), self._replica.ledger.state

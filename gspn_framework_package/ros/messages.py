@@ -8,7 +8,6 @@ from typing import Any, Dict, List, Optional, Tuple
 import rospy
 
 from gspn_framework_package.execution.agreement.interface import Fired
-from gspn_framework_package.execution.team_state import GONE, Phase, RobotState, TeamState
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.msg import FiredTransition
 
@@ -75,22 +74,3 @@ def json_object(text: str) -> Optional[Dict[str, Any]]:
 def marking_fields(marking: Marking, net: Net) -> Tuple[List[str], List[int]]:
     """A marking as places and counts, every place of the net."""
     return [place.name for place in net.places], list(marking)
-
-
-def state_name(state: TeamState, robot: Optional[RobotState]) -> str:
-    """The state of a robot as ``GetState`` tells it (thesis 4.3.3 and ``docs/semantics.md``)."""
-    if robot is None or robot.phase in GONE:
-        return "Lost"
-    if state.ended is not None:
-        return "Inactive"
-    if state.paused or robot.paused:
-        return "Paused"
-    return _STATES[robot.phase]
-
-
-_STATES: Dict[Phase, str] = {
-    Phase.DOING: "Doing",
-    Phase.DONE: "Waiting",
-    Phase.FAILED: "Waiting",
-    Phase.INACTIVE: "Inactive",
-}

@@ -19,6 +19,7 @@ from typing import Any, Dict
 
 import rospy
 
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.msg import FiredTransition, GSPNFiringData
 from gspn_framework_package.ros.messages import FIRED_TOPIC
@@ -96,9 +97,8 @@ class ThesisInterface:
 
     def _current_place(self, number: int, request: Any) -> CurrentPlaceResponse:
         state = self._ask(number, "get_state", GetState, GetStateRequest())
-        return CurrentPlaceResponse(
-            state.place, "DOING" if state.state == "Doing" else "DONE", number
-        )
+        doing = Phase.of_state(state.state) is Phase.DOING
+        return CurrentPlaceResponse(state.place, "DOING" if doing else "DONE", number)
 
     def _fire_sync(self, number: int, request: Any) -> FireSyncTransitionResponse:
         order = SetPlaceRequest(place=request.place_to_go, run=self._run)

@@ -31,6 +31,7 @@ from __future__ import annotations
 from typing import Any, Dict, Iterable, List, Mapping, Sequence, Set
 
 from gspn_framework_package.execution.enabled_set import Change, EnabledSet
+from gspn_framework_package.execution.phase import ENTERED
 from gspn_framework_package.model.net import Net
 
 Event = Dict[str, Any]
@@ -137,7 +138,7 @@ class Board:
                     self.robots.pop(name, None)
                 else:
                     robot = self.robots.setdefault(name, {"name": name})
-                    robot.update(place=target, phase="doing", why="", since=event["t"])
+                    robot.update(place=target, phase=ENTERED.value, why="", since=event["t"])
         elif kind == "mark":
             self.marking = list(event["marking"])
             self.enabled = set(event["enabled"])

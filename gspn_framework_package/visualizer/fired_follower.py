@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import Any, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution.enabled_set import EnabledSet
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.visualizer.board import Board, Event, fire_event, mark_event
@@ -85,7 +86,12 @@ class FiredFollower:
         """The board before anything was heard: the initial marking of the plan."""
         board = Board(len(self.net.transitions), self.marking, self._enabled.now, status)
         for name, seen in self.robots.items():
-            board.robots[name] = {"name": name, "place": seen.place, "phase": "", "since": 0.0}
+            board.robots[name] = {
+                "name": name,
+                "place": seen.place,
+                "phase": Phase.UNHEARD.value,
+                "since": 0.0,
+            }
         return board
 
     def take(self, news: FiredNews) -> List[Event]:

@@ -7,6 +7,7 @@ import os
 import secrets
 from typing import Any, Callable, Dict, Optional
 
+from gspn_framework_package.execution.phase import phases_to_json
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.model.robot_colours import PALETTE
 from gspn_framework_package.visualizer.activity import Activity
@@ -56,6 +57,7 @@ class Project:
         return {
             "server": self._server,
             "robot_colours": list(PALETTE),
+            "phases": phases_to_json(),
             "first": self._first,
             "can_open": self._folder is not None,
             "files": [entry._asdict() for entry in entries],

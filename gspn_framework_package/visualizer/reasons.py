@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import Any, Dict, List, Optional
 
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.board import Board
@@ -58,7 +59,9 @@ def _robots_awaited(net: Net, plan: Plan, board: Board, t: int) -> List[str]:
         if net.places[p].name in plan.resource_places:
             continue
         here = [robot for robot in board.robots.values() if robot.get("place") == p]
-        done = sum(robot.get("phase") == "done" and not robot.get("paused") for robot in here)
+        done = sum(
+            robot.get("phase") == Phase.DONE.value and not robot.get("paused") for robot in here
+        )
         if done < weight:
             robots = "robot is" if weight == 1 else "robots are"
             awaited.append("%s: %d of %d %s done" % (net.places[p].name, done, weight, robots))

@@ -15,6 +15,7 @@ from typing import Any, Callable, Dict, FrozenSet, List, Optional, Set, Tuple
 import rospy
 from std_msgs.msg import String
 
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -49,26 +50,12 @@ ANSWER_TIME = 1.5
 ORDER_TIME = 6.0
 """Seconds that an order may take; a robot gives it 5 s to find its place in the log."""
 
-PHASES = {
-    "Doing": "doing",
-    "Done": "done",
-    "Waiting": "done",
-    "Paused": "",
-    "Failed": "failed",
-    "Inactive": "inactive",
-    "Lost": "lost",
-    "Left": "left",
-}
-
 SILENT = 3
 """Questions without any answer, after which the run is taken to be over."""
 
 UNHEARD = 3
 """Answers in a row by which the team has moved without a firing that was heard, after which the
 page warns of it."""
-
-TOLD_BY_OTHERS = ("lost", "left")
-"""Phases that a robot does not tell itself."""
 
 Order = Tuple[str, str, str]
 """An order for the team: the command, the robot and the argument of the Command service."""
@@ -238,20 +225,19 @@ class RosWatch(Activity):
         self._is_ours(namespace, name)
         if activity["ended"]:  # the robots soon leave: nobody may be there to be asked
             self._show_end(activity)
-        state = str(activity.get("state", ""))
+        phase = Phase.of_state(str(activity.get("state", "")))
         waits = str(activity.get("waits_for", ""))
         self._show_robot(
             name,
-            phase="failed"
-            if activity["needs_operator"] and state != "Lost"
-            else PHASES.get(state, ""),
-            paused=state == "Paused",
+            # one that has halted, too, does not go on by itself
+            phase=(Phase.FAILED if activity["needs_operator"] and not phase.gone else phase.logged),
+            paused=phase is Phase.PAUSED,
             visit=activity.get("visit"),
             attempt=activity.get("attempt"),
-            why=waits if state != "Doing" or waits else "",
+            why=waits,
         )
         feedback = activity.get("feedback")
-        if feedback and state == "Doing":
+        if feedback and phase is Phase.DOING:
             self._feedback.tell(name, "feedback: %s" % ", ".join(str(f) for f in feedback))
         else:
             self._feedback.forget(name)
@@ -432,7 +418,7 @@ class RosWatch(Activity):
                     place = self._net.place_index.get(robot["place"], -1)
                     robots[robot["robot"]] = RobotSeen(place, int(robot["visit"]))
         marking = self._net.marking(newest["marking"])
-        gone = frozenset(r["robot"] for r in newest["robots"] if r["state"] in ("Lost", "Left"))
+        gone = frozenset(r["robot"] for r in newest["robots"] if Phase.of_state(r["state"]).gone)
         if not self._follower.full:
             counts = [
                 n if p.name in self._plan.resource_places else 0
@@ -446,15 +432,15 @@ class RosWatch(Activity):
 
     def _show_status(self, status: Dict[str, Any]) -> None:
         for robot in status["robots"]:
-            phase = PHASES.get(robot["state"], "")
-            was = self._shown.get(robot["robot"], {}).get("phase")
+            phase = Phase.of_state(robot["state"]).logged
+            was = Phase.of_value(self._shown.get(robot["robot"], {}).get("phase", ""))
             silent = robot["robot"] not in self._names.values()  # it tells nothing itself
-            if silent or phase in TOLD_BY_OTHERS or was in TOLD_BY_OTHERS:
+            if silent or phase.gone or was.gone:  # one that is gone does not tell so itself
                 self._show_robot(robot["robot"], phase=phase, why=robot["waits_for"])
-        phases = [PHASES.get(r["state"], "") for r in status["robots"]]
-        acting = [p for p in phases if p not in ("lost", "left", "inactive")]
+        phases = [Phase.of_state(r["state"]) for r in status["robots"]]
+        acting = [p for p in phases if not (p.gone or p.told.at_rest)]
         waits = [r for r in status["robots"] if r["waits_for"]]
-        stalled = acting and all(p in ("done", "failed") for p in acting)
+        stalled = acting and all(p.logged is Phase.DONE or p.told.failed for p in acting)
         if status["ended"]:
             self._show_end(status)
             return
@@ -467,7 +453,9 @@ class RosWatch(Activity):
 
     # -- telling the hub ---------------------------------------------------------------------------
 
-    def _show_robot(self, name: str, **fields: Any) -> None:
+    def _show_robot(self, name: str, phase: Optional[Phase] = None, **fields: Any) -> None:
+        if phase is not None:
+            fields["phase"] = phase.value
         shown = self._shown.setdefault(name, {"name": name})
         changed = {k: v for k, v in fields.items() if v is not None and shown.get(k) != v}
         if changed:

@@ -14,8 +14,9 @@ from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.firing import Firing
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
-from gspn_framework_package.execution.team_state import GONE, Phase, RobotState, TeamState
+from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.model.errors import ExecutionError, LogError, RefusedError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.activity import Activity, Fields, Handler, text_field
@@ -153,7 +154,7 @@ class StandaloneRun(Activity, Listener):
     def _robot(self, fields: Fields) -> RobotState:
         name = text_field(fields, "robot")
         robot = self._executor.state.robots.get(name)
-        if robot is None or robot.phase in GONE:
+        if robot is None or robot.phase.gone:
             raise RefusedError("there is no agent '%s' in the run" % name[:80])
         return robot
 

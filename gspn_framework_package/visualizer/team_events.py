@@ -7,7 +7,8 @@ from typing import Any, Dict, List, Optional, Sequence
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.firing import Firing
-from gspn_framework_package.execution.team_state import GONE, Phase, RobotState, TeamState
+from gspn_framework_package.execution.phase import ENTERED, Phase
+from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.net import Marking
 from gspn_framework_package.visualizer.board import Board, Event, fire_event, mark_event
@@ -108,7 +109,7 @@ class TeamEvents:
                 self._robots.pop(move.robot, None)
             else:
                 shown = self._robots.setdefault(move.robot, {"name": move.robot})
-                shown.update(place=target, phase="doing", why="")
+                shown.update(place=target, phase=ENTERED.value, why="")
         fired = fire_event(self.net, t, change, firing.robot, moves)
         events.append({**fired, "s": [firing.slot, firing.index]})
         return events
@@ -143,7 +144,7 @@ class TeamEvents:
             "visit": robot.visit,
             "attempt": robot.attempt,
             "paused": robot.paused,
-            "why": "" if robot.phase in GONE else self.game.why_waiting(state, robot),
+            "why": "" if robot.phase.gone else self.game.why_waiting(state, robot),
         }
 
     def _status_changed(self, state: TeamState) -> List[Event]:

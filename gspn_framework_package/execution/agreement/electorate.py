@@ -13,7 +13,7 @@ from gspn_framework_package.execution.agreement.messages import Envelope
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.ledger import Item, Ledger
-from gspn_framework_package.execution.team_state import GONE, RobotState
+from gspn_framework_package.execution.team_state import RobotState
 
 
 class Electorate:
@@ -46,7 +46,7 @@ class Electorate:
             name
             for name, incarnation in self.state.off.items()
             if name in robots
-            and robots[name].phase not in GONE
+            and not robots[name].phase.gone
             and robots[name].incarnation == incarnation
         }
 
@@ -127,7 +127,7 @@ class Electorate:
         robot = self.own_robot()
         return (
             robot is not None
-            and robot.phase not in GONE
+            and not robot.phase.gone
             and robot.incarnation == self.state.incarnation
         )
 

@@ -21,7 +21,7 @@ from gspn_framework_package.execution.agreement.proposals import Proposals
 from gspn_framework_package.execution.agreement.state import Goal, Position, Proposal, ReplicaState
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.firing import CancelAction, Firing, Move, StartAction
-from gspn_framework_package.execution.team_state import GONE, Phase
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.net import Marking
 
 Command = Union[StartAction, CancelAction]
@@ -60,7 +60,7 @@ class LocalRobot:
     def _follow(self) -> List[Proposal]:
         state, own_proposals = self.state, self.state.own_proposals
         robot = self.electorate.own_robot()
-        if robot is None or robot.phase in GONE or state.ledger.state.ended is not None:
+        if robot is None or robot.phase.gone or state.ledger.state.ended is not None:
             state.position = None
             return [own for own in own_proposals if own.item.private]
         state.position = Position(

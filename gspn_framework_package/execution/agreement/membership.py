@@ -29,7 +29,7 @@ from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.firing import Ended
 from gspn_framework_package.execution.ledger import Item
-from gspn_framework_package.execution.team_state import GONE, Phase
+from gspn_framework_package.execution.phase import Phase
 
 RIVAL = 4
 """Heartbeats for which a robot whose place another log has taken listens for a second process of
@@ -409,14 +409,14 @@ class Membership:
         if state.active or state.ledger.logs.get(self.config.name) != state.log_id:
             return
         if self.config.witness or (
-            robot is not None and robot.phase not in GONE and robot.incarnation <= state.incarnation
+            robot is not None and not robot.phase.gone and robot.incarnation <= state.incarnation
         ):
             self.become_active()
 
     def note_own_fate(self) -> None:
         """The log has grown: see whether it says that our robot left, or was evicted."""
         state, robot = self.state, self.electorate.own_robot()
-        if robot is None or robot.phase not in GONE or state.ledger.state.ended is not None:
+        if robot is None or not robot.phase.gone or state.ledger.state.ended is not None:
             return
         if robot.phase is Phase.LEFT and state.active and robot.incarnation == state.incarnation:
             state.leaving = True
@@ -544,7 +544,7 @@ class Membership:
         if (
             robot == self.config.name
             or known is None
-            or known.phase in GONE
+            or known.phase.gone
             or known.incarnation != incarnation
         ):
             return

@@ -16,7 +16,8 @@ from gspn_framework_package.execution.agreement.membership import Membership
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.proposals import Proposals
 from gspn_framework_package.execution.agreement.state import ReplicaState
-from gspn_framework_package.execution.team_state import GONE, RobotState
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import RobotState
 
 
 class Orders:
@@ -83,13 +84,13 @@ class Orders:
             return "%s is the last one of the team; stop the run instead" % entry.robot
         name = getattr(entry, "robot", "")
         robot = self._robot(name)
-        if name and (robot is None or robot.phase in GONE):
+        if name and (robot is None or robot.phase.gone):
             return "there is no robot '%s' in the team" % name
         if isinstance(entry, log.SetPlace) and entry.place not in plan.action_places:
             return "'%s' is not an action place of the plan" % entry.place
         if isinstance(entry, log.Fire) and entry.transition not in plan.net.transition_index:
             return "the net has no transition '%s'" % entry.transition
-        if isinstance(entry, log.Retry) and robot is not None and robot.phase.value != "failed":
+        if isinstance(entry, log.Retry) and robot is not None and robot.phase is not Phase.FAILED:
             return "the action of %s did not fail" % name
         return ""
 
@@ -100,7 +101,7 @@ class Orders:
             return "the run is over: %s" % state.ledger.state.ended
         if name == me:
             return "%s cannot assert that it is off itself" % me
-        if robot is None or robot.phase in GONE:
+        if robot is None or robot.phase.gone:
             return "there is no robot '%s' in the team" % name
         if state.amnesic or (state.joining and not state.active):
             return "%s has no vote; ask a robot that is in the team" % me

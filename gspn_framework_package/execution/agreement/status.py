@@ -17,7 +17,7 @@ from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.proposer import Proposer
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.agreement.state import ReplicaState
-from gspn_framework_package.execution.team_state import GONE, RobotState
+from gspn_framework_package.execution.team_state import RobotState, told_phase
 
 
 class Status:
@@ -156,10 +156,12 @@ class Status:
         mine = robot.name == self.config.name
         at = state.position if mine else None
         heard = state.peers.get(robot.name).heard
+        team = state.ledger.state
+        told = told_phase(team, robot).told
         return {
             "robot": robot.name,
             "place": self.config.plan.net.places[at.place if at else robot.place].name,
-            "state": self._state_of(robot),
+            "state": told.state,
             "incarnation": robot.incarnation,
             "visit": at.visit if at else robot.visit,
             "attempt": at.attempt if at else robot.attempt,
@@ -167,15 +169,5 @@ class Status:
             "last_contact": 0.0
             if mine
             else (None if heard is None else round(state.now - heard, 3)),
-            "waits_for": self.config.game.why_waiting(state.ledger.state, robot),
+            "waits_for": "" if told.at_rest else self.config.game.why_waiting(team, robot),
         }
-
-    def _state_of(self, robot: RobotState) -> str:
-        """The words of the thesis (4.3.3) for what a robot is up to."""
-        if robot.phase in GONE:
-            return "Lost" if robot.phase.value == "lost" else "Left"
-        if robot.paused or self.state.ledger.state.paused:
-            return "Paused"
-        return {"doing": "Doing", "done": "Waiting", "failed": "Failed"}.get(
-            robot.phase.value, "Inactive"
-        )

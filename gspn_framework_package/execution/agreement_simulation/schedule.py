@@ -21,7 +21,7 @@ from gspn_framework_package.execution.agreement_simulation.world import (
 )
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.history import verify
-from gspn_framework_package.execution.team_state import Phase
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.plan import Plan
 
 FAULTS_END = 0.6

@@ -15,6 +15,7 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.history.team import Team, Token
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.errors import LogError
 
 CYCLE = 10_000
@@ -98,7 +99,7 @@ class Replay(Team):
                     7, "slot %d: %s is due, and does not fire" % (slot, " and ".join(due))
                 )
         here = [r for r in self.robots.values() if r.here]
-        if self.ended is None and here and all(r.phase == "inactive" for r in here):
+        if self.ended is None and here and all(r.phase is Phase.INACTIVE for r in here):
             self.ended = "every robot is in a place without output arcs"
 
     def _look_at_until(self) -> None:
@@ -160,7 +161,7 @@ class Replay(Team):
             robot = self.robots.get(name)
             if robot is None or not robot.here or robot.place != source:
                 return "%s is not in %s" % (name, source)
-            if robot.phase != "done":
+            if robot.phase is not Phase.DONE:
                 return "%s is not done" % name
             if visit != robot.visit + 1:
                 return "%s would skip from visit %d to %d" % (name, robot.visit, visit)
@@ -202,7 +203,7 @@ class Replay(Team):
         if not name:
             return ""
         robot = self.robots.get(name)
-        if robot is None or robot.phase != "done":
+        if robot is None or robot.phase is not Phase.DONE:
             return "%s, which asked, is not done" % name
         if (firing["incarnation"], firing["visit"]) != (robot.incarnation, robot.visit):
             return "%s is at visit %d" % (name, robot.visit)

@@ -10,6 +10,7 @@ from gspn_framework_package.execution.event_log import EventLog, Record
 from gspn_framework_package.execution.history.merge import Merged
 from gspn_framework_package.execution.history.replay import BrokenRuleError
 from gspn_framework_package.execution.history.team import Situation
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.plan import Plan
 
 Origin = Tuple[str, int, int, str]
@@ -168,7 +169,7 @@ class RobotCheck:
             return
         over = self._ended_at is not None and self._length > self._ended_at
         at = self._position()
-        if not over and at is not None and at[4] not in ("lost", "left"):
+        if not over and at is not None and not at[4].gone:
             raise BrokenRuleError(
                 10,
                 "the private move %s was taken back, though the robot was never lost"
@@ -202,7 +203,7 @@ class RobotCheck:
 
     # -- private moves -----------------------------------------------------------------------------
 
-    def _position(self) -> Optional[Tuple[str, int, int, int, str]]:
+    def _position(self) -> Optional[Tuple[str, int, int, int, Phase]]:
         """(place, incarnation, visit, attempt, phase) as this log knew it, private moves
         included."""
         if not 0 < self._length <= len(self.situations):
@@ -221,7 +222,7 @@ class RobotCheck:
         entry, firing = record["entry"], record["firing"]
         at = self._position()
         what = "the private move %s" % _name(origin)
-        if at is None or at[4] != "doing":
+        if at is None or at[4] is not Phase.DOING:
             raise BrokenRuleError(10, "%s: the robot has no action to end" % what)
         if (entry["incarnation"], entry["visit"]) != at[1:3]:
             raise BrokenRuleError(
@@ -267,12 +268,7 @@ class RobotCheck:
         """A private move has the same effect in the agreed log as it had."""
         before = self.situations[slot - 1].get(self.robot) if slot else None
         after = self.situations[slot].get(self.robot)
-        gone = ("lost", "left")
-        if (
-            origin in self._void
-            or (before and before.phase in gone)
-            or (after and after.phase in gone)
-        ):
+        if origin in self._void or (before and before.phase.gone) or (after and after.phase.gone):
             return  # it came into the log after the robot was lost: void
         if self._lost:
             return
@@ -292,7 +288,7 @@ class RobotCheck:
         key = (record["incarnation"], record["visit"], record["attempt"])
         what = "the goal of %s for visit %d, attempt %d" % (self.robot, key[1], key[2])
         at = self._position()
-        if at is None or at[4] != "doing":
+        if at is None or at[4] is not Phase.DOING:
             raise BrokenRuleError(8, "%s: the robot has no action to start" % what)
         if (record["place"], *key) != at[:4]:
             raise BrokenRuleError(
@@ -309,7 +305,7 @@ class RobotCheck:
         """The robot does what it should, if its log is as long as all others. To be asked of those
         whose node is up and takes part; rule 8."""
         at = self._position()
-        if self._length != len(self.situations) or at is None or at[4] != "doing":
+        if self._length != len(self.situations) or at is None or at[4] is not Phase.DOING:
             return
         if at[1] != self._incarnation or self.plan.action(self.robot, at[0]) is None:
             return

@@ -9,19 +9,19 @@ from dataclasses import dataclass
 from typing import Dict, Iterable, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.plan import FailureKind, LostKind, Plan
 
 
 class Situation(NamedTuple):
-    """Where a robot is after some slot; ``phase`` is one of doing, done, failed, inactive, lost,
-    left."""
+    """Where a robot is after some slot."""
 
     place: str
     incarnation: int
     visit: int
     attempt: int
-    phase: str
+    phase: Phase
 
 
 @dataclass
@@ -33,7 +33,7 @@ class Token:
     incarnation: int
     visit: int = 1
     attempt: int = 1
-    phase: str = "doing"
+    phase: Phase = Phase.DOING
     asks: Optional[str] = None
     """A transition; None: the policy decides."""
     may_ask: Optional[str] = None
@@ -50,7 +50,7 @@ class Token:
     @property
     def here(self) -> bool:
         """Whether its token is in the net."""
-        return self.phase not in ("lost", "left")
+        return not self.phase.gone
 
 
 class Team:
@@ -137,7 +137,7 @@ class Team:
         return change
 
     def _waiting(self) -> List[Token]:
-        done = [r for r in self.robots.values() if r.phase == "done" and not r.paused]
+        done = [r for r in self.robots.values() if r.phase is Phase.DONE and not r.paused]
         return sorted(done, key=lambda r: r.order)
 
     def _free(self, place: str, t: str) -> List[Token]:
@@ -163,17 +163,17 @@ class Team:
         elif isinstance(entry, log.Done):
             robot = self.robots.get(entry.robot)
             key = (entry.incarnation, entry.visit)
-            if robot and robot.phase == "doing" and key == (robot.incarnation, robot.visit):
+            if robot and robot.phase is Phase.DOING and key == (robot.incarnation, robot.visit):
                 self._done(robot, entry.result)
         elif isinstance(entry, log.Failed):
             robot = self.robots.get(entry.robot)
             attempt = (entry.incarnation, entry.visit, entry.attempt)
-            if robot and robot.phase == "doing" and attempt == robot.goal:
+            if robot and robot.phase is Phase.DOING and attempt == robot.goal:
                 self._failed(robot)
         elif isinstance(entry, log.Retry):
             robot = self.robots.get(entry.robot)
-            if robot and robot.phase == "failed":
-                robot.phase, robot.failures = "doing", 0
+            if robot and robot.phase is Phase.FAILED:
+                robot.phase, robot.failures = Phase.DOING, 0
                 robot.attempt += 1
         elif isinstance(entry, log.Fire):
             t = entry.transition
@@ -216,14 +216,14 @@ class Team:
     def _enter(self, robot: Token) -> None:
         robot.attempt, robot.failures = 1, 0
         robot.asks = robot.may_ask = None
-        robot.phase = "doing"
+        robot.phase = Phase.DOING
         if self.plan.action(robot.name, robot.place) is None:
             self._done(robot, "")
 
     def _done(self, robot: Token, result: Optional[str]) -> None:
         leaving = self.leaving[robot.place]
         if not leaving:
-            robot.phase = "inactive"
+            robot.phase = Phase.INACTIVE
         elif result and result != "None":
             if result in leaving:
                 self._ask(robot, result)
@@ -238,7 +238,7 @@ class Team:
 
     def _ask(self, robot: Token, what: Optional[str]) -> None:
         self.orders += 1
-        robot.phase, robot.asks, robot.order, robot.failures = "done", what, self.orders, 0
+        robot.phase, robot.asks, robot.order, robot.failures = Phase.DONE, what, self.orders, 0
 
     def _failed(self, robot: Token) -> None:
         rule = self.plan.failure_rule(robot.place)
@@ -251,7 +251,7 @@ class Team:
             if rule.kind is FailureKind.STOP:
                 self.ended = "an action of %s failed" % robot.name
             else:
-                robot.phase = "failed"
+                robot.phase = Phase.FAILED
 
     def _join(self, entry: log.Join) -> None:
         robot = self.robots.get(entry.robot)
@@ -269,7 +269,7 @@ class Team:
                 robot.visit += 1
                 self.marking[robot.place] += 1
                 self._enter(robot)
-            elif robot.phase == "doing":
+            elif robot.phase is Phase.DOING:
                 robot.attempt += 1
 
     def _gone(self, entry: log.Entry) -> None:
@@ -280,13 +280,13 @@ class Team:
         if self.members() == [robot.name] and not self.agents:
             return  # the last one of a team stays
         if isinstance(entry, log.Leave):
-            robot.phase = "left"
+            robot.phase = Phase.LEFT
             self.marking[robot.place] -= 1
             robot.paused = False
             return
         if entry.incarnation != robot.incarnation:
             return
-        robot.phase, robot.paused = "lost", False
+        robot.phase, robot.paused = Phase.LOST, False
         self.marking[robot.place] -= 1
         for place, n in self.plan.on_evict.get(robot.place, {}).items():
             self.marking[place] += n
@@ -306,7 +306,7 @@ class Team:
                         other.asks = rule.transition
 
     def _all_waiting(self) -> List[Token]:
-        return [r for r in self.robots.values() if r.phase == "done"]
+        return [r for r in self.robots.values() if r.phase is Phase.DONE]
 
     def _waits_for(self, robot: Token, place: str) -> bool:
         wanted: Iterable[str] = [robot.asks] if robot.asks else self.leaving[robot.place]

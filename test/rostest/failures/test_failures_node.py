@@ -53,15 +53,15 @@ class FailuresTest(RobotTestCase):
     def team(self, plan, robots=("robot_1",), **parameters):
         return super().team(plan, robots, actions=ACTIONS, **parameters)
 
-    def wait_until_waiting(self, robot, place):
+    def wait_until_failed(self, robot, place):
         """Wait until the robot's action in ``place`` has failed for good."""
         return wait_for(
             lambda: (
-                (robot.state().place, robot.state().state) == (place, "Waiting")
+                (robot.state().place, robot.state().state) == (place, "Failed")
                 and robot.status()["waits_for"]
             ),
             20,
-            "%s to wait in %s" % (robot.name, place),
+            "%s to have failed in %s" % (robot.name, place),
         )
 
     def test_11_every_rule(self):
@@ -92,7 +92,7 @@ class FailuresTest(RobotTestCase):
         diagnostics = []
         rospy.Subscriber("/diagnostics", DiagnosticArray, diagnostics.append)
 
-        waits_for = self.wait_until_waiting(robot, "used_up")
+        waits_for = self.wait_until_failed(robot, "used_up")
         self.assertEqual(robot.logged_transitions(), ["T1", "T_fired", "T_timed_out"])
         self.assertIn("aborted: broken", waits_for)
         self.assertIn("operator", waits_for)
@@ -110,9 +110,9 @@ class FailuresTest(RobotTestCase):
 
         answer = robot.command("set_place", argument="waits")
         self.assertTrue(answer.success, answer.message)
-        self.wait_until_waiting(robot, "waits")
+        self.wait_until_failed(robot, "waits")
         self.assertTrue(robot.command("retry").success)
-        waits_for = self.wait_until_waiting(robot, "nonsense")
+        waits_for = self.wait_until_failed(robot, "nonsense")
         self.assertIn("bad result", waits_for)
         self.assertIn("T_no_such_thing", waits_for)
         self.assertLess(len(waits_for), 1000)
@@ -186,7 +186,7 @@ class FailuresTest(RobotTestCase):
             "the goal to be taken",
         )
         servers.kill()
-        waits_for = self.wait_until_waiting(robot, "P1")
+        waits_for = self.wait_until_failed(robot, "P1")
         self.assertIn("server died", waits_for)
         servers = serve()
         self.addCleanup(servers.kill)

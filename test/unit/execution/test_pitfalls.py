@@ -17,8 +17,8 @@ from game_driver import Run, make_plan
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
-from gspn_framework_package.execution.team_state import Phase
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import GspnError, PolicyError

@@ -13,7 +13,8 @@ from waiting import wait_for
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
 from gspn_framework_package.execution.firing import Firing
-from gspn_framework_package.execution.standalone import AgentState, Listener, StandaloneExecutor
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.formats.plan_json import plan_from_json
@@ -54,7 +55,7 @@ class Recorder(Listener):
     def __init__(self) -> None:
         self.entries: List[List[Any]] = []
         self.firings: List[Firing] = []
-        self.states: Dict[str, List[AgentState]] = {}
+        self.states: Dict[str, List[Phase]] = {}
         self.faults: List[str] = []
         self.feedback: List[Any] = []
         self._news = threading.Condition()
@@ -65,9 +66,9 @@ class Recorder(Listener):
             self.firings += firings
             self._news.notify_all()
 
-    def on_agent_state(self, agent: str, state: AgentState) -> None:
+    def on_phase(self, agent: str, phase: Phase) -> None:
         with self._news:
-            self.states.setdefault(agent, []).append(state)
+            self.states.setdefault(agent, []).append(phase)
             self._news.notify_all()
 
     def on_fault(self, agent: str, message: str) -> None:
@@ -91,16 +92,14 @@ def run(plan: Plan) -> Tuple[StandaloneExecutor, Recorder]:
 
 
 LINE = {"T1": (True, ["P1"], ["P2"])}
-S = AgentState
+S = Phase
 
 
 def test_an_agent_goes_through_the_states_of_figure_4_5(tmp_path: Path) -> None:
     executor, recorder = run(write_plan(tmp_path, "def go(): pass\n", net=LINE, tokens={"P1": 1}))
     ended = executor.wait(DEADLINE)
     assert ended is not None and ended.finished
-    assert recorder.states == {
-        "1": [S.FREE, S.OCCUPIED, S.DONE, S.FREE, S.OCCUPIED, S.DONE, S.INACTIVE]
-    }
+    assert recorder.states == {"1": [S.FREE, S.DOING, S.DONE, S.FREE, S.DOING, S.DONE, S.INACTIVE]}
 
 
 def test_agents_that_meet_wait_and_the_surplus_becomes_void(tmp_path: Path) -> None:
@@ -122,7 +121,7 @@ def test_agents_that_meet_wait_and_the_surplus_becomes_void(tmp_path: Path) -> N
         m for n, m in sys.modules.items() if getattr(m, "__file__", "") == str(tmp_path / "work.py")
     ).gate.set()
     assert executor.wait(DEADLINE) is not None
-    assert recorder.states["1"][:4] == [S.FREE, S.OCCUPIED, S.DONE, S.WAITING]
+    assert recorder.states["1"][:4] == [S.FREE, S.DOING, S.DONE, S.WAITING]
     assert sum(states[-1] is S.VOID for states in recorder.states.values()) == 1
     assert sum(states[-1] is S.INACTIVE for states in recorder.states.values()) == 1
 
@@ -175,7 +174,7 @@ def test_functions_that_do_not_succeed_leave_the_agent_to_the_operator(
     executor, recorder = run(plan)
     recorder.until(lambda: recorder.faults)
     assert reason in recorder.faults[0]
-    recorder.until(lambda: S.WAITING in recorder.states["1"])
+    recorder.until(lambda: S.FAILED in recorder.states["1"])
     assert "waits for the operator" in executor.status()["agents"][0]["why"]
     executor.order(log.Retry("1"))
     recorder.until(lambda: len(recorder.faults) == 2)
@@ -204,7 +203,7 @@ def test_stop_cancels_what_runs_and_does_not_wait_for_what_never_returns(tmp_pat
         tmp_path, "import time\ndef go(): time.sleep(60)\n", net=LINE, tokens={"P1": 2}
     )
     executor, recorder = run(plan)
-    recorder.until(lambda: list(recorder.states.values()).count([S.FREE, S.OCCUPIED]) == 2)
+    recorder.until(lambda: list(recorder.states.values()).count([S.FREE, S.DOING]) == 2)
     executor.stop("enough")
     ended = executor.wait(DEADLINE)
     assert ended is not None and (ended.reason, ended.finished) == ("enough", False)

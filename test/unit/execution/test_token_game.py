@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from gspn_framework_package.execution import entries as log
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
-from gspn_framework_package.execution.team_state import Phase, TeamState
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Net

@@ -7,7 +7,8 @@ import pytest
 pytest.importorskip("rospy")
 pytest.importorskip("gspn_framework_package.msg")
 
-from gspn_framework_package.execution.team_state import Phase, RobotState, TeamState
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.ros.execution_node import ExecutionNode
 from gspn_framework_package.ros.narrator import level_of
 

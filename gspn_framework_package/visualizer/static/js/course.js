@@ -1,6 +1,8 @@
 // The course of a run up to the board that is shown: what the time line draws. It is read from the events at hand; what
 // they do not tell is left out.
 
+import { named, told } from "./phases.js";
+
 const NOWHERE = -1;
 
 /** The events since the last reset, without those that were taken back: their times only grow. With `whole`, also those
@@ -31,8 +33,8 @@ export function lanesOf(model, begin, end) {
   const last = model.indexAfter(board.n);
   const lanes = new Map();
   const leave = (lane, t) => {
-    const phase = lane.paused ? "waiting" : lane.phase; // without one nothing was heard of it
-    if (phase && phase !== "left" && lane.place >= 0 && t > begin && t > lane.at)
+    const phase = lane.paused ? named.paused : lane.phase; // without one nothing was heard of it
+    if (phase && told(phase).shown && lane.place >= 0 && t > begin && t > lane.at)
       lane.parts.push([Math.max(begin, lane.at), t, lane.place, phase]);
   };
   const change = (name, t, place, phase, paused) => {
@@ -52,21 +54,21 @@ export function lanesOf(model, begin, end) {
     lane.paused = paused ?? lane.paused;
   };
   // the events at hand lead from a board that is known to the one that is shown; otherwise only the latter is told
-  const told = base && base.n <= board.n && (last > 0 ? events[last - 1].n : base.n) === board.n;
-  for (const robot of (told ? base : board).robots.values())
+  const known = base && base.n <= board.n && (last > 0 ? events[last - 1].n : base.n) === board.n;
+  for (const robot of (known ? base : board).robots.values())
     change(
       robot.name,
-      robot.since ?? (told ? base : board).t,
+      robot.since ?? (known ? base : board).t,
       robot.place,
       robot.phase,
       robot.paused,
     );
-  for (let i = 0; told && i < last; i++) {
+  for (let i = 0; known && i < last; i++) {
     const event = events[i];
     if (event.n <= base.n) continue;
     if (event.k === "fire") {
       for (const move of event.m)
-        change(move[0], event.t, move[2] ?? NOWHERE, move[2] === null ? "" : "doing");
+        change(move[0], event.t, move[2] ?? NOWHERE, move[2] === null ? "" : named.entered);
     } else if (event.k === "robots") {
       for (const robot of event.r)
         change(robot.name, event.t, robot.place, robot.phase, robot.paused);

@@ -3,6 +3,7 @@
 
 import { h, $, isPressed, toast, seconds, plural, number } from "./dom.js";
 import { get } from "./api.js";
+import { told } from "./phases.js";
 import { robotCard } from "./robots_panel.js";
 
 /** Whether a field holds something that is no number; then it says so. */
@@ -181,7 +182,7 @@ export class Inspector extends EventTarget {
     const { scene, board } = this.model;
     const place = scene.places[index];
     const robots = [...board.robots.values()].filter(
-      (robot) => robot.place === index && robot.phase !== "lost" && robot.phase !== "left",
+      (robot) => robot.place === index && !told(robot.phase).gone,
     );
     const kinds = {
       action: "action place",

@@ -16,6 +16,7 @@ import { bindKeys, showHelp } from "./keys.js";
 import { Panels } from "./panels.js";
 import { openingScreen, hideOpening } from "./opening.js";
 import { setPalette } from "./colours.js";
+import { alarming, setPhases } from "./phases.js";
 import { notice, closeNotice } from "./notice.js";
 import { Orders, ONLY_LOOK } from "./orders.js";
 
@@ -55,6 +56,7 @@ class Page {
       return;
     }
     setPalette(this.hello.robot_colours);
+    setPhases(this.hello.phases);
     addEventListener("hashchange", () => this.route());
     await this.route();
   }
@@ -421,8 +423,6 @@ class Page {
     this.showOrders(status);
     const alarms = [];
     const robots = [...(model.mode === "REPLAY" ? model.board : model.head).robots.values()];
-    const named = (phase) =>
-      robots.filter((robot) => robot.phase === phase).map((robot) => robot.name);
     const alarm = (text, kind = "") =>
       alarms.push(
         h(
@@ -435,8 +435,10 @@ class Page {
           h("span", { text }),
         ),
       );
-    if (named("lost").length) alarm(`Lost: ${named("lost").join(", ")}`);
-    if (named("failed").length) alarm(`Failed: ${named("failed").join(", ")}`);
+    for (const [phase, { word }] of alarming()) {
+      const names = robots.filter((robot) => robot.phase === phase).map((robot) => robot.name);
+      if (names.length) alarm(`${word[0].toUpperCase()}${word.slice(1)}: ${names.join(", ")}`);
+    }
     if (status.stalled) alarm(`Stalled: ${status.stalled}`);
     if (status.paused) alarm("The team is paused", "warning");
     if (status.ended)

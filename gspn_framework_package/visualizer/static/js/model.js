@@ -2,69 +2,12 @@
 // The server plays the token game; the page only adds up what it is told.
 
 import { get } from "./api.js";
+import { applyEvent, boardOf, copyOf } from "./board.js";
 
 const KEPT = 20000; // events kept for the log and the time line
 const AHEAD = 5000; // events that are asked for at once while a recorded run is played
 const PREPARED = 3; // s of playing for which events are to be at hand
 const STALL = 250; // ms that the playback goes on at most between two frames: a page that was hidden does not leap
-
-export function applyEvent(board, event) {
-  board.n = event.n;
-  board.t = event.t;
-  if (event.k === "fire" || event.k === "undo") {
-    for (const [p, change] of event.d) board.marking[p] += change;
-    board.counts[event.tr] += event.k === "fire" ? 1 : -1;
-    for (const t of event.dis) board.enabled.delete(t);
-    for (const t of event.en) board.enabled.add(t);
-    for (const [name, , to] of event.m) {
-      if (to === null) {
-        board.robots.delete(name);
-        continue;
-      }
-      board.robots.set(name, {
-        ...(board.robots.get(name) || { name }),
-        place: to,
-        phase: "doing",
-        why: "",
-        since: event.t,
-      });
-    }
-  } else if (event.k === "mark") {
-    board.marking = event.marking.slice();
-    board.enabled = new Set(event.enabled);
-    if (event.restart) board.counts = board.counts.map(() => 0);
-    if (event.counts) board.counts = event.counts.slice();
-  } else if (event.k === "robots") {
-    for (const robot of event.r) {
-      const known = { ...(board.robots.get(robot.name) || {}), ...robot };
-      const before = board.robots.get(robot.name) || {};
-      if (known.place !== before.place || known.phase !== before.phase) known.since = event.t;
-      board.robots.set(robot.name, known);
-    }
-    for (const name of event.gone || []) board.robots.delete(name);
-  } else if (event.k === "note") {
-    board.notes = [...board.notes.slice(-49), event];
-  } else if (event.k === "status") {
-    board.status = { ...board.status, ...event.status };
-  }
-}
-
-const copyOf = (board) => ({
-  ...board,
-  marking: board.marking.slice(),
-  counts: board.counts.slice(),
-  enabled: new Set(board.enabled),
-  robots: new Map(board.robots),
-  notes: board.notes.slice(),
-});
-
-export function boardOf(data) {
-  return {
-    ...data,
-    enabled: new Set(data.enabled),
-    robots: new Map(data.robots.map((robot) => [robot.name, robot])),
-  };
-}
 
 /** Fires: "scene", "reset" (the board is another one), "events" (detail.events were added to the board),
  * "head" (news behind a paused view), "latest" (detail.keys), "view" (following or not). */

@@ -3,6 +3,7 @@
 import { RADIUS, BAR, dots, discs } from "./geometry.js";
 import { natural, s } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
+import { named, told } from "./phases.js";
 
 const MOST = 9; // tokens or robots that are drawn one by one
 
@@ -82,7 +83,7 @@ function drawRobots(node, robots) {
     robots
       .sort((a, b) => natural(a.name, b.name))
       .map((robot, i) => {
-        const phase = robot.why && robot.phase !== "failed" ? "waiting" : robot.phase || "";
+        const phase = robot.why && !told(robot.phase).failed ? named.waiting : robot.phase || "";
         const id = shortName(robot.name);
         const text = s("text", { text: id });
         const [high, wide] = square ? [1.5, 3] : [1.15, 2.6];

@@ -17,6 +17,7 @@ import {
 import { KeptPositions } from "./kept_positions.js";
 import { Travel } from "./travel.js";
 import { Labels } from "./labels.js";
+import { told } from "./phases.js";
 
 const TILED = 800; // nets with more nodes are drawn in tiles
 const TILE = 40; // nodes in a tile
@@ -211,11 +212,11 @@ export class NetView extends EventTarget {
       if (
         robot.place === undefined ||
         robot.place < 0 ||
-        robot.phase === "left" ||
+        !told(robot.phase).shown ||
         this.pendingRobots.has(robot.name)
       )
         continue;
-      const robots = robot.phase === "lost" ? lost : here;
+      const robots = told(robot.phase).gone ? lost : here;
       if (!robots.has(robot.place)) robots.set(robot.place, []);
       robots.get(robot.place).push(robot);
     }

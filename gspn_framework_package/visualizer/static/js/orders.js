@@ -2,6 +2,7 @@
 
 import { h, ask, announce, toast } from "./dom.js";
 import { post } from "./api.js";
+import { told } from "./phases.js";
 
 export const ONLY_LOOK = "the viewer's token may only look";
 const KEPT = 6;
@@ -116,7 +117,7 @@ export class Orders extends EventTarget {
   async stop() {
     const { model } = this;
     const robots = [...model.board.robots.values()]
-      .filter(({ phase }) => !["lost", "left"].includes(phase))
+      .filter(({ phase }) => !told(phase).gone)
       .map(({ name }) => name);
     const known = robots.join(", ") || "no robot is known";
     const team = robots.length > 12 ? `${robots.length} robots` : known;
@@ -222,23 +223,19 @@ export class Orders extends EventTarget {
 
   /** The buttons on the card of a robot. */
   ofRobot(robot) {
-    if (["lost", "left", "inactive"].includes(robot.phase)) return [];
+    const is = told(robot.phase);
+    if (is.gone || is.at_rest) return [];
     const { name } = robot;
-    const simple = (label, command, title, kind = "") =>
-      this.button(
-        label,
-        command,
-        () =>
-          this.give(
-            command,
-            { robot: name },
-            label === "Try again" ? `Have ${name} try again` : `${label} ${name}`,
-          ),
-        { about: name, kind, title },
-      );
+    const simple = (label, command, title, says = `${label} ${name}`, kind = "") =>
+      this.button(label, command, () => this.give(command, { robot: name }, says), {
+        about: name,
+        kind,
+        title,
+      });
     const rare = RARE.find((command) => this.offers(command));
     return [
-      robot.phase === "failed" && simple("Try again", "retry", "Start its action again", "primary"),
+      is.failed &&
+        simple("Try again", "retry", "Start its action again", `Have ${name} try again`, "primary"),
       robot.paused
         ? simple("Resume", "resume", "")
         : simple("Pause", "pause", "It joins no firing until it is resumed; its action goes on"),

@@ -3,32 +3,12 @@
 
 import { h, $, isPressed, seconds } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
-
-const PHASES = new Map([
-  ["doing", ["acts", "good"]],
-  ["done", ["waits", "warn"]],
-  ["waiting", ["waits", "warn"]],
-  ["failed", ["failed", "bad"]],
-  ["lost", ["lost", "bad"]],
-  ["left", ["has left", ""]],
-  ["inactive", ["has finished", ""]],
-]);
-
-/** What a robot is up to, in one word, and the kind of badge. After the end of a run (`status`) nobody acts or
- * waits. */
-export function phaseOf(robot, status) {
-  const over = Boolean(status.ended) && !["lost", "left", "failed"].includes(robot.phase);
-  if (over && !(status.finished && robot.phase === "inactive")) return ["stopped", ""];
-  if (robot.paused) return ["paused", "warn"];
-  return PHASES.get(robot.phase) || ["not heard yet", ""];
-}
-
-const gone = (robot) => robot.phase === "lost" || robot.phase === "left";
+import { told, toldOf } from "./phases.js";
 
 /** How long a robot has been at what it does. */
 function since(model, robot) {
   if (
-    gone(robot) ||
+    told(robot.phase).gone ||
     (!robot.phase && !robot.paused) ||
     robot.since === undefined ||
     robot.since === null
@@ -40,14 +20,15 @@ function since(model, robot) {
 export function robotCard(model, robot, buttons = []) {
   const place = robot.place >= 0 ? model.scene.places[robot.place] : null;
   const ended = Boolean(model.board.status.ended);
-  const [word, kind] = phaseOf(robot, model.board.status);
+  const { word, tone } = toldOf(robot, model.board.status);
   const disc = h("span", { class: "disc", text: shortName(robot.name), "aria-hidden": "true" });
   disc.style.background = colourOf(robot.name);
-  const feedback = model.following && !ended && !gone(robot) ? feedbackOf(model, robot) : null;
+  const feedback =
+    model.following && !ended && !told(robot.phase).gone ? feedbackOf(model, robot) : null;
   const attempt = robot.attempt > 1 ? `, attempt ${robot.attempt}` : "";
   return h(
     "div",
-    { class: `robot-card is-${robot.phase}`, "data-robot": robot.name },
+    { class: `robot-card is-${robot.phase} ${told(robot.phase).tone}`, "data-robot": robot.name },
     disc,
     h(
       "div",
@@ -56,13 +37,15 @@ export function robotCard(model, robot, buttons = []) {
         "div",
         { class: "line" },
         h("strong", { text: robot.name }),
-        h("span", { class: `badge ${kind}`, text: word }),
+        h("span", { class: `badge ${tone}`, text: word }),
       ),
       h(
         "div",
         { class: "line muted" },
         h("span", {
-          text: place ? `${gone(robot) || ended ? "was in " : ""}${place.name}${attempt}` : "",
+          text: place
+            ? `${told(robot.phase).gone || ended ? "was in " : ""}${place.name}${attempt}`
+            : "",
         }),
         h("span", { class: "since", text: ended ? "" : since(model, robot) }),
       ),

@@ -4,7 +4,7 @@
 import { $, h, natural, seconds } from "./dom.js";
 import { colourOf } from "./colours.js";
 import { courseOf, lanesOf } from "./course.js";
-import { phaseOf } from "./robots_panel.js";
+import { told, toldOf } from "./phases.js";
 
 const SPANS = [1, 2, 5, 10, 30, 60, 300, 1200, 7200, 86400];
 const TICKS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600, 14400]; // s
@@ -95,9 +95,9 @@ export class TimeLine extends EventTarget {
   /** Number of the last event at hand that is not after `t`. */
   eventAt(t) {
     const { events, mode, oldest } = this.model;
-    const told = mode === "SIMULATE" ? courseOf(this.model) : events;
-    const index = firstAt(told, t + 1e-9);
-    return index > 0 ? told[index - 1].n : oldest;
+    const course = mode === "SIMULATE" ? courseOf(this.model) : events;
+    const index = firstAt(course, t + 1e-9);
+    return index > 0 ? course[index - 1].n : oldest;
   }
 
   later() {
@@ -262,14 +262,14 @@ export class TimeLine extends EventTarget {
         const a = Math.max(label, x(from)),
           b = x(to);
         const bar = Math.max(2, step - 5);
-        const waits = phase === "done" || phase === "waiting";
-        c.globalAlpha = waits ? 0.32 : phase === "inactive" ? 0.18 : 0.85;
-        c.fillStyle = phase === "lost" || phase === "failed" ? ink("--bad") : colour;
+        const is = told(phase);
+        c.globalAlpha = is.waits ? 0.32 : is.at_rest ? 0.18 : 0.85;
+        c.fillStyle = is.needs_operator ? ink("--bad") : colour;
         c.fillRect(a, y + 2, Math.max(1, b - a - 1), bar);
         c.globalAlpha = 1;
-        const does = phase === "lost" ? "lost" : model.scene.places[place]?.name || "";
+        const does = is.gone ? is.word : model.scene.places[place]?.name || "";
         if (b - a > 34 && step >= 14) {
-          c.fillStyle = waits || phase === "inactive" ? ink("--ink") : "#fff";
+          c.fillStyle = is.waits || is.at_rest ? ink("--ink") : "#fff";
           c.textAlign = "left";
           c.save();
           c.beginPath();
@@ -347,7 +347,7 @@ export class TimeLine extends EventTarget {
     const robots = [...board.robots.values()].sort((a, b) => natural(a.name, b.name)).slice(0, 8);
     const does = robots.map(
       (robot) =>
-        `${robot.name} ${phaseOf(robot, board.status)[0]}` +
+        `${robot.name} ${toldOf(robot, board.status).word}` +
         (robot.place >= 0 ? ` in ${scene.places[robot.place].name}` : ""),
     );
     return [`${seconds(board.t)}, event ${board.n} of ${head.n}`, ...does].join("; ");

@@ -1,0 +1,64 @@
+// What is shown at one moment, and how an event leads from there to the next. board.py says what the events are, and has
+// the same rules; a table of cases and events made at random hold the two together (test_browser_board.py).
+
+import { named } from "./phases.js";
+
+const NOTES_KEPT = 50;
+
+export function applyEvent(board, event) {
+  board.n = event.n;
+  board.t = event.t;
+  if (event.k === "fire" || event.k === "undo") {
+    for (const [p, change] of event.d) board.marking[p] += change;
+    board.counts[event.tr] += event.k === "fire" ? 1 : -1;
+    for (const t of event.dis) board.enabled.delete(t);
+    for (const t of event.en) board.enabled.add(t);
+    for (const [name, , to] of event.m) {
+      if (to === null) {
+        board.robots.delete(name);
+        continue;
+      }
+      board.robots.set(name, {
+        ...(board.robots.get(name) || { name }),
+        place: to,
+        phase: named.entered,
+        why: "",
+        since: event.t,
+      });
+    }
+  } else if (event.k === "mark") {
+    board.marking = event.marking.slice();
+    board.enabled = new Set(event.enabled);
+    if (event.restart) board.counts = board.counts.map(() => 0);
+    if (event.counts) board.counts = event.counts.slice();
+  } else if (event.k === "robots") {
+    for (const robot of event.r) {
+      const known = { ...(board.robots.get(robot.name) || {}), ...robot };
+      const before = board.robots.get(robot.name) || {};
+      if (known.place !== before.place || known.phase !== before.phase) known.since = event.t;
+      board.robots.set(robot.name, known);
+    }
+    for (const name of event.gone || []) board.robots.delete(name);
+  } else if (event.k === "note") {
+    board.notes = [...board.notes.slice(1 - NOTES_KEPT), event];
+  } else if (event.k === "status") {
+    board.status = { ...board.status, ...event.status };
+  }
+}
+
+export const copyOf = (board) => ({
+  ...board,
+  marking: board.marking.slice(),
+  counts: board.counts.slice(),
+  enabled: new Set(board.enabled),
+  robots: new Map(board.robots),
+  notes: board.notes.slice(),
+});
+
+export function boardOf(data) {
+  return {
+    ...data,
+    enabled: new Set(data.enabled),
+    robots: new Map(data.robots.map((robot) => [robot.name, robot])),
+  };
+}
