@@ -62,24 +62,16 @@ def run(args: argparse.Namespace) -> int:
 
 def _look_at_functions(plan: Plan) -> List[CheckItem]:
     """The functions that are not there, as far as their source tells without running it."""
-    bound = {
-        action: place
-        for place, action in plan.actions.items()
+    places = {
+        action.function: place
+        for place, action in plan.bindings()
         if isinstance(action, FunctionAction)
     }
-    for robot in plan.robots:
-        bound.update(
-            {
-                action: place
-                for place, action in robot.actions.items()
-                if isinstance(action, FunctionAction)
-            }
-        )
     items = []
-    for action, place in bound.items():
-        text = missing_function(plan.folder, action.function)
+    for function, place in places.items():
+        text = missing_function(plan.folder, function)
         if text:
-            text = "%s in %s: %s" % (action.function, place, text)
+            text = "%s in %s: %s" % (function, place, text)
             items.append(CheckItem("functions", Severity.REFUSED, text, {"place": place}))
     return items
 
@@ -87,10 +79,7 @@ def _look_at_functions(plan: Plan) -> List[CheckItem]:
 def _look_at_goals(plan: Plan) -> List[CheckItem]:
     """What is wrong with the goals for action servers, where this shell has ROS, which knows their
     types."""
-    bound = list(plan.actions.values()) + [
-        action for robot in plan.robots for action in robot.actions.values()
-    ]
-    if not any(isinstance(action, ServerAction) for action in bound):
+    if not any(isinstance(action, ServerAction) for _, action in plan.bindings()):
         return []
     try:
         from gspn_framework_package.ros.action_targets import look_at_goals

@@ -222,10 +222,11 @@ def _write_plan(args: argparse.Namespace) -> int:
 def _bring_functions(plan: Plan, folder: str, copy: bool) -> List[str]:
     """See to it that the files of the plan's functions lie in ``folder``; what a person has to do
     about it."""
-    actions = list(plan.actions.values()) + [
-        a for robot in plan.robots for a in robot.actions.values()
-    ]
-    modules = {a.function.rpartition(".")[0] for a in actions if isinstance(a, FunctionAction)}
+    modules = {
+        action.function.rpartition(".")[0]
+        for _, action in plan.bindings()
+        if isinstance(action, FunctionAction)
+    }
     notes = []
     for module in sorted(modules):
         name = module.replace(".", "/") + ".py"

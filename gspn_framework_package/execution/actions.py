@@ -20,10 +20,23 @@ called. It asks for what it needs by the names of its parameters, all of them op
     number of the robot's visit (it grows at each move) and of the attempt within it: above 1, an
     earlier attempt failed or was cut off by a crash.
 
+Any other parameter is a setting: the plan gives its value, under ``settings``, to the function or
+to the ``__init__`` of the class. So a class with settings is a kind of action of its own::
+
+    class Wait:
+        def __init__(self, seconds):
+            self.seconds = seconds
+
+        def __call__(self, is_cancelled):
+            is_cancelled.wait(self.seconds)
+
+    {"function": "actions.Wait", "settings": {"seconds": 3}}
+
 It returns the name of the transition to fire, or nothing, "" or "None" to let the policy decide
 (thesis Algorithm 1). Any exception means that it failed; :class:`ActionFailed` says so without a
 traceback in the log. A class is instantiated once for each robot (its ``__init__`` may ask for
-``robot``). For example, in ``actions.py`` of a plan's folder, named ``actions.count`` in the plan::
+``robot``) and for each different choice of settings. For example, in ``actions.py`` of a plan's
+folder, named ``actions.count`` in the plan::
 
     from gspn_framework_package.execution.actions import action
 
@@ -35,7 +48,8 @@ traceback in the log. A class is instantiated once for each robot (its ``__init_
                 return None
         return "T_counted"
 
-The decorator is not needed; it checks the parameters where the function is written.
+The decorator is not needed; it checks the parameters of a function without settings where it is
+written.
 """
 
 from __future__ import annotations
@@ -45,12 +59,25 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import json
 import os
 import re
 import sys
 import threading
 from types import ModuleType
-from typing import Any, Callable, Dict, FrozenSet, NamedTuple, Optional, Set, TypeVar, Union
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    FrozenSet,
+    Iterable,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Set,
+    TypeVar,
+    Union,
+)
 
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.expression import shorten
@@ -121,22 +148,37 @@ PARAMETERS = ActionContext._fields + ("id",)
 """The names of what an action may ask for."""
 
 
+NO_SETTINGS: Mapping[str, Any] = {}
+
+
 class PythonAction:
     """A function or class of a plan, ready to be called for any robot.
 
     :param function: the function, or the class.
     :param name: its name in the plan, for messages.
-    :raises PlanError: it cannot be called, or asks for something that there is not.
+    :param settings: what the plan gives it, by the names of its parameters.
+    :raises PlanError: it cannot be called, asks for something that there is not, or has no
+        parameter for a setting.
     """
 
-    def __init__(self, function: Callable[..., Any], name: str) -> None:
+    def __init__(
+        self, function: Callable[..., Any], name: str, settings: Mapping[str, Any] = NO_SETTINGS
+    ) -> None:
         self.name = name
+        self._settings = settings
+        reserved = sorted(set(settings).intersection(PARAMETERS))
+        if reserved:
+            raise PlanError(
+                "the setting '%s' has the name of what the run itself gives" % reserved[0],
+                element="action '%s'" % name,
+                hint="call it otherwise; taken are: %s" % ", ".join(PARAMETERS),
+            )
         self._class = function if inspect.isclass(function) else None
         self._names: FrozenSet[str]
         self._init_names: FrozenSet[str] = frozenset()
         if self._class is None:
             self._function = function
-            self._names = _parameters(function, name)
+            self._names = _parameters(function, name, settings)
         else:
             call = inspect.getattr_static(self._class, "__call__", None)
             if not inspect.isfunction(call):
@@ -147,7 +189,9 @@ class PythonAction:
                 )
             self._names = _parameters(call, name, bound=True)
             if self._class.__init__ is not object.__init__:
-                self._init_names = _parameters(self._class.__init__, name, bound=True)
+                self._init_names = _parameters(self._class.__init__, name, settings, bound=True)
+            elif settings:
+                raise _no_parameter(name, settings)
             self._objects: Dict[str, Any] = {}
             self._lock = threading.Lock()
 
@@ -157,9 +201,10 @@ class PythonAction:
         Whatever it raises is passed on. A result that is no text is returned as its ``repr``, which
         names no transition: the token game reports it as a bad result.
         """
-        function: Callable[..., Any]
-        function = self._function if self._class is None else self._object(context)
-        result = function(**_pick(context, self._names))
+        if self._class is None:
+            result = self._function(**_pick(context, self._names), **self._settings)
+        else:
+            result = self._object(context)(**_pick(context, self._names))
         if result is None:
             return ""
         return result if isinstance(result, str) else "%.200r" % (result,)
@@ -168,7 +213,9 @@ class PythonAction:
         assert self._class is not None
         with self._lock:
             if context.robot not in self._objects:
-                self._objects[context.robot] = self._class(**_pick(context, self._init_names))
+                self._objects[context.robot] = self._class(
+                    **_pick(context, self._init_names), **self._settings
+                )
             return self._objects[context.robot]
 
 
@@ -181,11 +228,14 @@ def action(function: _Function) -> _Function:
     return function
 
 
-def load_action(folder: Optional[str], name: str) -> PythonAction:
+def load_action(
+    folder: Optional[str], name: str, settings: Mapping[str, Any] = NO_SETTINGS
+) -> PythonAction:
     """The action ``module.function`` of a plan.
 
     :param folder: the plan's folder, in which ``module.py`` is looked for (``package.module`` in
         its subfolder); a module that is not there is imported as any other.
+    :param settings: what the plan gives it, by the names of its parameters.
     :raises PlanError: no such module or function, or it is not an action; what importing it raised.
     """
     element = "action '%s'" % name
@@ -213,7 +263,7 @@ def load_action(folder: Optional[str], name: str) -> PythonAction:
     if not callable(function):
         raise PlanError("this is not a function", file=module.__file__, element=element)
     try:
-        return PythonAction(function, name)
+        return PythonAction(function, name, settings)
     except PlanError as error:
         raise error.located(file=module.__file__) from None
 
@@ -228,9 +278,10 @@ def load_actions(plan: Plan, robot: str) -> Dict[str, PythonAction]:
     for place in plan.action_places:
         bound = plan.action(robot, place)
         if isinstance(bound, FunctionAction):
-            if bound.function not in loaded:
-                loaded[bound.function] = load_action(plan.folder, bound.function)
-            result[place] = loaded[bound.function]
+            key = bound.function + json.dumps(bound.settings, sort_keys=True)
+            if key not in loaded:
+                loaded[key] = load_action(plan.folder, bound.function, bound.settings)
+            result[place] = loaded[key]
     return result
 
 
@@ -365,17 +416,26 @@ def _import_failed(error: Exception, file: Optional[str], element: str) -> PlanE
     )
 
 
-def _parameters(function: Callable[..., Any], name: str, bound: bool = False) -> FrozenSet[str]:
-    """The names of the context that ``function`` asks for."""
+def _parameters(
+    function: Callable[..., Any],
+    name: str,
+    settings: Mapping[str, Any] = NO_SETTINGS,
+    bound: bool = False,
+) -> FrozenSet[str]:
+    """The names of the context that ``function`` asks for, beside its settings."""
     try:
         parameters = list(inspect.signature(function).parameters.values())[1 if bound else 0 :]
     except (TypeError, ValueError):  # built in, without a signature
-        return frozenset()
+        parameters = []
     names: Set[str] = set()
+    unused = set(settings)
     missing = inspect.Parameter.empty
     for parameter in parameters:
         if parameter.kind is parameter.VAR_KEYWORD:
             names.update(PARAMETERS)
+            unused.clear()
+        elif parameter.name in unused and parameter.kind is not parameter.POSITIONAL_ONLY:
+            unused.remove(parameter.name)
         elif parameter.name in PARAMETERS:
             if parameter.kind is parameter.POSITIONAL_ONLY:
                 raise PlanError(
@@ -387,9 +447,20 @@ def _parameters(function: Callable[..., Any], name: str, bound: bool = False) ->
             raise PlanError(
                 "its parameter '%s' is nothing that an action can ask for" % parameter.name,
                 element="action '%s'" % name,
-                hint="there are: %s" % ", ".join(PARAMETERS),
+                hint="there are: %s; the value of any other stands in the plan, under settings"
+                % ", ".join(PARAMETERS),
             )
+    if unused:
+        raise _no_parameter(name, unused)
     return frozenset(names)
+
+
+def _no_parameter(name: str, settings: Iterable[str]) -> PlanError:
+    return PlanError(
+        "it has no parameter for the setting '%s'" % sorted(settings)[0],
+        element="action '%s'" % name,
+        hint="settings are passed by name: to the function, or to __init__ of the class",
+    )
 
 
 def _pick(context: ActionContext, names: FrozenSet[str]) -> Dict[str, Any]:

@@ -393,8 +393,7 @@ def _broke_off(error: BaseException) -> str:
 def _load_functions(plan: Plan) -> Dict[str, Dict[str, Callable[[ActionContext], str]]]:
     """The functions by agent and place; "" stands for the agents without actions of their own, and
     for those that will be created."""
-    bound = list(plan.actions.items()) + [i for r in plan.robots for i in r.actions.items()]
-    for place, action in bound:
+    for place, action in plan.bindings():
         if isinstance(action, ServerAction):
             raise PlanError(
                 "it is bound to the action server '%s', and there are none without ROS"

@@ -215,7 +215,8 @@ def _action(place: str, data: Any) -> Action:
     if isinstance(data, str):
         return FunctionAction(data, server_name(place))
     if "function" in data:
-        return FunctionAction(data["function"], data.get("server", server_name(place)))
+        server = data.get("server", server_name(place))
+        return FunctionAction(data["function"], server, data.get("settings", {}))
     return ServerAction(
         data.get("type", EXEC_GSPN), data["server"], data.get("goal"), data.get("outcomes", {})
     )
@@ -302,9 +303,12 @@ def plan_to_short_json(plan: Plan) -> Dict[str, Any]:
 
 def _action_to_json(action: Action) -> Any:
     if isinstance(action, FunctionAction):
-        return {"function": action.function, "server": action.server}
+        data: Dict[str, Any] = {"function": action.function, "server": action.server}
+        if action.settings:
+            data["settings"] = dict(action.settings)
+        return data
     if isinstance(action, ServerAction):
-        data: Dict[str, Any] = {"type": action.type, "server": action.server}
+        data = {"type": action.type, "server": action.server}
         if action.goal is not None:
             data["goal"] = action.goal
         if action.outcomes:

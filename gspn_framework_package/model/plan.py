@@ -10,7 +10,19 @@ import enum
 import hashlib
 import json
 from dataclasses import dataclass, field, replace
-from typing import Any, Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Tuple, Union
+from typing import (
+    Any,
+    Dict,
+    FrozenSet,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Tuple,
+    Union,
+)
 
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.net import Net
@@ -50,10 +62,17 @@ class Outcome(enum.Enum):
 
 class FunctionAction(NamedTuple):
     """An action that is a Python function or class of the plan's folder, ``module.function``; in
-    ROS it is served as an ExecGSPN action server of the name ``server``."""
+    ROS it is served as an ExecGSPN action server of the name ``server``. ``settings`` are passed to
+    the function, or to the class when it is instantiated, by name."""
 
     function: str
     server: str
+    settings: Mapping[str, Any] = {}
+
+    @property
+    def label(self) -> str:
+        """What people call it."""
+        return self.function
 
 
 class ServerAction(NamedTuple):
@@ -70,6 +89,11 @@ class ServerAction(NamedTuple):
     server: str
     goal: Optional[Mapping[str, Any]] = None
     outcomes: Mapping[str, str] = {}
+
+    @property
+    def label(self) -> str:
+        """What people call it."""
+        return "%s (%s)" % (self.server, self.type)
 
 
 Action = Union[FunctionAction, ServerAction, None]
@@ -177,6 +201,13 @@ class Plan:
             if spec.name == robot and place in spec.actions:
                 return spec.actions[place]
         return self.actions.get(place)
+
+    def bindings(self) -> Iterator[Tuple[str, Action]]:
+        """Every place that is bound to an action, and the action: of the team, then of each robot
+        that acts otherwise."""
+        yield from self.actions.items()
+        for robot in self.robots:
+            yield from robot.actions.items()
 
     def failure_rule(self, place: str) -> FailureRule:
         """The failure rule of a place; ``'*'`` in the plan stands for every place without one of

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any, Dict, List, Optional
 
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import FunctionAction, Plan, ServerAction
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.layout import Layout, lay_out, net_hash
 
 
@@ -84,11 +84,7 @@ def _is_environment(net: Net, plan: Plan, t: int) -> bool:
 
 def _action(place: str, plan: Optional[Plan]) -> Optional[str]:
     action = plan.actions.get(place) if plan is not None else None
-    if isinstance(action, FunctionAction):
-        return action.function
-    if isinstance(action, ServerAction):
-        return "%s (%s)" % (action.server, action.type)
-    return None
+    return None if action is None else action.label
 
 
 def _plan(plan: Optional[Plan]) -> Optional[Dict[str, Any]]:

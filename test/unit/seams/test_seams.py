@@ -2,15 +2,26 @@
 that stands for somebody else's, without a change to any other file."""
 
 import json
+import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from gspn_framework_package.cli import main as dispatcher
+from gspn_framework_package.execution.actions import (
+    ActionContext,
+    Cancellation,
+    load_action,
+    load_actions,
+    no_feedback,
+)
 from gspn_framework_package.formats import FORMATS, read_net, register, write_net
+from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.errors import NetError, UsageError
+from gspn_framework_package.model.errors import NetError, PlanError, UsageError
+from gspn_framework_package.model.plan import FunctionAction
 
 
 @pytest.fixture(autouse=True)
@@ -65,8 +76,6 @@ def test_a_format_that_is_not_registered_is_refused(tmp_path):
 
 @pytest.mark.parametrize("changed", [{"name": "pipe"}, {"extensions": (".pnml",)}])
 def test_a_name_or_extension_that_is_taken_is_refused(toy_format, changed):
-    from dataclasses import replace
-
     with pytest.raises(ValueError, match="shares its name or an extension"):
         register(replace(toy_format, **{"name": "other", "extensions": (".other",), **changed}))
 
@@ -131,3 +140,63 @@ def test_a_measure_of_a_part_that_is_left_out_is_null(toy_measures, tmp_path, ca
     data = json.loads(capsys.readouterr().out)
     assert (data["sources"], data["fullest"], data["busy"]) == (None, 1, None)
     assert data["undecided"]["sources"] == data["undecided"]["busy"] == "left out, as asked"
+
+
+# -- a kind of action
+
+
+def plan_in(folder, first, then=None):
+    net = NetBuilder("choice").place("A", tokens=1).place("B").place("C")
+    for name in ("first", "second"):
+        net.immediate(name, inputs="A", outputs="B")
+        net.immediate(name + "_back", inputs="B", outputs="A")
+    net.immediate("on", inputs="B", outputs="C")
+    write_net(net.build(), folder / "net.xml")
+    plan = {
+        "net": "net.xml",
+        "actions": {"A": first, "B": then or first, "C": None},
+        "until": "C >= 1",
+    }
+    (folder / "plan.json").write_text(json.dumps(plan))
+    return str(folder)
+
+
+def in_turn(*transitions):
+    return {"function": "toys.toy_action.InTurn", "settings": {"transitions": transitions}}
+
+
+def test_a_kind_of_action_runs_from_its_settings(tmp_path, capsys):
+    folder = plan_in(tmp_path, in_turn("first"), in_turn("on", "on"))
+    log = str(tmp_path / "log.jsonl")
+    assert dispatcher.main(["check", folder]) == 0
+    assert dispatcher.main(["run", folder, "--log", log]) == 0, capsys.readouterr()
+    fired = re.findall(r'"transition": ?"(\w+)"', Path(log).read_text())
+    assert fired == ["first", "on"]
+
+
+def test_settings_are_kept_when_a_plan_is_written(tmp_path, capsys):
+    folder = plan_in(tmp_path, in_turn("first", "on"))
+    assert dispatcher.main(["convert", folder, str(tmp_path / "one.json")]) == 0
+    assert read_plan(str(tmp_path / "one.json")).actions == read_plan(folder).actions
+
+
+@pytest.mark.parametrize(
+    "settings, message",
+    [
+        ({}, "its parameter 'transitions'.*under settings"),
+        ({"transitions": [], "speed": 1}, "no parameter for the setting 'speed'"),
+        ({"transitions": [], "robot": "r"}, "'robot' has the name of what the run itself gives"),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused(settings, message):
+    with pytest.raises(PlanError, match=message):
+        load_action(None, "toys.toy_action.InTurn", settings)
+
+
+def test_each_choice_of_settings_has_its_own_object(tmp_path):
+    plan = read_plan(plan_in(tmp_path, in_turn("first", "on")))
+    other = FunctionAction("toys.toy_action.InTurn", "C", {"transitions": ["first_back"]})
+    actions = load_actions(replace(plan, actions={**plan.actions, "C": other}), "robot_1")
+    context = ActionContext("A", "robot_1", no_feedback, Cancellation())
+    assert actions["A"] is actions["B"]
+    assert [actions[place](context) for place in "AC"] == ["first", "first_back"]
