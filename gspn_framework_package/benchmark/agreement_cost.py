@@ -23,7 +23,7 @@ DELAY = 0.005
 """Seconds that a message takes, where nothing else is asked for."""
 
 LOADS = {"light": (40.0, 120.0), "saturated": (0.1, 0.2)}
-"""How many delays an action takes: with the first, one fact at a time is under way, mostly."""
+"""How many delays an action takes: with the first, one proposal at a time is under way, mostly."""
 
 BUSY = (0.03, 0.07)
 """Seconds of an action with a delay of one's own."""
@@ -40,7 +40,7 @@ def measure(
     delay: float = DELAY,
     seconds: float = 6.0,
 ) -> Dict[str, Any]:
-    """Delays and messages per fact.
+    """Delays and messages per proposal.
 
     :param load: what to call it.
     :param action: seconds that an action takes, at least and at most.
@@ -72,7 +72,7 @@ def measure(
 
 
 def _delays(world: World, begin: float, delay: float) -> List[float]:
-    """For each coordinated fact: one-way delays until its robot has it in the log."""
+    """For each coordinated proposal: one-way delays until its robot has it in the log."""
     found = []
     for node in world.nodes.values():
         assert node.disk is not None
@@ -111,7 +111,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
             "load",
             "delays, median",
             "delays, mean",
-            "messages a fact",
+            "messages a proposal",
             "messages a firing",
         )
         print("%-8s %-6s %-10s %14s %14s %16s %18s" % titles)

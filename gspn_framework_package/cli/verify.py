@@ -20,7 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--settled",
         action="store_true",
-        help="the run was left alone until nothing was pending: a fact that is not in the log is "
+        help="the run was left alone until nothing was pending: a proposal that is not in the log "
+        "is "
         "a violation",
     )
     parser.add_argument(

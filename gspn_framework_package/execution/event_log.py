@@ -21,8 +21,8 @@ one host). Kinds:
                 ``host`` as in the header, ``fsync``: whether the log is written through to the disk
 ``promised``    acceptor: no ballot below ``ballot`` will be accepted in ``slot`` or later
 ``accepted``    acceptor: accepted ``batch`` under ``ballot`` in ``slot``
-``invoked``     a fact that this robot knows and wants in the log: ``entry``, ``origin``
-``void``        an ``invoked`` fact can no longer take effect (``why``)
+``invoked``     a proposal: what this robot wants in the log: ``entry``, ``origin``
+``void``        an ``invoked`` proposal can no longer take effect (``why``)
 ``private``     partial synchronisation: a move that this robot made on its own: ``entry``,
                 ``origin``, ``firing``
 ``goal``        the goal of an action goes out: ``place``, ``incarnation``, ``visit``, ``attempt``

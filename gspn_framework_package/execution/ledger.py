@@ -58,7 +58,7 @@ class Item(NamedTuple):
                 log.from_json(entry), Origin(robot, incarnation, number, log_id), bool(private)
             )
             if item.private and not isinstance(item.entry, log.Done):
-                raise ValueError("only a Done can be a private move")
+                raise ValueError("only a Done can be a local transition")
             return item
         except (TypeError, ValueError) as error:
             raise LogError("not an entry with its origin: %.200r (%s)" % (data, error)) from None

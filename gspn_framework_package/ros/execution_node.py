@@ -349,7 +349,7 @@ class ExecutionNode(Worker):
                 fired_message(effect, self.plan.net, self._plan_hash, self.options.run)
             )
         for move in effect.firing.moves:
-            # a private move comes a second time, when it is in the agreed log
+            # a local transition comes a second time, when it is in the agreed log
             if move.robot == self.robot and move.visit > self._told_visit:
                 self._told_visit = move.visit
                 self._narrator.say(
@@ -443,7 +443,7 @@ class ExecutionNode(Worker):
         place, visit, phase = "", 0, told_phase(ledger.state, robot)
         if robot is not None and own.position is not None:
             place, visit = self.plan.net.places[own.position.place].name, own.position.visit
-            # private moves, which the log does not know yet
+            # local transitions, which the log does not know yet
             if visit != robot.visit and ledger.state.ended is None:
                 phase = Phase.DOING
             if phase is Phase.DOING and own.reported == own.position.goal:

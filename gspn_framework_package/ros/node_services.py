@@ -31,7 +31,7 @@ ORDER_TIME = 5.0
 
 
 class View(NamedTuple):
-    """What a node knows of its robot and of the team: its own private moves included."""
+    """What a node knows of its robot and of the team: its own local transitions included."""
 
     place: str
     """Name of the place, "" while it has none."""

@@ -14,7 +14,7 @@ QUICK = (
     "amnesia",
     "any vote",
     "repeats",
-    "dropped facts",
+    "dropped proposals",
     "all private",
     "local dice",
     "loaded dice",

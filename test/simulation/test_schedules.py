@@ -52,8 +52,9 @@ def test_fresh_seeds(capsys: pytest.CaptureFixture) -> None:
 
 
 def test_teams_that_keep_the_ways_of_large_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the agreement does otherwise with more than eight robots (rarer heartbeats, facts that
-    are gathered, no votes for those who are not the leader), tested with few, which are faster."""
+    """What the agreement does otherwise with more than eight robots (rarer heartbeats, proposals
+    that are gathered, no votes for those who are not the leader), tested with few, which are
+    faster."""
     monkeypatch.setattr(config, "SMALL_TEAM", 2)
     first = time.time_ns() // 1000 % 10**12
     failures = []

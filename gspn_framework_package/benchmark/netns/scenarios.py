@@ -25,8 +25,8 @@ def minority(mode: str, hold: float = HOLD) -> Numbers:
     """One robot of three is cut off, for less than ``evict_after``.
 
     It finishes its action and waits. With full synchronisation the other two go on; with partial
-    synchronisation they make private moves, but what needs everybody's answer waits. After healing
-    it catches up, and nobody was evicted.
+    synchronisation they make local transitions, but what needs everybody's answer waits. After
+    healing it catches up, and nobody was evicted.
     """
     with _experiment(mode, hold) as lab:
         lab.warm_up()

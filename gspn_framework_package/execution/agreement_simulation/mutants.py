@@ -239,7 +239,7 @@ def _everything_private() -> ContextManager[Any]:
     return _wrap(LocalTransitions, "__init__", make)
 
 
-def _drops_facts() -> ContextManager[Any]:
+def _drops_proposals() -> ContextManager[Any]:
     def make(original: Any) -> Any:
         def on_nack(self: Consensus, body: Any) -> bool:
             beaten = bool(original(self, body))
@@ -702,7 +702,10 @@ MUTANTS = [
     ),
     Mutant("repeats", "protocol", "repeated entries are not left out", _no_deduplication),
     Mutant(
-        "dropped facts", "protocol", "a proposer that gives way forgets its facts", _drops_facts
+        "dropped proposals",
+        "protocol",
+        "a proposer that gives way forgets its proposals",
+        _drops_proposals,
     ),
     Mutant(
         "quorum only",
@@ -777,7 +780,7 @@ MUTANTS = [
     Mutant(
         "numbers only",
         "memory",
-        "facts count by their number, whatever life they are of",
+        "proposals count by their number, whatever life they are of",
         _numbers_only,
     ),
     Mutant(
@@ -812,7 +815,7 @@ MUTANTS = [
     Mutant(
         "newest first",
         "limits",
-        "a batch keeps the newest facts where it is full",
+        "a batch keeps the newest proposals where it is full",
         _newest_first,
         kinds=("tight",),
     ),
@@ -890,7 +893,7 @@ MUTANTS = [
     Mutant(
         "snapshot without seen",
         "limits",
-        "a snapshot does not say whose facts are in it",
+        "a snapshot does not say whose proposals are in it",
         _snapshot_without("seen"),
         kinds=("tight",),
     ),
@@ -929,7 +932,7 @@ MUTANTS = [
     Mutant(
         "drops the first",
         "protocol",
-        "of several facts the first is left out",
+        "of several proposals the first is left out",
         _drops_the_first_fact,
     ),
     Mutant(

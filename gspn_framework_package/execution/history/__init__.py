@@ -11,7 +11,11 @@ from typing import Any, Dict, List, NamedTuple, Optional, Sequence
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.history.merge import Merged
 from gspn_framework_package.execution.history.replay import BrokenRuleError, Replay
-from gspn_framework_package.execution.history.robots import Facts, RobotCheck, check_real_time
+from gspn_framework_package.execution.history.robots import (
+    LoggedProposals,
+    RobotCheck,
+    check_real_time,
+)
 from gspn_framework_package.execution.history.votes import check_votes
 from gspn_framework_package.model.errors import LogError
 
@@ -49,8 +53,8 @@ def verify(logs: Sequence[EventLog], *, settled: bool = False, complete: bool = 
     """Check the logs of one run.
 
     :param logs: of the robots, in any order; of a robot that lost its log, the old one too.
-    :param settled: the team was left alone until nothing was pending, so that a fact which is not
-        in the log, or an action that was not started, is a violation too (rules 8 and 9).
+    :param settled: the team was left alone until nothing was pending, so that a proposal which is
+        not in the log, or an action that was not started, is a violation too (rules 8 and 9).
     :param complete: all logs of the run are here; otherwise votes cannot be counted.
     :raises LogError: no logs, or logs of different runs or plans.
     """
@@ -106,7 +110,7 @@ class _Check:
             if ended_at is None and replay.ended is not None:
                 ended_at = slot
         self.robots = len(replay.robots)
-        facts = Facts(merged, self.length)
+        proposals = LoggedProposals(merged, self.length)
         if self.logs[0].robot:
             check_votes(merged, members, situations, self.complete)
             if self.complete:
@@ -115,7 +119,15 @@ class _Check:
         newest = {log.robot: i for i, log in enumerate(self.logs)}
         for i, log in enumerate(self.logs):
             check = RobotCheck(
-                log, merged, facts, situations, markings, i, plan, ended_at, newest[log.robot] != i
+                log,
+                merged,
+                proposals,
+                situations,
+                markings,
+                i,
+                plan,
+                ended_at,
+                newest[log.robot] != i,
             )
             check.check()
             invoked.update(check.invoked)
@@ -123,14 +135,14 @@ class _Check:
             if last:
                 check.check_goal_at_end()
             if check.open:
-                text = "%s: %d facts are not in the log" % (log.robot, len(check.open))
+                text = "%s: %d proposals are not in the log" % (log.robot, len(check.open))
                 here = replay.robots.get(log.robot)
                 wanted = any(o in check.invoked for o in check.open)
                 if last and wanted and here is not None and here.here:
                     raise BrokenRuleError(9, text)
                 self.notes.append(text)
         if len({str(log.header.get("host", "")) for log in self.logs}) == 1:
-            check_real_time(merged, facts, invoked)
+            check_real_time(merged, proposals, invoked)
         if merged.void:
             self.notes.append("%d slots were given up by an eviction by force" % len(merged.void))
 

@@ -1,5 +1,5 @@
-"""What each robot did, by its own log: its facts, its goals and its private moves, against the
-agreed log."""
+"""What each robot did, by its own log: its proposals, its goals and its local transitions, against
+the agreed log."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gspn_framework_package.model.plan import Plan
 Origin = Tuple[str, int, int, str]
 
 
-class Facts:
+class LoggedProposals:
     """Where each entry is in the agreed log, by its origin; rule 4.
 
     :raises BrokenRuleError: one is there twice, or those of one origin are out of order.
@@ -51,15 +51,17 @@ class Facts:
                     moved.add((robot, visit))
 
     def newest_before(self, key: Origin) -> bool:
-        """Whether a newer fact of the same incarnation is in the log."""
+        """Whether a newer proposal of the same incarnation is in the log."""
         return any(k[:2] == key[:2] and k[3] == key[3] and k[2] > key[2] for k in self.where)
 
 
-def check_real_time(merged: Merged, facts: Facts, invoked: Mapping[Origin, float]) -> None:
-    """What was in the log before another fact came up is before it in the log; rule 5. Only for
+def check_real_time(
+    merged: Merged, proposals: LoggedProposals, invoked: Mapping[Origin, float]
+) -> None:
+    """What was in the log before another proposal came up is before it in the log; rule 5. Only for
     logs of one host, whose clocks are one.
 
-    :param invoked: when each (not private) fact came up.
+    :param invoked: when each (not private) proposal came up.
     """
     by_time = sorted((time, slot) for slot, time in merged.heard.items())
     times = [time for time, _ in by_time]
@@ -67,7 +69,7 @@ def check_real_time(merged: Merged, facts: Facts, invoked: Mapping[Origin, float
     for _, slot in by_time:
         latest.append(max(slot, latest[-1] if latest else -1))
     for key, time in invoked.items():
-        where = facts.where.get(key)
+        where = proposals.where.get(key)
         if where is None:
             continue
         at = bisect_left(times, time)
@@ -85,15 +87,15 @@ class RobotCheck:
     :param situations: for each slot where every robot is after it.
     :param markings: for each slot the marking after it, without the empty places.
     :param ended_at: the slot in which the run ended, None if it did not.
-    :param lost: the robot lost this log and kept another one later: private moves that only it knew
-        may be void.
+    :param lost: the robot lost this log and kept another one later: local transitions that only it
+        knew may be void.
     """
 
     def __init__(
         self,
         log: EventLog,
         merged: Merged,
-        facts: Facts,
+        proposals: LoggedProposals,
         situations: Sequence[Dict[str, Situation]],
         markings: Sequence[Dict[str, int]],
         number: int,
@@ -104,7 +106,7 @@ class RobotCheck:
         self.log = log
         self.robot = log.robot
         self.merged = merged
-        self.facts = facts
+        self.proposals = proposals
         self.situations = situations
         self.markings = markings
         self.number = number
@@ -114,11 +116,11 @@ class RobotCheck:
         self._jumped = False
         self.invoked: Dict[Origin, float] = {}
         self.open: List[Origin] = []
-        """Facts that never got into the log."""
+        """Proposals that never got into the log."""
         self._length = 0
         self._incarnation = 0
         self._ahead: List[Tuple[Origin, Record, Record]] = []
-        """Private moves that are not in the log yet: origin, entry, firing."""
+        """Local transitions that are not in the log yet: origin, entry, firing."""
         self._goals: Set[Tuple[int, int, int]] = set()
         self._last_goal: Optional[Tuple[int, int, int]] = None
         self._void: Set[Origin] = set()
@@ -163,7 +165,8 @@ class RobotCheck:
             self._fact(origin, record)
 
     def _ruled_out(self, origin: Origin, known: Mapping[Origin, Record]) -> None:
-        """A private move is void only where the robot was lost or has left, or the run is over."""
+        """A local transition is void only where the robot was lost or has left, or the run is
+        over."""
         record = known.get(origin)
         if record is None or record["kind"] != "private" or self._jumped:
             return
@@ -172,19 +175,19 @@ class RobotCheck:
         if not over and at is not None and not at[4].gone:
             raise BrokenRuleError(
                 10,
-                "the private move %s was taken back, though the robot was never lost"
+                "the local transition %s was taken back, though the robot was never lost"
                 % _name(origin),
             )
 
     def _in_log(self, origin: Origin) -> bool:
-        where = self.facts.where.get(origin)
+        where = self.proposals.where.get(origin)
         return where is not None and where[0] < self._length
 
     def _fact(self, origin: Origin, record: Record) -> None:
-        where = self.facts.where.get(origin)
+        where = self.proposals.where.get(origin)
         if where is None:
             private = record["kind"] == "private"
-            if private and origin not in self._void and self.facts.newest_before(origin):
+            if private and origin not in self._void and self.proposals.newest_before(origin):
                 raise BrokenRuleError(
                     4, "%s was acknowledged, but was passed over in the log" % _name(origin)
                 )
@@ -199,12 +202,12 @@ class RobotCheck:
 
     def _overtaken(self, origin: Origin) -> bool:
         """Whether a newer one of the same robot made it void."""
-        return any(k[0] == origin[0] and k[1:3] >= origin[1:3] for k in self.facts.where)
+        return any(k[0] == origin[0] and k[1:3] >= origin[1:3] for k in self.proposals.where)
 
-    # -- private moves -----------------------------------------------------------------------------
+    # -- local transitions -------------------------------------------------------------------------
 
     def _position(self) -> Optional[Tuple[str, int, int, int, Phase]]:
-        """(place, incarnation, visit, attempt, phase) as this log knew it, private moves
+        """(place, incarnation, visit, attempt, phase) as this log knew it, local transitions
         included."""
         if not 0 < self._length <= len(self.situations):
             return None
@@ -221,7 +224,7 @@ class RobotCheck:
     def _private_move(self, origin: Origin, record: Record) -> None:
         entry, firing = record["entry"], record["firing"]
         at = self._position()
-        what = "the private move %s" % _name(origin)
+        what = "the local transition %s" % _name(origin)
         if at is None or at[4] is not Phase.DOING:
             raise BrokenRuleError(10, "%s: the robot has no action to end" % what)
         if (entry["incarnation"], entry["visit"]) != at[1:3]:
@@ -238,7 +241,8 @@ class RobotCheck:
         self._ahead.append((origin, entry, firing))
 
     def _known_marking(self, target: str) -> Dict[str, int]:
-        """The marking as this log knew it, with its own private moves, after one to ``target``."""
+        """The marking as this log knew it, with its own local transitions, after one to
+        ``target``."""
         marking = dict(self.markings[self._length - 1])
         place = self.situations[self._length - 1][self.robot].place
         marking[place] -= 1
@@ -265,7 +269,7 @@ class RobotCheck:
             )
 
     def _merged_move(self, origin: Origin, record: Record, slot: int) -> None:
-        """A private move has the same effect in the agreed log as it had."""
+        """A local transition has the same effect in the agreed log as it had."""
         before = self.situations[slot - 1].get(self.robot) if slot else None
         after = self.situations[slot].get(self.robot)
         if origin in self._void or (before and before.phase.gone) or (after and after.phase.gone):
@@ -279,7 +283,7 @@ class RobotCheck:
         ):
             return
         raise BrokenRuleError(
-            10, "the private move %s did not happen in slot %d" % (_name(origin), slot)
+            10, "the local transition %s did not happen in slot %d" % (_name(origin), slot)
         )
 
     # -- goals -------------------------------------------------------------------------------------
@@ -326,4 +330,4 @@ def _key(origin: Any) -> Origin:
 
 
 def _name(origin: Any) -> str:
-    return "fact %d of %s (incarnation %d)" % (origin[2], origin[0], origin[1])
+    return "proposal %d of %s (incarnation %d)" % (origin[2], origin[0], origin[1])

@@ -138,7 +138,7 @@ class FullTest(Meeting, unittest.TestCase):
 class PartialTest(Meeting, unittest.TestCase):
     MODE = "partial"
 
-    def test_private_moves_are_published_too(self):
+    def test_local_transitions_are_published_too(self):
         private = {message.transition for message in self.fired if message.private_move}
         self.assertLessEqual({"Fetched", "Return"}, private)
         self.assertFalse(private & {"Hand_Over", "Plug_In", "Unplug"})

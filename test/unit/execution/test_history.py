@@ -195,7 +195,7 @@ def test_another_draw_of_the_policy_is_found() -> None:
     assert "draw" in violation.text
 
 
-def test_a_private_move_that_touches_others_is_found() -> None:
+def test_a_local_transition_that_touches_others_is_found() -> None:
     logs = story(TOKENS, partial=True)
     record = next(r for log in logs for r in log.records if r["kind"] == "private")
     record["firing"]["transition"] = "t3"
@@ -248,7 +248,7 @@ def test_what_is_left_out_is_found(lie: Callable[[List[EventLog]], None], rule: 
     assert violation.rule == rule, violation
 
 
-def test_a_private_move_that_leads_elsewhere_is_found() -> None:
+def test_a_local_transition_that_leads_elsewhere_is_found() -> None:
     logs = story(TOKENS, partial=True)
     record = next(r for log in logs for r in log.records if r["kind"] == "private")
     record["firing"]["marking"]["p1"] = 5

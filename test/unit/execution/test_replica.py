@@ -477,7 +477,7 @@ def test_the_last_one_of_a_team_stays() -> None:
     world.check()
 
 
-def test_a_robot_that_is_not_evicted_after_all_keeps_its_private_moves() -> None:
+def test_a_robot_that_is_not_evicted_after_all_keeps_its_local_transitions() -> None:
     world = team(TOUR, 3, True)
     world.run(0.5)
     for who in ("r2", "r3", "r1"):  # the last of them stays
