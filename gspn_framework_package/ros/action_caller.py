@@ -1,4 +1,4 @@
-"""Has the actions of a robot executed: sends goals, and waits for none without a deadline."""
+"""Action client: sends goals and puts a deadline on every step."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from gspn_framework_package.ros.action_connection import ActionConnection
 from gspn_framework_package.ros.action_targets import ActionTarget
 from gspn_framework_package.ros.direct_connection import DirectConnection
 from gspn_framework_package.ros.goal_id import GoalIdentity, new_tag
+from gspn_framework_package.ros.goal_state import GoalNews, GoalState
 from gspn_framework_package.ros.patience import DEFAULT_PATIENCE, Patience
 from gspn_framework_package.ros.place_servers import PlaceServer
 from gspn_framework_package.ros.transport.registration import registered_together
@@ -36,20 +37,44 @@ class ActionEnded(NamedTuple):
 
 
 class _Goal:
-    def __init__(self, identity: GoalIdentity, target: ActionTarget, start_at: float) -> None:
+    """A goal, and the deadlines of its present state (monotonic seconds)."""
+
+    def __init__(
+        self, identity: GoalIdentity, target: ActionTarget, start_at: float, connect_by: float
+    ) -> None:
         self.identity, self.target = identity, target
         self.id = str(identity)
+        self.state = GoalState.DELAYED
         self.start_at = start_at
-        self.doing = ""
-        self.connect_by = 0.0
+        self.connect_by = connect_by
         self.connection: Optional[Connection] = None
+        """The way it was sent; None before."""
         self.message: Any = None
+        """As it was sent; None before."""
         self.sent_at = 0.0
         self.send_again_at = 0.0
-        self.acknowledged_by: Optional[str] = None
-        self.ended: Optional[Tuple[str, str]] = None
-        self.result_by: Optional[float] = None
         self.cut_off_at: Optional[float] = None
+        """When the action has taken too long; None: it may take any time."""
+        self.acknowledged_by = ""
+        """Caller id of the server that has it."""
+        self.ended: Optional[Tuple[str, str]] = None
+        """(Outcome, text) as the server said it; None: it was not said."""
+        self.result_by = 0.0
+
+    def become(self, state: GoalState) -> None:
+        """Go on to a state. :raises IllegalTransitionError: that cannot follow."""
+        self.state = self.state.then(state)
+
+    @property
+    def waits_for(self) -> str:
+        """What its state waits for, for people; "" while its action runs."""
+        if self.state is GoalState.DELAYED:
+            return "waits before attempt %d" % self.identity.attempt
+        if self.state is GoalState.CONNECTING:
+            return "waits for the action server %s" % self.target.server
+        if self.state is GoalState.SENT:
+            return "waits for %s to take the goal" % self.target.server
+        return ""
 
 
 class ActionCaller:
@@ -110,19 +135,19 @@ class ActionCaller:
         identity = GoalIdentity(
             self.robot, command.incarnation, command.visit, command.attempt, self.tag
         )
-        self._goal = goal = _Goal(identity, self._targets[command.place], now + command.delay)
-        goal.connect_by = goal.start_at + self._patience.server
-        goal.doing = "waits before attempt %d" % command.attempt
-        if command.delay <= 0:
-            self._connect(goal)
+        start_at = now + command.delay
+        self._goal = _Goal(
+            identity, self._targets[command.place], start_at, start_at + self._patience.server
+        )
         self.poll(now)
 
     def cancel(self) -> None:
         """Cancel what goes on, if anything; no more is told of it."""
         goal, self._goal = self._goal, None
-        if goal is not None and goal.connection is not None:
-            goal.connection.forget()
-            if goal.message is not None:
+        if goal is not None:
+            goal.become(GoalState.OVER)
+            if goal.connection is not None:
+                goal.connection.forget()
                 goal.connection.cancel(goal.id)
 
     def close(self) -> None:
@@ -133,7 +158,7 @@ class ActionCaller:
 
     def doing(self) -> str:
         """What the action under way waits for, for people; "" when there is none."""
-        return self._goal.doing if self._goal else ""
+        return self._goal.waits_for if self._goal else ""
 
     @property
     def connections(self) -> int:
@@ -147,26 +172,26 @@ class ActionCaller:
         goal = self._goal
         if goal is None:
             return None
-        if now < goal.start_at:
-            return goal.start_at
-        if goal.message is None:
+        if goal.state is GoalState.DELAYED:
+            if now < goal.start_at:
+                return goal.start_at
+            goal.become(GoalState.CONNECTING)
+        if goal.state is GoalState.CONNECTING:
             return self._poll_connecting(goal, now)
-        if goal.result_by is not None:
-            if now >= goal.result_by:
-                return self._poll_ended(goal, now)
-            return goal.result_by
+        if goal.state is GoalState.RESULT_DUE:
+            return self._poll_result_due(goal, now)
         if goal.cut_off_at is not None and now >= goal.cut_off_at:
             seconds = self._timeout(goal.target.place)
             self._fail(goal, "timeout", "it took longer than %g s" % (seconds or 0), cancel=True)
             return None
-        if goal.acknowledged_by is None:
-            return self._poll_unacknowledged(goal, now)
+        if goal.state is GoalState.SENT:
+            return self._poll_sent(goal, now)
         return self._poll_active(goal, now)
 
     def _poll_connecting(self, goal: _Goal, now: float) -> Optional[float]:
         connection = self._connection(goal.target.server)
         if connection is None:
-            self._connect(goal)
+            self._open(goal.target)
         elif connection.ready_server() is not None:
             self._send(goal, connection, now)
             return self.poll(now)
@@ -182,7 +207,7 @@ class ActionCaller:
             self._connections.move_to_end(goal.target.server)
         goal.connection = connection
         goal.message = goal.target.new_goal()
-        goal.doing = "waits for %s to take the goal" % goal.target.server
+        goal.become(GoalState.SENT)
         goal.sent_at = now
         goal.send_again_at = now + self._patience.acknowledgement / 3
         seconds = self._timeout(goal.target.place)
@@ -190,7 +215,7 @@ class ActionCaller:
         connection.send(goal.id, goal.message, goal.identity.incarnation)
         self._open_spare()
 
-    def _poll_unacknowledged(self, goal: _Goal, now: float) -> Optional[float]:
+    def _poll_sent(self, goal: _Goal, now: float) -> Optional[float]:
         give_up = goal.sent_at + self._patience.acknowledgement
         if now >= give_up:
             detail = "%s did not take the goal within %g s" % (
@@ -205,10 +230,10 @@ class ActionCaller:
         return min(give_up, goal.send_again_at, goal.cut_off_at or give_up)
 
     def _poll_active(self, goal: _Goal, now: float) -> Optional[float]:
-        assert goal.connection is not None and goal.acknowledged_by is not None
+        assert goal.connection is not None
         if not goal.connection.is_connected(goal.acknowledged_by):
             # connected again within the time for a result, or else it is gone
-            goal.result_by = now + self._patience.result
+            self._await_result(goal, now)
             return goal.result_by
         silence = goal.connection.silence(goal.acknowledged_by)
         if silence >= self._patience.status:
@@ -218,11 +243,17 @@ class ActionCaller:
         look_again = now + min(0.5, self._patience.status - silence)
         return min(look_again, goal.cut_off_at or look_again)
 
-    def _poll_ended(self, goal: _Goal, now: float) -> Optional[float]:
-        """No result came of a goal that has ended, or of which the server does not know."""
-        assert goal.connection is not None and goal.acknowledged_by is not None
+    def _await_result(self, goal: _Goal, now: float) -> None:
+        goal.become(GoalState.RESULT_DUE)
+        goal.result_by = now + self._patience.result
+
+    def _poll_result_due(self, goal: _Goal, now: float) -> Optional[float]:
+        """No result may have come of a goal that has ended, or that the server does not know."""
+        if now < goal.result_by:
+            return goal.result_by
+        assert goal.connection is not None
         if goal.ended is None and goal.connection.is_connected(goal.acknowledged_by):
-            goal.result_by = None
+            goal.become(GoalState.ACTIVE)
             return self.poll(now)
         outcome, detail = goal.ended or (
             "server died",
@@ -238,24 +269,26 @@ class ActionCaller:
 
     # -- the worker thread: what servers say -------------------------------------------------------
 
-    def _heard(self, connection: Connection, what: str, goal_id: str, value: Any) -> None:
+    def _heard(self, connection: Connection, what: GoalNews, goal_id: str, value: Any) -> None:
         goal = self._goal
         if goal is None or goal.id != goal_id or goal.connection is not connection:
             return
-        if what == "acknowledged":
+        if what is GoalNews.ACKNOWLEDGED:
+            if goal.state is not GoalState.SENT:
+                return
+            goal.become(GoalState.ACTIVE)
             goal.acknowledged_by = value
-            goal.doing = ""
             callers = [c for c in connection.last_status if connection.is_connected(c)]
             if len(callers) > 1:
                 rospy.logwarn(
                     "there are %d servers %s: %s", len(callers), connection.server, callers
                 )
-        elif what == "result":
+        elif what is GoalNews.RESULT:
             self._finish(goal, *value)
-        elif what == "feedback":
+        elif what is GoalNews.FEEDBACK:
             self._feedback(goal.identity, value)
-        elif goal.result_by is None:  # it has ended, or the server does not know it any more
-            goal.result_by = time.monotonic() + self._patience.result
+        elif goal.state is GoalState.ACTIVE:  # it has ended, or the server no longer knows it
+            self._await_result(goal, time.monotonic())
             goal.ended = value or (
                 "server died",
                 "%s does not know the goal any more" % connection.server,
@@ -274,17 +307,13 @@ class ActionCaller:
         self._end(goal, ActionEnded(goal.identity, "", reason, detail))
 
     def _end(self, goal: _Goal, ended: ActionEnded) -> None:
+        goal.become(GoalState.OVER)
         if goal.connection is not None:
             goal.connection.forget()
         self._goal = None
         self._ended(ended)
 
     # -- connections -------------------------------------------------------------------------------
-
-    def _connect(self, goal: _Goal) -> None:
-        goal.doing = "waits for the action server %s" % goal.target.server
-        if self._connection(goal.target.server) is None:
-            self._open(goal.target)
 
     def _connection(self, server: str) -> Optional[Connection]:
         return self._direct.get(server) or self._connections.get(server)
@@ -311,7 +340,7 @@ class ActionCaller:
 
         self._background.put(open_it)
 
-    def _hand_on(self, connection: Connection, what: str, goal_id: str, value: Any) -> None:
+    def _hand_on(self, connection: Connection, what: GoalNews, goal_id: str, value: Any) -> None:
         self._enqueue(self._heard, connection, what, goal_id, value)
 
     def _opened(self, connection: ActionConnection) -> None:

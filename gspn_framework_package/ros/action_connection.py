@@ -9,6 +9,7 @@ import rospy
 from actionlib_msgs.msg import GoalID, GoalStatus, GoalStatusArray
 
 from gspn_framework_package.ros.goal_id import parse_goal_id
+from gspn_framework_package.ros.goal_state import GoalNews
 
 ENDED = {
     GoalStatus.SUCCEEDED: "succeeded",
@@ -39,13 +40,8 @@ class ActionConnection:
     :param tag: tag of this start of the node. An unfinished goal of the robot with another tag is
         left over from a node that died, if it is there when this one connects or is of an earlier
         incarnation: it is cancelled.
-    :param hand_on: called as ``hand_on(connection, what, goal_id, value)``, where ``what`` is
-
-        - ``acknowledged``: the server knows the goal; value: caller id of the server,
-        - ``unknown``: the server that acknowledged the goal does not know it any more,
-        - ``ended``: the goal has ended; value: (outcome, text); its result may still come,
-        - ``result``: value: (outcome, text, result message),
-        - ``feedback``: value: the feedback message.
+    :param hand_on: called as ``hand_on(connection, what, goal_id, value)``; :class:`GoalNews` says
+        which value goes with what.
     """
 
     def __init__(
@@ -54,7 +50,7 @@ class ActionConnection:
         action_type: Any,
         robot: str,
         tag: str,
-        hand_on: Callable[[ActionConnection, str, str, Any], None],
+        hand_on: Callable[[ActionConnection, GoalNews, str, Any], None],
     ) -> None:
         spec = action_type()
         self.server = server
@@ -154,14 +150,16 @@ class ActionConnection:
                 known = True
                 if self._acknowledged_by is None:
                     self._acknowledged_by = caller
-                    self._hand_on(self, "acknowledged", watched, caller)
+                    self._hand_on(self, GoalNews.ACKNOWLEDGED, watched, caller)
                 if status.status in ENDED and not self._told_end:
                     self._told_end = True
-                    self._hand_on(self, "ended", watched, (ENDED[status.status], status.text))
+                    self._hand_on(
+                        self, GoalNews.ENDED, watched, (ENDED[status.status], status.text)
+                    )
             elif status.status not in ENDED and not goal_id.endswith(self._tag):
                 self._cancel_leftover(goal_id, first)
         if watched and not known and self._acknowledged_by == caller:
-            self._hand_on(self, "unknown", watched, None)
+            self._hand_on(self, GoalNews.UNKNOWN, watched, None)
 
     def _cancel_leftover(self, goal_id: str, first: bool) -> None:
         identity = parse_goal_id(goal_id)
@@ -177,8 +175,8 @@ class ActionConnection:
         status = message.status
         if status.goal_id.id == self._watched and status.status in ENDED:
             value = (ENDED[status.status], status.text, message.result)
-            self._hand_on(self, "result", status.goal_id.id, value)
+            self._hand_on(self, GoalNews.RESULT, status.goal_id.id, value)
 
     def _on_feedback(self, message: Any) -> None:
         if message.status.goal_id.id == self._watched:
-            self._hand_on(self, "feedback", self._watched, message.feedback)
+            self._hand_on(self, GoalNews.FEEDBACK, self._watched, message.feedback)

@@ -7,9 +7,11 @@ import time
 from typing import Any, Callable, Dict, Optional
 
 import rospy
+from actionlib_msgs.msg import GoalStatus
 
 from gspn_framework_package.msg import ExecGSPNActionGoal
 from gspn_framework_package.ros.action_connection import ENDED
+from gspn_framework_package.ros.goal_state import GoalNews
 from gspn_framework_package.ros.place_servers import PlaceServer
 
 
@@ -25,7 +27,9 @@ class DirectConnection:
     :param hand_on: see :class:`ActionConnection`.
     """
 
-    def __init__(self, server: PlaceServer, hand_on: Callable[[Any, str, str, Any], None]) -> None:
+    def __init__(
+        self, server: PlaceServer, hand_on: Callable[[DirectConnection, GoalNews, str, Any], None]
+    ) -> None:
         self.server = server.ns
         self._server = server
         self._hand_on = hand_on
@@ -58,7 +62,7 @@ class DirectConnection:
         message.header.stamp = rospy.get_rostime()
         message.goal_id.id = goal_id
         self._server.take(message, self._told)
-        self._hand_on(self, "acknowledged", goal_id, rospy.get_name())
+        self._hand_on(self, GoalNews.ACKNOWLEDGED, goal_id, rospy.get_name())
 
     def forget(self) -> None:
         """Watch no goal."""
@@ -68,12 +72,12 @@ class DirectConnection:
         """Have the server cancel a goal."""
         self._server.cancel_goal(goal_id)
 
-    def _told(self, what: str, status: Any, message: Any) -> None:
-        """By the server, on any thread: ``what`` is "feedback" or "result"."""
+    def _told(self, what: GoalNews, status: GoalStatus, message: Any) -> None:
+        """By the server, on any thread: ``what`` is FEEDBACK or RESULT."""
         goal_id = status.goal_id.id
         if goal_id != self._watched:
             return
-        if what == "feedback":
+        if what is GoalNews.FEEDBACK:
             self._hand_on(self, what, goal_id, message)
         elif status.status in ENDED:
             self._hand_on(self, what, goal_id, (ENDED[status.status], status.text, message))

@@ -23,6 +23,7 @@ from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.model.plan import FunctionAction, Plan
 from gspn_framework_package.msg import ExecGSPNAction, ExecGSPNFeedback, ExecGSPNResult
 from gspn_framework_package.ros.goal_id import GoalIdentity, parse_goal_id
+from gspn_framework_package.ros.goal_state import GoalNews
 from gspn_framework_package.ros.transport.registration import found_parameter, registered_together
 
 KEPT_ENDED = 10
@@ -234,7 +235,7 @@ class PlaceServer(ActionServer):
         self._owner = owner
         self._actions = actions
         self._caller = ""
-        self._direct: Dict[str, Callable[[str, Any, Any], None]] = {}
+        self._direct: Dict[str, Callable[[GoalNews, GoalStatus, Any], None]] = {}
 
     started: bool
     status_list: List[Any]
@@ -280,8 +281,8 @@ class PlaceServer(ActionServer):
         ):
             topic.unregister()
 
-    def take(self, goal: Any, told: Callable[[str, Any, Any], None]) -> None:
-        """Take a goal that comes from this process. :param told: told ("feedback" or "result",
+    def take(self, goal: Any, told: Callable[[GoalNews, GoalStatus, Any], None]) -> None:
+        """Take a goal that comes from this process. :param told: told (FEEDBACK or RESULT,
         status, message) of the goal, besides the topics."""
         with self.lock:
             self._direct[goal.goal_id.id] = told
@@ -303,14 +304,14 @@ class PlaceServer(ActionServer):
         super().publish_result(status, result)
         told = self._direct.pop(status.goal_id.id, None)
         if told is not None:
-            told("result", status, result)
+            told(GoalNews.RESULT, status, result)
 
     def publish_feedback(self, status: Any, feedback: Any) -> None:
         """Tell how far a goal is."""
         super().publish_feedback(status, feedback)
         told = self._direct.get(status.goal_id.id)
         if told is not None:
-            told("feedback", status, feedback)
+            told(GoalNews.FEEDBACK, status, feedback)
 
     def _goal(self, handle: ServerGoalHandle) -> None:
         self._owner.accept(self, handle, self._caller)
