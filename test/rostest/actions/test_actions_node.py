@@ -93,7 +93,7 @@ class Robot:
     def is_under_way(self):
         """Whether a server has taken the goal."""
         goal = self.caller._goal
-        return goal is not None and goal.acknowledged_by is not None
+        return goal is not None and bool(goal.acknowledged_by)
 
     def close(self):
         self._tasks.put((self.caller.close,))

@@ -1,18 +1,20 @@
-// What is shown at one moment, and how an event leads from there to the next. board.py says what the events are, and has
-// the same rules; a table of cases and events made at random hold the two together (test_browser_board.py).
+// What is shown at one moment, and how an event leads from there to the next. board.py says what the events are, and
+// has the same rules; a table of cases and events made at random hold the two together (test_browser_board.py).
 
 import { named } from "./phases.js";
 
 const NOTES_KEPT = 50;
+const SINCE = ["place", "phase"]; // a robot is "since" the moment at which one of these changed
 
+/** Go on by one event. */
 export function applyEvent(board, event) {
   board.n = event.n;
   board.t = event.t;
   if (event.k === "fire" || event.k === "undo") {
     for (const [p, change] of event.d) board.marking[p] += change;
     board.counts[event.tr] += event.k === "fire" ? 1 : -1;
-    for (const t of event.dis) board.enabled.delete(t);
     for (const t of event.en) board.enabled.add(t);
+    for (const t of event.dis) board.enabled.delete(t);
     for (const [name, , to] of event.m) {
       if (to === null) {
         board.robots.delete(name);
@@ -33,10 +35,9 @@ export function applyEvent(board, event) {
     if (event.counts) board.counts = event.counts.slice();
   } else if (event.k === "robots") {
     for (const robot of event.r) {
-      const known = { ...(board.robots.get(robot.name) || {}), ...robot };
-      const before = board.robots.get(robot.name) || {};
-      if (known.place !== before.place || known.phase !== before.phase) known.since = event.t;
-      board.robots.set(robot.name, known);
+      const known = board.robots.get(robot.name) || {};
+      const moved = SINCE.some((key) => key in robot && robot[key] !== (known[key] ?? null));
+      board.robots.set(robot.name, { ...known, ...(moved && { since: event.t }), ...robot });
     }
     for (const name of event.gone || []) board.robots.delete(name);
   } else if (event.k === "note") {
@@ -55,6 +56,7 @@ export const copyOf = (board) => ({
   notes: board.notes.slice(),
 });
 
+/** The board of a JSON object. */
 export function boardOf(data) {
   return {
     ...data,
