@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Dict, List, Mapping, NamedTuple, NoReturn, Optional, Sequence, Union
 
-from gspn_framework_package.model.errors import ExpressionError, GspnError, NetError
+from gspn_framework_package.model.errors import ExpressionError, GspnError, NetError, NoValueError
 from gspn_framework_package.model.expression import evaluate, shorten, whole
 from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
 
@@ -190,7 +190,7 @@ class NetDraft:
             return evaluate(text, self.constants)
         except ExpressionError as error:
             hint = error.hint
-            if "has no value" in error.message:
+            if isinstance(error, NoValueError):
                 hint = "%s; give a constant its value with --const NAME=VALUE" % hint
             self.fail("its %s cannot be computed: %s" % (what, error.message), element, line, hint)
 

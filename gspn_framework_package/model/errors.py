@@ -74,6 +74,10 @@ class ExpressionError(InputError):
     """A condition or an arithmetic expression that cannot be read."""
 
 
+class NoValueError(ExpressionError):
+    """An arithmetic expression names a constant that has no value."""
+
+
 class PolicyError(InputError):
     """Not a well-formed policy: wrong length of a row, probabilities that do not sum to 1, unknown
     name ..."""

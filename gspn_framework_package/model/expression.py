@@ -24,7 +24,7 @@ from typing import (
     Union,
 )
 
-from gspn_framework_package.model.errors import ExpressionError
+from gspn_framework_package.model.errors import ExpressionError, NoValueError
 
 MAX_LENGTH = 10_000
 """Longest expression that is read, in characters."""
@@ -370,7 +370,7 @@ def _apply(node: Expression, arguments: Sequence[float]) -> float:
 def _constant(name: str, constants: Mapping[str, float]) -> float:
     if name not in constants:
         known = ", ".join(sorted(constants)[:8])
-        raise ExpressionError(
+        raise NoValueError(
             "'%s' has no value" % shorten(name),
             hint="known: %s" % known if known else "no constant is known here",
         )

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import gspn_framework_package
+from gspn_framework_package.execution.entries import FAILURES
 from gspn_framework_package.execution.phase import Phase, phases_to_json
 from gspn_framework_package.execution.team_state import RobotState, TeamState, told_phase
 from gspn_framework_package.model.builder import NetBuilder
@@ -122,6 +123,39 @@ def test_there_is_no_second_vocabulary():
         again = look(path.read_text(encoding="utf-8"))
         if again:
             found[str(path.relative_to(PACKAGE))] = again
+    assert found == {}
+
+
+NOT_OURS = {"model name", "success: True"}
+"""What other programs print: /proc/cpuinfo and rosservice."""
+
+
+def sentences(node):
+    """The strings of several words that a node of Python compares something with."""
+    if isinstance(node, ast.Compare):
+        compared = [node.left, *node.comparators]
+    elif isinstance(node, ast.Call) and getattr(node.func, "attr", "") in (
+        "startswith",
+        "endswith",
+    ):
+        compared = node.args
+    else:
+        return set()
+    return {text for text in literals(*compared) if re.match(r".*[a-z:'] [a-z'%]", text)}
+
+
+def test_a_branch_on_a_sentence_would_be_found():
+    for source in ('"has no value" in error.message', 'text.startswith("waits for")'):
+        assert any(sentences(node) for node in ast.walk(ast.parse(source)))
+
+
+def test_nothing_branches_on_a_sentence():
+    found = {}
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            again = sentences(node) - NOT_OURS - set(FAILURES)  # these are codes of the log
+            if again:
+                found["%s:%d" % (path.relative_to(PACKAGE), node.lineno)] = again
     assert found == {}
 
 
