@@ -59,14 +59,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="CONDITION",
-        help="can this come to hold, e.g. \"p3 >= 1 and 'p1:Check L1' == 0\" or deadlock",
+        help="can this marking be reached, e.g. \"p3 >= 1 and 'p1:Check L1' == 0\" or deadlock",
     )
     asking.add_argument(
         "--cover",
         action="append",
         default=[],
         metavar="P=N,...",
-        help="can at least these many tokens be there at once",
+        help="can a marking with at least these tokens be reached",
     )
     asking.add_argument(
         "--mean-time-to",
@@ -97,9 +97,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     effort = parser.add_argument_group("effort")
     add_limit_arguments(effort)
     effort.add_argument(
-        "--engine", choices=ENGINES, default="auto", help="who explores (default: auto)"
+        "--engine", choices=ENGINES, default="auto", help="the engine that explores (default: auto)"
     )
-    parser.epilog = "Exit codes: 0 answered (what was not decided is said), 2 wrong input or usage."
+    parser.epilog = "Exit codes: 0 answered (open questions are listed), 2 wrong input or usage."
 
 
 def run(args: argparse.Namespace) -> int:

@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_sizes,
         default=(),
         metavar="N,N,...",
-        help="these points instead: robots, or places where places grow",
+        help="measure these points instead: numbers of robots, or of places where those grow",
     )
     parser.add_argument(
         "--mode",
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=numbers.duration,
         default=5.0,
         metavar="S",
-        help="seconds that each point is measured for (default: %(default)s)",
+        help="seconds to measure each point (default: %(default)s)",
     )
     parser.add_argument(
         "--output",
@@ -73,7 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "folder was interrupted",
     )
     parser.add_argument(
-        "--again", action="store_true", help="measure points again that the folder holds"
+        "--again",
+        action="store_true",
+        help="also measure the points that the folder already holds",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.epilog = (
@@ -85,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the experiments and tell their figures."""
+    """Run the experiments and print their figures."""
     known = [*scaling.EXPERIMENTS, "standalone"]
     wanted = args.experiments or known
     for name in wanted:

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=numbers.markings,
         default=MARKING_LIMIT,
         metavar="N",
-        help="markings to visit at most where structure cannot decide (default %(default)s)",
+        help="maximum number of markings to visit if structure cannot decide (default %(default)s)",
     )
     parser.add_argument(
         "--robots", type=numbers.robots, metavar="N", help="check it for a team of N robots"
@@ -34,9 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="check it for agents, which transitions may create and destroy",
     )
-    parser.epilog = (
-        "Exit codes: 0 the plan may run (look at the warnings), 1 refused, 2 not a plan."
-    )
+    parser.epilog = "Exit codes: 0 the plan may run (read the warnings), 1 refused, 2 not a plan."
 
 
 def run(args: argparse.Namespace) -> int:
@@ -61,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _look_at_functions(plan: Plan) -> List[CheckItem]:
-    """The functions that are not there, as far as their source tells without running it."""
+    """The missing functions, as far as the source shows without running it."""
     places = {
         action.function: place
         for place, action in plan.bindings()

@@ -57,16 +57,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "output",
         metavar="OUT",
-        help="the file to write, - for standard output; for a plan, such as an input file of the "
-        "thesis: a new .json "
-        "file, or a folder that gets a plan.json and the functions",
+        help="the file to write, - for standard output; for a plan (or an input file of the "
+        "thesis): a new .json file, or a folder for plan.json and the functions",
     )
     parser.add_argument(
         "--to",
         metavar="FORMAT",
-        help="its format, when its name does not tell: %s; or the Markov chain of the net, or of "
-        "the "
-        "plan under its policy, state by state: %s; or, of a plan, 'plan' (.json)"
+        help="the format, if the file name does not show it: %s; or the Markov chain of the net, "
+        "or of the plan under its policy, state by state: %s; or, for a plan, 'plan' (.json)"
         % (
             ", ".join("%s (%s)" % (f.name, f.extensions[0]) for f in FORMATS.values()),
             ", ".join("%s (%s)" % item for item in CHAINS.items()),
@@ -78,23 +76,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=4,
         default=[],
         metavar=("PLACE", "NET", "ENTRY", "EXIT"),
-        help="put the net of a file in the place of PLACE: tokens come in at its place ENTRY and "
-        "leave from EXIT "
-        "(may be repeated)",
+        help="replace PLACE by the net of a file: tokens enter at its place ENTRY and leave from "
+        "EXIT (may be repeated)",
     )
     parser.add_argument(
         "--label",
         action="append",
         default=[],
         metavar="NAME=CONDITION",
-        help="of a chain: label the states where CONDITION holds (may be repeated)",
+        help="for a chain: label the states where CONDITION holds (may be repeated)",
     )
     parser.add_argument(
         "--limit",
         type=numbers.markings,
         default=STATE_LIMIT,
         metavar="N",
-        help="of a chain: markings to visit at most (default %(default)s)",
+        help="for a chain: maximum number of markings to visit (default %(default)s)",
     )
     parser.add_argument("--json", action="store_true", help="print what was done as a JSON object")
 
@@ -197,10 +194,10 @@ def _write_plan(args: argparse.Namespace) -> int:
         or args.controllable
         or args.source_format
     ):
-        raise UsageError("the options of nets and chains say nothing of a plan")
+        raise UsageError("the options of nets and chains do not apply to a plan")
     if not is_plan(args.net_file):
         raise UsageError(
-            "this is a net, and not a plan", file=args.net_file, hint="a plan needs actions too"
+            "this is a net, not a plan", file=args.net_file, hint="a plan also needs actions"
         )
     plan = read_plan(args.net_file)
     notes = list(plan.notes)

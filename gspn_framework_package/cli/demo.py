@@ -46,17 +46,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="end after S seconds; 0: at Ctrl-C",
     )
     parser.add_argument(
-        "--headless", action="store_true", help="open no window (the page is served all the same)"
+        "--headless", action="store_true", help="open no window (the page is still served)"
     )
     parser.add_argument(
-        "--no-world", action="store_true", help="no simulated room, where the plan's folder has one"
+        "--no-world", action="store_true", help="no simulated room, even if the plan has one"
     )
     parser.add_argument(
         "--port",
         type=numbers.port,
         default=8090,
         metavar="P",
-        help="port of the page, or the next free (8090)",
+        help="port of the page, or else the next free one (8090)",
     )
     parser.epilog = (
         "Exit codes: 0 the team ran, 1 a node died or nothing fired, 2 not a plan or wrong usage."
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Start the team, show it, end it, and tell how it went."""
+    """Start the team, show it, end it, and report how it went."""
     room = None if args.no_world else find_room(args.plan)
     path = room.plan if room else args.plan
     plan = read_plan(path).for_robots(args.robots)
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 class Room(NamedTuple):
-    """A room that a plan's folder brings along: its file, and the plan whose robots drive in it."""
+    """A room in a plan's folder: its file, and the plan whose robots drive in it."""
 
     world: str
     plan: str
@@ -333,7 +333,7 @@ class _Lines:
 
 
 class _Listener:
-    """What roslaunch tells of the nodes."""
+    """What roslaunch reports about the nodes."""
 
     def __init__(self, ended: Any) -> None:
         self._ended = ended

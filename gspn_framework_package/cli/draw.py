@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     image = Path(args.output).suffix.lower().lstrip(".")
     if image not in (*IMAGE_FORMATS, "dot", "gv"):
         raise UsageError(
-            "cannot tell the kind of picture from the name '%s'" % args.output,
+            "the name '%s' does not show the kind of picture" % args.output,
             hint="end it in .%s or .dot" % ", .".join(IMAGE_FORMATS),
         )
     subject, notes = read_net_or_plan_argument(args)

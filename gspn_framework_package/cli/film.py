@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="without a recording: robots (4)",
     )
     parser.add_argument(
-        "--seed", type=numbers.seed, default=0, help="without a recording: of what is drawn (0)"
+        "--seed", type=numbers.seed, default=0, help="without a recording: random seed (0)"
     )
     parser.add_argument(
         "--seconds",
@@ -43,14 +43,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="seconds of the run (120)",
     )
     parser.add_argument(
-        "--from", type=numbers.seconds, default=0, metavar="S", dest="start", help="begin there (0)"
+        "--from", type=numbers.seconds, default=0, metavar="S", dest="start", help="start here (0)"
     )
     parser.add_argument(
         "--speed",
         type=numbers.number(0.0, 1e4, above=0.0),
         default=8,
         metavar="X",
-        help="times as fast as the run (8)",
+        help="speed-up over the run (8)",
     )
     parser.add_argument(
         "--rate",
@@ -60,14 +60,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="pictures a second (20)",
     )
     parser.add_argument(
-        "--view", default="corner", choices=("corner", "top"), help="from where (corner)"
+        "--view", default="corner", choices=("corner", "top"), help="point of view (corner)"
     )
     parser.add_argument("--size", default="960x720", metavar="WxH", help="pixels (960x720)")
-    parser.add_argument("--json", action="store_true", help="tell the result as JSON")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Film the run; tell how it went."""
+    """Film the run and report how it went."""
     width, height = _size(args.size)
     from gspn_framework_package.world.camera import Camera
     from gspn_framework_package.world.film import Film
@@ -108,7 +108,7 @@ Moments = Iterator[Tuple[float, Dict[str, Any]]]
 def _size(text: str) -> Tuple[int, int]:
     match = re.match(r"^(\d{2,4})x(\d{2,4})$", text)
     if match is None:
-        raise UsageError("--size: '%s' is no size" % text, hint="write 960x720")
+        raise UsageError("--size: '%s' is not a size" % text, hint="write 960x720")
     # films want even numbers
     return (int(match.group(1)) // 2 * 2, int(match.group(2)) // 2 * 2)
 
@@ -139,7 +139,7 @@ def _recorded(args: argparse.Namespace, step: float) -> Tuple[Any, Moments]:
 
     recording = read_recording(args.recording)
     if not recording.moments:
-        raise InputError("nothing was recorded", file=args.recording)
+        raise InputError("the recording is empty", file=args.recording)
     physics = Physics(recording.room, recording.robots, recording.moments[0][1])
 
     def moments() -> Moments:

@@ -40,7 +40,7 @@ def add_limit_arguments(parser: Any) -> None:
         "--limit",
         type=int,
         metavar="N",
-        help="markings to visit at most (default %s; fewer in nets of more than %s nodes)"
+        help="maximum number of markings to visit (default %s; fewer in nets of over %s nodes)"
         % (format(STATE_LIMIT, ","), format(LARGE_NET, ",")),
     )
     parser.add_argument(
@@ -48,7 +48,7 @@ def add_limit_arguments(parser: Any) -> None:
         type=int,
         default=TREE_LIMIT,
         metavar="N",
-        help="nodes of a coverability tree at most (default %(default)s)",
+        help="maximum number of nodes of a coverability tree (default %(default)s)",
     )
     parser.add_argument(
         "--limit-structure",
@@ -70,7 +70,7 @@ def add_limit_arguments(parser: Any) -> None:
         type=float,
         default=MEMORY / 1e9,
         metavar="GB",
-        help="memory to use at most (default %(default).3g)",
+        help="maximum memory (default %(default).3g)",
     )
 
 

@@ -73,10 +73,10 @@ VERBS: Dict[str, Union[Verb, Order]] = {
         ".bench",
         "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)",
     ),
-    "status": Verb(".status", "what every robot of a running team does, and what it waits for"),
+    "status": Verb(".status", "show what every robot of a running team does and waits for"),
     **ORDERS,
 }
-"""Verb -> where it is, in the order in which one comes to need them."""
+"""Verb -> where it is, in the order in which a new user needs them."""
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
@@ -131,7 +131,7 @@ def _run(words: Sequence[str], interrupts: Interrupts) -> int:
 
 
 def _explain(error: Exception) -> Tuple[str, int]:
-    """Return what to tell the user of ``error``, and the exit code."""
+    """Return the user's message for ``error``, and the exit code."""
     if isinstance(error, GspnError):
         return f"error: {error}", error.exit_code
     if (

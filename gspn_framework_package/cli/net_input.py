@@ -1,4 +1,4 @@
-"""How the verbs that work on a net are told which net, and how it is to be read."""
+"""The arguments of verbs that work on a net: which net, and how to read it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def add_net_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "net_file",
         metavar="NET",
-        help="a net (%s), or a plan, whose net is taken"
+        help="a net (%s), or a plan, whose net is used"
         % ", ".join(f.title for f in FORMATS.values() if f.reader is not None),
     )
     reading = parser.add_argument_group("reading the net")
@@ -27,15 +27,15 @@ def add_net_arguments(parser: argparse.ArgumentParser) -> None:
         "--from",
         dest="source_format",
         metavar="FORMAT",
-        help="the format of NET, when it should not be told by the content",
+        help="the format of NET (default: recognised by the content)",
     )
-    reading.add_argument("--net", metavar="NAME", help="the net to take from a file of several")
+    reading.add_argument("--net", metavar="NAME", help="the net to use, if the file has several")
     reading.add_argument(
         "--const",
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="give a constant of the file its value (may be repeated)",
+        help="set the value of a constant of the file (may be repeated)",
     )
     reading.add_argument(
         "--servers",

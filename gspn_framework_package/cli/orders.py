@@ -39,7 +39,7 @@ class Order(NamedTuple):
                 metavar="ROBOT",
                 nargs="?" if self.robot.startswith("[") else None,
                 default="",
-                help="name of the robot" + ("; none: the team" if "[" in self.robot else ""),
+                help="name of the robot" + ("; default: the team" if "[" in self.robot else ""),
             )
         metavar, meaning = self.argument
         if metavar:
@@ -61,11 +61,11 @@ class Order(NamedTuple):
 
 
 ORDERS: Dict[str, Order] = {
-    "pause": Order("pause", "let nothing fire, or a robot join no firing, until resume", "[ROBOT]"),
+    "pause": Order("pause", "stop all firing until resume, or the firings of one robot", "[ROBOT]"),
     "resume": Order("resume", "end a pause of the team, or of one robot", "[ROBOT]"),
     "set-place": Order(
         "set_place",
-        "put a robot into a place; its action there begins",
+        "put a robot into a place; its action there starts",
         "ROBOT",
         ("PLACE", "the place"),
     ),
@@ -73,13 +73,13 @@ ORDERS: Dict[str, Order] = {
     "fire": Order(
         "fire", "fire a transition of the environment", argument=("TRANSITION", "the transition")
     ),
-    "evict": Order("evict", "take a robot out of the team as lost", "ROBOT"),
+    "evict": Order("evict", "remove a robot from the team as lost", "ROBOT"),
     "force-evict": Order(
         "force_evict",
         "the same without a quorum: you assert that the robot is switched off",
         "ROBOT",
     ),
-    "leave": Order("leave", "have a robot leave the team, with its token", "ROBOT"),
+    "leave": Order("leave", "make a robot leave the team, with its token", "ROBOT"),
     "stop": Order("stop", "end the run of a team"),
 }
 """Verb -> order."""
@@ -92,7 +92,7 @@ def add_team_options(parser: argparse.ArgumentParser) -> None:
         dest="run_name",
         default="",
         metavar="NAME",
-        help="the run, where there are several",
+        help="name of the run, if there are several",
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
 

@@ -19,7 +19,7 @@ from gspn_framework_package.cli.subject import add_subject_arguments, read_subje
 from gspn_framework_package.model.errors import UsageError
 
 _COLORS = 10
-"""Colours of matplotlib's usual cycle; what comes after them is told apart by its line."""
+"""Colours of matplotlib's usual cycle; further curves differ by line style."""
 
 _LINES = ("-", "--", "-.", ":")
 
@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--time",
         type=numbers.duration,
         metavar="T",
-        help="until when (s); by default, until it has settled",
+        help="end of the time axis (s); default: when the net has settled",
     )
     parser.add_argument(
         "--points",
@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Make the picture."""
     if Path(args.output).suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise UsageError("a picture ends in .png, .svg or .pdf, not as '%s' does" % args.output)
+        raise UsageError("a picture must end in .png, .svg or .pdf, unlike '%s'" % args.output)
     if (args.what == "passage") != (args.condition is not None):
         raise UsageError("--what passage and --condition belong together")
     try:

@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check the plan, execute it, and tell how it ended."""
+    """Check the plan, execute it, and report how it ended."""
     plan = _plan(args)
     event_log = _event_log(args.log, plan)
     printer = _Printer(plan, args.json, args.quiet)
@@ -163,7 +163,7 @@ class _Printer(Listener):
         self.over.set()
 
     def on_broken(self, reason: str) -> None:
-        # the caller prints it, in a thread that can tell where it cannot be printed
+        # the caller prints it, in a thread that can report that printing failed
         self.over.set()
 
     def tell_end(

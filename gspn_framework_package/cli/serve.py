@@ -17,12 +17,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         default=".",
         metavar="FOLDER|NET|PLAN",
-        help="what to serve; only plans of this folder can be executed (default: here)",
+        help="what to serve; only plans of this folder can be executed (default: .)",
     )
     parser.add_argument(
         "--record",
         metavar="FOLDER",
-        help="where the event logs of executions go (default: runs, in the served folder)",
+        help="folder for the event logs of executions (default: runs, in the served folder)",
     )
     add_address_arguments(parser)
 
@@ -31,40 +31,38 @@ def add_address_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of every verb that opens the page."""
     from gspn_framework_package.visualizer.guard import LOOPBACK_NAMES
 
-    parser.add_argument("--port", type=int, default=8090, help="0: any free one (default: 8090)")
+    parser.add_argument("--port", type=int, default=8090, help="0: any free port (default: 8090)")
     parser.add_argument(
         "--host",
         default="127.0.0.1",
-        help="address to listen on; beyond this machine (%s) everybody needs a token; both tokens "
-        "are printed" % ", ".join(sorted(LOOPBACK_NAMES)),
+        help="address to listen on; with any other than this machine's (%s) everybody needs a "
+        "token; both tokens are printed" % ", ".join(sorted(LOOPBACK_NAMES)),
     )
     parser.add_argument(
         "--allow-name",
         action="append",
         default=[],
         metavar="NAME",
-        help="a further name that browsers may call this machine by",
+        help="another name under which browsers may reach this machine",
     )
     parser.add_argument(
         "--token",
-        help="the operator's token, of 16 characters or more (default: made up and printed, "
-        "beyond this machine)",
+        help="the operator's token, at least 16 characters (default: if --host needs one, it is "
+        "generated and printed)",
     )
     parser.add_argument(
         "--viewer-token",
         metavar="TOKEN",
-        help="the token of those who may only look (default: made up and printed, beyond this "
-        "machine)",
+        help="the read-only token (default: if --host needs one, it is generated and printed)",
     )
     parser.add_argument(
         "--token-file",
         metavar="FILE",
-        help="a file with the operator's token in its first line and the viewers' in its second: "
-        "other users of this "
-        "machine see the options of a program",
+        help="a file with the operator's token on its first line and the viewers' on its second "
+        "(other users of this machine can see a program's options)",
     )
     parser.add_argument(
-        "--viewers", type=int, default=24, help="live streams served at once (default: 24)"
+        "--viewers", type=int, default=24, help="maximum number of live streams (default: 24)"
     )
     parser.add_argument("--open", action="store_true", help="open a browser too")
 
@@ -90,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     runs = args.record or os.path.join(folder.root, RUNS)
     project = Project(folder, lambda document: StandaloneRun(document, runs), first, runs)
     if first is not None:
-        project.open(first)  # what is wrong with it is told here, not in the browser
+        project.open(first)  # report errors here, not in the browser
     return serve(project, args)
 
 
@@ -108,7 +106,7 @@ def serve(project: object, args: argparse.Namespace) -> int:
     token, viewer_token = args.token, args.viewer_token
     if args.token_file is not None:
         if token is not None or viewer_token is not None:
-            raise UsageError("--token-file goes without --token and --viewer-token")
+            raise UsageError("--token-file excludes --token and --viewer-token")
         token, viewer_token = read_tokens(args.token_file)
     server = WebServer(
         project, args.host, args.port, args.allow_name, token, args.viewers, viewer_token
@@ -116,7 +114,7 @@ def serve(project: object, args: argparse.Namespace) -> int:
     invitations = server.invitations
     print("The page is at %s  (Ctrl-C ends it)" % invitations[OPERATOR])
     if VIEWER in invitations:
-        print("For those who may only look: %s" % invitations[VIEWER])
+        print("Read-only access: %s" % invitations[VIEWER])
     sys.stdout.flush()
     if args.open:
         import webbrowser

@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=numbers.seconds,
         default=0.0,
         metavar="T",
-        help="time (s) that means leave out",
+        help="time (s) at the start of a run that the means leave out",
     )
     parser.add_argument(
         "--replications",
@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=numbers.whole(0, 2**63 - 1),
         default=0,
         metavar="N",
-        help="of the random numbers (default 0)",
+        help="seed of the random numbers (default 0)",
     )
     parser.add_argument(
         "--confidence",

@@ -15,8 +15,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     add_team_options(parser)
     parser.epilog = (
-        "Each robot is told of by its own node; one whose node does not answer, by the others. "
-        "Exit codes: 0 every node answers and has a quorum, 1 not, or there is no team."
+        "Each node reports on its own robot; the others report on a robot whose node does not "
+        "answer. Exit codes: 0 every node answers and has a quorum, 1 otherwise, or no team found."
     )
 
 

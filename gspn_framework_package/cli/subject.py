@@ -18,7 +18,7 @@ def add_subject_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--only-net",
         action="store_true",
-        help="of a plan take the net by its weights, instead of the policy",
+        help="analyse a plan's net by its weights instead of the policy",
     )
     parser.add_argument(
         "--robots", type=numbers.robots, metavar="N", help="of a plan: for a team of N robots"

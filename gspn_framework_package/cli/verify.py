@@ -1,4 +1,4 @@
-"""``gspn verify``: whether the logs of a run tell one valid story."""
+"""``gspn verify``: whether the logs of a run are consistent and valid."""
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--settled",
         action="store_true",
-        help="the run was left alone until nothing was pending: a proposal that is not in the log "
-        "is "
-        "a violation",
+        help="nothing was pending at the end of the run: a proposal that is not in the log is a "
+        "violation",
     )
     parser.add_argument(
         "--incomplete",

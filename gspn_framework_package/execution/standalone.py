@@ -154,7 +154,7 @@ class StandaloneExecutor:
 
     @property
     def over(self) -> bool:
-        """Whether nothing will happen any more: the run ended or broke off."""
+        """Whether nothing will happen any more: the run ended or failed."""
         return self._over.is_set()
 
     def wait(self, timeout: Optional[float] = None) -> Optional[Ended]:
@@ -387,7 +387,7 @@ def _broke_off(error: BaseException) -> str:
         if isinstance(error, GspnError)
         else "%s: %s" % (type(error).__name__, error_text(error))
     )
-    return "the run broke off: %s" % what
+    return "the run failed: %s" % what
 
 
 def _load_functions(plan: Plan) -> Dict[str, Dict[str, Callable[[ActionContext], str]]]:

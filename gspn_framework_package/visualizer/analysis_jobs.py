@@ -88,7 +88,7 @@ class _Job:
             last = file.read().decode("utf-8", "replace").strip().splitlines()[-1:]
         if self.state == "running":
             if code and not self.error:
-                self.error = "the analysis broke off (%s)" % (
+                self.error = "the analysis failed (%s)" % (
                     last[0] if last else "it was ended, exit %d: too little memory?" % code
                 )
             self.state = "failed" if self.error or code else "done"
@@ -149,7 +149,7 @@ class AnalysisJobs:
     def start(self, document: Document, marking: Sequence[int], fields: Dict[str, Any]) -> str:
         """Start an analysis, and return its key.
 
-        :param marking: the present marking of the page, used where ``from`` is ``marking``.
+        :param marking: the current marking of the page, used where ``from`` is ``marking``.
         :param fields: ``parts`` asked for, ``limit`` on states, ``seconds``, and what the parts
             take.
         :raises LimitError: too many are running.

@@ -177,7 +177,7 @@ class Guard:
         if not role:
             return _refused(401, "this server asks for its token")
         if role == VIEWER and method not in ("GET", "HEAD"):
-            return _refused(403, "the viewer's token may only look")
+            return _refused(403, "the viewer's token is read-only")
         return Verdict(role)
 
     def login(self, given: str, peer: str = "") -> str:

@@ -141,7 +141,7 @@ class Simulation(Activity):
         return {}
 
     def _clear(self, fields: Fields) -> Dict[str, Any]:
-        """Take every token out of the net ("clear network")."""
+        """Remove every token from the net ("clear network")."""
         self._past.append(_Past(-1, self._simulator.marking, self._time))
         self._simulator.move_to((0,) * len(self.net.places))
         self._publish(self._whole("cleared"))

@@ -100,9 +100,9 @@ def test_every_order_names_its_run_and_its_answer_is_shown(team, open_page, pict
     page.wait_for_selector("dialog[open] h2:has-text('robot_1')")
     picture(page, "orders_for_a_robot")
     page.select_option("dialog select", "there")
-    page.click("dialog button:has-text('Put there')")
+    page.click("dialog button:has-text('Set place')")
     order(page, "robot_1", "More")
-    page.click("dialog button:has-text('Have it leave')")
+    page.click("dialog button:has-text('Leave the team')")
     order(page, "robot_2", "More")
     page.click("dialog button:has-text('Evict')")
     page.wait_for_selector("#robots .orders li.refused:has-text('robot_2 does not listen')")
@@ -140,7 +140,7 @@ def test_every_order_names_its_run_and_its_answer_is_shown(team, open_page, pict
     team.hub.publish(
         {"k": "status", "status": {"running": False, "ended": "the disk is full", "fault": True}}
     )
-    page.wait_for_selector(".alarm:has-text('Broke off: the disk is full')")
+    page.wait_for_selector(".alarm:has-text('Failed: the disk is full')")
     page.keyboard.press("2")
     page.wait_for_selector(".robot-card[data-robot='robot_1'] .badge:has-text('stopped')")
     assert (
@@ -155,9 +155,9 @@ def test_who_may_only_look_is_told_why_nothing_can_be_pressed(team, show_net, op
         team.plan.net, team.plan, Team(team.plan), viewer_token="only-for-looking-at-it"
     )
     page = open_page(site.server.invitations["viewer"])
-    page.wait_for_selector("#robots:has-text('may only look')")
+    page.wait_for_selector("#robots:has-text('is read-only')")
     for button in ("#stop", "#pause-team", ".robot-card[data-robot='robot_1'] button >> nth=0"):
-        assert page.is_disabled(button) and "may only look" in page.get_attribute(button, "title")
+        assert page.is_disabled(button) and "is read-only" in page.get_attribute(button, "title")
     page.keyboard.press("3")
     page.click("#an-all")
-    page.wait_for_selector("#toast:has-text('may only look')")
+    page.wait_for_selector("#toast:has-text('is read-only')")

@@ -62,7 +62,7 @@ def test_everything_is_analysed_and_painted(show_net, open_page, picture):
 def test_questions_are_answered(show_net, open_page):
     page = open_page(show_net(flawed()).address)
     page.keyboard.press("3")
-    page.click("summary:has-text('Can it come to this?')")
+    page.click("summary:has-text('Is it reachable?')")
     page.fill("#an-reach", "sink == 2")
     page.click("button:has-text('Reachable?')")
     analysed(page)
@@ -117,7 +117,7 @@ def test_runs_are_simulated_with_confidence_intervals(show_net, open_page):
     assert page.locator(".value").count() == 2
     page.fill("#an-sim-until", "down == 1")
     page.click("button:has-text('Simulate runs')")
-    page.wait_for_selector("#answers:has-text('Came to the condition')")
+    page.wait_for_selector("#answers:has-text('Reached the condition')")
     analysed(page)
     page.fill("#an-sim-warmup", "1000")
     page.click("button:has-text('Simulate runs')")
@@ -130,7 +130,7 @@ def test_every_property_of_the_thesis_is_answered(show_net, open_page):
     page.keyboard.press("3")
     page.click("#an-all")
     analysed(page)
-    page.wait_for_selector("#answers:has-text('a stay (s)')")
+    page.wait_for_selector("#answers:has-text('mean stay (s)')")
     text = page.inner_text("#answers").lower()
     for expected in (
         "bounded",

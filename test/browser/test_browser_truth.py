@@ -56,7 +56,7 @@ def test_names_of_the_language_are_names_and_reasons_are_those_of_the_rules(show
     page.wait_for_selector("[data-state='done']")
     page.wait_for_selector("#answers td:has-text('hasOwnProperty')")
     assert "native code" not in page.inner_text("body")
-    page.click("summary:has-text('Can it come to this?')")
+    page.click("summary:has-text('Is it reachable?')")
     page.fill("#an-cover", "__proto__ = 1, constructor = 1")
     page.click("button:has-text('Coverable?')")
     page.wait_for_selector("#answers .badge.good:has-text('yes')")
@@ -115,14 +115,14 @@ def test_when_the_server_dies_in_mid_run_the_page_says_so_and_offers_the_log(
         server.wait()
         page.wait_for_selector("body[data-stale][data-mode='LIVE']")
         page.wait_for_selector("#connection:has-text('connection lost since')")
-        page.wait_for_selector("#frame-name:has-text('nothing has been heard since')")
+        page.wait_for_selector("#frame-name:has-text('no contact since')")
         assert page.evaluate(COMES_TO_REST)
         picture(page, "connection_lost")
 
         server = serve(folder, port)
         page.wait_for_selector("body[data-mode='SIMULATE']:not([data-stale])")
         page.wait_for_selector(
-            "#notice:has-text('The server was started again'):has-text('was cut off')"
+            "#notice:has-text('The server was restarted'):has-text('was cut off')"
         )
         picture(page, "cut_off")
         page.click("#notice button:has-text('Replay its log')")

@@ -1,4 +1,4 @@
-"""What a replica is told once and keeps: who it is, its plan, the times and sizes of the protocol.
+"""A replica's configuration: who it is, its plan, the times and sizes of the protocol.
 
 Owns nothing that changes, calls nothing. Every part of a replica reads the same :class:`Config`.
 """
@@ -13,36 +13,36 @@ from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.plan import Plan, Synchronisation, Timing
 
 SMALL_TEAM = 8
-"""Up to that many replicas, greetings are answered at once and the pace is the plain one."""
+"""Up to this many replicas, greetings are answered at once and the pace stays as it is."""
 
 
 class Pace(NamedTuple):
     """Times of the protocol (s). None matters for safety."""
 
     heartbeat: float = 0.5
-    """How often a replica says that it is there."""
+    """Interval of the hellos."""
     greeting: float = 0.2
-    """How often it does until it takes part."""
+    """The same, until the replica takes part."""
     retry: float = 0.1
-    """After which a message without an answer is sent again (longer and longer, up to 1 s)."""
+    """After this time an unanswered message is sent again (longer each time, up to 1 s)."""
     takeover: float = 0.3
-    """For which a proposal waits for the leader before its robot proposes itself."""
+    """How long a proposal waits for the leader before its robot proposes by itself."""
     gather: float = 0.0
-    """For which the leader lets proposals come in between two slots."""
+    """How long the leader gathers proposals between two slots."""
     backoff: float = 0.02
-    """For which a proposer gives way after its first defeat; doubled at each one in a row."""
+    """How long a proposer gives way after its first defeat; doubled at each one in a row."""
     spread: float = 1.0
-    """Over how many round trips those who want the next slot of partial synchronisation begin."""
+    """Round trips over which robots that want the next slot of partial synchronisation start."""
 
     def for_team(self, size: int, timing: Timing) -> Pace:
-        """The pace for a team of that size. Broadcasts are less frequent in large teams, so that
-        the traffic per replica stays constant; and a leader that has so many to ask is given time,
-        or all want to take over from it at once. One millisecond for each robot that a small team
-        would not have is for gathering proposals: each slot costs messages to and from everybody,
-        however much is in it.
+        """The pace for a team of that size. Broadcasts are less frequent in large teams, so
+        traffic per replica stays constant. The leader gets more time, because it has more robots
+        to ask, and otherwise all would try to take over at once. For each robot beyond a small
+        team, proposals are gathered for one more millisecond: each slot costs messages to and from
+        everybody, however much is in it.
 
-        :param timing: of the plan: nobody shall seem silent for as long as it says only because
-            heartbeats are so rare.
+        :param timing: of the plan: heartbeats must not be so rare that a robot seems silent for
+            the time that it names.
         """
         slower = max(1.0, size / SMALL_TEAM)
         silence = min(
@@ -64,16 +64,16 @@ class Limits(NamedTuple):
     batch: int = 256
     """The most items that one slot takes."""
     kept: int = 2000
-    """Slots that are kept in memory; who is further behind gets a snapshot."""
+    """Slots that are kept in memory; a robot that is further behind gets a snapshot."""
     chunk: int = 200
     """Slots sent at a time."""
     snapshot_every: int = 1000
-    """Slots after which the log gets a snapshot, where a restart begins to read."""
+    """Slots after which the log gets a snapshot; a restart reads from there."""
 
 
 @dataclass
 class Config:
-    """What a replica is told once."""
+    """A replica's configuration."""
 
     plan: Plan
     name: str
@@ -85,9 +85,9 @@ class Config:
     pace: Pace
     limits: Limits
     place: str
-    """Where we come in when we join for the first time; "": as the plan has it."""
+    """Where we start when we join for the first time; "": as the plan says."""
     trusted: bool
-    """The end of our log is there."""
+    """The end of our log is intact."""
     partial: bool
     """Partial synchronisation."""
     witness: bool
@@ -95,7 +95,7 @@ class Config:
     newcomer: bool
     """We are not in the first team of the plan."""
     is_small: bool
-    """The team is so small that everybody may tell everybody something about each slot."""
+    """The team is small enough for everybody to inform everybody about each slot."""
     first: str
     """Who leads before the first ballot; "" where we cannot know."""
     game: TokenGame

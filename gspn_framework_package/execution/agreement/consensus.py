@@ -1,15 +1,15 @@
 """Paxos, slot by slot: acceptor, proposer and learner of one replica.
 
-Each slot of the log is decided by single-decree Paxos (Lamport 1998) among the members that the log
+Single-decree Paxos (Lamport 1998) decides each slot of the log, among the members that the log
 before it names. A promise holds for its slot and all later ones; a replica has accepted nothing
-beyond its first open slot. Therefore a proposer whose value was just chosen may skip the first
-phase in the next slot, as long as those who promised are a quorum there too: in full
+beyond its first open slot. A proposer whose value was just chosen may therefore skip the first
+phase in the next slot, as long as those who promised are a quorum there too. In full
 synchronisation it *leads*, and takes the others' proposals until somebody else takes over. Before
 any ballot, the first member leads under ballot (0, its name), which every fresh replica counts as
 promised.
 
 In partial synchronisation nobody leads: the first phase is how a proposer learns the local
-transitions of the others, and needs an answer of every member that it does not evict in the same
+transitions of the others. It needs an answer from every member that it does not evict in the same
 slot.
 
 One slot is open at a time; batches carry the load.
@@ -43,19 +43,18 @@ from gspn_framework_package.execution.agreement.state import Attempt, ReplicaSta
 from gspn_framework_package.execution.ledger import Item
 
 LONGEST_ROUND_TRIP = 1.0
-"""Seconds: an answer that took longer came from a robot that was away, not through a slow
-network."""
+"""Seconds. A longer answer time means that a robot was away, not that the network is slow."""
 
 MOST_BACKOFF = 20
-"""Times that the wait before a message is repeated grows by half; it is bounded long before."""
+"""How often the wait before a repetition may grow by half; other limits apply long before."""
 
 
 class Log(Protocol):
     """What the consensus needs of the replicated log."""
 
     def is_open(self, message: Envelope) -> bool:
-        """Whether a message is about the open slot, on top of the same log; where it is not, the
-        one that is behind is helped."""
+        """Whether a message is about the open slot, on top of the same log; if not, the robot that
+        is behind is helped."""
 
     def decided(self, batch: Batch, ballot: Ballot, *, mine: bool) -> None:
         """The batch is chosen in the open slot; ``mine``: by our own attempt."""
@@ -81,10 +80,10 @@ class Consensus:
         state.promised = state.highest = Ballot(0, config.first)
 
     def connect(self, log: Log) -> None:
-        """Name the log that takes what is chosen."""
+        """Set the log that takes what is chosen."""
         self.log = log
 
-    # -- what the other parts ask and tell ---------------------------------------------------------
+    # -- for the other parts -----------------------------------------------------------------------
 
     def lead_from_the_start(self, followers: Set[str]) -> None:
         """Everybody is fresh: ballot (0, our name) counts as promised by all."""
@@ -114,7 +113,7 @@ class Consensus:
 
     def next_slot(self, keep_lead: bool, returned: Set[str]) -> None:
         """The open slot was decided. ``keep_lead``: by our own attempt; ``returned``: robots that
-        joined in it, whose promises of a former life do not count."""
+        joined in it; promises from their former life do not count."""
         state = self.state
         state.accepted = None
         state.attempt = None
@@ -133,8 +132,8 @@ class Consensus:
     # -- proposer ----------------------------------------------------------------------------------
 
     def propose(self, now: float, frozen: bool = False) -> None:
-        """Try to get what is proposed into the open slot. Does nothing while an attempt runs, or
-        where we have no vote."""
+        """Try to get the proposals into the open slot. Does nothing while an attempt runs, or
+        if we have no vote."""
         state = self.state
         if state.attempt is not None or not self.electorate.may_vote():
             return
@@ -166,7 +165,7 @@ class Consensus:
         return state.attempt.sent + min(patience * 1.5**state.backoff, max(1.0, patience))
 
     def resend(self, now: float) -> None:
-        """Ask those again who have not answered."""
+        """Ask the robots again that have not answered."""
         state = self.state
         attempt = state.attempt
         if attempt is None:
@@ -183,14 +182,14 @@ class Consensus:
         self._send_attempt(attempt, [m for m in self.electorate.others() if m not in answered])
 
     def ask_again(self, robot: str) -> None:
-        """A robot that was behind is sent what it lacks: what we asked it meanwhile it could not
-        answer."""
+        """A robot that was behind is sent what it lacks; it could not answer what we asked it
+        meanwhile."""
         attempt = self.state.attempt
         if attempt is not None and robot in self.missing():
             self._send_attempt(attempt, [robot])
 
     def missing(self) -> List[str]:
-        """Whose answers the running attempt lacks."""
+        """The robots whose answers the running attempt lacks."""
         state = self.state
         if state.attempt is None:
             return []
@@ -289,7 +288,7 @@ class Consensus:
             return
         if body.frozen:
             state.frozen_by = body.ballot
-        if not self.electorate.may_vote():  # what we know counts as told, our vote does not count
+        if not self.electorate.may_vote():  # others learn what we know, but our vote does not count
             self._answer_prepare(message, body, vote=False)
             return
         self._promise(body.ballot)
@@ -305,8 +304,8 @@ class Consensus:
         )
 
     def on_accept(self, message: Envelope, body: Accept) -> None:
-        """The second phase of another's attempt. That it goes on to the next slot under the same
-        ballot tells that what we accepted before was chosen."""
+        """The second phase of another's attempt. Continuing to the next slot under the same ballot
+        means that what we accepted before was chosen."""
         state = self.state
         ballot = body.ballot
         held = state.accepted
@@ -331,7 +330,7 @@ class Consensus:
         held_items = {tuple(origin) for _, origin, _ in body.batch}
         waiting = [i for i in self.proposals.own_items() if i.origin not in held_items]
         self.outbox.answer(message, Accepted(body.slot, ballot, waiting))
-        # those who proposed it learn the outcome at first hand
+        # those who proposed it get the votes directly
         if not self.config.partial and self.config.is_small:
             origins = {origin[0] for _, origin, _ in body.batch}
             known = {self.config.name, message.sender}
@@ -374,7 +373,7 @@ class Consensus:
         self._decide_if_chosen(body.ballot)
 
     def on_nack(self, body: Nack) -> bool:
-        """Somebody promised a higher ballot; whether that ended our attempt."""
+        """Somebody promised a higher ballot; returns whether that ended our attempt."""
         self._see(body.ballot)
         attempt = self.state.attempt
         if attempt is None or body.slot != attempt.slot or body.ballot <= attempt.ballot:
@@ -383,9 +382,9 @@ class Consensus:
         return True
 
     def _measure(self, attempt: Attempt, now: float) -> None:
-        """Take an answer into the mean round trip, as TCP does (RFC 6298). Where we asked more than
-        once we do not know which time is answered: then it says nothing, and the longer wait stays
-        until one does (Karn)."""
+        """Add an answer to the mean round trip, as TCP does (RFC 6298). After a retransmission, an
+        answer cannot be matched to one of the transmissions; it is then ignored, and the longer
+        wait stays until an answer can be matched (Karn)."""
         state = self.state
         if attempt.tries:
             return

@@ -1,4 +1,4 @@
-"""Whose votes count: members, quorums, whose log stands for a robot, what may go into the log.
+"""Whose votes count: members, quorums, valid logs, and what may go into the log.
 
 Owns nothing and changes nothing: questions about the state that every part asks. Calls nobody.
 """
@@ -39,8 +39,8 @@ class Electorate:
         return [m for m in self.members() if m != self.config.name]
 
     def asserted_off(self) -> Set[str]:
-        """The members that an operator asserted to be off. An assertion is about one incarnation:
-        it ends when the robot joins again."""
+        """The members that an operator asserted to be off. An assertion covers one incarnation: it
+        ends when the robot joins again."""
         robots = self.state.ledger.state.robots
         return {
             name
@@ -51,9 +51,9 @@ class Electorate:
         }
 
     def may_decide(self, voters: Collection[str]) -> bool:
-        """Whether these members may decide the open slot: a quorum; or, where robots that were
-        asserted to be off leave none, *all* the others. A quorum that does not consist of the
-        former alone has one of the others in it, whose word is then heard."""
+        """Whether these members may decide the open slot: a quorum; or *all* members that are not
+        asserted to be off, if those are no quorum. Any quorum that does not consist only of robots
+        asserted to be off contains one of the others, so its word is heard."""
         members = self.members()
         if is_quorum(voters, members):
             return True
@@ -64,8 +64,8 @@ class Electorate:
         return bool(left) and not is_quorum(left, members) and all(m in voters for m in left)
 
     def known_log(self, robot: str) -> str:
-        """The id of the log whose votes count for a robot: that with which it was let in, else the
-        first one that we heard of; "" for none."""
+        """The id of the log whose votes count for a robot: the one with which it was let in, else
+        the first one that we heard of; "" for none."""
         return self.state.ledger.logs.get(robot) or self.state.peers.known.get(robot, "")
 
     def heard_within(self, seconds: float) -> List[str]:
@@ -78,11 +78,11 @@ class Electorate:
         return self.heard_within(4 * self.config.pace.heartbeat)
 
     def has_quorum(self) -> bool:
-        """Whether the members that were heard of late could decide."""
+        """Whether the members that were heard recently could decide."""
         return self.may_decide(self.heard_of_late())
 
     def unheard(self) -> List[str]:
-        """The members that were not heard of late."""
+        """The members that were not heard recently."""
         near = self.heard_of_late()
         return [m for m in self.members() if m not in near]
 
@@ -117,7 +117,7 @@ class Electorate:
         )
 
     def is_our_name(self) -> bool:
-        """Whether it is with our log that the robot was let in last, if it was."""
+        """Whether the robot was last let in with our log, if it was let in."""
         return self.state.ledger.logs.get(self.config.name) in (None, "", self.state.log_id)
 
     def is_settled(self) -> bool:
@@ -137,8 +137,8 @@ class Electorate:
         return limit <= 0 or is_quorum(self.heard_within(limit), self.members())
 
     def spoken_for(self) -> bool:
-        """Whether the log holds something of ours that this life did not say, so that what it says
-        would not be news."""
+        """Whether the log holds an entry of ours that this life did not propose, so that its
+        entries would count as old."""
         state = self.state
         incarnation, number, tag = state.ledger.seen.get(self.config.name, (-1, 0, ""))
         if self.known_incarnation() > state.incarnation:
@@ -150,9 +150,9 @@ class Electorate:
     # -- whose word counts -------------------------------------------------------------------------
 
     def can_teach(self, robot: str) -> bool:
-        """Whether the log of a robot may hold what we have still to learn. One that was evicted by
-        force, as far as our log goes, can where its own log has that eviction: we shall learn that
-        it joined again."""
+        """Whether the log of a robot may hold something that we still have to learn. This includes
+        a robot that, as far as our log goes, was evicted by force, if its own log has that
+        eviction: we shall learn that it joined again."""
         ledger = self.state.ledger
         slot = ledger.cast_out.get(robot, -1) if ledger.is_cast_out(robot) else -1
         return self.state.peers.get(robot).evicted_at >= slot
@@ -160,8 +160,8 @@ class Electorate:
     # -- what may go into the log ------------------------------------------------------------------
 
     def not_given_up(self, message: Envelope, items: List[Item]) -> List[Item]:
-        """Leave out what a robot that was evicted by force wants, unless it is told by one who
-        knows of the eviction: what it said before was given up, even that it comes back."""
+        """Leave out the proposals of a robot that was evicted by force, unless they come from a
+        robot that knows of the eviction: what it said before was given up, even its return."""
         ledger = self.state.ledger
         if not ledger.cast_out:
             return items
@@ -174,8 +174,8 @@ class Electorate:
         ]
 
     def with_one_who_stays(self, items: List[Item]) -> List[Item]:
-        """Where nobody would be left, our own leave or eviction waits for a slot of its own, in
-        which it has no effect: the last one stays, and it has to be one who was asked for its local
+        """If nobody would be left, our own leave or eviction waits for a separate slot, in which it
+        has no effect: the last member stays, and has to be one that was asked for its local
         transitions."""
         me, members = self.config.name, self.members()
         gone = {i.entry.robot for i in items if isinstance(i.entry, (log.Evict, log.Leave))}
@@ -188,10 +188,10 @@ class Electorate:
         ]
 
     def without_ghosts(self, items: Sequence[Item]) -> List[Item]:
-        """Leave robots out that want to join and are not heard themselves, or of which there are so
-        many that those who are heard would be no quorum with them: a team must not lose its quorum
-        to names that nobody answers to. Nor does a robot come back in the slot that evicts it by
-        force: it does not know of it."""
+        """Leave out robots that want to join but are not heard themselves, or so many at once that
+        the robots that are heard would be no quorum with them: a team must not lose its quorum to
+        names that nobody answers to. A robot cannot come back in the slot that evicts it by force
+        either, because it does not know of the eviction."""
         me, peers = self.config.name, self.state.peers
         now = list(self.members())
         live = set(self.heard_of_late())

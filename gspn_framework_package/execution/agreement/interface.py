@@ -1,5 +1,5 @@
-"""What goes into a replica and what comes out of it: the border between the agreement core and
-whoever carries its messages.
+"""The inputs and effects of a replica: the border between the agreement core and the host that
+carries its messages.
 
 The core is :class:`~gspn_framework_package.execution.agreement.replica.Replica`::
 
@@ -12,7 +12,7 @@ The core is :class:`~gspn_framework_package.execution.agreement.replica.Replica`
 order**: above all a :class:`Persist` must be in the file before anything after it leaves the
 process. Nothing in the core blocks, sleeps, or looks at a clock.
 
-Whoever hosts a replica
+The host of a replica
 
 - gives it a :class:`Tick` at the time of the last :class:`WakeAt` (earlier or more often does no
   harm);
@@ -98,8 +98,8 @@ class ActionFailed(NamedTuple):
 class Order(NamedTuple):
     """An operator's order, given to this robot: ``entry`` is a Retry, Fire, Leave, Evict, SetPlace,
     Pause, Resume or Stop. Answered by an :class:`OrderResult` of the same ``order_id`` once it is
-    in the log (which may take for ever without a quorum: the caller has a deadline of its own). For
-    an Evict the incarnation may be -1: the present one."""
+    in the log (which may never happen without a quorum: the caller sets its own deadline). For an
+    Evict the incarnation may be -1: the present one."""
 
     order_id: str
     entry: Entry
@@ -108,10 +108,10 @@ class Order(NamedTuple):
 class ForceEvict(NamedTuple):
     """The operator asserts that ``robot`` is switched off, and stays off until it has been evicted.
 
-    Where the others are a quorum, they evict it as they do a silent one. Where they are none, *all*
-    those that no assertion was made about have to agree, and what only the evicted ones knew is
-    given up. Refused where the robot was heard of late; taken back where it is heard before it was
-    evicted. Answered by an :class:`OrderResult`."""
+    If the others are a quorum, they evict it as they do a silent one. If not, *all* robots that no
+    assertion was made about have to agree, and whatever only the evicted robots knew is given up.
+    Refused if the robot was heard recently; withdrawn if it is heard before it was evicted.
+    Answered by an :class:`OrderResult`."""
 
     order_id: str
     robot: str
@@ -126,10 +126,10 @@ class Persist(NamedTuple):
     """Append this record to the robot's log before anything after it in the list is carried out
     (see :mod:`~gspn_framework_package.execution.event_log`).
 
-    ``durable``: where the plan's ``fsync`` is on, the log has to be on the disk up to this record
-    before any other effect after it is carried out. Records in a row need to be waited for once.
-    Without a durable record after it a record may be lost with the power supply, and the replica
-    copes.
+    ``durable``: if the plan's ``fsync`` is on, the log has to be on the disk up to this record
+    before any other effect after it is carried out. For several records in a row, one wait is
+    enough. A record without a durable record after it may be lost with the power supply; the
+    replica copes with that.
     """
 
     record: Dict[str, Any]
@@ -153,7 +153,7 @@ class Reply(NamedTuple):
 class Fired(NamedTuple):
     """A transition fired, as every replica learns.
 
-    ``publish``: this robot decided it, and is the one that tells ``fired_transitions``.
+    ``publish``: this robot decided it, and publishes it on ``fired_transitions``.
     ``private``: a move that this robot made on its own (partial synchronisation): its position is
     (robot, visit), slot and index say nothing, and ``firing.marking`` is the marking that this
     robot knows. Such a move appears a second time with its position in the agreed log
@@ -168,7 +168,7 @@ class Fired(NamedTuple):
 
 
 class OrderResult(NamedTuple):
-    """What became of an :class:`Order` or :class:`ForceEvict`."""
+    """The outcome of an :class:`Order` or :class:`ForceEvict`."""
 
     order_id: str
     ok: bool
@@ -176,8 +176,8 @@ class OrderResult(NamedTuple):
 
 
 class StatusChanged(NamedTuple):
-    """What :meth:`Replica.status` tells has changed in a way that people should hear of; ``text``
-    is one line for the robot's own log on the screen."""
+    """The answer of :meth:`Replica.status` has changed in a way that people should hear of;
+    ``text`` is one line for the robot's own log on the screen."""
 
     text: str
 
@@ -185,14 +185,14 @@ class StatusChanged(NamedTuple):
 class Halted(NamedTuple):
     """This replica must not go on (another plan, a diverging log, another process of the same name,
     a successor): it takes no part any more; its actions have been cancelled. The host ends with
-    exit code 1 and tells ``reason``."""
+    exit code 1 and prints ``reason``."""
 
     reason: str
 
 
 class WakeAt(NamedTuple):
-    """Give a :class:`Tick` at that time (of ``now``'s clock) at the latest; replaces the one
-    before."""
+    """Give a :class:`Tick` at that time (of ``now``'s clock) at the latest; replaces the previous
+    one."""
 
     time: float
 

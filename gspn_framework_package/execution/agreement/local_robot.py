@@ -2,7 +2,7 @@
 environment.
 
 The robot follows the log, ahead of it by the local transitions that are not in it yet. Owns
-``position``, ``started``, ``running`` and ``reported``. Proposes what its actions bring about, asks
+``position``, ``started``, ``running`` and ``reported``. Proposes the outcomes of its actions, asks
 the electorate whether it may make a transition without asking, puts goals into the outbox.
 """
 
@@ -52,8 +52,8 @@ class LocalRobot:
     # -- the log and the position ------------------------------------------------------------------
 
     def follow(self) -> None:
-        """Take over where the log says that our robot is, and make our local transitions again on
-        top of it; those that it rules out are void."""
+        """Take over our robot's place from the log, and make our local transitions again on top of
+        it; those that the log rules out are void."""
         for own in self._follow():
             self.proposals.void(own, "the log rules it out")
 
@@ -76,8 +76,8 @@ class LocalRobot:
         return void
 
     def _go(self, entry: log.Done) -> Optional[Tuple[int, int, int]]:
-        """Make a local transition: (transition, place left, place entered), None if it cannot
-        be."""
+        """Make a local transition: (transition, place left, place entered), None if it is not
+        possible."""
         at = self.state.position
         if self._transitions is None or at is None or not at.doing:
             return None
@@ -100,7 +100,7 @@ class LocalRobot:
         marking[at.place] += 1
         return tuple(marking)
 
-    # -- actions that end --------------------------------------------------------------------------
+    # -- finished actions --------------------------------------------------------------------------
 
     def action_ended(self, given: Union[io.ActionDone, io.ActionFailed]) -> None:
         """An attempt at an action is over."""
@@ -123,7 +123,7 @@ class LocalRobot:
         self.proposals.propose(entry)
 
     def _report(self, goal: Goal) -> bool:
-        """Note the end of an attempt; False if it is of no interest any more."""
+        """Note the end of an attempt; False if it no longer matters."""
         state = self.state
         if state.position is None or goal != state.position.goal or not state.position.doing:
             return False
@@ -213,7 +213,7 @@ class LocalRobot:
     # -- the simulated environment -----------------------------------------------------------------
 
     def want_environment(self) -> None:
-        """Where the plan simulates its environment, the first member that runs fires its
+        """If the plan simulates its environment, the first running member fires its
         transitions."""
         state = self.state
         if not self.config.plan.simulate_environment or not self.electorate.may_vote():

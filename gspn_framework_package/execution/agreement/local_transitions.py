@@ -1,10 +1,10 @@
-"""Local transitions of partial synchronisation: those that concern one robot only.
+"""Local transitions of partial synchronisation: transitions that concern one robot only.
 
 Leaving a *private* place takes that robot and nothing else: its output transitions have it as their
 only input, with weight 1, and one action place as output, and touch no resource, inhibitor or
 capacity. Such a firing has one writer and commutes with every firing of the others (Best and
-Darondeau: a net is distributable where transitions at different locations share no input place), so
-that it needs no agreement about its order.
+Darondeau: a net is distributable where transitions at different locations share no input place),
+so it needs no agreement about its order.
 
 Knows the plan alone: owns nothing that changes, calls nobody. In logs and messages such a
 transition is marked ``private``.

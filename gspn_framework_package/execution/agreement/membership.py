@@ -5,8 +5,8 @@ Owns who we are (log id, incarnation, whether we are active, amnesic, fenced, le
 what is known of the others (peers, who is off, astray or a stranger, and for how long a fresh robot
 listens): the fields of membership in
 :class:`~gspn_framework_package.execution.agreement.state.ReplicaState`. Proposes joins and
-evictions, has the proposer give its attempts up and the local robot stop or act, and has the log
-begin anew (:class:`Log`) when what we know does not count.
+:class:`~gspn_framework_package.execution.agreement.state.ReplicaState`. Proposes joins and
+evictions, makes the proposer give up its attempts and the local robot stop or act, and lets the log
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ RIVAL = 4
 its name, before it wants its place back."""
 
 LINGER = 20
-"""Heartbeats for which a robot that leaves waits for a quorum of the others to hear of it."""
+"""Heartbeats for which a leaving robot waits for a quorum of the others to hear of it."""
 
 
 class Log(Protocol):
@@ -47,7 +47,7 @@ class Log(Protocol):
 
 
 class Membership:
-    """Says hello and hears it, and draws the conclusions."""
+    """Sends hellos, receives them, and acts on them."""
 
     def __init__(
         self,
@@ -69,10 +69,10 @@ class Membership:
         self.log: Log
 
     def connect(self, log: Log) -> None:
-        """Name the log that begins anew where what we know does not count."""
+        """Set the log that begins anew where what we know does not count."""
         self.log = log
 
-    # -- lives and memory --------------------------------------------------------------------------
+    # -- incarnations and memory -------------------------------------------------------------------
 
     def begin_first_life(self) -> None:
         """Our log is new: listen before we take part, since somebody may know our name."""
@@ -81,7 +81,7 @@ class Membership:
         state.listen_until = state.now + min(pace.greeting, pace.heartbeat)
 
     def new_life(self) -> None:
-        """We start again, or come back: a new incarnation, which the log must hear of."""
+        """We restart or come back: a new incarnation, which the log must hear of."""
         self.state.incarnation = (
             max(self.state.incarnation, self.electorate.known_incarnation()) + 1
         )
@@ -95,15 +95,15 @@ class Membership:
         self.outbox.persist(record, durable=True)
 
     def become_active(self) -> None:
-        """Take part from here on, with a vote where we are a member."""
+        """Take part from here on, with a vote if we are a member."""
         self.state.active = True
         self.state.amnesic = False
         self.outbox.persist({"kind": "active"}, durable=True)
 
     def forget(self, why: str) -> None:
         """What we know does not count (any more): learn the log from the others, then join. Until
-        then we have no vote. From here on our log counts as another one, since the votes that it
-        gave before are forgotten."""
+        then we have no vote. From here on our log counts as another one, because its earlier votes
+        are forgotten."""
         state = self.state
         self._renew_log_id()
         self.outbox.persist({"kind": "reset", "log": state.log_id, "why": why}, durable=True)
@@ -120,8 +120,8 @@ class Membership:
         self.robot.follow()
 
     def _renew_log_id(self) -> None:
-        """What our log says from here on is another memory: its votes must not be taken for those
-        of the one before."""
+        """From here on our log is another memory: its votes must not be confused with those of the
+        one before."""
         state = self.state
         text = "%s|%s|%r|%d" % (state.log_id, self.config.name, state.now, state.records)
         state.log_id = hashlib.sha256(text.encode()).hexdigest()[:32]
@@ -152,11 +152,11 @@ class Membership:
             state.peers.known[str(record["robot"])] = str(record["log"])
         elif kind == "forced":
             robots = record["robots"]
-            if isinstance(robots, dict):  # older ones do not say which incarnation they are about
+            if isinstance(robots, dict):  # older records do not name the incarnation
                 state.off = {str(robot): int(incarnation) for robot, incarnation in robots.items()}
 
     def recall_is_over(self) -> None:
-        """All records were read: begin the next life, where it has to be without memory."""
+        """All records were read: begin the next life, without memory if necessary."""
         if not self.config.trusted:
             self.forget(
                 "the machine was started anew, and the end of the log may not have reached the disk"
@@ -168,7 +168,7 @@ class Membership:
     # -- hello -------------------------------------------------------------------------------------
 
     def greet(self) -> None:
-        """Say hello, and when it is due again."""
+        """Send a hello, and set when the next one is due."""
         state, pace = self.state, self.config.pace
         state.next_hello = state.now + (
             pace.heartbeat if state.active else min(pace.heartbeat, pace.greeting)
@@ -191,9 +191,8 @@ class Membership:
         )
 
     def _greetings(self) -> Dict[str, Seen]:
-        """What we know of those who wait to hear it: who does not take part yet, or would be
-        surprised. In a team at work there is nobody, so that a hello does not grow with the
-        team."""
+        """What we know of the robots that need it: those that do not take part yet, or that would
+        be surprised. A team at work has none, so a hello does not grow with the team."""
         greets = {}
         for robot, peer in self.state.peers.all.items():
             if peer.surprise is not None:
@@ -203,11 +202,11 @@ class Membership:
         return greets
 
     def listen_anew(self) -> None:
-        """We were not listening: nobody's silence counts so far."""
+        """We were not listening: no silence counts so far."""
         self.state.peers.listen_anew(self.state.now)
 
     def listened(self) -> bool:
-        """Whether the time is over just now for which a fresh robot only listens."""
+        """Whether the time in which a fresh robot only listens ends just now."""
         state = self.state
         if not state.listen_until or state.now < state.listen_until:
             return False
@@ -220,7 +219,7 @@ class Membership:
         return [state.next_hello, state.listen_until] if state.listen_until else [state.next_hello]
 
     def hear(self, message: Envelope) -> bool:
-        """Note that a message of the team came in; whether votes of its sender count."""
+        """Note that a message of the team came in; returns whether its sender's votes count."""
         state, sender = self.state, message.sender
         peer = state.peers.hear(sender, state.now)
         if state.own_proposals:
@@ -232,7 +231,8 @@ class Membership:
         return counts
 
     def _knows(self, message: Envelope) -> bool:
-        """Note whose log a message speaks for; whether it is the one whose votes count."""
+        """Note the log that a message speaks for; returns whether it is the one whose votes
+        count."""
         sender, peers = message.sender, self.state.peers
         peer = peers.get(sender)
         known = self.electorate.known_log(sender)
@@ -251,7 +251,7 @@ class Membership:
         return True
 
     def on_hello(self, message: Envelope, hello: Hello) -> None:
-        """Another says that it is there."""
+        """Another announces itself."""
         state, pace, sender = self.state, self.config.pace, message.sender
         peer = state.peers.get(sender)
         met = peer.met
@@ -271,8 +271,8 @@ class Membership:
         if self._is_given_up(hello.cast_out):
             self.forget("it was given up in an eviction by force, as %s knows" % sender)
         self.consider_active()
-        # in a large team answers to everybody's greetings would drown it: there the next hello will
-        # do
+        # in a large team, answers to everybody's greetings would flood it: the next hello is
+        # enough
         waits = not hello.active or peer.surprise is not None
         rested = state.now >= peer.answered + min(pace.greeting, pace.heartbeat)
         if (not met or (waits and rested)) and (self.config.is_small or self.outbox.owes_reply):
@@ -281,11 +281,11 @@ class Membership:
         self._compare(message)
 
     def _is_given_up(self, theirs: Dict[str, int]) -> bool:
-        """Whether our log was given up in an eviction by force, as another's log says.
+        """Whether another's log says that our log was given up in an eviction by force.
 
-        Where two logs each say so of the other (operators contradicted each other), the one that
+        If two logs each say so of the other (operators contradicted each other), the one that
         evicts fewer is kept, else the one that does not evict the first robot. A log that a quorum
-        went on with is always kept: the other evicts all of that quorum.
+        went on with is always kept, because the other evicts all of that quorum.
         """
         me, ledger = self.config.name, self.state.ledger
         mine = ledger.cast_out
@@ -337,7 +337,7 @@ class Membership:
             peer.length > state.ledger.length and peer.heard is not None
             for peer in state.peers.all.values()
         ):
-            return  # nor act before we know where the team is
+            return  # do not act before we know where the team is
         self.become_active()
         team = self.electorate.members()
         fresh = state.incarnation == 0 and state.ledger.length == 1
@@ -348,7 +348,7 @@ class Membership:
     # -- logs that differ --------------------------------------------------------------------------
 
     def _compare(self, message: Envelope) -> None:
-        """Look whether the sender's log begins as ours does, or ours as its."""
+        """Check whether the sender's log begins as ours does, or ours as its."""
         if message.length > self.state.ledger.length:
             return
         known = self.state.hash_at(message.length)
@@ -363,7 +363,7 @@ class Membership:
         """Our log differs from another's before ``slot``."""
         state = self.state
         if state.ledger.is_cast_out(other) or other in self.electorate.asserted_off():
-            return  # the operator gave up what it knows
+            return  # the operator gave up what that robot knows
         if not state.active:
             self.forget("it differs from that of %s" % other)
             return
@@ -377,10 +377,11 @@ class Membership:
         if is_quorum([m for m in members if m in state.astray], members):
             self.forget("it differs from that of a quorum (%s)" % ", ".join(sorted(state.astray)))
 
-    # -- what the log says of us -------------------------------------------------------------------
+    # -- what the log says about us ----------------------------------------------------------------
 
     def note_members(self, items: Sequence[Item]) -> None:
-        """These are in the log now: somebody may have been let in, perhaps as us, or cast out."""
+        """These entries are in the log now: somebody may have been let in, perhaps as us, or cast
+        out."""
         state, me = self.state, self.config.name
         for item in items:
             entry = item.entry
@@ -414,7 +415,7 @@ class Membership:
             self.become_active()
 
     def note_own_fate(self) -> None:
-        """The log has grown: see whether it says that our robot left, or was evicted."""
+        """The log has grown: check whether it says that our robot left, or was evicted."""
         state, robot = self.state, self.electorate.own_robot()
         if robot is None or not robot.phase.gone or state.ledger.state.ended is not None:
             return
@@ -427,7 +428,7 @@ class Membership:
     # -- joining, leaving --------------------------------------------------------------------------
 
     def want_to_join(self) -> None:
-        """See that the log gets to know this incarnation of ours."""
+        """Make the log learn this incarnation of ours."""
         state, config = self.state, self.config
         if (
             state.fenced
@@ -461,7 +462,7 @@ class Membership:
         self.proposals.propose(log.Join(config.name, state.incarnation, place, state.log_id))
 
     def part(self) -> None:
-        """We have left: end once a quorum of those who stay knows, or none can be reached."""
+        """We have left: end once a quorum of those who stay knows, or no quorum can be reached."""
         state = self.state
         members = self.electorate.members()
         know = [m for m in members if state.peers.get(m).length >= state.ledger.length]
@@ -480,7 +481,7 @@ class Membership:
     # -- silence -----------------------------------------------------------------------------------
 
     def watch(self) -> None:
-        """Look for robots that seem lost, and whether we are out of contact ourselves."""
+        """Look for robots that seem lost, and check whether we are out of contact ourselves."""
         state, timing = self.state, self.config.plan.timing
         members = self.electorate.members()
         if not self.electorate.may_vote() or state.ledger.state.ended is not None:
@@ -510,12 +511,12 @@ class Membership:
             limit = self.config.plan.timing.fence_after
             self.outbox.fault("has no contact to a quorum for %g s: stops" % limit)
         elif self.electorate.is_settled():
-            self.new_life()  # what it was doing is started again
+            self.new_life()  # its action is restarted
 
     # -- robots that are off -----------------------------------------------------------------------
 
     def evict_by_force(self, robot: str, incarnation: int, order_id: str) -> None:
-        """An operator asserts that a robot is off: want it evicted."""
+        """An operator asserts that a robot is off: propose its eviction."""
         self._assert_off(robot, incarnation)
         self.consider_active()
         self.proposer.abandon()
@@ -525,7 +526,7 @@ class Membership:
             self.outbox.fault(warning)
 
     def _what_is_given_up(self) -> str:
-        """What the assertions that some robots are off mean for what they know."""
+        """What follows from the assertions that some robots are off for what they know."""
         members, off = self.electorate.members(), self.electorate.asserted_off()
         left = [m for m in members if m not in off]
         if not left or is_quorum(left, members):
@@ -561,7 +562,7 @@ class Membership:
         self.outbox.persist(record, durable=True)
 
     def _heard_though_off(self, robot: str) -> None:
-        """A robot that was asserted to be off is heard: the assertion was wrong, or is over."""
+        """A robot that was asserted to be off is heard: the assertion was wrong, or has ended."""
         was = robot in self.electorate.asserted_off()
         del self.state.off[robot]
         self._persist_off()
@@ -584,7 +585,7 @@ class Membership:
         elif state.superseded_at is not None and not same:
             if state.rival_since is None:
                 state.rival_since = state.now
-            # a late message comes but once
+            # a late message comes only once
             elif state.now - state.rival_since > 1.5 * self.config.pace.heartbeat:
                 self._halt("another process runs as %s, and was let in after it" % self.config.name)
 
@@ -605,7 +606,7 @@ class Membership:
             self.outbox.fault("%s (run '%s'); it is not let in" % (what, self.config.run))
 
     def refuse_message(self, data: Any, why: str) -> None:
-        """Tell once of each sender that we do not understand it."""
+        """Report once for each sender that we do not understand it."""
         complaints = self.state.complaints
         sender = data.get("from") if isinstance(data, dict) else None
         sender = sender[:100] if isinstance(sender, str) else "somebody"

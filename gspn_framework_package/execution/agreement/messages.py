@@ -1,10 +1,9 @@
-"""The messages of the protocol: one value for each, what it says, who sends it when, and what may
-follow.
+"""The messages of the protocol: one value each, with its meaning, its sender, and what may follow.
 
-What a peer sends is input. :func:`parse` takes nothing over that has a wrong type, is out of bounds
-or comes from another version of the protocol, and says by name what was wrong; a replica drops such
-a message and goes on. A message is a JSON object: the fields of :class:`Envelope`, its ``kind``,
-and the fields of its body.
+A peer's message is input. :func:`parse` accepts nothing that has a wrong type, is out of bounds or
+comes from another version of the protocol, and names what was wrong; a replica drops such a message
+and goes on. A message is a JSON object: the fields of :class:`Envelope`, its ``kind``, and the
+fields of its body.
 """
 
 from __future__ import annotations
@@ -17,10 +16,10 @@ from gspn_framework_package.execution.ledger import Item
 from gspn_framework_package.model.errors import LogError
 
 VERSION = 2
-"""Of the protocol; replicas of different versions do not understand each other."""
+"""Version of the protocol; replicas of different versions do not understand each other."""
 
 MOST_ITEMS = 10_000
-"""Items in a message. More than a batch, since what waits at a robot is sent whole."""
+"""Items in a message. More than in a batch, because a robot sends everything that waits there."""
 
 MOST_SLOTS = 1_000
 """Slots in a message."""
@@ -32,7 +31,7 @@ LONGEST_NAME = 1_000
 """Characters of a name, an id or a hash."""
 
 LARGEST = 2**53
-"""The largest number; whatever reads JSON reads it exactly."""
+"""The largest number; every JSON reader reads it exactly."""
 
 Batch = List[Any]
 """A proposed value: items as JSON values."""
@@ -123,8 +122,8 @@ def _batch(value: Any, *, start: bool = False) -> Batch:
 
 
 class Seen(NamedTuple):
-    """What the sender of a hello remembers of the robot that it greets: under which log it knows
-    it, and how many records of that log there were in incarnation ``incarnation``."""
+    """What the sender of a hello remembers of the robot that it greets: the log under which it
+    knows that robot, and how many records the log had in incarnation ``incarnation``."""
 
     log: str
     incarnation: int
@@ -135,11 +134,11 @@ class Hello(NamedTuple):
     """I am here. To everybody, every heartbeat; more often, and in answer to greetings, before I
     take part.
 
-    ``begin``: how many records my log had when this incarnation began, which shows a log that was
-    cut. ``active``: whether I take part. ``joining``: I was not in the first team. ``first``: hash
-    of the first slot. ``silent``: whom I do not hear. ``off``: robot -> incarnation of those that
-    an operator asserted to be off. ``cast_out``: robot -> slot of its last eviction by force.
-    ``greets``: what I know of those robots that wait for it, or would be surprised.
+    ``begin``: how many records my log had when this incarnation began, which reveals a truncated
+    log. ``active``: whether I take part. ``joining``: I was not in the first team. ``first``: hash
+    of the first slot. ``silent``: the robots I do not hear. ``off``: robot -> incarnation of those
+    that an operator asserted to be off. ``cast_out``: robot -> slot of its last eviction by force.
+    ``greets``: what I know of the robots that wait for it, or would be surprised.
     """
 
     begin: int
@@ -190,8 +189,8 @@ def _object(data: Dict[str, Any], name: str) -> Dict[str, Any]:
 
 
 class Event(NamedTuple):
-    """Proposals: what the sender wants in the log. To the leader (or, from a robot without a
-    ``vote``, to any member), again and again until they are in the log."""
+    """Proposals: what the sender wants in the log. Sent to the leader (or, by a robot without a
+    ``vote``, to any member) again and again until they are in the log."""
 
     items: List[Item]
     vote: bool
@@ -208,8 +207,8 @@ class Event(NamedTuple):
 
 class Prepare(NamedTuple):
     """First phase, from a proposer to the members: promise to accept nothing below ``ballot`` from
-    ``slot`` on. ``frozen``: nobody moves on his own until the slot is decided. Answered by
-    :class:`Promise`, :class:`Nack`, or what the one who is behind needs."""
+    ``slot`` on. ``frozen``: no robot makes a local transition until the slot is decided. Answered
+    by :class:`Promise`, :class:`Nack`, or whatever the one that is behind needs."""
 
     slot: int
     ballot: Ballot
@@ -227,7 +226,7 @@ class Prepare(NamedTuple):
 
 class Promise(NamedTuple):
     """The answer to :class:`Prepare`: ``accepted`` (ballot and batch) in that slot so far, and the
-    proposals that wait here. Without a ``vote`` it only tells what is known."""
+    proposals that wait here. Without a ``vote`` it only reports what is known."""
 
     slot: int
     ballot: Ballot
@@ -404,7 +403,7 @@ _KIND_OF = {body: kind for kind, body in _KINDS.items()}
 
 
 class Envelope(NamedTuple):
-    """What every message says of its sender, and its body.
+    """What every message says about its sender, and its body.
 
     ``team``: run and plan. ``log``: id of the sender's log, and ``records`` how many it holds;
     ``length`` and ``hash``: of the agreed log as far as the sender knows it.
@@ -438,7 +437,7 @@ class Envelope(NamedTuple):
 def parse(data: Any) -> Envelope:
     """The message of a JSON object.
 
-    :raises MessageError: it is none of this version of the protocol.
+    :raises MessageError: it does not belong to this version of the protocol.
     """
     if not isinstance(data, dict):
         raise MessageError("it is not a JSON object")

@@ -1,7 +1,7 @@
-"""What operators order at this robot: checked, held while we only listen, then proposed.
+"""Operators' orders at this robot: checked, held while we only listen, then proposed.
 
 Owns ``held_orders``. Asks the electorate and the log whether an order makes sense, hands it to the
-proposals (or, an eviction by force, to the membership), and answers at once where it is refused.
+proposals (or, an eviction by force, to the membership), and answers at once if it is refused.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class Orders:
         self.membership = membership
 
     def order(self, order: io.Order) -> None:
-        """Propose what an operator orders, where it makes sense."""
+        """Propose an operator's order, if it makes sense."""
         if self.state.now < self.state.listen_until:
-            # we are not in the team yet, but for as long as we listen only
+            # we are not in the team yet, but only while we listen
             self.state.held_orders.append(order)
             return
         entry = order.entry
@@ -62,7 +62,7 @@ class Orders:
             self.order(order)
 
     def force_evict(self, order: io.ForceEvict) -> None:
-        """Believe an operator that a robot is off, where nothing speaks against it."""
+        """Accept an operator's assertion that a robot is off, unless something contradicts it."""
         robot = self._robot(order.robot)
         why = self._why_not_force(order.robot, robot)
         if why or robot is None:
@@ -74,7 +74,7 @@ class Orders:
         return self.state.ledger.state.robots.get(name)
 
     def _why_not(self, entry: log.Entry) -> str:
-        """Why an order makes no sense as things stand; "" if it does."""
+        """Why an order makes no sense at present; "" if it does."""
         state, me, plan = self.state, self.config.name, self.config.plan
         if state.ledger.state.ended is not None:
             return "the run is over: %s" % state.ledger.state.ended

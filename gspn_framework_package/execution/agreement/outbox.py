@@ -1,4 +1,4 @@
-"""The effects of a step, in order: records, messages, answers, what people should hear.
+"""The effects of a step, in order: records, messages, answers, announcements for people.
 
 Owns ``records`` and ``durable``, the length of our own log. Calls nobody; every part puts its
 effects in here, and :class:`~gspn_framework_package.execution.agreement.replica.Replica` takes them
@@ -52,7 +52,7 @@ class Outbox:
     # -- effects -----------------------------------------------------------------------------------
 
     def put(self, *effects: io.Effect) -> None:
-        """Have these carried out after all before them."""
+        """Have these carried out after all earlier effects."""
         self._effects += effects
 
     def persist(self, record: Record, *, durable: bool = False) -> None:
@@ -74,7 +74,7 @@ class Outbox:
         self.put(io.Send(io.EVERYBODY, self.signed(body)))
 
     def answer(self, to: Envelope, body: Any) -> None:
-        """Answer a message: with the reply of a call, where it was one."""
+        """Answer a message; if it was a call, with its reply."""
         if self._request:
             self.put(io.Reply(self._request, self.signed(body)))
             self._request = ""
@@ -82,15 +82,15 @@ class Outbox:
             self.send_all([to.sender], body)
 
     def fault(self, message: str) -> None:
-        """Tell people of a fault of this robot."""
+        """Announce a fault of this robot."""
         self.put(Fault(self.config.name, message))
 
     def order_result(self, order_id: str, ok: bool, text: str) -> None:
-        """Tell who gave an order what became of it."""
+        """Report the outcome of an order to the operator who gave it."""
         self.put(io.OrderResult(order_id, ok, text))
 
     def signed(self, body: Any) -> io.Message:
-        """A message as it leaves, with what every message says of its sender."""
+        """A message as it leaves, with what every message says about its sender."""
         state = self.state
         return Envelope(
             self.config.name,

@@ -1,4 +1,4 @@
-"""What a replica knows of the others: when it heard them last, and what they said."""
+"""What a replica knows about the others: when it last heard them, and what they said."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ MEMORY = 60.0
 """Seconds after which half of a silence that a robot came back from is forgotten."""
 
 MARGIN = 1.5
-"""By how much a silence has to be longer than the longest that the robot came back from."""
+"""A silence has to be this many times longer than the longest that the robot came back from."""
 
 PATIENCE = 4.0
-"""How many times longer than the plan says we wait at most for a robot that is often silent."""
+"""At most this many times the plan's limit is granted to a robot that is often silent."""
 
 
 class Life(NamedTuple):
@@ -43,7 +43,7 @@ class Peer:
     silent: FrozenSet[str] = frozenset()
     """Whom it does not hear."""
     active: bool = True
-    """Whether it takes part, as far as it told: one that lost its log does not until it is let
+    """Whether it says that it takes part: a robot that lost its log does not until it is let
     in."""
     answered: float = -math.inf
     """When we answered a hello of it last (s); two that wait must not answer each other's
@@ -56,10 +56,10 @@ class Peer:
     before: Life = Life(-1, 0)
     """Its newest incarnation, and the one before, in that log."""
     surprise: Optional[Seen] = None
-    """What it should hear of: that we know it under another log, or a longer one."""
+    """What it should hear: that we know it under another log, or a longer one."""
 
     def note_life(self, message: Envelope) -> None:
-        """Take in which log it speaks for, and how much there is of it."""
+        """Note the log that it speaks for, and its length."""
         now = Life(message.incarnation, message.records)
         if message.log != self.log:
             self.log, self.life, self.before = message.log, now, Life(-1, 0)
@@ -98,7 +98,7 @@ class Peers:
         return peer
 
     def listen_anew(self, now: float) -> None:
-        """We were not listening (suspended, restarted): nobody's silence counts so far."""
+        """We were not listening (suspended, restarted): no silence counts so far."""
         self.since = now
 
     def silence(self, robot: str, now: float) -> float:
@@ -115,9 +115,9 @@ class Peers:
         ]
 
     def silent(self, members: Sequence[str], me: str, limit: float, now: float) -> Set[str]:
-        """The members that were silent for longer than ``limit``; one that never came up, for three
-        times as long; and one that came back from longer silences of late (a busy machine, a bad
-        link), for longer than these, though not for ever."""
+        """The members that were silent for longer than ``limit``. A robot that never came up gets
+        three times as long; one that recently came back from longer silences (a busy machine, a
+        bad link) gets longer than those, up to a bound."""
         return {m for m in members if m != me and self.silence(m, now) > self._limit(m, limit)}
 
     def _limit(self, robot: str, limit: float) -> float:
@@ -127,5 +127,5 @@ class Peers:
         return min(PATIENCE * limit, max(limit, MARGIN * peer.gap))
 
     def accusers(self, robot: str) -> Set[str]:
-        """Who says that the robot is silent."""
+        """The robots that say that the robot is silent."""
         return {name for name, peer in self.all.items() if robot in peer.silent}

@@ -1,4 +1,4 @@
-"""What waits to get into the log: what this robot proposes, and what others told it that they do.
+"""What waits to get into the log: this robot's proposals, and those that others announced to it.
 
 Owns ``own_proposals``, ``others_proposals`` and ``number``. Reads the electorate (what may go into
 the log), puts records and the answers to orders into the outbox.
@@ -21,7 +21,7 @@ from gspn_framework_package.execution.token_game import Step
 
 
 class Proposals:
-    """The items on their way. Those of one origin stay in the order of their numbers."""
+    """The proposals on their way. Those of one origin stay in the order of their numbers."""
 
     def __init__(
         self, config: Config, state: ReplicaState, outbox: Outbox, electorate: Electorate
@@ -35,7 +35,7 @@ class Proposals:
     # -- in ----------------------------------------------------------------------------------------
 
     def propose(self, entry: log.Entry, order_id: str = "", suspect: str = "") -> None:
-        """Want an entry in the log."""
+        """Propose an entry for the log."""
         item = Item(entry, self._next_origin())
         if not suspect:  # a suspicion may be withdrawn, and is never taken up again
             origin = list(item.origin)
@@ -43,7 +43,7 @@ class Proposals:
         self.state.own_proposals.append(Proposal(item, order_id, suspect))
 
     def add_local_transition(self, entry: log.Done, firing: Firing) -> None:
-        """A local transition was made, and is to be in the log some time."""
+        """A local transition was made, and has to get into the log at some time."""
         origin = self._next_origin()
         self.outbox.persist(
             {
@@ -56,7 +56,7 @@ class Proposals:
         self.state.own_proposals.append(Proposal(Item(entry, origin, True)))
 
     def add_others(self, items: Sequence[Item]) -> None:
-        """Keep what others want in the log."""
+        """Keep the proposals of others."""
         if not items:
             return
         is_news, others = self.state.ledger.is_news, self.state.others_proposals
@@ -65,7 +65,7 @@ class Proposals:
                 others.setdefault(item.origin.robot, {})[item.origin] = item
 
     def drop_others(self, robot: str) -> None:
-        """Forget what was told of a robot."""
+        """Drop a robot's proposals."""
         self.state.others_proposals.pop(robot, None)
 
     def _next_origin(self) -> Origin:
@@ -80,7 +80,7 @@ class Proposals:
     # -- out ---------------------------------------------------------------------------------------
 
     def take_out_decided(self, fresh: Set[Origin], step: Optional[Step]) -> None:
-        """Drop what is in the log, and answer those who ordered it.
+        """Drop what is in the log, and answer the operators who ordered it.
 
         :param fresh: origins of the slot that was just decided.
         :param step: what it brought about.
@@ -109,7 +109,7 @@ class Proposals:
         self.outbox.order_result(own.order_id, not why, why or "done, in slot %d of the log" % slot)
 
     def _without_effect(self, entry: log.Entry, step: Optional[Step]) -> str:
-        """Why an order that is in the log changed nothing; "" if it did."""
+        """Why an order in the log changed nothing; "" if it did change something."""
         if isinstance(entry, (log.SetPlace, log.Fire)):
             return "; ".join(
                 c.message
@@ -121,14 +121,14 @@ class Proposals:
         return ""
 
     def withdraw_suspicion(self, robots: Iterable[str]) -> None:
-        """Take back the Evicts for silence of robots that were heard again."""
+        """Withdraw the Evicts for silence of robots that were heard again."""
         heard = set(robots)
         self.state.own_proposals = [
             own for own in self.state.own_proposals if own.suspect not in heard or not own.suspect
         ]
 
     def withdraw_forced_evictions(self, robot: str, why: str) -> None:
-        """Take back the evictions by force of a robot that is not off."""
+        """Withdraw the evictions by force of a robot that is not off."""
         kept = []
         for own in self.state.own_proposals:
             entry = own.item.entry
@@ -149,11 +149,11 @@ class Proposals:
         self.outbox.persist({"kind": "void", "origin": list(own.item.origin), "why": why})
 
     def keep_orders_only(self) -> None:
-        """Our robot is gone: what it did does not count, what operators want does."""
+        """Our robot is gone: drop its own proposals, but not the operators'."""
         self.state.own_proposals = [o for o in self.state.own_proposals if o.order_id]
 
     def drop_all(self, why: str) -> None:
-        """We forget our log, and all that was to get into it."""
+        """We forget our log, and everything that was to get into it."""
         for own in self.state.own_proposals:
             if own.order_id:
                 self.outbox.order_result(own.order_id, False, why)
@@ -163,15 +163,15 @@ class Proposals:
     # -- questions ---------------------------------------------------------------------------------
 
     def own_items(self) -> List[Item]:
-        """What we want in the log ourselves."""
+        """Our own proposals."""
         return [own.item for own in self.state.own_proposals]
 
     def origins(self) -> List[str]:
-        """The robots that others told about."""
+        """The robots whose proposals others announced."""
         return list(self.state.others_proposals)
 
     def told_of(self, robots: Iterable[str]) -> List[Item]:
-        """What others told of these robots."""
+        """The announced proposals of these robots."""
         others = self.state.others_proposals
         return [
             item
@@ -180,7 +180,7 @@ class Proposals:
         ]
 
     def has_control(self) -> bool:
-        """Whether an order waits that needs every robot to hold still."""
+        """Whether an order waits that needs every robot to freeze its local transitions."""
         return any(isinstance(own.item.entry, CONTROLS) for own in self.state.own_proposals) or any(
             isinstance(item.entry, CONTROLS)
             for items in self.state.others_proposals.values()
@@ -188,18 +188,18 @@ class Proposals:
         )
 
     def batch(self, frozen: bool) -> Batch:
-        """What should go into the open slot, items as JSON values.
+        """The batch for the open slot, items as JSON values.
 
-        :param frozen: nobody makes a local transition until it is decided.
+        :param frozen: nobody makes a local transition until the slot is decided.
         """
         items = self.in_order(frozen or not self.config.partial)
         items = self.electorate.with_one_who_stays(self.electorate.without_ghosts(items))
         return [i.to_json() for i in items[: self.config.limits.batch]]
 
     def in_order(self, frozen: bool, most: Optional[int] = None) -> List[Item]:
-        """Of each robot, in the order of the members (others after those), first its leading local
-        transitions, then the rest; the first ``most`` of them. Not ``frozen``: without the orders
-        that need it, and what comes after them.
+        """The first ``most`` items: for each robot, in the order of the members (others after
+        them), first its leading local transitions, then the rest. If not ``frozen``: without the
+        orders that need it, and without whatever follows them.
         """
         order = self.electorate.members()
         items: Dict[str, List[Item]] = {}

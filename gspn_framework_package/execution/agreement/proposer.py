@@ -1,5 +1,5 @@
-"""When to propose: as leader, after waiting for the leader, by a member where we have no vote; when
-to ask again, and when to give way to another's attempt. Nothing in here matters for safety.
+"""When to propose (as leader, after waiting for the leader, through a member if we have no vote),
+when to ask again, and when to give way to another's attempt. Nothing in here matters for safety.
 
 Owns the timers of the open slot (the fields of proposer in
 :class:`~gspn_framework_package.execution.agreement.state.ReplicaState`) and drives the
@@ -32,11 +32,11 @@ from gspn_framework_package.execution.draw import uniform
 from gspn_framework_package.execution.team_state import POLICY
 
 FLUSH_AT = 100
-"""Local transitions that wait before they are brought into the log for their number alone."""
+"""This many waiting local transitions are put into the log for their number alone."""
 
 
 class Proposer:
-    """Looks at the clock, and at what waits."""
+    """Acts on the clock and on what waits."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class Proposer:
         self.proposals = proposals
         self.consensus = consensus
 
-    # -- what came in ------------------------------------------------------------------------------
+    # -- inputs ------------------------------------------------------------------------------------
 
     def on_event(self, message: Envelope, body: Event) -> None:
         """Another wants something in the log."""
@@ -63,7 +63,7 @@ class Proposer:
         (voteless.discard if body.vote else voteless.add)(message.sender)
 
     def on_vote(self, message: Envelope) -> None:
-        """A message of the consensus, of a robot whose memory counts."""
+        """A consensus message of a robot whose memory counts."""
         body, consensus, now = message.body, self.consensus, self.state.now
         if isinstance(body, Prepare):
             consensus.on_prepare(message, body)
@@ -85,10 +85,10 @@ class Proposer:
         return self.consensus.on_chosen(ballot)
 
     def ask_again(self, robot: str) -> None:
-        """A robot that was behind is sent what it lacks: repeat to it what it could not answer."""
+        """A robot that was behind is sent what it lacks: repeat what it could not answer."""
         self.consensus.ask_again(robot)
 
-    # -- what became of the open slot --------------------------------------------------------------
+    # -- the outcome of the open slot --------------------------------------------------------------
 
     def next_slot(self, mine: bool, returned: Set[str]) -> None:
         """The open slot was decided; see
@@ -105,7 +105,7 @@ class Proposer:
             )
 
     def begin_anew(self) -> None:
-        """Our log was replaced: what we wanted in its open slot does not count."""
+        """Our log was replaced: our proposals for its open slot do not count."""
         self.consensus.next_slot(False, set())
 
     def abandon(self) -> None:
@@ -113,12 +113,12 @@ class Proposer:
         self.consensus.abandon()
 
     def lead_from_the_start(self, followers: Set[str]) -> None:
-        """We are the first of a team of which everybody is fresh."""
+        """We are the first of a team in which everybody is fresh."""
         self.consensus.lead_from_the_start(followers)
 
     def lead_on(self, ballot: Ballot) -> bool:
-        """Our attempt was chosen: propose the next batch under the same ballot at once, if one
-        waits, which tells the others too; whether it did."""
+        """Our attempt was chosen: if another batch waits, propose it under the same ballot at
+        once, which also informs the others; returns whether it did."""
         self.state.gathers_until = self.state.now + self.config.pace.gather
         if self.config.partial or self.config.pace.gather > 0:
             return False
@@ -156,7 +156,7 @@ class Proposer:
         return any(team.robots[name].request == POLICY for name in team.waiting)
 
     def drive(self) -> None:
-        """Get on with what is wanted."""
+        """Get on with the proposals."""
         state, consensus = self.state, self.consensus
         again = consensus.resend_at(self.config.pace.retry)
         if again is not None:
@@ -198,7 +198,7 @@ class Proposer:
         self._send_event([leader])
 
     def _ask_members(self) -> None:
-        """We have no vote: have a member propose what we want."""
+        """We have no vote: let a member propose our proposals."""
         others = self.electorate.others()
         heard = [m for m in others if self.state.peers.get(m).heard is not None] or others
         if not heard:
@@ -222,14 +222,14 @@ class Proposer:
         self.outbox.send_all(to, Event(items[:MOST_ITEMS], self.electorate.may_vote()))
 
     def _patience(self) -> float:
-        """For how long a proposal waits for the leader (s)."""
+        """How long a proposal waits for the leader (s)."""
         members, me = self.electorate.members(), self.config.name
         rank = members.index(me) if me in members else len(members)
         takeover = max(self.config.pace.takeover, 3 * self.state.round_trip)
         return takeover * (1 + 0.25 * rank + 0.5 * self._draw())
 
     def _give_way(self) -> None:
-        """Another's attempt goes first: wait for its outcome."""
+        """Another's attempt takes precedence: wait for its outcome."""
         state = self.state
         if self.config.partial:
             state.gave_way = True
@@ -242,8 +242,8 @@ class Proposer:
         state.wait_until = state.now + wait
 
     def _spread(self) -> float:
-        """A part of the time over which those who want a slot begin: in a large team more want it
-        at a time."""
+        """A part of the time over which robots that want a slot spread their starts: in a large
+        team, more want one at a time."""
         return self.config.pace.spread * self._draw()
 
     def _draw(self) -> float:

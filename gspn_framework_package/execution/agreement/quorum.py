@@ -8,8 +8,8 @@ from typing import Any, Collection, NamedTuple, Sequence
 
 class Ballot(NamedTuple):
     """The number of an attempt to decide a slot; of two the larger one wins. No two attempts have
-    the same: ``robot`` counts its own up, and ``log`` is the id of the log in which it does, since
-    one that lost its log begins to count anew."""
+    the same: ``robot`` increments its own counter, and ``log`` is the id of the log in which it
+    does, because a robot that lost its log starts counting anew."""
 
     counter: int
     robot: str

@@ -1,4 +1,4 @@
-"""The newest slots of the log, for those who are behind: they get slots, not a snapshot.
+"""The newest slots of the log, for robots that are behind: they get slots, not a snapshot.
 
 A collection that :mod:`~gspn_framework_package.execution.agreement.replication` keeps; calls
 nobody.
@@ -18,7 +18,7 @@ Slot = Tuple[Ballot, List[Any], str]
 class RecentSlots:
     """The newest slots, in order.
 
-    :param kept: how many are kept; who is further behind gets a snapshot.
+    :param kept: how many are kept; a robot that is further behind gets a snapshot.
     :param chunk: how many are sent at a time.
     """
 

@@ -1,7 +1,7 @@
 """A replica's own log, read back when it starts again.
 
-Owns nothing: gives each record to the part whose it is (membership, replication, proposals,
-consensus), in the order of the log, and has the membership begin the next life.
+Owns nothing: routes each record to the part that handles it (membership, replication, proposals,
+consensus), in the order of the log, and lets the membership begin the next life.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Recovery:
         self.replication = replication
 
     def resume(self, records: Sequence[Record]) -> None:
-        """Take our own log up again.
+        """Resume from our own log.
 
         :raises LogError: the records contradict each other or the plan.
         """
@@ -63,7 +63,7 @@ class Recovery:
             self.replication.begin()
 
     def _recall(self, record: Record, counts: bool) -> None:
-        """Take over one record. ``counts``: no snapshot or reset comes after it."""
+        """Take over one record. ``counts``: no snapshot or reset follows it."""
         kind = record["kind"]
         if kind in OF_MEMBERSHIP:
             self.membership.recall(record)

@@ -1,8 +1,8 @@
 """The agreement core: one robot's replica of the log, as a pure step function.
 
 :class:`Replica` takes inputs and returns effects
-(:mod:`~gspn_framework_package.execution.agreement.interface`). It only puts the parts together and
-gives each input to the part whose it is; what a replica remembers is in one
+(:mod:`~gspn_framework_package.execution.agreement.interface`). It only assembles the parts and
+routes each input to the part that handles it; what a replica remembers is in one
 :class:`~gspn_framework_package.execution.agreement.state.ReplicaState`, of which it owns ``now``.
 
 Protocol, assumptions and a sketch of the proof are in ``docs/agreement.md``.
@@ -46,15 +46,15 @@ class Replica:
     :param records: the records of our log, in order; empty where it is new.
     :param joining: we are not in the first team (or it has started long ago): learn the log from
         the others, then join.
-    :param place: where we come in when we join for the first time; default: our place in the plan,
+    :param place: where we start when we join for the first time; default: our place in the plan,
         else the first of ``spawn``.
-    :param pace: times of the protocol, for a team of few.
+    :param pace: times of the protocol, for a small team.
     :param limits: sizes of the protocol.
-    :param trusted: the end of our log is there. Where it may be lost (the machine was started anew,
-        and the log was not written through to the disk), what is left is not trusted, and the robot
-        joins as one that lost its log.
+    :param trusted: the end of our log is intact. If it may be lost (the machine was restarted, and
+        the log was not synced to the disk), the rest is not trusted, and the robot joins like one
+        that lost its log.
 
-    :ivar config: what it was told once.
+    :ivar config: its configuration.
     :ivar state: what it remembers.
     """
 
@@ -132,7 +132,7 @@ class Replica:
         return self.outbox.flush()
 
     def step(self, given: io.Input, now: float) -> List[io.Effect]:
-        """Take one input; the effects are to be carried out in order.
+        """Take one input; carry out the effects in order.
 
         :param now: monotonic clock, s.
         """
@@ -177,9 +177,9 @@ class Replica:
                 self.replication.pull_if_behind(message)
 
     def _give(self, message: messages.Envelope, counts: bool) -> None:
-        """Give a message of the team to the part that it is for.
+        """Route a message of the team to the part that handles it.
 
-        :param counts: votes of the sender do.
+        :param counts: whether the sender's votes count.
         """
         body = message.body
         if isinstance(body, messages.Hello):
@@ -251,7 +251,7 @@ class Replica:
 
     @property
     def fenced(self) -> bool:
-        """Whether our action was stopped, for we have no contact to a quorum."""
+        """Whether our action was stopped because we have no contact to a quorum."""
         return self.state.fenced
 
     @property
@@ -294,13 +294,13 @@ class Replica:
         return self.robot.marking()
 
     def waits_for(self) -> str:
-        """What this replica (not its action) waits for, for people; "" if for nothing."""
+        """What this replica (not its action) waits for, in words; "" for nothing."""
         return self.people.waits_for()
 
     def is_stuck(self) -> bool:
-        """Whether the team can never go on by itself: of too many members the logs are lost."""
+        """Whether the team can never go on by itself, because too many members lost their logs."""
         return self.people.is_stuck()
 
     def status(self) -> Dict[str, Any]:
-        """Everything a person may ask, as a JSON object (ages in s)."""
+        """Everything a person may want to know, as a JSON object (ages in s)."""
         return self.people.as_json()

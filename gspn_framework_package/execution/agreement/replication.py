@@ -1,10 +1,10 @@
-"""The replicated log: slots that are decided, slots and snapshots that we catch up on, and the help
-for those who are behind.
+"""The replicated log: decided slots, catching up on slots and snapshots, and help for robots that
+are behind.
 
-Owns ``ledger``, ``recent``, ``first_hash`` and ``asked_until``. When a slot is in the log it tells,
-in this order, the proposer (the open slot is another), the membership (who was let in, or cast
-out), the proposals (what waits no longer) and the local robot (where it is). It is the log that
-consensus and membership ask for.
+Owns ``ledger``, ``recent``, ``first_hash`` and ``asked_until``. When a slot is in the log it
+notifies, in this order, the proposer (another slot is open), the membership (who was let in or cast
+out), the proposals (what no longer waits) and the local robot (where it is). It is the log that
+consensus and membership need.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from gspn_framework_package.model.errors import LogError
 
 
 class Replication:
-    """Takes slots into the log, with all that follows from them."""
+    """Takes slots into the log, with all consequences."""
 
     def __init__(
         self,
@@ -56,7 +56,7 @@ class Replication:
     # -- slots that are decided --------------------------------------------------------------------
 
     def begin(self) -> None:
-        """The first slot is the same for all who have the plan: nothing to agree on."""
+        """The first slot is the same for everybody who has the plan, and needs no agreement."""
         start = self.config.game.start_entry()
         self._commit([Item(start, Origin("", 0, 0)).to_json()], Ballot(0, ""), mine=False)
 
@@ -69,8 +69,8 @@ class Replication:
             self._tell_chosen(slot, ballot, {origin[0] for _, origin, _ in batch}, alone)
 
     def _tell_chosen(self, slot: int, ballot: Ballot, origins: Set[str], alone: bool) -> None:
-        """Tell the others; but in a small team those whose proposals were in the batch saw each
-        other's votes."""
+        """Inform the others, except, in a small team, those whose proposals were in the batch:
+        they saw each other's votes."""
         voted = self.config.is_small and not self.config.partial and not alone
         told = [m for m in self.electorate.others() if not (voted and m in origins)]
         if alone:  # nobody else has seen the batch
@@ -116,7 +116,7 @@ class Replication:
     ) -> None:
         self.proposals.take_out_decided(fresh, step)
         if self.state.active and self.electorate.spoken_for():
-            self.membership.new_life()  # a former life of ours, late, or somebody else in our name
+            self.membership.new_life()  # a late former life of ours, or somebody else in our name
         self.robot.follow()
         self.membership.note_own_fate()
         self.robot.act(delays)
@@ -126,11 +126,11 @@ class Replication:
         self.state.ledger = Ledger(self.config.game)
         self.state.recent.clear(0)
 
-    # -- catching up, and helping others to --------------------------------------------------------
+    # -- catching up, and helping others to catch up -----------------------------------------------
 
     def is_open(self, message: Envelope) -> bool:
-        """Whether a message is about the open slot, on top of the same log; where it is not, the
-        one that is behind is helped."""
+        """Whether a message is about the open slot, on top of the same log; if not, the robot that
+        is behind is helped."""
         ledger, slot = self.state.ledger, message.body.slot
         if slot < ledger.length:
             self.help(message)
@@ -144,7 +144,7 @@ class Replication:
         return True
 
     def pull(self, robot: str) -> None:
-        """Ask a robot that is ahead for what we lack, not too often."""
+        """Ask a robot that is ahead for what we lack, but not too often."""
         state = self.state
         length, until = state.asked_until
         if length == state.ledger.length and state.now < until:
@@ -177,7 +177,7 @@ class Replication:
             self.pull(message.sender)
 
     def on_learn(self, message: Envelope, body: Learn) -> None:
-        """Another tells what is decided."""
+        """Another reports what is decided."""
         state = self.state
         if body.snapshot is not None:
             if body.snapshot["slot"] >= state.ledger.length:

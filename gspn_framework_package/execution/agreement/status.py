@@ -1,7 +1,7 @@
-"""What people may ask of a replica, and what it says by itself when that changes.
+"""A replica's answers for people, and its announcements when they change.
 
-Owns ``told_status``. Reads the state and the electorate, and the local robot's marking; tells
-through the outbox.
+Owns ``told_status``. Reads the state and the electorate, and the local robot's marking;
+announces through the outbox.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Status:
         self.robot = robot
 
     def tell(self) -> None:
-        """Tell people what we wait for, if that has changed."""
+        """Announce what we wait for, if that has changed."""
         text = self.waits_for()
         if text != self.state.told_status:
             self.state.told_status = text
@@ -50,7 +50,7 @@ class Status:
                 self.outbox.put(io.StatusChanged(text))
 
     def waits_for(self) -> str:
-        """What this replica (not its action) waits for, for people; "" if for nothing."""
+        """What this replica (not its action) waits for, in words; "" for nothing."""
         state, electorate = self.state, self.electorate
         if state.halted is not None:
             return "halted: " + state.halted
@@ -87,7 +87,7 @@ class Status:
         unheard = electorate.unheard()
         if not electorate.has_quorum():
             return "has no quorum; silent: %s" % ", ".join(unheard)
-        # whose attempt it is changes all the time
+        # the owner of the attempt changes all the time
         if self.config.partial and unheard and self.proposer.wants():
             return "waits for an answer of %s" % ", ".join(unheard)
         return ""
@@ -97,8 +97,8 @@ class Status:
         return [m for m in self.electorate.others() if not self.state.peers.get(m).active]
 
     def is_stuck(self) -> bool:
-        """Whether the team can never go on by itself: of too many members the logs, and with them
-        the votes, are lost."""
+        """Whether the team can never go on by itself, because too many members lost their logs,
+        and with them their votes."""
         state, me = self.state, self.config.name
         if (
             state.ledger.length == 0
@@ -126,7 +126,7 @@ class Status:
         )
 
     def as_json(self) -> Dict[str, Any]:
-        """Everything a person may ask, as a JSON object (ages in s)."""
+        """Everything a person may want to know, as a JSON object (ages in s)."""
         state, config = self.state, self.config
         team = state.ledger.state
         return {

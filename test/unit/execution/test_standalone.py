@@ -257,7 +257,7 @@ def test_a_listener_that_breaks_does_not_break_silently(tmp_path: Path) -> None:
     executor.start()
     with pytest.raises(ExecutionError, match="full disk"):
         executor.wait(DEADLINE)
-    assert executor.over and told == ["the run broke off: ValueError: full disk"]
+    assert executor.over and told == ["the run failed: ValueError: full disk"]
 
 
 RING = {"T1": (True, ["P1"], ["P2"]), "T2": (True, ["P2"], ["P1"])}

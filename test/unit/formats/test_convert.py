@@ -198,4 +198,4 @@ def test_every_plan_is_the_same_as_one_file(tmp_path, capsys):
                 == read_plan(str(plan)).hash()
             )
     assert convert(PLANS / "measure" / "net.xml", tmp_path / "net.json") == 2
-    assert "this is a net, and not a plan" in capsys.readouterr().err
+    assert "this is a net, not a plan" in capsys.readouterr().err

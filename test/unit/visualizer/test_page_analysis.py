@@ -163,7 +163,7 @@ def test_the_present_marking_is_that_which_is_shown_and_keeps_the_policy(ask):
         ("print('{\"part\": 3}', flush=True)", "cannot be read"),
         ("import sys; sys.stderr.write('x' * 1_000_000 + '\\nno more'); sys.exit(3)", "no more"),
         ("import os; os.kill(os.getpid(), 9)", "exit -9"),
-        ("import os; os.close(0); os.close(1); os._exit(1)", "broke off"),
+        ("import os; os.close(0); os.close(1); os._exit(1)", "the analysis failed"),
     ],
 )
 def test_whatever_becomes_of_the_process_ends_the_analysis(ask, monkeypatch, worker, told):

@@ -137,7 +137,7 @@ def test_the_viewers_token_may_look_and_do_nothing():
             refused = client.post(
                 rule.replace("<job>", "x") + "?id=small", {"command": "step"}, **BEYOND
             )
-            assert refused.status_code == 403 and "may only look" in refused.get_json()["error"], (
+            assert refused.status_code == 403 and "is read-only" in refused.get_json()["error"], (
                 rule
             )
     assert client.get("/api/poll?id=small", **BEYOND).get_json()["snapshot"]["board"]["n"] == 0

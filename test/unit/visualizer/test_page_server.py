@@ -275,7 +275,7 @@ def test_the_tokens_are_printed_with_the_address_and_are_nowhere_else(
     assert main(["serve", "plans", "--host", "0.0.0.0", "--port", "0"]) == 0
     first, second, address = capsys.readouterr().out.splitlines()
     assert len(first.split("#token=")[1].split()[0]) >= 20 and len(second.split("#token=")[1]) >= 20
-    assert "may only look" in second and "token" not in address
+    assert "Read-only" in second and "token" not in address
     tokens = tmp_path / "tokens"
     tokens.write_text("operator-operator\nviewer-viewer-viewer\n")
     tokens.chmod(0o600)

@@ -57,7 +57,7 @@ export class AnalysisPanel extends EventTarget {
         "select",
         { id: "an-from" },
         h("option", { value: "initial", text: "the initial marking" }),
-        h("option", { value: "marking", text: "the present marking" }),
+        h("option", { value: "marking", text: "the current marking" }),
       ),
       policy: h("input", {
         id: "an-policy",
@@ -95,7 +95,7 @@ export class AnalysisPanel extends EventTarget {
     this.answers = h("div", { id: "answers" });
     this.panel.replaceChildren(
       this.refusal
-        ? h("p", { class: "muted", text: `No analysis can be asked for: ${this.refusal}.` })
+        ? h("p", { class: "muted", text: `Analysis is not available: ${this.refusal}.` })
         : "",
       h(
         "div",
@@ -117,14 +117,14 @@ export class AnalysisPanel extends EventTarget {
         h(
           "div",
           { class: "form" },
-          ...field("an-limit", "States at most", this.settings.limit),
-          ...field("an-seconds", "Seconds at most", this.settings.seconds),
-          ...field("an-from", "Starting at", this.settings.from),
+          ...field("an-limit", "Max. states", this.settings.limit),
+          ...field("an-seconds", "Max. seconds", this.settings.seconds),
+          ...field("an-from", "Start from", this.settings.from),
           ...(plan ? field("an-policy", "Under the policy", this.settings.policy) : []),
         ),
       ),
       question(
-        "Can it come to this?",
+        "Is it reachable?",
         false,
         h("div", { class: "form" }, ...field("an-reach", "Reachable", reach)),
         ask("Reachable?", () => ({ reach: [reach.value] })),
@@ -159,7 +159,7 @@ export class AnalysisPanel extends EventTarget {
         false,
         h("p", {
           class: "muted",
-          text: "So much per token and second in a place, or per firing of a transition.",
+          text: "Reward per token and second in a place, or per firing of a transition.",
         }),
         h("div", { class: "form" }, ...field("an-rewards", "Rewards", rewards)),
         ask("Reward per second", () => ({
@@ -268,7 +268,7 @@ export class AnalysisPanel extends EventTarget {
         .map((part) => ` · ${part}`)
         .join("");
     };
-    tell(from.value === "initial" ? "from the initial marking" : "from the present marking");
+    tell(from.value === "initial" ? "from the initial marking" : "from the current marking");
     this.asked.append(about);
     const job = (this.job = { key: null, unwanted: false });
     this.showProgress({ seconds: 0, progress: {} });
@@ -282,7 +282,7 @@ export class AnalysisPanel extends EventTarget {
     if (!started) {
       this.job = null;
       this.status.replaceChildren();
-      this.tellNoAnswer("it was not begun");
+      this.tellNoAnswer("it did not start");
       return;
     }
     this.follow(job, request, body);

@@ -115,7 +115,7 @@ export class AnswerViews {
             steps.slice(0, LIST).map((name, i) => [i ? " → " : "", this.node(name)]),
             steps.length > LIST ? ` … (${plural(steps.length, "step")})` : "",
           ]
-        : "It holds at the beginning.",
+        : "It holds at the start.",
     );
   }
 
@@ -147,7 +147,7 @@ export class AnswerViews {
             : []),
           h("button", {
             class: "icon small",
-            "aria-label": "Take the paint away",
+            "aria-label": "Clear highlighting",
             text: "×",
             onclick: () => this.unpaint(),
           }),
@@ -360,7 +360,10 @@ export class AnswerViews {
         ],
         ["Dead transitions", dead ? this.names(dead) : this.answer(result, "dead_transitions")],
         ...this.titled(result, "behaviour"),
-        result.left_out?.length > 0 && ["Left out", `${result.left_out.join(", ")}: only written`],
+        result.left_out?.length > 0 && [
+          "Left out",
+          `${result.left_out.join(", ")}: only written to`,
+        ],
         [
           "Limits",
           `${number(result.limits.states)} markings, ${number(result.limits.tree)} nodes of a tree, ` +
@@ -416,7 +419,7 @@ export class AnswerViews {
       flows = Object.entries(steady.throughput);
     const waits = new Map(Object.entries(steady.mean_waiting_time || {}));
     const states = result.likely_states || [];
-    const stay = ({ mean_stay: value }) => (value === "infinite" ? "for ever" : number(value));
+    const stay = ({ mean_stay: value }) => (value === "infinite" ? "forever" : number(value));
     const facts = this.titled(result, "timing");
     if (steady.reward !== undefined) facts.unshift(["Reward", `${number(steady.reward)} /s`]);
     return this.section(
@@ -426,7 +429,7 @@ export class AnswerViews {
         h("p", {
           class: "muted",
           text:
-            `It ends up in one of ${steady.component_count} recurrent classes, ` +
+            `The net ends up in one of ${steady.component_count} recurrent classes, ` +
             `${steady.deadlock_count} of them deadlocks.` +
             (steady.component_count > steady.components.length
               ? ` The ${steady.components.length} most probable:`
@@ -496,7 +499,7 @@ export class AnswerViews {
               {},
               h("th", { text: "Marking" }),
               h("th", { class: "number", text: "probability" }),
-              h("th", { class: "number", text: "a stay (s)" }),
+              h("th", { class: "number", text: "mean stay (s)" }),
             ),
           ),
           h(
@@ -582,7 +585,7 @@ export class AnswerViews {
         ),
       );
     return this.section(
-      "What the runs showed",
+      "Results of the runs",
       this.facts([
         [
           "Runs",
@@ -592,8 +595,8 @@ export class AnswerViews {
         ["Firings", found.events.toLocaleString("en")],
         ["Confidence", `${number(100 * found.confidence)} %`],
         ["Seed", String(found.seed)],
-        found.reached && ["Came to the condition", estimate(found.reached)],
-        found.time_to_condition && ["When they did (s)", estimate(found.time_to_condition)],
+        found.reached && ["Reached the condition", estimate(found.reached)],
+        found.time_to_condition && ["Time to reach it (s)", estimate(found.time_to_condition)],
         found.reached && ["Length of a run (s)", estimate(found.end_time)],
       ]),
       h(

@@ -8,7 +8,7 @@ import { robotCard } from "./robots_panel.js";
 
 /** Whether a field holds something that is no number; then it says so. */
 function badNumber(field) {
-  if (field.validity.badInput) toast("that is not a number: nothing was changed");
+  if (field.validity.badInput) toast("not a number: nothing was changed");
   return field.validity.badInput;
 }
 
@@ -152,14 +152,14 @@ export class Inspector extends EventTarget {
       ]),
       h("p", {
         class: "muted",
-        text: "Choose a place or a transition, in the net or in the list, to see more of it.",
+        text: "Select a place or a transition in the net or the list to see its details.",
       }),
       notes.length > 0 && [
         h("h3", { text: "Notes" }),
         notes.map((note) => h("p", { class: "muted", text: note })),
       ],
       board.notes.length > 0 && [
-        h("h3", { text: "What was reported" }),
+        h("h3", { text: "Reports" }),
         board.notes
           .slice(-8)
           .reverse()
@@ -200,7 +200,7 @@ export class Inspector extends EventTarget {
       h("p", { class: "muted", text: kinds[place.kind] }),
       this.facts([
         ["Tokens", String(board.marking[index])],
-        ["At first", String(place.tokens)],
+        ["Initial tokens", String(place.tokens)],
         ["Capacity", place.capacity === null ? "unlimited" : String(place.capacity)],
         ["Action", place.action || (place.kind === "action" ? "none: done at once" : null)],
       ]),
@@ -213,7 +213,7 @@ export class Inspector extends EventTarget {
         into.map((t) => h("p", {}, this.link("transition", t))),
       ],
       out.length > 0 && [
-        h("h3", { text: "Emptied or watched by" }),
+        h("h3", { text: "Consumed or tested by" }),
         out.map((t) => h("p", {}, this.link("transition", t))),
       ],
     ];
@@ -233,10 +233,10 @@ export class Inspector extends EventTarget {
     const order =
       transition.environment &&
       this.orders.button(
-        "Fire as the environment",
+        "Fire for the environment",
         "fire",
         () => this.orders.give("fire", { transition: transition.name }, `Fire ${transition.name}`),
-        { title: "In the name of the environment: no robot takes part" },
+        { title: "On behalf of the environment: no robot takes part" },
       );
     if (order && !enabled) order.disabled = true;
     const mine = info.probabilities?.[String(index)];
@@ -269,7 +269,7 @@ export class Inspector extends EventTarget {
         [
           "Now",
           mode === "SIMULATE" && this.model.following && choice
-            ? `${(choice[1] * 100).toFixed(1)} % to be the next`
+            ? `${(choice[1] * 100).toFixed(1)} % chance to fire next`
             : null,
         ],
       ]),
@@ -281,7 +281,7 @@ export class Inspector extends EventTarget {
             class: "primary",
             text: "Fire",
             disabled: !enabled || !this.model.following,
-            title: this.model.following ? "" : "The view is of the past: go back to now first",
+            title: this.model.following ? "" : "This is a past state: go back to now first",
             "data-focus": "fire",
             onclick: () => this.dispatchEvent(new CustomEvent("fire", { detail: index })),
           }),
@@ -298,7 +298,7 @@ export class Inspector extends EventTarget {
             value: mine ?? "",
             placeholder: transition.timed ? "by its rate" : "by its weight",
             "data-focus": "probability",
-            title: "Relative to the others that are enabled; empty: by rate or weight",
+            title: "Relative to the other enabled transitions; empty: by rate or weight",
             onchange: (event) =>
               !badNumber(event.target) &&
               this.dispatchEvent(
@@ -309,18 +309,18 @@ export class Inspector extends EventTarget {
       ],
       order && h("div", { class: "buttons" }, order),
       arcs(1).length > 0 && [
-        h("h3", { text: "Takes from" }),
+        h("h3", { text: "Inputs" }),
         arcs(1).map(([p, , , weight, inhibitor]) =>
           h(
             "p",
             {},
             this.link("place", p),
-            inhibitor ? ` (inhibits from ${weight} on)` : weight > 1 ? ` × ${weight}` : "",
+            inhibitor ? ` (inhibits at ${weight} or more)` : weight > 1 ? ` × ${weight}` : "",
           ),
         ),
       ],
       arcs(0).length > 0 && [
-        h("h3", { text: "Gives to" }),
+        h("h3", { text: "Outputs" }),
         arcs(0).map(([p, , , weight]) =>
           h("p", {}, this.link("place", p), weight > 1 ? ` × ${weight}` : ""),
         ),

@@ -6,9 +6,9 @@ const TABLE = [
   ["Space", "pause the view, play; run and stop a simulation"],
   ["→  ←", "a step, a step back"],
   ["Shift + →", "n steps"],
-  ["X", "fire the transition that is chosen"],
-  ["R", "reset the simulation, for all viewers; ← takes it back"],
-  ["E", "highlight of what is enabled, on and off"],
+  ["X", "fire the chosen transition"],
+  ["R", "reset the simulation, for all viewers; ← undoes it"],
+  ["E", "highlight what is enabled, on and off"],
   ["L", "back to live"],
   ["F", "fit the net"],
   ["+  −", "zoom"],
@@ -18,7 +18,7 @@ const TABLE = [
   ["P  D  T", "fold and unfold: places and transitions, details, time line"],
   ["W", "more room for the details"],
   ["O", "open another net"],
-  ["Esc", "choose nothing"],
+  ["Esc", "clear the selection"],
 ];
 
 const SYMBOLS = [

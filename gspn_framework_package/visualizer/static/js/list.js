@@ -120,7 +120,7 @@ export class NodeList extends EventTarget {
         h("li", {
           class: "heading",
           role: "presentation",
-          text: wanted ? "Nothing of that name" : "The net is empty",
+          text: wanted ? "No match" : "The net is empty",
         }),
       );
     this.list.replaceChildren(...rows);

@@ -87,12 +87,11 @@ export class FiringLog extends EventTarget {
       });
       return `${scene.transitions[event.tr].name}${moves.length ? `   ${moves.join(", ")}` : ""}`;
     }
-    if (event.k === "mark")
-      return `— ${event.why}${event.restart ? ": the time begins anew" : ""} —`;
+    if (event.k === "mark") return `— ${event.why}${event.restart ? ": time starts again" : ""} —`;
     if (event.k === "note") return `${event.robot ? `${event.robot}: ` : ""}${event.text}`;
     if (event.k === "status" && event.status.ended) return `— ended: ${event.status.ended} —`;
     if (event.k === "status" && event.status.paused !== undefined)
-      return event.status.paused ? "— the team is paused —" : "— the team goes on —";
+      return event.status.paused ? "— the team is paused —" : "— the team resumes —";
     return null;
   }
 
@@ -140,7 +139,7 @@ export class FiringLog extends EventTarget {
           h("time"),
           h("span", {
             class: "what-happened muted",
-            text: wanted ? "nothing like that" : "nothing has fired yet",
+            text: wanted ? "no match" : "nothing has fired yet",
           }),
         ),
       );

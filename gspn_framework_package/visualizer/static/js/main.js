@@ -21,9 +21,9 @@ import { notice, closeNotice } from "./notice.js";
 import { Orders, ONLY_LOOK } from "./orders.js";
 
 const MODE_SAYS = {
-  LIVE: "what is shown happens now",
+  LIVE: "happening now",
   REPLAY: "a recorded run",
-  SIMULATE: "a game of tokens, nothing moves in the world",
+  SIMULATE: "the token game; nothing moves in the world",
 };
 const TABS = ["inspector", "robots", "analysis"];
 const NOT_HEARD = ["lost", "gone", "locked"]; // states of the connection in which nothing more is known
@@ -75,9 +75,9 @@ class Page {
       if (error.status !== 401) return;
       const field = h("input", { type: "password", "aria-label": "Token", autocomplete: "off" });
       await ask(
-        "This page asks for a token",
+        "This page needs a token",
         [h("p", { class: "muted", text: "It was printed where the server was started." }), field],
-        [["Go on", "go", "primary"]],
+        [["Continue", "go", "primary"]],
       );
       await attempt(() => post("login", { token: field.value }));
       await this.login();
@@ -203,7 +203,7 @@ class Page {
     this.ranBefore = null;
     if (hello.server === before.server && !ran) return;
     const cut = this.cutOff(hello, model.session.id);
-    const again = `The server was started again (not heard since ${clock(this.lostSince)}).`;
+    const again = `The server was restarted (no contact since ${clock(this.lostSince)}).`;
     if (cut || (ran && !model.head.status.running))
       this.tellCut(`${again} The run ${ran?.name ? `“${ran.name}” ` : ""}was cut off.`, cut);
     else notice(again);
@@ -414,11 +414,11 @@ class Page {
     document.body.toggleAttribute("data-fault", Boolean(model.mode === "LIVE" && status.fault));
     let says = model.info.says || MODE_SAYS[model.mode] || "";
     if (model.mode === "LIVE" && status.ended)
-      says = `${status.fault ? "broke off" : "over"}: ${status.ended}`;
+      says = `${status.fault ? "failed" : "over"}: ${status.ended}`;
     if (model.unheard)
-      says = "no robot of the team has been heard yet; this is the beginning of the plan";
+      says = "no robot of the team has been heard yet; this is the initial marking of the plan";
     if (model.info.loading) says += ", still being read";
-    if (model.stale) says = `as it was at ${clock(this.lostSince)}; nothing has been heard since`;
+    if (model.stale) says = `as of ${clock(this.lostSince)}; no contact since`;
     $("frame-name").replaceChildren(h("b", { text: model.mode }), says ? ` — ${says}` : "");
     this.showOrders(status);
     const alarms = [];
@@ -443,7 +443,7 @@ class Page {
     if (status.paused) alarm("The team is paused", "warning");
     if (status.ended)
       alarm(
-        `${status.fault ? "Broke off" : status.finished ? "Finished" : "Ended"}: ${status.ended}`,
+        `${status.fault ? "Failed" : status.finished ? "Finished" : "Ended"}: ${status.ended}`,
         status.fault ? "" : "warning",
       );
     const shown = alarms.map((element) => element.textContent).join("\n");
@@ -458,9 +458,7 @@ class Page {
     this.showTab("robots");
     const text = element.firstChild;
     if (text.scrollHeight > text.clientHeight + 2)
-      ask("What is the matter", h("p", { class: "whole", text: text.textContent }), [
-        ["Close", "", "primary"],
-      ]);
+      ask("Alarm", h("p", { class: "whole", text: text.textContent }), [["Close", "", "primary"]]);
   }
 
   /** What can be started, stopped and ordered now; where it cannot, why. */
@@ -498,9 +496,9 @@ class Page {
       waiting: "connecting",
       open: "connected",
       polling: "connected (polling)",
-      lost: `connection lost${since}, trying again`,
+      lost: `connection lost${since}, reconnecting`,
       gone: "no longer open on the server",
-      locked: "the server asks for its token",
+      locked: "the server needs a token",
     };
     pill.dataset.state =
       this.connection === "gone" || this.connection === "locked" ? "lost" : this.connection;

@@ -85,7 +85,7 @@ export class NetView extends EventTarget {
       this.tileOf(node).append(node.element);
     }
     const counts = `${scene.places.length} places, ${scene.transitions.length} transitions`;
-    const says = `The net: ${counts}. Use the list to go through it.`;
+    const says = `The net: ${counts}. Use the list to browse it.`;
     const nodes = h(
       "div",
       { class: "nodes", role: "img", "aria-label": says },

@@ -32,7 +32,7 @@ export async function openingScreen(hello) {
       class: "unseen",
       tabindex: "-1",
       id: "chooser",
-      "aria-label": "Files of your own",
+      "aria-label": "Your own files",
       onchange: async (event) => {
         await upload(event.target.files);
         event.target.value = ""; // so that the same file can be chosen again
@@ -50,7 +50,7 @@ export async function openingScreen(hello) {
       }),
       h("p", {
         class: "muted",
-        text: "What is uploaded is shown, simulated and analysed. It is never executed.",
+        text: "Uploads are shown, simulated and analysed, but never executed.",
       }),
     );
     drop.ondragover = (event) => {
@@ -87,7 +87,7 @@ export async function openingScreen(hello) {
         h("h2", { text: "Open a net or a plan" }),
         h("p", {
           class: "muted",
-          text: "A plan of this folder can be executed too, a net simulated and analysed, a recorded run replayed.",
+          text: "Simulate and analyse a net, execute a plan of this folder, or replay a recorded run.",
         }),
         h(
           "div",
@@ -103,9 +103,9 @@ export async function openingScreen(hello) {
                     class: "muted",
                     text: "There is no net, plan or recorded run in this folder.",
                   })
-              : h("p", { class: "muted", text: "No folder is served here." }),
+              : h("p", { class: "muted", text: "This server serves no folder." }),
           ),
-          mayAct && h("div", { class: "card" }, h("h3", { text: "Of your own" }), drop),
+          mayAct && h("div", { class: "card" }, h("h3", { text: "Your own" }), drop),
         ),
       ),
     );

@@ -4,7 +4,7 @@ import { h, ask, announce, toast } from "./dom.js";
 import { post } from "./api.js";
 import { told } from "./phases.js";
 
-export const ONLY_LOOK = "the viewer's token may only look";
+export const ONLY_LOOK = "the viewer's token is read-only";
 const KEPT = 6;
 const RARE = ["set_place", "leave", "evict"]; // behind "More ..."
 
@@ -34,7 +34,7 @@ export class Orders extends EventTarget {
   /** Why no order can be given now; "" when one can. */
   get refusal() {
     if (!this.page.mayAct) return ONLY_LOOK;
-    if (this.model.stale) return "the server is not heard";
+    if (this.model.stale) return "no contact with the server";
     if (this.model.unheard) return "no robot of the team has been heard yet";
     return "";
   }
@@ -132,7 +132,7 @@ export class Orders extends EventTarget {
       `Stop the run “${this.runName}”?`,
       [
         h("p", {
-          text: `The run ends for the whole team: ${team}. Actions under way are cancelled. It cannot be taken back.`,
+          text: `The run ends for the whole team: ${team}. Running actions are cancelled. This cannot be undone.`,
         }),
         h(
           "div",
@@ -190,21 +190,21 @@ export class Orders extends EventTarget {
         }),
         row(
           "set_place",
-          "Put there",
-          "Put it into a place, as where somebody carried it. The action there begins.",
+          "Set place",
+          "Set its place, for example after somebody carried it. The action there starts.",
           "",
           place,
         ),
         row(
           "leave",
-          "Have it leave",
-          "It leaves the team of its own will, and takes its token along.",
+          "Leave the team",
+          "It leaves the team voluntarily and takes its token along.",
           "",
         ),
         row(
           "evict",
-          "Evict it",
-          "Take it out of the team as lost. For a robot that will not come back by itself.",
+          "Evict",
+          "Remove it from the team as lost, if it will not come back by itself.",
           "danger",
         ),
       ],
@@ -214,10 +214,10 @@ export class Orders extends EventTarget {
       await this.give(
         "set_place",
         { robot: robot.name, place: place.value },
-        `Put ${robot.name} into ${place.value}`,
+        `Move ${robot.name} to ${place.value}`,
       );
     if (answer === "leave")
-      await this.give("leave", { robot: robot.name }, `Have ${robot.name} leave`);
+      await this.give("leave", { robot: robot.name }, `Make ${robot.name} leave`);
     if (answer === "evict") await this.give("evict", { robot: robot.name }, `Evict ${robot.name}`);
   }
 
@@ -235,14 +235,24 @@ export class Orders extends EventTarget {
     const rare = RARE.find((command) => this.offers(command));
     return [
       is.failed &&
-        simple("Try again", "retry", "Start its action again", `Have ${name} try again`, "primary"),
+        simple(
+          "Try again",
+          "retry",
+          "Start its action again",
+          `Retry the action of ${name}`,
+          "primary",
+        ),
       robot.paused
         ? simple("Resume", "resume", "")
-        : simple("Pause", "pause", "It joins no firing until it is resumed; its action goes on"),
+        : simple(
+            "Pause",
+            "pause",
+            "It takes part in no firing until it is resumed; its action continues",
+          ),
       rare &&
         this.button("More …", rare, () => this.more(robot), {
           about: name,
-          title: "Put it into a place, have it leave, evict it",
+          title: "Set its place, make it leave, evict it",
         }),
     ].filter(Boolean);
   }

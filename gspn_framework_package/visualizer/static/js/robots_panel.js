@@ -105,8 +105,8 @@ export class RobotsPanel {
           class: "muted",
           text:
             model.mode === "SIMULATE"
-              ? "A simulation moves tokens that have no name. Robots are seen in a live run or in a replay."
-              : "No robot has been heard of yet.",
+              ? "A simulation moves anonymous tokens. Robots appear in a live run or a replay."
+              : "No robot has been heard yet.",
         }),
       );
     }

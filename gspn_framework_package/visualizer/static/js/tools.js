@@ -39,7 +39,7 @@ export class Tools {
       this.stopRunning();
       const says = done.fired
         ? `${plural(done.fired, "step")}, then nothing is enabled`
-        : "nothing is enabled: no step can be made";
+        : "nothing is enabled: no step is possible";
       toast(says, true);
       announce(says);
     }
@@ -53,7 +53,7 @@ export class Tools {
   reset() {
     this.stopRunning();
     return this.simulate("reset").then(
-      (done) => done && toast("Reset, for all viewers. Back (←) takes it back.", true),
+      (done) => done && toast("Reset, for all viewers. Back (←) undoes it.", true),
     );
   }
 
@@ -69,7 +69,7 @@ export class Tools {
   fireChosen() {
     const { selection } = this.page;
     if (selection?.kind !== "transition") {
-      toast("choose a transition first, in the net or in the list", true);
+      toast("choose a transition first, in the net or the list", true);
       return null;
     }
     return this.fire(selection.index);
@@ -153,7 +153,7 @@ export class Tools {
         h("p", {
           class: "muted",
           text:
-            "Relative to the other transitions that are enabled at the same time. Left empty: by rate or weight. " +
+            "Relative to the other transitions enabled at the same time. Empty: by rate or weight. " +
             "They change which transition fires, not how long it takes.",
         }),
         h(
@@ -176,7 +176,7 @@ export class Tools {
       ],
       [
         ["Cancel", ""],
-        ["All by rate and weight", "none"],
+        ["Use rates and weights", "none"],
         ["Set", "set", "primary"],
       ],
       async (answer) => {
@@ -235,7 +235,7 @@ export class Tools {
             },
           }),
         ),
-        act("run", "▶ Run", () => this.toggleRunning(), "Step after step, until stopped (Space)"),
+        act("run", "▶ Run", () => this.toggleRunning(), "Step repeatedly until stopped (Space)"),
         h(
           "label",
           {},
@@ -258,7 +258,7 @@ export class Tools {
           "fire-chosen",
           "Fire chosen",
           () => this.fireChosen(),
-          "Fire the transition that is selected (X)",
+          "Fire the chosen transition (X)",
         ),
         act(
           "probabilities",
@@ -268,13 +268,13 @@ export class Tools {
         ),
         rule(),
         act("reset", "Reset", () => this.reset(), "Back to the initial marking (R)"),
-        act("clear", "Clear", () => this.clear(), "Take every token out of the net"),
+        act("clear", "Clear", () => this.clear(), "Remove every token from the net"),
       ];
     } else {
       tools = [
-        button("view-back", "◂", () => this.model.stepView(-1), "The firing before (←)"),
+        button("view-back", "◂", () => this.model.stepView(-1), "Previous firing (←)"),
         button("view-play", "", () => page.togglePause(), ""),
-        button("view-step", "▸", () => this.model.stepView(1), "The next firing (→)"),
+        button("view-step", "▸", () => this.model.stepView(1), "Next firing (→)"),
         h(
           "label",
           {},
@@ -319,7 +319,7 @@ export class Tools {
     const moving = model.following ? model.mode === "LIVE" : model.playing;
     if (play) {
       play.textContent = moving ? "❚❚ Pause the view" : "▶ Play";
-      play.title = `${moving ? "Pause the view; the robots go on" : "Go on"} (Space)`;
+      play.title = `${moving ? "Pause the view; the robots go on" : "Resume"} (Space)`;
     }
     const small = $("play");
     const on = model.mode === "SIMULATE" ? this.running : moving;
