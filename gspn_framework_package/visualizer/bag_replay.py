@@ -10,7 +10,7 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.activity import Activity
 from gspn_framework_package.visualizer.board import Event
 from gspn_framework_package.visualizer.documents import Document, Folder
-from gspn_framework_package.visualizer.fired_follower import FiredFollower, fired_news
+from gspn_framework_package.visualizer.fired_follower import FiredFollower
 from gspn_framework_package.visualizer.hub import Hub
 
 TYPE = "gspn_framework_package/FiredTransition"
@@ -71,7 +71,7 @@ class BagReplay(Activity):
         t = 0.0
         for stamp, message in self._messages:
             t = round(stamp - first, 4)
-            new = follower.take(fired_news(message, t))
+            new = follower.take(message, t)
             while follower.lost_track:
                 new += follower.give_up("firings are missing in the bag")
                 new += follower.retry(t)

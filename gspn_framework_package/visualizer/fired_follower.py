@@ -1,6 +1,6 @@
 """Follows a team by ``fired_transitions`` alone: firings as they are heard, late, twice, out of
 order or not at all. No ROS in here: live messages and recorded ones (rosbag) come as
-:class:`FiredNews`.
+:class:`FiredMessage`.
 
 In full synchronisation a message carries the marking that the whole team agrees on: a firing is
 taken over when it leads from the marking shown to the one it carries. In partial synchronisation
@@ -11,7 +11,7 @@ asked.
 
 from __future__ import annotations
 
-from typing import Any, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.phase import Phase
@@ -26,18 +26,27 @@ _WAITING = 500
 """Most firings that wait; with more, the team is asked."""
 
 
-class FiredNews(NamedTuple):
-    """A message of ``fired_transitions``; ``heard`` in seconds, on any clock that only grows."""
+class FiredMessage(Protocol):
+    """A message of ``fired_transitions`` (gspn_framework_package/FiredTransition), live or out of a
+    bag."""
 
     transition: str
     robot: str
     visit: int
-    moves: Tuple[Tuple[str, str], ...]
-    marking: Mapping[str, int]
+    robots: Sequence[str]
+    robot_places: Sequence[str]
+    places: Sequence[str]
+    counts: Sequence[int]
     slot: int
-    index: int  # type: ignore[assignment]  # hides tuple.index, which nobody needs
-    private: bool
-    heard: float
+    index: int
+    private_move: bool
+
+
+class _Heard(NamedTuple):
+    """A message, and when it was heard: in seconds, on any clock that only grows."""
+
+    message: FiredMessage
+    at: float
 
 
 class RobotSeen(NamedTuple):
@@ -73,7 +82,7 @@ class FiredFollower:
         self.robots: Dict[str, RobotSeen] = {
             r.name: RobotSeen(plan.net.place_number(r.place), 1) for r in plan.robots
         }
-        self._waiting: List[FiredNews] = []
+        self._waiting: List[_Heard] = []
         self._last: Tuple[int, int] = (-1, -1)
         self.gone: FrozenSet[str] = frozenset()
 
@@ -94,32 +103,34 @@ class FiredFollower:
             }
         return board
 
-    def take(self, news: FiredNews) -> List[Event]:
-        """What a message leads to: events for the hub, none while it waits."""
+    def take(self, news: FiredMessage, heard: float) -> List[Event]:
+        """What a message leads to: events for the hub, none while it waits.
+
+        :param heard: when it came, in seconds on any clock that only grows.
+        """
         if news.transition not in self.net.transition_index:
             return []
-        if not self._is_old(news) and not any(_same(news, other) for other in self._waiting):
-            self._waiting.append(news)
-        return self.retry(news.heard)
+        waits = any(_same(news, other.message) for other in self._waiting)
+        if not waits and not self._is_old(news):
+            self._waiting.append(_Heard(news, heard))
+        return self.retry(heard)
 
     def retry(self, now: float) -> List[Event]:
         """Take over what waits and fits by now; notice what has waited too long."""
         events: List[Event] = []
-        self._waiting.sort(key=lambda n: (n.slot, n.index, n.visit))
+        self._waiting.sort(key=lambda w: (w.message.slot, w.message.index, w.message.visit))
         again = True
         while again:
             again = False
-            for news in self._waiting:
-                if self._is_old(news):
-                    self._waiting.remove(news)
+            for number, (news, _) in enumerate(self._waiting):
+                old = self._is_old(news)
+                if old or self._fits(news):
+                    del self._waiting[number]
+                    if not old:
+                        events.append(self._fire(news))
                     again = True
                     break
-                if self._fits(news):
-                    self._waiting.remove(news)
-                    events.append(self._fire(news))
-                    again = True
-                    break
-        late = any(now - news.heard > PATIENCE for news in self._waiting)
+        late = any(now - waiting.at > PATIENCE for waiting in self._waiting)
         self.lost_track = self.lost_track or late or len(self._waiting) > _WAITING
         return events
 
@@ -155,7 +166,7 @@ class FiredFollower:
         self.lost_track = False
         if not self._waiting:
             return events
-        news, rest = self._waiting[0], self._waiting[1:]
+        news, rest = self._waiting[0].message, self._waiting[1:]
         before = list(self._carried(news) if self.full else self.marking)
         if self.full:
             for p, change in self.net.effect(self.net.transition_index[news.transition]):
@@ -177,13 +188,13 @@ class FiredFollower:
 
     # -- parts -------------------------------------------------------------------------------------
 
-    def _is_old(self, news: FiredNews) -> bool:
-        if news.private:
+    def _is_old(self, news: FiredMessage) -> bool:
+        if news.private_move:
             seen = self.robots.get(news.robot)
             return seen is not None and seen.visit is not None and news.visit < seen.visit
         return (news.slot, news.index) <= self._last
 
-    def _fits(self, news: FiredNews) -> bool:
+    def _fits(self, news: FiredMessage) -> bool:
         t = self.net.transition_index[news.transition]
         if any(self.marking[p] + change < 0 for p, change in self.net.effect(t)):
             return False
@@ -198,14 +209,15 @@ class FiredFollower:
             after[p] += change
         return tuple(after)
 
-    def _carried(self, news: FiredNews) -> Marking:
-        return tuple(news.marking.get(place.name, 0) for place in self.net.places)
+    def _carried(self, news: FiredMessage) -> Marking:
+        counts = dict(zip(news.places, news.counts))
+        return tuple(counts.get(place.name, 0) for place in self.net.places)
 
-    def _fire(self, news: FiredNews) -> Event:
+    def _fire(self, news: FiredMessage) -> Event:
         t = self.net.transition_index[news.transition]
         change = self._enabled.move_to(self._after(t))
         moves = []
-        for robot, name in news.moves:
+        for robot, name in zip(news.robots, news.robot_places):
             target = self.net.place_index.get(name)
             if target is None:
                 continue
@@ -217,7 +229,7 @@ class FiredFollower:
             elif seen is not None and seen.visit is not None:
                 visit = seen.visit + 1
             self.robots[robot] = RobotSeen(target, visit)
-        if not news.private:
+        if not news.private_move:
             self._last = max(self._last, (news.slot, news.index))
         return {**fire_event(self.net, t, change, news.robot, moves), "s": [news.slot, news.index]}
 
@@ -226,22 +238,7 @@ class FiredFollower:
         return mark_event(self._enabled, why)
 
 
-def _same(a: FiredNews, b: FiredNews) -> bool:
-    if a.private or b.private:
-        return (a.private, a.robot, a.visit) == (b.private, b.robot, b.visit)
+def _same(a: FiredMessage, b: FiredMessage) -> bool:
+    if a.private_move or b.private_move:
+        return (a.private_move, a.robot, a.visit) == (b.private_move, b.robot, b.visit)
     return (a.slot, a.index) == (b.slot, b.index)
-
-
-def fired_news(message: Any, heard: float) -> FiredNews:
-    """A message of ``fired_transitions``, live or out of a bag."""
-    return FiredNews(
-        message.transition,
-        message.robot,
-        message.visit,
-        tuple(zip(message.robots, message.robot_places)),
-        dict(zip(message.places, message.counts)),
-        message.slot,
-        message.index,
-        bool(message.private_move),
-        heard,
-    )

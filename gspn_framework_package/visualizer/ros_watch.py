@@ -35,7 +35,6 @@ from gspn_framework_package.visualizer.fired_follower import (
     FiredFollower,
     RobotSeen,
     TeamSeen,
-    fired_news,
 )
 from gspn_framework_package.visualizer.hub import Hub
 
@@ -181,7 +180,7 @@ class RosWatch(Activity):
             self._show_run(message.run)
         if self._is_shown(message.plan, message.run):
             self._heard = True
-            self._hub.publish(*self._follower.take(fired_news(message, time.monotonic())))
+            self._hub.publish(*self._follower.take(message, time.monotonic()))
 
     def _is_shown(self, plan: str, run: str) -> bool:
         """Whether what was heard is of the plan and the run that the page shows; a note for the

@@ -2,6 +2,7 @@
 game's."""
 
 import random
+from typing import NamedTuple
 
 import pytest
 from hypothesis import given, settings
@@ -12,7 +13,6 @@ from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.visualizer.fired_follower import (
     FiredFollower,
-    FiredNews,
     RobotSeen,
     TeamSeen,
 )
@@ -65,23 +65,39 @@ def test_the_board_follows_the_state_of_the_team(folder, seed):
             assert board.robots[robot.name]["why"] == game.why_waiting(state, robot)
 
 
+class Message(NamedTuple):
+    """What the page reads of a FiredTransition."""
+
+    transition: str
+    robot: str
+    visit: int
+    robots: list
+    robot_places: list
+    places: list
+    counts: list
+    slot: int
+    index: int
+    private_move: bool
+
+
 def heard(plan, seed):
     """The messages of a random run, and the final marking."""
     news, marking = [], plan.net.initial_marking
     for _, _, firings, state in random_run(plan, seed, evict=0):
         for f in firings:
-            moves = tuple((m.robot, m.target) for m in f.moves if m.target)
+            moves = [m for m in f.moves if m.target]
             news.append(
-                FiredNews(
+                Message(
                     f.transition,
                     f.robot,
                     f.visit,
-                    moves,
-                    plan.net.named(f.marking),
+                    [m.robot for m in moves],
+                    [m.target for m in moves],
+                    [p.name for p in plan.net.places],
+                    list(f.marking),
                     f.slot,
                     f.index,
                     False,
-                    0.0,
                 )
             )
         marking = state.marking
@@ -100,7 +116,7 @@ def test_messages_late_twice_and_out_of_order_give_one_marking(folder, seed, shu
     fired = []
     for i in order:
         for _ in range(source.choice([1, 1, 2])):
-            fired += [e for e in follower.take(news[i]) if e["k"] == "fire"]
+            fired += [e for e in follower.take(news[i], 0.0) if e["k"] == "fire"]
     assert follower.marking == marking
     assert [tuple(e["s"]) for e in fired] == [(n.slot, n.index) for n in news]
     assert not follower.lost_track
@@ -111,17 +127,16 @@ def test_a_missing_message_is_noticed_and_the_answer_taken_over():
     news, marking = heard(plan, 5)
     follower = FiredFollower(plan)
     for item in news[:5] + news[6:9]:
-        follower.take(item)
+        follower.take(item, 0.0)
     follower.retry(10.0)
     assert follower.lost_track
-    net = plan.net
     assert news[9].index == 0  # the answer is of a whole slot
-    before = net.marking(news[8].marking)
+    before = tuple(news[8].counts)
     seen = TeamSeen(before, {"robot_1": RobotSeen(0, 3)}, news[8].slot + 1)
     assert [e["k"] for e in follower.adopt(seen, "caught up")] == ["mark"]
     assert follower.marking == before and not follower.lost_track
     for item in news[9:]:
-        follower.take(item)
+        follower.take(item, 0.0)
     assert follower.marking == marking
 
 
@@ -131,8 +146,8 @@ def test_with_nobody_to_ask_the_page_goes_on_and_says_so():
     follower = FiredFollower(plan)
     events = []
     for item in news[:4] + news[6:]:
-        events += follower.take(item)
-        follower.retry(item.heard + 10)
+        events += follower.take(item, 0.0)
+        follower.retry(10.0)
         while follower.lost_track:
             events += follower.give_up("firings were missed")
     assert follower.marking == marking
@@ -144,9 +159,9 @@ def test_opened_in_mid_run_the_marking_is_right_at_once():
     news, marking = heard(plan, 7)
     at = next(i for i in range(len(news) // 2, len(news)) if news[i + 1].index == 0)
     follower = FiredFollower(plan)
-    seen = TeamSeen(plan.net.marking(news[at].marking), {}, news[at].slot + 1)
+    seen = TeamSeen(tuple(news[at].counts), {}, news[at].slot + 1)
     assert follower.is_behind(seen)
     follower.adopt(seen, "opened in mid-run")
     for item in news:
-        follower.take(item)
+        follower.take(item, 0.0)
     assert follower.marking == marking
