@@ -216,6 +216,30 @@ def test_only_the_transport_touches_the_internals_of_rospy():
     assert {path.parent for path in touching} == {PACKAGE / "ros" / "transport"}
 
 
+MAP = (ROOT / "docs" / "developing.md").read_text("utf-8")
+
+
+def test_the_drawing_of_the_layers_agrees_with_the_imports():
+    drawn = {
+        layer: set(below.split())
+        for layer, below in re.findall(r"^(\w+) +-> ?(.*)$", MAP, re.MULTILINE)
+    }
+    imported = {layer: set() for layer in LAYERS}
+    for path in MODULES:
+        own = layer_of(name_of(path))
+        if own is not None:
+            names = [n for n in imports_of(path) if n.startswith(PACKAGE.name + ".")]
+            imported[own].update({layer_of(name) for name in names} - {own, None})
+    assert drawn == imported
+
+
+def test_every_file_on_the_map_is_there():
+    named = set(re.findall(r"`([\w./]+\.(?:py|js|json|md|txt|xml|rst)|\w+/[\w/]+)`", MAP))
+    assert len(named) > 80
+    absent = [n for n in named if not (ROOT / n).exists() and not (PACKAGE / n).exists()]
+    assert absent == [], "docs/developing.md names files that are not there (any more)"
+
+
 @pytest.mark.parametrize("layer", INNER)
 def test_importing_an_inner_layer_imports_no_ros(layer):
     if not (PACKAGE / layer).is_dir():
