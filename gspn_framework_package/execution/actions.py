@@ -1,17 +1,17 @@
 """Actions that are Python functions: how they are written, found and called. No ROS.
 
-An action is what happens in an action place: a plain function, or a class whose objects can be
-called. It asks for what it needs by the names of its parameters, all of them optional:
+An action is what happens in an action place: a plain function, or a class with callable instances.
+It declares what it needs by the names of its parameters, all of them optional:
 
 ``place``
     name of the place it runs for.
 ``robot``
     name of the robot (standalone: of the agent) that runs it.
 ``feedback``
-    called with one or several whole numbers, tells how far it is (by custom: seconds so far).
+    called with one or several whole numbers, reports progress (by custom: seconds so far).
 ``is_cancelled``
-    called without arguments, tells whether somebody wants it to end; ``is_cancelled.wait(s)``
-    sleeps ``s`` seconds and wakes at once when that happens.
+    called without arguments, returns whether the action should end; ``is_cancelled.wait(s)`` sleeps
+    for ``s`` seconds, or until the action should end.
 ``id``
     number of the robot: the one that its name ends with (standalone, agents are called by their
     numbers, from 1); a name without a number is given as it is. Functions that were written for the
@@ -87,7 +87,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 class ActionFailed(Exception):  # noqa: N818  # what it says, not a fault of the program
-    """Raised by an action that did not succeed; its text is told to the operator."""
+    """Raised by an action that did not succeed; the operator sees its text."""
 
 
 TEXT_LIMIT = 500
@@ -110,12 +110,12 @@ class Cancellation:
         self._event = threading.Event()
 
     def __call__(self) -> bool:
-        """Whether the action shall end."""
+        """Whether the action should end."""
         return self._event.is_set()
 
     def wait(self, seconds: Optional[float] = None) -> bool:
-        """Sleep for ``seconds`` (None: for ever), at most until the action shall end; whether it
-        shall."""
+        """Sleep for ``seconds`` (None: without limit), but only until the action should end;
+        returns whether it should."""
         return self._event.wait(seconds)
 
     def cancel(self) -> None:
@@ -220,7 +220,7 @@ class PythonAction:
 
 
 def action(function: _Function) -> _Function:
-    """Decorator: this function (or class) is an action; checks at once what it asks for.
+    """Decorator: this function (or class) is an action; checks its parameters at once.
 
     :raises PlanError: it asks for something that there is not.
     """
@@ -286,8 +286,8 @@ def load_actions(plan: Plan, robot: str) -> Dict[str, PythonAction]:
 
 
 def missing_function(folder: Optional[str], name: str) -> Optional[str]:
-    """What is missing for the action ``module.function``, as far as the source tells without
-    running it; None where nothing is, or where it cannot be told.
+    """What is missing for the action ``module.function``, as far as the source shows without
+    running it; None if nothing is, or if the source does not show it.
 
     :param folder: the plan's folder.
     """

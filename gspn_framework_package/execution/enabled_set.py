@@ -21,8 +21,8 @@ class EnabledSet:
     Agrees with :meth:`Net.enabled` in every marking (a test holds the two together), but asks
     :meth:`Net.is_enabled` only about the transitions that touch a place whose count changed.
 
-    :param by_priority: immediate transitions go before exponential ones, and only the immediate
-        ones of the highest priority count as enabled; without it, all that have concession.
+    :param by_priority: immediate transitions take precedence over exponential ones, and only the
+        immediate ones of the highest priority count as enabled; without it, all with concession.
     """
 
     def __init__(self, net: Net, marking: Sequence[int], *, by_priority: bool = True) -> None:
@@ -44,7 +44,7 @@ class EnabledSet:
         """The enabled transitions, by index."""
 
     def move_to(self, marking: Sequence[int]) -> Change:
-        """Take over another marking; tells what that changed."""
+        """Take over another marking; returns what that changed."""
         old, new = self.marking, tuple(marking)
         self.marking = new
         asked: Set[int] = set()

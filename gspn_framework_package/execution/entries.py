@@ -1,8 +1,8 @@
 """Entries of the event log: the outside facts from which a whole run follows.
 
 An entry is a value; ``to_json`` and ``from_json`` turn it into a JSON object and back. The field
-``visit`` grows by one at each move of a robot, so that a stale or repeated ``Done`` can be told and
-does nothing.
+``visit`` grows by one at each move of a robot, so a stale or repeated ``Done`` can be recognised
+and has no effect.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ FAILURES = (
 
 
 class Retry(NamedTuple):
-    """The operator has the failed action of a robot tried again."""
+    """The operator orders a robot to try its failed action again."""
 
     robot: str
 
@@ -82,14 +82,14 @@ class Join(NamedTuple):
 
 
 class Leave(NamedTuple):
-    """A robot leaves the team of its own will, and takes its token along. The last member of a team
+    """A robot leaves the team voluntarily, and takes its token along. The last member of a team
     stays."""
 
     robot: str
 
 
 class Evict(NamedTuple):
-    """A robot is taken to be lost; its token goes to the account of the lost. ``forced``: the
+    """A robot counts as lost; its token goes to the account of the lost. ``forced``: the
     operator asserted that it is off, and its vote was not asked for. The last member of a team
     stays."""
 
@@ -99,7 +99,7 @@ class Evict(NamedTuple):
 
 
 class SetPlace(NamedTuple):
-    """The operator puts a robot into a place; its action there begins."""
+    """The operator puts a robot into a place; its action there starts."""
 
     robot: str
     place: str

@@ -14,8 +14,8 @@ one host). Kinds:
 ``snapshot``    the state after slot ``slot``, taken over from a peer or kept as a starting point:
                 ``state``, ``seen`` (origin -> newest entry), ``logs`` (robot -> the log with which
                 it was let in), ``cast_out`` (robot -> slot of its eviction by force), ``hash``
-``reset``       what is before does not count any more (``why``); the log is learnt anew, and goes
-                by the id ``log`` from here on
+``reset``       earlier records no longer count (``why``); the log is learnt from the others, and
+                has the id ``log`` from here on
 ``active``      this replica takes part from now on
 ``life``        the node started: ``incarnation``; ``joining`` where it was not in the first team;
                 ``host`` as in the header, ``fsync``: whether the log is written through to the disk
@@ -33,11 +33,10 @@ one host). Kinds:
 ==============  ====================================================================================
 
 ``kill -9`` may cut the last line: nothing that depends on it has left the process, so a reader
-drops it, and a writer that takes the file up again removes it first.
+drops it, and a writer that resumes the file removes it first.
 
 The last field of every line, ``sum``, is a running hash over all lines before it and the line
-itself, so that a line that was changed, dropped or put in is noticed. (Logs of version 1 have
-none.)
+itself, which reveals a line that was changed, dropped or inserted. (Logs of version 1 have none.)
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ from gspn_framework_package.model.plan import Plan
 FORMAT = "gspn event log"
 VERSION = 2
 UNSUMMED = 1
-"""The version whose lines have no running hash; still read, and gone on with."""
+"""The version whose lines have no running hash; still read and continued."""
 
 Record = Dict[str, Any]
 
@@ -73,11 +72,11 @@ def header(
 
     :param run: name of the run.
     :param robot: whose log it is ("" for a standalone run).
-    :param log_id: unlike that of any other log, e.g. a random hex string: it tells a robot that
-        comes back with its memory from one that lost it.
+    :param log_id: unlike that of any other log, e.g. a random hex string: it distinguishes a robot
+        that comes back with its memory from one that lost it.
     :param agents: standalone execution, where transitions may create and destroy tokens.
-    :param host: of which boot of which host the monotonic clock is (the writer fills it in): times
-        of different ones are not compared.
+    :param host: the host and boot that the monotonic clock belongs to (the writer fills it in):
+        times of different ones are not compared.
     """
     return {
         "kind": "header",
@@ -94,7 +93,7 @@ def header(
 
 
 def first_hash(plan: Plan) -> str:
-    """What the hash chain of a run begins with."""
+    """The start of a run's hash chain."""
     return plan.hash()
 
 
@@ -111,11 +110,11 @@ class EventLogWriter:
     """Appends records to a log; every record has reached the operating system when
     :meth:`append` returns, so that it outlives the process.
 
-    :param path: the file; its folder is made. A file that is there is taken up again: a line that
-        was cut is removed, and the header must be of the same run, robot and plan.
+    :param path: the file; its folder is made. An existing file is resumed: a partial last line is
+        removed, and the header must be of the same run, robot and plan.
     :param first: the header for a new file (see :func:`header`).
-    :param fsync: records that are to be durable are waited for until the disk has them, so that
-        they outlive the power supply too.
+    :param fsync: wait until durable records are on the disk, so that they also outlive the power
+        supply.
     :raises LogError: the file belongs to another run, robot or plan, or cannot be written.
     """
 
@@ -216,7 +215,7 @@ def _last_sum(path: str) -> str:
 
 
 def _sync_folder(path: str) -> None:
-    """Have the name of a new file outlive the power supply."""
+    """Make the name of a new file outlive the power supply."""
     folder = os.open(os.path.dirname(os.path.abspath(path)), os.O_RDONLY)
     try:
         os.fsync(folder)
@@ -225,9 +224,8 @@ def _sync_folder(path: str) -> None:
 
 
 def end_is_there(event_log: EventLog) -> bool:
-    """Whether the end of a log is sure to be there, whatever happened to the machine: it was
-    written through to the disk, or the machine has not been started anew since its last node
-    began."""
+    """Whether the end of a log is certainly there, whatever happened to the machine: the log was
+    synced to the disk, or the machine has not been restarted since its last node began."""
     newest = next((r for r in reversed(event_log.records) if r["kind"] == "life"), event_log.header)
     return bool(newest.get("fsync")) or newest.get("host", event_log.header.get("host")) == _host()
 
@@ -454,7 +452,7 @@ def _header(line: bytes, path: str) -> Record:
 
 
 class Replayed(NamedTuple):
-    """A slot of a log that was replayed; ``state`` is after it, and is changed by the next one.
+    """A replayed slot of a log; ``state`` is after it, and the next one changes it.
 
     ``entries`` is empty and ``snapshot`` true where the log took over a snapshot instead.
     """
@@ -471,7 +469,7 @@ class Replayer:
     """Reduces the slots of a log again with the token game, record by record.
 
     :param game: the rules of the plan.
-    :param state: where to go on from; the state before the run by default.
+    :param state: where to start; the state before the run by default.
     """
 
     def __init__(self, game: TokenGame, state: Optional[TeamState] = None) -> None:
@@ -479,14 +477,14 @@ class Replayer:
         self.state = state if state is not None else game.new_state()
 
     def take(self, record: Record) -> Optional[Replayed]:
-        """What the next record of the log brought about; None where it changes nothing.
+        """What the next record of the log changed; None if nothing.
 
         :raises LogError: a slot is missing, does not hold entries, or leads to other firings than
           those it recorded.
         :raises KeyError: or TypeError, the record is damaged.
         """
         if record["kind"] == "snapshot":
-            # one kept as a starting point is no news
+            # one kept as a starting point adds nothing
             if record["slot"] != self.state.next_slot - 1:
                 self.state = TeamState.from_json(record["state"], self._game.net)
                 return Replayed(record["slot"], (), [], self.state, record, True)

@@ -1,4 +1,4 @@
-"""What comes out of the token game: firings, and commands to whoever executes the actions."""
+"""The output of the token game: firings, and commands to the executor of the actions."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Move(NamedTuple):
 class Firing(NamedTuple):
     """A transition fired, at position (``slot``, ``index``) of the log.
 
-    ``robot`` is the one whose request it was ("" where none asked), ``visit`` and ``incarnation``
-    are those it had; ``moves`` tells all robots that moved, ``marking`` the result, ``drawn`` the
-    position at which the policy chose this transition (None where it did not).
+    ``robot`` is the one whose request it was ("" if none asked), with its ``visit`` and
+    ``incarnation``; ``moves`` lists all robots that moved, ``marking`` is the result, ``drawn`` the
+    position at which the policy chose this transition (None if it did not).
     """
 
     slot: int
@@ -65,7 +65,7 @@ class Fault(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """The run is over; ``finished`` tells a run that came to its own end from one that was
+    """The run is over; ``finished`` distinguishes a run that came to its own end from one that was
     stopped."""
 
     reason: str

@@ -1,4 +1,4 @@
-"""The log so far and what it comes to: the state of the team and the end of the hash chain.
+"""The log so far and its result: the state of the team and the end of the hash chain.
 
 A *ledger* turns batches of entries into ``slot`` records (see
 :mod:`~gspn_framework_package.execution.event_log`) and goes on from records. The standalone
@@ -19,12 +19,12 @@ from gspn_framework_package.model.errors import LogError
 
 
 class Origin(NamedTuple):
-    """Who put an entry into the log: a robot, its incarnation, a number that it counts up, and the
-    (shortened) id of the log that it counts in.
+    """Who put an entry into the log: a robot, its incarnation, a sequence number, and the
+    (shortened) id of the log in which it counts.
 
-    Of one robot only an entry newer than all before has an effect: that makes repeats harmless. Two
-    lives of a robot that lost its log may claim the same incarnation; the first to get into the
-    agreed log has it.
+    For each robot, only an entry newer than all before has an effect, so duplicates are harmless.
+    Two lives of a robot that lost its log may claim the same incarnation; the first to get into
+    the agreed log has it.
     """
 
     robot: str
@@ -102,8 +102,8 @@ class Ledger:
     def append(
         self, items: Sequence[Item], ballot: Optional[Sequence[Any]] = None
     ) -> Tuple[Record, Step]:
-        """Put a batch into the next slot: the ``slot`` record, and what it brought about. Repeated
-        items are left out."""
+        """Put a batch into the next slot; returns the ``slot`` record, and what it changed.
+        Repeated items are left out."""
         fresh: List[Item] = []
         for item in items:
             if self.is_news(item.origin):
@@ -169,7 +169,7 @@ class Ledger:
     # -- snapshots ---------------------------------------------------------------------------------
 
     def snapshot(self) -> Record:
-        """All there is to know, as a ``snapshot`` record."""
+        """The whole state, as a ``snapshot`` record."""
         return {
             "kind": "snapshot",
             "slot": self.length - 1,
@@ -181,7 +181,7 @@ class Ledger:
         }
 
     def restore(self, record: Record) -> None:
-        """Take over a ``snapshot`` record; nothing is changed where it is none.
+        """Take over a ``snapshot`` record; an invalid one changes nothing.
 
         :raises LogError: not one, or not of this plan.
         """

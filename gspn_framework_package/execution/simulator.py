@@ -1,8 +1,8 @@
 """The offline simulator: which transition of a net fires next, and after how long (thesis 5.3).
 
 A step is one firing. Among immediate transitions the weights decide (those of the highest priority
-compete), among exponential ones their rates race; *firing probabilities* set by a user go before
-both. The firing rule is the one of :class:`~gspn_framework_package.model.net.Net`.
+compete), among exponential ones their rates race; *firing probabilities* set by a user take
+precedence over both. The firing rule is that of :class:`~gspn_framework_package.model.net.Net`.
 """
 
 from __future__ import annotations

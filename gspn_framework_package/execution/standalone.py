@@ -2,8 +2,8 @@
 
 The executor is one thread with one queue. Actions run on threads of their own, made on demand, and
 only put their results into the queue; the executor turns them into entries of a local log, and the
-token game says what follows. What an agent is up to (thesis 4.1.2, Figure 4.5) is told to whoever
-listens; what the log says is all there is.
+token game determines what follows. Listeners are notified of what an agent is up to (thesis 4.1.2,
+Figure 4.5); the log alone determines the state.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ from gspn_framework_package.model.plan import Plan, ServerAction
 
 
 class Listener:
-    """What a run tells while it goes on; override what is of interest. The methods are called on
-    the executor's thread and should return soon."""
+    """Receives the events of a run; override what is of interest. The methods are called on the
+    executor's thread and should return soon."""
 
     def on_step(
         self, slot: int, entries: Sequence[log.Entry], firings: Sequence[Firing], state: TeamState
@@ -58,7 +58,7 @@ class Listener:
         INACTIVE, and at its end VOID, LEFT or LOST."""
 
     def on_feedback(self, agent: str, visit: int, progress: Tuple[Any, ...]) -> None:
-        """The action of an agent tells how far it is (called on the action's thread)."""
+        """The action of an agent reports its progress (called on the action's thread)."""
 
     def on_fault(self, agent: str, message: str) -> None:
         """Something went wrong that a person should know; ``agent`` "" where it concerns none."""
@@ -88,11 +88,11 @@ class StandaloneExecutor:
     """Runs a plan on threads, once.
 
     :param plan: a validated plan whose actions are Python functions (or null).
-    :param listener: told what happens.
-    :param event_log: where the run is recorded (its header is written by whoever made it).
+    :param listener: notified of what happens.
+    :param event_log: where the run is recorded (its creator writes the header).
     :param time_source: monotonic seconds.
-    :param firing_limit: the run is stopped with the event that brings the firings to this number;
-        where that event sets off several, which belong together, there are more.
+    :param firing_limit: the run is stopped at the event that brings the firings to this number; if
+        that event causes several, which belong together, there are more.
     :raises PlanError: a place is bound to an action server; a function is missing or broken.
 
     ``start`` returns at once; ``wait`` waits for the end; ``stop`` ends the run at any time, and
@@ -145,7 +145,7 @@ class StandaloneExecutor:
         self._event_log = event_log
 
     def stop(self, reason: str = "stopped by the operator") -> None:
-        """End the run; actions under way are asked to cancel."""
+        """End the run; running actions are asked to cancel."""
         self.order(log.Stop(reason))
 
     def order(self, entry: log.Entry) -> None:
@@ -200,7 +200,7 @@ class StandaloneExecutor:
             self._reduce([self.game.start_entry()])
             while self.result is None:
                 self._reduce(self._next_entries())
-        # told by wait() and to the listener: a thread has nobody else to tell
+        # reported by wait() and to the listener: a thread has nobody else to report to
         except BaseException as error:
             self._crash = error
         finally:
@@ -232,7 +232,7 @@ class StandaloneExecutor:
         return entries
 
     def _reduce(self, entries: List[log.Entry]) -> None:
-        """One log slot: reduce the entries, tell the listener, carry out the commands."""
+        """One log slot: reduce the entries, notify the listener, carry out the commands."""
         if not entries:
             return
         for entry in entries:
@@ -328,7 +328,7 @@ class StandaloneExecutor:
         return []
 
     def _execute(self, command: StartAction, attempt: _Attempt) -> None:
-        """On a thread of the pool: run the function, and put what came of it into the queue."""
+        """On a thread of the pool: run the function, and put the outcome into the queue."""
 
         def feedback(*progress: Any) -> None:
             self._listener.on_feedback(command.robot, command.visit, progress)

@@ -1,5 +1,5 @@
-"""What the log makes of a team: the marking, and for each robot its place, its visit and what it is
-up to.
+"""The state of a team according to the log: the marking, and for each robot its place, its visit
+and what it is up to.
 
 A :class:`TeamState` is changed only by the token game. It can be written as JSON and read back (a
 *snapshot*), which gives a state that goes on exactly as the first one would.

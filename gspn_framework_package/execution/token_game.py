@@ -1,9 +1,9 @@
 """The token game: log entries in, firings and commands out. Pure and deterministic.
 
 Everything that runs, shows or replays a plan goes through :class:`TokenGame`: the standalone
-executor, each robot's node, the page, the recorder. Whoever reduces the same entries has the same
-state. The rules themselves are in ``rules``, what fires when in ``turn``; here the entries of the
-log take effect.
+executor, each robot's node, the page, the recorder. The same entries always give the same state.
+The rules themselves are in ``rules``, what fires when in ``turn``; this module applies the entries
+of the log.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gspn_framework_package.model.plan import LostKind
 
 
 class Step(NamedTuple):
-    """What some entries brought about, in order."""
+    """The effects of some entries, in order."""
 
     firings: List[Firing]
     commands: List[Command]
@@ -203,7 +203,7 @@ class _Reducer(Turn):
                 robot.drawn = None
 
     def _needs(self, robot: RobotState, place: int) -> bool:
-        """Whether what ``robot`` asks for needs one more robot in ``place``."""
+        """Whether the request of ``robot`` needs one more robot in ``place``."""
         t = (
             robot.request
             if robot.request != POLICY

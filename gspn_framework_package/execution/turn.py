@@ -21,18 +21,18 @@ from gspn_framework_package.execution.team_state import POLICY, Draw, RobotState
 from gspn_framework_package.model.plan import FailureKind
 
 FIRINGS_PER_ENTRY = 10_000
-"""More firings than this after one entry are taken for a cycle without time, and cut off."""
+"""More firings than this after one entry count as a timeless cycle, and are cut off."""
 
 ASKS_POLICY = ("", "None", None)
 """Results of an action that let the policy decide (thesis Algorithm 1)."""
 
 
 class Turn:
-    """The state while one log slot is reduced, the position in the log, and what came out so far.
+    """The state while one log slot is reduced, the position in the log, and the output so far.
 
     After each entry (``docs/semantics.md``): first the immediate transitions with only resource
-    inputs, by priority and weight; then the robots that are done, the one done first first, where a
-    higher priority goes before; again from the start until nothing is enabled.
+    inputs, by priority and weight; then the robots that are done, in order of completion, where
+    higher priority takes precedence; again from the start until nothing is enabled.
     """
 
     def __init__(self, rules: Rules, state: TeamState, slot: int) -> None:
@@ -45,7 +45,7 @@ class Turn:
     # -- settling ----------------------------------------------------------------------------------
 
     def settle(self) -> None:
-        """Fire until nothing is enabled; then see whether the run is over."""
+        """Fire until nothing is enabled; then check whether the run is over."""
         fired = 0
         while self.state.ended is None and not self.state.paused:
             if self._reached_until() or not (self._fire_spontaneous() or self._fire_requested()):
@@ -115,7 +115,7 @@ class Turn:
         return True
 
     def _policy_choice(self, robot: RobotState) -> Optional[int]:
-        """What the policy has ``robot`` ask for; it holds to a draw until the marking or its
+        """The policy's choice for ``robot``, which keeps a draw until the marking or its
         candidates change."""
         leaving = self.rules.immediate[robot.place]
         distribution = self.rules.policy.distribution(self.state.marking, robot.place)
@@ -155,7 +155,7 @@ class Turn:
         return robot.drawn.transition if robot.drawn else None
 
     def _of_top_priority(self, choices: Sequence[Tuple[int, float]]) -> Sequence[Tuple[int, float]]:
-        """The choices without those that an enabled one of higher priority goes before."""
+        """The choices without those that have lower priority than an enabled one."""
         priorities = {self.net.transitions[t].priority for t, _ in choices}
         if len(priorities) < 2:
             return choices

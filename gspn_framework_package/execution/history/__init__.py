@@ -1,7 +1,7 @@
-"""The history checker: whether the logs of a run tell one valid story.
+"""The history checker: whether the logs of a run are consistent and valid.
 
 :func:`verify` looks at the logs alone. It checks the ten invariants of ``docs/agreement.md`` and
-the protocol's own rules, with code that is written apart from what it checks.
+the protocol's own rules, with code that shares nothing with what it checks.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Verdict(NamedTuple):
     """What the checker found.
 
     :ivar violation: None if all is well.
-    :ivar notes: what is no violation, but good to know.
+    :ivar notes: remarks that are not violations.
     """
 
     violation: Optional[Violation]

@@ -1,9 +1,8 @@
 """A second reading of the rules: whether the firings of a log may have happened, checked on the
 net.
 
-This is written apart from the token game and shares no code with it: it does not work out what
-must happen, but looks at what is said to have happened, and whether the rules
-(``docs/semantics.md``) allow it.
+This shares no code with the token game: it does not compute what must happen, but checks whether
+the rules (``docs/semantics.md``) allow what is recorded to have happened.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The team as its log tells it: the net, the marking, the robots, and what the entries change.
+"""The team according to its log: the net, the marking, the robots, and the effects of entries.
 
 Written apart from the token game, and shares no code with it (see :mod:`.replay`).
 """
@@ -26,7 +26,7 @@ class Situation(NamedTuple):
 
 @dataclass
 class Token:
-    """A robot, as the log tells it."""
+    """A robot, according to the log."""
 
     name: str
     place: str
