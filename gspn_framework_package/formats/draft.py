@@ -1,8 +1,8 @@
 """What readers fill while they go through a file, and what makes a net of it.
 
 The rules that all formats share are here, once: elements are named by their name, or by their id
-where names are empty or shared; arcs find their ends by id, or else by name; what is wrong is told
-with its line."""
+if names are empty or shared; arcs find their ends by id, or else by name; errors are reported with
+their line."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ NO_CONSTANTS: Mapping[str, float] = {}
 
 
 class ReadOptions(NamedTuple):
-    """How a net is to be read: what a reader assumes where tools differ, and what it is told from
-    outside.
+    """How to read a net: what a reader assumes where tools differ, and settings from outside.
 
     :ivar format: name of the file's format, when the content should not decide.
     :ivar net: name of the net to take from a file of several.
@@ -285,7 +284,7 @@ class NetDraft:
 
 
 def capacity_losses(net: Net) -> List[str]:
-    """What to tell the user when a writer says capacities by inhibitor arcs."""
+    """The note for the user when a writer expresses capacities by inhibitor arcs."""
     if any(place.capacity is not None for place in net.places):
         return ["capacities are written as inhibitor arcs, which say the same"]
     return []

@@ -1,4 +1,4 @@
-"""JSON files, with errors that tell file and line."""
+"""JSON files, with errors that name file and line."""
 
 from __future__ import annotations
 

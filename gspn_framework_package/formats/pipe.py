@@ -9,7 +9,7 @@ marking, weight     ``1`` (2.x), ``Default,1`` (3 on), ``Default,0,Red,1`` (colo
                     a function; empty (5) is the default: no token, weight 1
 capacity            missing or 0: unlimited
 ``timed``           missing: immediate; ``rate`` is the weight of an immediate transition
-``infiniteServer``  missing: single server, unless the reader is told otherwise
+``infiniteServer``  missing: single server, unless an option says otherwise
 ``priority``        missing: 1
 arc ``type``        missing: normal
 ``definition``      a constant (a rate parameter), which a rate may name or compute with

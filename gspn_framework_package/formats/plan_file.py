@@ -1,4 +1,4 @@
-"""Plan files: our own form, and the two input forms of the thesis, told apart by their keys."""
+"""Plan files: our own form, and the two input forms of the thesis, recognised by their keys."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _refuse_net(path: str) -> None:
         read_net(path)
     except GspnError:
         if is_xml(read_bytes(path)):
-            raise  # what is wrong with the net says more than that it is not JSON
+            raise  # the error in the net says more than that it is not JSON
         return
     raise UsageError(
         "this is a net, not a plan", file=path, hint="gspn analyse says what a net can do"

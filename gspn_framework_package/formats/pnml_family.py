@@ -24,8 +24,8 @@ class Member(NamedTuple):
 
 
 def member(root: etree._Element) -> Member:
-    """The format of a document with the root ``<pnml>``, by the first element that tells; an empty
-    one by its namespace."""
+    """The format of a document with the root ``<pnml>``, by the first element that shows it; an
+    empty one by its namespace."""
     for element in root.iter():
         kind = tag(element)
         parent = element.getparent()

@@ -62,8 +62,8 @@ def is_thesis_input(data: Mapping[str, Any]) -> bool:
 
 
 def has_mapping(data: Mapping[str, Any]) -> bool:
-    """Whether an input file maps any place to what is done there. Without that it is the net that
-    is meant (5.3: to look at a GSPN, neither a mapping nor a policy is needed)."""
+    """Whether an input file maps any place to an action. Without a map the file stands for its net
+    (5.3: to look at a GSPN, neither a mapping nor a policy is needed)."""
     return any(data.get(key) not in (None, "", "{}", {}, "None") for key in (CLIENTS, FUNCTIONS))
 
 
@@ -125,9 +125,9 @@ def _read_net(reader: _Reader, in_project: bool) -> Tuple[Net, List[str]]:
 
 
 def _without_illustrations(policy: Policy, net: Net, notes: List[str]) -> Policy:
-    """The policy without the choices that no robot can ask for, and without the rows that have no
-    other ones. What is left of a row is scaled to sum to 1. Each choice that was left out is told
-    in ``notes``."""
+    """The policy without the choices that no robot can ask for, and without rows that have no
+    others. The rest of a row is scaled to sum to 1. ``notes`` gets each choice that was left
+    out."""
     rows = []
     for number, row in enumerate(policy.rows, 1):
         kept, left_out = [], []

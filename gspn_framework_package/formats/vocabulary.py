@@ -1,8 +1,8 @@
 """The elements and attributes that a reader of an XML format knows; anything else is refused.
 
-What a reader overlooks could be what makes the net another one: an arc of a kind that it does not
-know, a guard, a time. So each reader lists what it knows, and :func:`check` refuses the rest. Only
-the parts of a format that mean nothing for the net (graphics, names, data of one tool) are free.
+Whatever a reader overlooks could change the net: an arc of an unknown kind, a guard, a time. So
+each reader lists what it knows, and :func:`check` refuses the rest. Only the parts of a format that
+mean nothing for the net (graphics, names, data of one tool) are unrestricted.
 """
 
 from __future__ import annotations

@@ -88,7 +88,7 @@ _TRUTH_NODES = (Comparison, Logical, Not, Truth, Label)
 
 class Condition:
     """A condition that was read by :func:`parse_condition`, for markings of one net.
-
+    :ivar text: as written.
     :ivar text: as it was written.
     :ivar places: names of the places it looks at.
 
@@ -131,7 +131,7 @@ class Condition:
         return self.holds_in_columns(columns, columns.shape[1] if columns.ndim == 2 else 0, labels)
 
     def holds_in_columns(self, columns: Any, rows: int, labels: Mapping[str, Any] = {}) -> Any:
-        """The same, the markings told by columns: ``columns[p]`` has the counts of place number
+        """The same, with the markings in columns: ``columns[p]`` has the counts of place number
         ``p`` in each of the ``rows`` markings, and is asked for those places only that the
         condition names."""
         import numpy

@@ -13,7 +13,7 @@ from typing import Optional
 
 class GspnError(Exception):
     """Base of all errors of this package.
-
+    :param message: the fault, one sentence without a full stop.
     :param message: what is wrong, one sentence without a full stop.
     :param file: the file it was found in.
     :param line: the line in that file, counted from 1.
@@ -50,7 +50,7 @@ class GspnError(Exception):
         return place + element + self.message + hint
 
     def located(self, *, file: Optional[str] = None, line: Optional[int] = None) -> GspnError:
-        """The same error, told where it was found by an outer reader that knows; inner knowledge
+        """The same error with a position from an outer reader; a position that is already known
         wins."""
         self.file = self.file or (str(file) if file is not None else None)
         self.line = self.line or line
@@ -58,7 +58,7 @@ class GspnError(Exception):
 
 
 class InputError(GspnError):
-    """Something that was given is not what it should be: the tree of exit code 2."""
+    """Invalid input: the tree of exit code 2."""
 
 
 class UsageError(InputError):
@@ -107,7 +107,7 @@ class LimitError(RefusedError):
 
 
 class CancelledError(RefusedError):
-    """Long work was cancelled by whoever asked for it."""
+    """The caller cancelled a long computation."""
 
 
 class ExecutionError(RefusedError):
@@ -115,7 +115,7 @@ class ExecutionError(RefusedError):
 
 
 def missing_library(error: ModuleNotFoundError) -> str:
-    """What to tell a person whose Python lacks a library."""
+    """The message for a user whose Python lacks a library."""
     return (
         "%s has no Python library '%s'\n"
         "Install it, or use the Python that ./run_demo prepares in a checkout: "

@@ -42,7 +42,7 @@ def too_many_robots(number: int) -> PlanError:
 
 
 class Synchronisation(enum.Enum):
-    """How much the robots tell each other (thesis 4.3.3)."""
+    """How much the robots share with each other (thesis 4.3.3)."""
 
     FULL = "full"
     """Every finished action goes through the shared log, on a topic."""
@@ -161,7 +161,7 @@ class Timing(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """A plan. Every field has been checked against the net by whoever made it: see
+    """A plan. Its maker has checked every field against the net: see
     :meth:`validate`."""
 
     net: Net

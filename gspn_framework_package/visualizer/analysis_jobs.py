@@ -1,5 +1,5 @@
-"""Analyses that the page asked for, each in a process of its own that can be killed, with limits on
-time, states and memory."""
+"""The page's analyses, each in a separate process that can be killed, with limits on time, states
+and memory."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ class AnalysisJobs:
         return key
 
     def report(self, key: str) -> Dict[str, Any]:
-        """How far a job is. :raises InputError: there is none of that key."""
+        """The progress of a job. :raises InputError: there is none of that key."""
         return self._job(key).to_json()
 
     def cancel(self, key: str) -> None:

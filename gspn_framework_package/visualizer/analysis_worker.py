@@ -1,8 +1,8 @@
 """The process that analyses for the page: a request (JSON) on stdin, lines of JSON on stdout.
 
-Lines are ``{"progress": ...}``, ``{"part": keys of the report}`` and at last, where it failed,
-``{"error": message}``. It limits itself: processor time, memory and states; whoever started it
-kills it when it takes too long.
+Lines are ``{"progress": ...}``, ``{"part": keys of the report}`` and at the end, if it failed,
+``{"error": message}``. It limits its own processor time, memory and states; its parent kills it
+when it takes too long.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ REPLICATIONS = 100_000
 """Most simulated runs that may be asked for."""
 
 LIKELY = 40
-"""The states with the largest probabilities, as many as this, are told one by one."""
+"""The states with the largest probabilities, up to this many, are reported one by one."""
 
 
 def main() -> int:

@@ -229,7 +229,7 @@ def body_limit(path: str) -> int:
 
 
 def too_large_text(path: str) -> str:
-    """What to tell whoever posts more to ``path``."""
+    """The message for somebody who posts more to ``path``."""
     if path == "/api/upload":
         return "that is too large: files of up to %d MB in all can be uploaded" % (
             UPLOAD_BYTES * 2 // 3_000_000
@@ -244,7 +244,7 @@ def _peer() -> str:
 
 
 def _body() -> Dict[str, Any]:
-    """The JSON object of a request. :raises UsageError: it is none."""
+    """The JSON object of a request. :raises UsageError: it is not one."""
     if (request.content_length or 0) > body_limit(request.path):
         flask.abort(413)
     if request.mimetype != "application/json":

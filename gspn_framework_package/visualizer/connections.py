@@ -226,7 +226,7 @@ class Rules:
 
     :param guard: who may ask.
     :param body_limit: bytes that the body of a request to a path may have.
-    :param too_large: what to tell whoever sends more.
+    :param too_large: the message for somebody who sends more.
     """
 
     def __init__(

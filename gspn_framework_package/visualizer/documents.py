@@ -52,7 +52,7 @@ class FileEntry(NamedTuple):
 class Folder:
     """The served folder. Nothing outside it is opened, links that lead out included.
 
-    :param root: the folder. :raises InputError: it is none.
+    :param root: the folder. :raises InputError: it is not one.
     """
 
     def __init__(self, root: str) -> None:
@@ -153,7 +153,7 @@ def _check_text(name: str) -> None:
 
 
 def _check_files(whole: str) -> None:
-    """See that what a plan names is no pipe or device: whoever opened it would wait for ever.
+    """Check that what a plan names is not a pipe or device: opening it would block without end.
 
     :raises InputError: it is.
     """
@@ -165,7 +165,7 @@ def _check_files(whole: str) -> None:
         with open(whole, "rb") as file:
             plan = json.load(file)
     except (OSError, ValueError, RecursionError):
-        return  # the reader will say what is wrong
+        return  # the reader will report the error
     if not isinstance(plan, dict):
         return
     net = plan.get("net")
@@ -247,7 +247,7 @@ def _only_beside(name: str, data: bytes, sent: Dict[str, bytes]) -> bytes:
     try:
         plan = json.loads(data)
     except (ValueError, RecursionError):
-        return data  # the reader will say what is wrong
+        return data  # the reader will report the error
     if not isinstance(plan, dict):
         return data
 

@@ -116,7 +116,7 @@ class FiredFollower:
         return self.retry(heard)
 
     def retry(self, now: float) -> List[Event]:
-        """Take over what waits and fits by now; notice what has waited too long."""
+        """Take over what has waited and now fits; notice what has waited too long."""
         events: List[Event] = []
         self._waiting.sort(key=lambda w: (w.message.slot, w.message.index, w.message.visit))
         again = True

@@ -36,8 +36,8 @@ SHORTEST_TOKEN = 16
 """Characters."""
 
 GUESSES = 10
-"""Wrong tokens that a peer may give within :data:`GUESS_TIME`; what it gives beyond is not looked
-at."""
+"""Wrong tokens that a peer may give within :data:`GUESS_TIME`; further ones are not even
+compared."""
 
 GUESS_TIME = 60.0
 """Seconds."""
@@ -64,7 +64,7 @@ LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]"})
 
 
 class Refusal(NamedTuple):
-    """An HTTP status and what to tell."""
+    """An HTTP status and a message."""
 
     status: int
     reason: str
@@ -181,7 +181,7 @@ class Guard:
         return Verdict(role)
 
     def login(self, given: str, peer: str = "") -> str:
-        """A cookie for whoever gives a right token.
+        """A cookie for a peer that gives a right token.
 
         :returns: the cookie's value, "" where no token is needed.
         :raises LoginError: it is not right, or the peer has guessed too often.
@@ -253,7 +253,7 @@ TOO_MANY = "too many wrong tokens came from there; wait a minute"
 
 
 class LoginError(Exception):
-    """No cookie: an HTTP ``status`` and what to tell."""
+    """No cookie: an HTTP ``status`` and a message."""
 
     def __init__(self, status: int, reason: str) -> None:
         super().__init__(reason)
@@ -261,7 +261,7 @@ class LoginError(Exception):
 
 
 class _Guesses:
-    """The wrong tokens of late, by peer."""
+    """The recent wrong tokens, by peer."""
 
     def __init__(self, time_source: Callable[[], float]) -> None:
         self._clock = time_source

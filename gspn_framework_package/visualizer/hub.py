@@ -2,8 +2,8 @@
 
 Viewers have a cursor each and the hub has no queue for any of them: a bounded ring of the recent
 events serves all. A viewer whose cursor has fallen out of the ring, or that comes from another
-*epoch* (another run, another server process), gets a whole snapshot. So a viewer that stalls costs
-nothing, and none sees a gap without being told.
+*epoch* (another run, another server process), gets a whole snapshot. So a stalled viewer costs
+nothing, and every viewer learns of its gaps.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class Hub:
 
         :param info: what else the page should know of this run (its clock, its length, its name).
         :param ring: another number of events to keep.
-        :param history: where the events are looked up. Viewers are told then how far there are any,
+        :param history: where the events are looked up. Viewers then get the number of events,
             rather than each event.
         """
         with self._condition:
@@ -158,7 +158,7 @@ class Hub:
                 self._condition.notify_all()
 
     def change_info(self, **info: Any) -> None:
-        """Change what the page knows of this run; told as a latest value."""
+        """Change what the page knows of this run; published as a latest value."""
         # one step: nobody sees the change before it counts as news, nor half of two changes
         with self._condition:
             self.info.update(info)

@@ -51,8 +51,8 @@ class Project:
         self._first = self.sessions.get_or_open(session.key, lambda: session).key
 
     def to_json(self) -> Dict[str, Any]:
-        """What the opening screen shows; ``server`` tells one start of a server from another,
-        ``cut`` the runs that were cut off when an earlier one died."""
+        """What the opening screen shows; ``server`` distinguishes one start of a server from
+        another, ``cut`` lists the runs that were cut off when an earlier one died."""
         entries = self._folder.entries() if self._folder is not None else []
         return {
             "server": self._server,

@@ -47,8 +47,8 @@ class Mark(NamedTuple):
 
 
 class _Clock:
-    """Seconds since the run began, as its log tells: by the monotonic clock of the host, by the
-    wall clock over a restart of the host. They do not run backwards."""
+    """Seconds since the run began, according to its log: by the host's monotonic clock, or the wall
+    clock over a restart of the host. They never run backwards."""
 
     def __init__(
         self, t: float = 0.0, mono: Optional[float] = None, wall: Optional[float] = None
@@ -182,7 +182,7 @@ class Recording(History):
             with self._file.open() as file:
                 for _ in reader.lines(file):
                     while self._looking:
-                        time.sleep(0.005)  # whoever looks goes first
+                        time.sleep(0.005)  # let viewers go first
                     if reader.line - self._marks[-1].line >= self._between:
                         self._keep(reader.mark())
                         yield reader.board.copy(), min(1.0, reader.offset / size)

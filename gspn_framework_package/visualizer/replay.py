@@ -17,7 +17,7 @@ TELL = 0.25
 
 
 class Replay(Activity):
-    """A recorded run. It is read in a thread of its own, and the page can look at what has been
+    """A recorded run. A separate thread reads it, and the page can look at what has been
     read.
 
     :param file: the log.
@@ -32,7 +32,7 @@ class Replay(Activity):
 
     @classmethod
     def of_file(cls, path: str) -> Replay:
-        """The replay of an event log. :raises LogError: it is none."""
+        """The replay of an event log. :raises LogError: it is not one."""
         return cls(LogFile(path))
 
     def document(self, title: str) -> Document:

@@ -183,8 +183,8 @@ class RosWatch(Activity):
             self._hub.publish(*self._follower.take(message, time.monotonic()))
 
     def _is_shown(self, plan: str, run: str) -> bool:
-        """Whether what was heard is of the plan and the run that the page shows; a note for the
-        first of another."""
+        """Whether what was heard belongs to the plan and the run that the page shows; publishes a
+        note for the first of another."""
         if (plan, run) == (self._hash, self._run):
             return True
         if (plan, run) not in self._others:
@@ -202,8 +202,7 @@ class RosWatch(Activity):
         return False
 
     def _show_run(self, run: str) -> None:
-        """It was not said which run is to be shown: it is this one. What its robots told before is
-        shown now."""
+        """No run was chosen: show this one. What its robots published before is shown now."""
         self._run = run
         self._set_status(run=run)
         early, self._early = self._early, {}
@@ -262,7 +261,7 @@ class RosWatch(Activity):
         self._hub.set_latest("world", json.loads(message.data))
 
     def _on_obeyed(self, order: Order) -> None:
-        """An order is in the team's log: the page soon shows what came of it. After a stop the
+        """An order is in the team's log: the page soon shows its effect. After a stop the
         robots leave, and there may be nobody left to ask."""
         command, _, argument = order
         if command == "stop":
@@ -433,8 +432,8 @@ class RosWatch(Activity):
         for robot in status["robots"]:
             phase = Phase.of_state(robot["state"]).logged
             was = Phase.of_value(self._shown.get(robot["robot"], {}).get("phase", ""))
-            silent = robot["robot"] not in self._names.values()  # it tells nothing itself
-            if silent or phase.gone or was.gone:  # one that is gone does not tell so itself
+            silent = robot["robot"] not in self._names.values()  # publishes nothing itself
+            if silent or phase.gone or was.gone:  # a robot that is gone does not report it itself
                 self._show_robot(robot["robot"], phase=phase, why=robot["waits_for"])
         phases = [Phase.of_state(r["state"]) for r in status["robots"]]
         acting = [p for p in phases if not (p.gone or p.told.at_rest)]
@@ -450,7 +449,7 @@ class RosWatch(Activity):
             why = ", ".join("%s %s" % (r["robot"], r["waits_for"]) for r in waits[:3])
         self._set_status(running=True, paused=bool(status["paused"]), ended=None, stalled=why)
 
-    # -- telling the hub ---------------------------------------------------------------------------
+    # -- publishing on the hub ---------------------------------------------------------------------
 
     def _show_robot(self, name: str, phase: Optional[Phase] = None, **fields: Any) -> None:
         if phase is not None:

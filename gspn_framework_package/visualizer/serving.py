@@ -1,4 +1,4 @@
-"""The web server around the application: waitress, in a thread of its own or in the caller's."""
+"""The web server around the application: waitress, in its own thread or in the caller's."""
 
 from __future__ import annotations
 

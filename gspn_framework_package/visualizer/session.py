@@ -152,8 +152,8 @@ class Session:
 
     @property
     def loss(self) -> Optional[int]:
-        """How much is lost if it is closed, from 0 (nothing: it is a file, and as it was opened) to
-        3 (somebody looks at it); None where it must not be closed, since it runs."""
+        """How much is lost if it is closed, from 0 (nothing: it is an unchanged file) to 3
+        (somebody looks at it); None if it must not be closed, because it runs."""
         with self._lock:
             if self._starting or self._is_running():
                 return None
@@ -161,7 +161,7 @@ class Session:
         return 2 * int(self.hub.viewers > 0) + int(worked_on)
 
     def close(self, why: str = "the server ends") -> None:
-        """End whatever goes on, and tell those that look on."""
+        """End whatever runs, and notify the viewers."""
         with self._lock:
             self.activity.end()
         self.hub.close(why)

@@ -128,7 +128,7 @@ class StandaloneRun(Activity, Listener):
 
     def _stop_it(self, reason: str, seconds: float) -> None:
         self._executor.stop(reason)
-        with contextlib.suppress(ExecutionError):  # the page was told
+        with contextlib.suppress(ExecutionError):  # the page already shows it
             self._executor.wait(seconds)
         if not self._executor.over:
             text = "it did not react to the order to stop (%s) within %g s, and was given up"
@@ -180,7 +180,7 @@ class StandaloneRun(Activity, Listener):
         self._plan.net.transition_number(name)
         return name
 
-    # -- what the executor tells -------------------------------------------------------------------
+    # -- events of the executor --------------------------------------------------------------------
 
     def on_step(
         self,
@@ -220,7 +220,7 @@ class StandaloneRun(Activity, Listener):
         self._close_log()
 
     def _gave_way(self, reason: str) -> None:
-        """It ends by a fault of which nobody has told yet."""
+        """It ends by a fault that nobody has reported yet."""
         if not self._told_end:
             self._hub.publish({"k": "note", "level": "fault", "robot": "", "text": reason})
         self._ended(reason, fault=True)

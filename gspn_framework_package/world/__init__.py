@@ -1,7 +1,7 @@
 """The simulated world: a room, robots that really move in it, and their ROS interface.
 
 ``room``, ``room_file``, ``room_check``, ``yaml_file``
-    walls, obstacles, locations, waiting bays, temperature field, and the file that tells them.
+    walls, obstacles, locations, waiting bays, temperature field, and the file that describes them.
 ``bodies``, ``physics``
     the room and the robots as PyBullet bodies with wheels and contacts.
 ``grid``, ``avoidance``, ``yielding``, ``navigation``

@@ -74,7 +74,7 @@ class Peer:
             return here + np.outer(_STEPS, self.velocity if self.active else (0.0, 0.0))
         points = np.vstack([here, np.array(self.path)])
         way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-        # whoever is turning now will drive soon
+        # a robot that is turning now will drive soon
         gone = _STEPS * max(self.speed, 0.5 * full_speed)
         return np.column_stack(
             [np.interp(gone, way, points[:, 0]), np.interp(gone, way, points[:, 1])]

@@ -28,14 +28,14 @@ DISCOVERY_PERIOD = 2.0
 """Seconds of wall time between two looks for other robots."""
 
 POSES_DEADLINE = 3.0
-"""Seconds of wall time that other robots are given to tell where they are; a dead one's name may
-still be known."""
+"""Seconds of wall time that other robots have to publish where they are; a dead robot's name may
+still be registered."""
 
 SILENCE_DEADLINE = 15.0
 """Seconds of wall time without a word from ``move_base`` after which a goal is given up.
 
-A server that dies leaves its client waiting for ever (``actionlib`` never says that a server is
-lost).
+A server that dies leaves its client waiting without end (``actionlib`` never reports a lost
+server).
 """
 
 
@@ -153,7 +153,7 @@ class BaseClient:
         self._discovered = time.monotonic()
         try:
             topics = published_topics()
-        except MASTER_ERRORS:  # those that are known already tell where they are all the same
+        except MASTER_ERRORS:  # known robots still publish where they are
             return
         for topic, kind in topics:
             if (

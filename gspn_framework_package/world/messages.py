@@ -38,9 +38,9 @@ def pose_message(pose: Pose) -> PoseMessage:
 
 
 def pose_from(message: PoseMessage) -> Pose:
-    """The pose on the floor that a message tells.
+    """The pose on the floor in a message.
 
-    :raises ValueError: numbers that are not finite, or an orientation that is none.
+    :raises ValueError: numbers that are not finite, or an invalid orientation.
     """
     q = message.orientation
     numbers = (message.position.x, message.position.y, q.x, q.y, q.z, q.w)
@@ -53,7 +53,7 @@ def pose_from(message: PoseMessage) -> Pose:
 
 
 def stamped_pose(pose: Pose, stamp: rospy.Time, frame: str) -> PoseWithCovarianceStamped:
-    """A pose as localisation tells it; exact, so its covariance is 0."""
+    """A pose as localisation publishes it; exact, so its covariance is 0."""
     message = PoseWithCovarianceStamped()
     message.header.stamp, message.header.frame_id = stamp, frame
     message.pose.pose = pose_message(pose)

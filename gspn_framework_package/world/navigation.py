@@ -181,7 +181,7 @@ class Navigator:
         return time - self._progress_time if self.goal is not None else 0.0
 
     def announce(self, name: str, pose: Pose, velocity: Tuple[float, float], time: float) -> Peer:
-        """What the others are told about this robot."""
+        """What this robot announces to the others."""
         return Peer(
             name=name,
             pose=pose,
@@ -318,7 +318,7 @@ class Navigator:
 
     def _in_sight(self, here: Point, path: Sequence[Point]) -> Point:
         """The farthest point of the path, within reach, to which it goes straight."""
-        # the next cell at least, never the own one, around whose middle it would turn for ever
+        # at least the next cell, never its own, around whose middle it would turn without end
         target = path[min(1, len(path) - 1)] if path else here
         for point in [*path[2::2], *path[-1:]]:
             if math.dist(here, point) > _LOOK_AHEAD or not self._grid.is_clear(here, point, 0.02):

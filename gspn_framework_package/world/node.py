@@ -142,7 +142,7 @@ class WorldNode:
         self.real_time_factor = 0.0
 
     def step(self) -> None:
-        """Take up what ROS has handed over, advance one control period, tell what has changed."""
+        """Take what ROS has handed over, advance one control period, publish what has changed."""
         while True:
             try:
                 self._inbox.get_nowait()()
@@ -230,7 +230,7 @@ def robot_names(value: Union[int, str, List[str]]) -> List[str]:
 
 
 def _number(parameter: str, default: float) -> float:
-    """A private parameter that is a number, 0 or more. :raises InputError: it is none."""
+    """A private parameter that is a number, 0 or more. :raises InputError: it is not."""
     value = rospy.get_param("~" + parameter, default)
     if (
         isinstance(value, bool)

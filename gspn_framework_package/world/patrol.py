@@ -50,7 +50,7 @@ class Robot(Protocol):
 
 
 def occupant(location: Location, robots: Dict[str, Pose], radius: float) -> Optional[str]:
-    """Which of the robots is in the location, be it only with its edge; the first by name."""
+    """The robot that is in the location, if only with its edge; the first by name."""
     inside = (
         name
         for name, pose in sorted(robots.items())

@@ -96,8 +96,8 @@ def _connect(robot: str, location: str) -> Tuple[BaseClient, Room]:
     """The robot and the room, made once in each process.
 
     :param location: that the room must have.
-    :raises ActionFailed: no room is told, or it cannot be read, or lacks the location, or the robot
-      is not there.
+    :raises ActionFailed: no room is published, or it cannot be read, or lacks the location, or the
+      robot is not there.
     """
     file = _parameter("room", "")
     if not file:

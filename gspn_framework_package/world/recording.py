@@ -84,7 +84,7 @@ class Recording:
 def read_recording(file: Union[str, Path]) -> Recording:
     """Read a recording; a last line that was cut off is left out.
 
-    :raises InputError: it cannot be read, or is none.
+    :raises InputError: it cannot be read, or is not a recording.
     """
     try:
         lines = Path(file).read_text(encoding="utf-8").splitlines()

@@ -24,8 +24,8 @@ Path = Tuple[Step, ...]
 def check_room(room: Room, document: YamlDocument) -> None:
     """Refuse a room that robots cannot use.
 
-    :param document: what it was read from, to tell where.
-    :raises InputError: the first thing that is wrong.
+    :param document: what it was read from, for the position of an error.
+    :raises InputError: the first error.
     """
     bounds = room.bounds()
     size = [high - low for low, high in zip(bounds.low, bounds.high)]

@@ -146,14 +146,14 @@ def parse_room(text: str, file: Optional[str] = None) -> Room:
     """Read a room from the text of a room file.
 
     :param text: YAML.
-    :param file: the name to tell in errors.
+    :param file: the name for error messages.
     :raises InputError: not YAML, not what the schema asks for, or a room that robots cannot use
         (:mod:`.room_check`).
     """
     document = YamlDocument(text, file)
     problems = list(_VALIDATOR(SCHEMA).iter_errors(document.data))
     if problems:
-        # a misspelt name is also a missing one: tell the misspelling first
+        # a misspelt name is also a missing one: report the misspelling first
         first = min(
             problems, key=lambda p: (p.validator != "additionalProperties", document.line(p.path))
         )

@@ -164,7 +164,7 @@ class Patrol:
             member.state = "alarm"
             return
         target = self._next(member.at)
-        # whoever was lost in a location holds it, as its token does until it is evicted
+        # a robot that was lost in a location holds it, as its token does until it is evicted
         if any(other.at == target and other.state != "wait" for other in self._members):
             member.state = "wait"
         else:

@@ -1,4 +1,4 @@
-"""YAML texts as plain data, with the lines of their elements, and with errors that tell file and
+"""YAML texts as plain data, with the lines of their elements, and with errors that name file and
 line.
 
 PyYAML's safe loader builds plain data only; on top of that keys that stand twice are refused, and
@@ -26,7 +26,7 @@ class YamlDocument:
     """A YAML text.
 
     :param text: one YAML document.
-    :param file: the name to tell in errors.
+    :param file: the name for error messages.
     :raises InputError: it is not YAML, has a key twice in one mapping, or unfolds too far.
     """
 
