@@ -92,8 +92,8 @@ class Analysis:
     :param structure: whether P-invariants may be asked for bounds. Without them, the coverability
         tree alone says what grows without bound.
     :param engine: see :func:`~gspn_framework_package.analysis.state_space.space.explore`.
-    :param progress: told how far long work is.
-    :param cancel: asked now and then whether to stop.
+    :param progress: called with the progress of long computations.
+    :param cancel: called now and then; returns whether to stop.
 
     Every part raises LimitError where it was not decided within the limit, and RefusedError where
     the net has no such thing, as a Markov chain where nobody decides a choice.

@@ -14,7 +14,7 @@ from gspn_framework_package.model.net import Net
 
 _MAX_LAYERED = 60
 """Most states of a chain that are drawn in layers, with their rates: more make long rows of nodes
-with all arcs between them, and numbers that nobody can tell the arc of."""
+with all arcs between them, and numbers that cannot be matched to their arcs."""
 
 _LAYERED: Mapping[str, Attribute] = {
     "rankdir": "TB",
@@ -77,8 +77,7 @@ def chain_graph(chain: Chain, note: str = "") -> Graph:
 
 
 def note_of_rates_left_out(chain: Chain) -> str:
-    """What to tell of a chain that is too large for rates in its picture; empty for a smaller
-    one."""
+    """The note on a chain that is too large for rates in its picture; empty for a smaller one."""
     if len(chain) <= _MAX_LAYERED:
         return ""
     return (

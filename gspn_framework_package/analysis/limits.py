@@ -76,7 +76,7 @@ class Effort:
         """Count ``steps`` more.
 
         :param what: what the search deals with, for the progress line.
-        :param found: what it found until now, for the error.
+        :param found: what it has found so far, for the error.
         :raises LimitError: those were too many.
         :raises CancelledError: the watch said so.
         """

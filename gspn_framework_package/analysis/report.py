@@ -1,7 +1,7 @@
 """The report of ``gspn analyse``: answers as plain JSON values, and the same as text for people.
 
-A question that could not be decided has the answer ``null``, and its reason stands under
-``undecided``. What is infinite is the string ``"infinite"``: JSON has no number for it.
+A question that could not be decided has the answer ``null``, and its reason is under
+``undecided``. Infinite values are the string ``"infinite"``: JSON has no number for them.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class Part(enum.Enum):
 class Measure(NamedTuple):
     """An answer that takes no arguments.
 
-    :ivar key: what it is called in the report.
-    :ivar part: what it belongs to.
+    :ivar key: its name in the report.
+    :ivar part: the part that it belongs to.
     :ivar compute: the answer, as a value that JSON has a form for; it may raise LimitError where it
         was not decided and RefusedError where there is no such thing.
     :ivar title: what the text and the page call it. Empty for measures that they lay out
@@ -115,7 +115,7 @@ def keys_of(part: Part) -> Tuple[str, ...]:
 
 
 COMPONENTS = 10
-"""Recurrent classes that are told one by one, the most probable ones; the others are counted."""
+"""Recurrent classes that are reported one by one, the most probable ones; others are counted."""
 
 
 class Questions(NamedTuple):
@@ -179,7 +179,7 @@ class _Report:
         self.undecided: Dict[str, str] = {}
 
     def answer(self, key: str, compute: Callable[[], Any]) -> Any:
-        """Put the answer under ``key``; null, with its reason, where there is none."""
+        """Put the answer under ``key``; null, with its reason, if there is none."""
         self.data[key] = self._try(key, compute)
         return self.data[key]
 

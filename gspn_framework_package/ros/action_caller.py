@@ -78,21 +78,21 @@ class _Goal:
 
 
 class ActionCaller:
-    """Executes one action at a time for a robot. All methods belong to the node's worker thread.
+    """Action client of one robot: sends goals, one at a time, and puts a deadline on every step.
+    All methods belong to the node's worker thread.
 
     Goals for servers of its own process go to them directly. Connections to other servers are made
     when a place is first needed (the others follow in the background), kept, and closed again when
-    there are more than ``limit``, the one that was used longest ago first. What touches the master
-    is done by a thread of its own: without a master rospy's registrations block for as long as it
-    is gone.
+    there are more than ``limit``, least recently used first. A separate thread calls the master,
+    because without a master rospy's registrations block until it is back.
 
     :param robot: name of the robot.
     :param targets: its actions by place.
     :param timeout: place -> seconds that its action may take, or None.
-    :param enqueue: has the worker thread call ``function(*arguments)`` soon.
-    :param ended: told how each attempt ended, once.
-    :param feedback: told (identity, feedback message) while an action goes on.
-    :param limit: connections to servers of other processes that are open at the same time, at most.
+    :param enqueue: makes the worker thread call ``function(*arguments)`` soon.
+    :param ended: receives the end of each attempt, once.
+    :param feedback: receives (identity, feedback message) while an action runs.
+    :param limit: maximum number of open connections to servers of other processes.
     :param own_servers: the servers of this process that goals are given to directly, by their
       absolute names.
     """
@@ -142,7 +142,7 @@ class ActionCaller:
         self.poll(now)
 
     def cancel(self) -> None:
-        """Cancel what goes on, if anything; no more is told of it."""
+        """Cancel the running goal, if any; nothing more is reported of it."""
         goal, self._goal = self._goal, None
         if goal is not None:
             goal.become(GoalState.OVER)
@@ -157,7 +157,7 @@ class ActionCaller:
         self._background.put(None)
 
     def doing(self) -> str:
-        """What the action under way waits for, for people; "" when there is none."""
+        """What the running action waits for, in words; "" if none runs."""
         return self._goal.waits_for if self._goal else ""
 
     @property

@@ -19,9 +19,9 @@ class DirectConnection:
     """Does for the caller of actions what :class:`ActionConnection` does, by calls instead of
     messages.
 
-    The server treats the goal as any other, and tells its status, feedback and result on its topics
-    too; only the goal itself is not seen on ``SERVER/goal``. Over topics, each of the 1,000 servers
-    of 50 robots in 20 places has five connections from its process to itself.
+    The server treats the goal like any other, and publishes its status, feedback and result on its
+    topics too; only the goal itself is not seen on ``SERVER/goal``. Over topics, each of the
+    1,000 servers of 50 robots in 20 places has five connections from its process to itself.
 
     :param server: the server.
     :param hand_on: see :class:`ActionConnection`.

@@ -185,8 +185,8 @@ class ExecutionNode(Worker):
             self._servers.start()
 
     def start(self, ended: Callable[[str], None]) -> None:
-        """Begin; before, :meth:`serve`. :param ended: told the name of the robot once the node has
-        ended."""
+        """Begin; call :meth:`serve` first. :param ended: receives the name of the robot once the
+        node has ended."""
         self._told_end = ended
         self._thread.start()
 
@@ -370,13 +370,13 @@ class ExecutionNode(Worker):
             self._narrator.warn(fault.message)
 
     def _status_changed(self, effect: agreement.StatusChanged) -> None:
-        """Nothing: the narrator tells what is waited for once it lasts."""
+        """Does nothing: the narrator reports what is waited for if it lasts."""
 
     def _ended(self, effect: Ended) -> None:
         self._end_with("the run is over: %s" % effect.reason, effect.reason, effect.finished)
 
     def _is_over(self, how: str) -> None:
-        """The log says that the run is over, which no effect has told: this node started late, or
+        """The log says that the run is over, but no effect reported it: this node started late, or
         was behind."""
         state = self._replica.ledger.state
         if self.exit_code is None and state.ended is not None:

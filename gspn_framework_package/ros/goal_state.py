@@ -71,7 +71,7 @@ TRANSITIONS: Dict[GoalState, FrozenSet[GoalState]] = {
 
 
 class GoalNews(enum.Enum):
-    """What a connection tells of the goal that is watched, and the value that goes with it."""
+    """What a connection reports of the watched goal, and the value that goes with it."""
 
     ACKNOWLEDGED = "acknowledged"
     """The server knows the goal; value: caller id of the server."""

@@ -48,7 +48,7 @@ class _Peer(NamedTuple):
 
 
 class _Neighbours:
-    """The robots of one run that are hosted in this process: what they tell each other needs no
+    """The robots of one run that are hosted in this process: they exchange messages without a
     topic."""
 
     def __init__(self) -> None:
@@ -79,7 +79,7 @@ class Link:
     Publishes and subscribes to ``/gspn_agreement`` (gspn_framework_package/Agreement). Robots that
     are hosted in the same process hear each other without it.
 
-    :param received: told each message of another robot that is meant for this one; called on
+    :param received: receives each message of another robot that is meant for this one; called on
         rospy's threads.
     :param serve: carries out the service calls of robots that are hosted in the same process;
         called on their threads.
@@ -170,7 +170,7 @@ class Link:
         if news.run != self.run or news.to not in ("", self.robot):
             return
         if news._connection_header.get("callerid") == self._node:
-            return  # our own, come back, or of a neighbour, who has told us already
+            return  # our own, come back, or of a neighbour, which has already handed it over
         if news.sender != self.robot:
             self._peers[news.sender] = _Peer(news.namespace, news.service_uri)
             self._heard[news.sender] = time.monotonic()
@@ -179,9 +179,9 @@ class Link:
             self._received(message)
 
     def _call_quiet(self, to: str, message: Message) -> None:
-        """Call the services of robots that are quiet on their topics. When a partition has ended,
-        TCP waits with what it could not send for as long again as the partition lasted (at most two
-        minutes); a new call goes through at once."""
+        """Call the services of robots that are quiet on their topics. After a partition, TCP waits
+        about as long as the partition lasted (at most two minutes) before it resends; a new call
+        goes through at once."""
         service = SERVICE_OF_MESSAGE.get(message.get("kind", ""), "get_place")
         now = time.monotonic()
         for name in [to] if to else list(self._peers):
@@ -210,8 +210,8 @@ class Link:
 
 
 class TopicLink(Link):
-    """Sends everything on topics (full synchronisation): what is for several robots on the
-    agreement topic, what is for one into its *inbox*, so that the others need not read it.
+    """Sends everything on topics (full synchronisation): messages to several robots on the
+    agreement topic, messages to one into its *inbox*, so that the others need not read them.
 
     Subscribes to ``NAMESPACE/agreement`` and publishes on the inboxes of the robots that it has
     something to say to (gspn_framework_package/Agreement). An inbox that is not connected (yet) is
@@ -273,8 +273,8 @@ def _inbox_of(namespace: str) -> str:
 
 
 class ServiceLink(Link):
-    """Sends through the services of the robots that are meant; only what is for everybody goes on
-    the topic (partial synchronisation).
+    """Sends through the services of the receiving robots; only broadcasts go on the topic (partial
+    synchronisation).
 
     Calls ``get_place``, ``get_state`` and ``set_place`` in the namespaces of the other robots,
     which it learns from their messages on the topic.

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import String
 
 LINES_PER_SECOND = 4
-"""Lines on the screen; what is more is counted instead."""
+"""Lines on the screen; further ones are only counted."""
 
 ACTIVITY_PERIOD = 0.1
 """Seconds between two messages on ``activity``, at least."""
@@ -77,7 +77,7 @@ class Narrator:
         self._changed = True
 
     def poll(self, now: float, activity: Any, status: Any) -> float:
-        """Publish what is due; when to be called next, unless something happens before.
+        """Publish what is due; returns when to call it next, unless something happens before.
 
         :param activity: called for what the robot does, a JSON object.
         :param status: called for what ``/diagnostics`` shows, (level, message, values).

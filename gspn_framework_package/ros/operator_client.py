@@ -37,7 +37,7 @@ class Answer(NamedTuple):
 
 
 def status_in(namespace: str) -> Optional[Dict[str, Any]]:
-    """The status of the execution node in a namespace; None where there is none, or it does not
+    """The status of the execution node in a namespace; None if there is no node, or it does not
     answer. May be called before this process is a node itself. :raises OSError: no master answers;
     and others of ``MASTER_ERRORS``."""
     name = rospy.names.ns_join(namespace, "command")

@@ -1,4 +1,4 @@
-"""What an execution node is told: its private parameters."""
+"""The private parameters of an execution node."""
 
 from __future__ import annotations
 
@@ -104,9 +104,9 @@ def read_options_of(node: str) -> NodeOptions:
 
 
 def launched_file(given: str, parameter: str) -> str:
-    """The file or folder that a parameter names: ``~`` is the home folder, and what is relative is
-    looked for where the node runs and then where ``roslaunch`` was started, which has nodes run in
-    a folder of its own.
+    """The file or folder that a parameter names: ``~`` is the home folder. A relative path is
+    looked up where the node runs, then where ``roslaunch`` was started, because it runs nodes in a
+    different folder.
 
     :raises UsageError: it is in neither.
     """

@@ -27,7 +27,7 @@ from gspn_framework_package.ros.goal_state import GoalNews
 from gspn_framework_package.ros.transport.registration import found_parameter, registered_together
 
 KEPT_ENDED = 10
-"""Goals that ended of which a server's status still tells, at most (they go after 5 s in any case).
+"""Maximum number of ended goals in a server's status (they are dropped after 5 s in any case).
 Without this bound a server that answers 600 goals a second would list 3,000 in every status."""
 
 TRACEBACK_LIMIT = 10_000
@@ -35,8 +35,8 @@ TRACEBACK_LIMIT = 10_000
 
 
 class PlaceServers:
-    """Serves the Python actions of a plan for one robot: all of them in this process, each as a
-    plain action server of its own name, with one pool of threads and one timer for all.
+    """Serves the Python actions of a plan for one robot, all in this process: each is a plain
+    action server with its own name; they share one pool of threads and one timer.
 
     A robot does one thing at a time: a newer goal of it (a later incarnation, visit or attempt)
     cancels its older ones, on whichever of these servers they run. So does the death of the node
@@ -86,9 +86,9 @@ class PlaceServers:
         self._timer.start()
 
     def stop(self) -> None:
-        """Cancel what runs, and take no more goals. No results are told: nobody asked for the end
-        of these goals, and a robot whose servers end a moment before itself must not take it for a
-        failure of the action. A robot that goes on sees that the server has gone."""
+        """Cancel what runs, and take no more goals. No results are published: nobody asked for the
+        end of these goals, and a robot whose servers end just before itself must not take it for a
+        failure of the action. A robot that goes on sees that the server is gone."""
         self._stopping.set()
         with self._lock:
             running = list(self._running.values())
@@ -223,8 +223,8 @@ class _RunningGoal:
 
 
 class PlaceServer(ActionServer):
-    """An action server without a thread of its own and without questions to the master, whose goals
-    may also come from its own process.
+    """An action server that has no thread of its own and does not query the master; its goals may
+    also come from its own process.
 
     The library's ``initialize`` asks the master six times for each server, and starts a timer for
     each: with 13 robots of 7 places that is what a start takes its time for.
@@ -253,8 +253,8 @@ class PlaceServer(ActionServer):
         self.status_pub = rospy.Publisher(
             topic + "status", GoalStatusArray, latch=True, queue_size=50
         )
-        # latched: a client knows of its connection a moment earlier than this side; what is told
-        # between gets lost
+        # latched: a client knows of its connection a moment before this side does, and would miss
+        # what is published in between
         self.result_pub = rospy.Publisher(
             topic + "result", self.ActionResult, latch=True, queue_size=50
         )
@@ -282,7 +282,7 @@ class PlaceServer(ActionServer):
             topic.unregister()
 
     def take(self, goal: Any, told: Callable[[GoalNews, GoalStatus, Any], None]) -> None:
-        """Take a goal that comes from this process. :param told: told (FEEDBACK or RESULT,
+        """Take a goal that comes from this process. :param told: receives (FEEDBACK or RESULT,
         status, message) of the goal, besides the topics."""
         with self.lock:
             self._direct[goal.goal_id.id] = told
@@ -317,7 +317,7 @@ class PlaceServer(ActionServer):
         self._owner.accept(self, handle, self._caller)
 
     def tell_status(self) -> None:
-        """Tell the status once more, if anybody listens or there is anything to tell."""
+        """Publish the status again, if anybody listens or there is anything to report."""
         with self.lock:
             if self.started and (self.status_list or self.status_pub.impl.has_connections()):
                 self.publish_status()

@@ -1,11 +1,10 @@
-"""The node ``thesis_interface``: a team in the words of the thesis (4.3.3), for programs that were
-written for it.
+"""The node ``thesis_interface``: a team under the names of the thesis (4.3.3), for programs written
+for it.
 
 Publishes every firing on ``/TRANSITIONS_FIRED`` (GSPNFiringData), and serves, for each robot N in
 its namespace, ``current_place_robot_N`` (CurrentPlace) and ``fire_sync_transition_N``
-(FireSyncTransition). It only translates: it keeps no marking, and no robot waits for it. What
-others publish on ``/TRANSITIONS_FIRED`` it does not hear, since the robots alone agree on what
-fires.
+(FireSyncTransition). It only translates: it keeps no marking, and no robot waits for it. It ignores
+what others publish on ``/TRANSITIONS_FIRED``, because only the robots agree on what fires.
 
 Private parameters: ``robots`` (how many), ``prefix`` (what their namespaces begin with), ``run``
 (name of the run; "" takes the first that is heard).

@@ -1,8 +1,8 @@
 """Elimination of vanishing states: where does one go, without time, when one comes into such a
 state?
 
-Cycles of immediate firings are taken apart first (each by one small linear system); what is left
-has levels, and is worked off level by level.
+Cycles of immediate firings are resolved first (each by one small linear system); the rest has
+levels, and is eliminated level by level.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Elimination:
 
     :param graph: the graph.
     :param kept: boolean array: the states that stay, all tangible ones at least.
-    :raises RefusedError: a timeless trap: immediate transitions go round for ever.
+    :raises RefusedError: a timeless trap: immediate transitions fire without end.
     """
 
     def __init__(self, graph: RatedGraph, kept: Any) -> None:

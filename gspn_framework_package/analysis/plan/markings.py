@@ -207,7 +207,7 @@ class PlanMarkings:
         }
 
     def timeless_traps(self, timeless: List[int]) -> Iterator[Finding]:
-        """Markings from which the firings of ``timeless`` transitions go on for ever."""
+        """Markings from which the ``timeless`` transitions can fire without end."""
         arcs = np.isin(self.space.transitions, timeless) & self.allowed
         arcs &= self._ways_with_losses.reached[self._sources]
         alive = np.zeros(len(self.space), dtype=bool)

@@ -9,8 +9,8 @@ it a chain:
   first);
 * exponential transitions that only take resources, events of the environment, fire at their rates.
 
-A robot draws once per marking and holds to it: where what it drew is not enabled it waits, until
-the marking changes. So a marking can be there twice: *asking*, without time, and *waiting*.
+A robot draws once per marking and keeps its choice: if its choice is not enabled, it waits until
+the marking changes. So a marking can occur twice: *asking*, without time, and *waiting*.
 """
 
 from __future__ import annotations
@@ -175,7 +175,8 @@ class PlanRules:
 
 def _goes_first(groups: Sequence[Tuple[int, float, float]], mine: int) -> float:
     """The chance that one robot of group ``mine``, whose draw is enabled, goes before all others
-    whose draw is: the mean of 1 / (1 + number of those), and 0 where one drew a higher priority.
+    whose draw is enabled: the mean of 1 / (1 + number of those), and 0 if one drew a higher
+    priority.
     Groups are (robots, probability of an enabled draw of this priority, probability of no enabled
     draw of this or a higher one)."""
     polynomial = np.ones(1)  # coefficients by the number of robots with an enabled draw

@@ -1,7 +1,7 @@
 """The check before any robot moves ("preflight"; thesis 4.3.5 and ``docs/semantics.md``).
 
 Structure decides first, in milliseconds; markings are visited only for the questions that it leaves
-open, up to a limit, and what is still open then is reported as not decided.
+open, up to a limit, and whatever is still open then is reported as not decided.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ def check(
     :param limit: markings to visit at most.
     :param server_probe: see :data:`ServerProbe`; without it no server is asked for.
     :param standalone: for agents, which a net may create and destroy, instead of robots.
-    :param progress: told the number of markings now and then.
-    :param cancel: asked now and then.
+    :param progress: receives the number of markings now and then.
+    :param cancel: called now and then; returns whether to stop.
     :raises PlanError: not a plan: a name that does not exist, a rule that makes no sense.
     :raises PolicyError: the same of its policy.
     :raises CancelledError: ``cancel`` said so.

@@ -22,7 +22,7 @@ from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.model.errors import LimitError
 
 TREE_NODES = 5_000
-"""Nodes of the coverability tree that tells which places grow."""
+"""Nodes of the coverability tree that shows which places grow."""
 
 
 class MarkingChecks:
@@ -198,8 +198,8 @@ class MarkingChecks:
         )
 
     def _growing(self) -> List[str]:
-        """The places that can hold any number of tokens, where a coverability tree of some size can
-        tell."""
+        """The places that can hold any number of tokens, if a coverability tree of some size shows
+        it."""
         try:
             tree = CoverabilityTree(
                 self.net.without_places(self._structure.written),

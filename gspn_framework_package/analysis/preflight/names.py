@@ -10,8 +10,8 @@ from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, 
 from gspn_framework_package.model.plan import Action, Plan
 
 ServerProbe = Callable[[str, str, Action], Optional[str]]
-"""Asked for (robot, place, action) whether the action's server answers: None if so, else what is
-wrong."""
+"""Asked for (robot, place, action) whether the action's server answers: None if so, else the
+fault."""
 
 
 class NameChecks:

@@ -93,8 +93,8 @@ class PreflightReport(NamedTuple):
 
 
 LISTED = 10
-"""Findings of one kind, and names in one sentence, that a report lists; it always tells how many
-there are."""
+"""Findings of one kind, and names in one sentence, that a report lists; it always gives their
+number."""
 
 
 class Checklist:

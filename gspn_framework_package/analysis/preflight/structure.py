@@ -1,5 +1,4 @@
-"""The part of the check that structure decides, in milliseconds; what it leaves open is for the
-markings."""
+"""The part of the check that structure decides, in milliseconds; the markings decide the rest."""
 
 from __future__ import annotations
 
@@ -44,7 +43,7 @@ class StructureChecks:
         self._cover = PolicyCover(plan)
 
     def look_at_structure(self) -> None:
-        """Answer what can be answered, and note what is open."""
+        """Answer what structure can answer, and note what is open."""
         self._look_at_flows()
         self._look_at_cycles()
         self._look_at_servers_of_transitions()

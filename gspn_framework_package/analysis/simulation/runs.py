@@ -31,7 +31,7 @@ from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.model.plan import Plan
 
 REMEMBERED = 500_000
-"""Markings that are remembered before all are forgotten and worked out anew."""
+"""Markings that are cached before the cache is cleared."""
 
 TIMELESS_FIRINGS = 10_000
 """More firings than this without time between them are taken for a cycle without time."""

@@ -15,8 +15,8 @@ DEPTH = 5
 """Earlier steps that are combined."""
 
 _DEPENDENT = 1e-12
-"""Changes whose directions are as dependent as this are not told apart: it would only amplify
-rounding."""
+"""Changes whose directions are as dependent as this count as one: separating them would only
+amplify rounding."""
 
 
 class Anderson:
@@ -61,5 +61,5 @@ class Anderson:
         return result
 
     def forget(self) -> None:
-        """Begin anew: the next point has nothing to do with those before."""
+        """Start again: the next point has nothing to do with those before."""
         self._count, self._last = 0, None

@@ -39,7 +39,7 @@ FALLBACK_SIZE = 50_000
 MAX_SWEEPS = 20_000
 
 _REFINEMENTS = 2
-"""How often the answer of a decomposition is corrected by what it leaves."""
+"""How often the answer of a decomposition is refined by its residual."""
 
 _STRIDE = 2
 """Sweeps between two accelerations, which cost about as much as one sweep."""
@@ -210,7 +210,7 @@ def _swept(
         for _ in range(_STRIDE):
             image = sweep(image)
         unchecked += 1
-        # What the sweeps changed tells, at no cost, when a look at the residual is worth it.
+        # What the sweeps changed shows, at no cost, when computing the residual is worth it.
         largest = float((diagonal * image).max())
         changed = float(np.abs(diagonal * (image - values)).max())
         tolerance = TOLERANCE

@@ -161,8 +161,8 @@ def time_to_steady_state(
 
 
 def poisson(mean: float) -> Tuple[int, Any]:
-    """The Poisson weights that matter: the first count, and the weights from there on; what is left
-    out sums to less than :data:`ERROR`."""
+    """The Poisson weights that matter: the first count, and the weights from there on; the omitted
+    ones sum to less than :data:`ERROR`."""
     spread = 8 * math.sqrt(mean) + 24
     first = max(0, int(mean - spread))
     counts = np.arange(first, int(mean + spread) + 1)

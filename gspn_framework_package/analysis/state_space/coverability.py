@@ -174,8 +174,8 @@ class CoverabilityTree:
     def covers(self, marking: Union[Sequence[int], Mapping[str, int]]) -> Optional[List[str]]:
         """The transitions on the way to a node that covers ``marking`` (at least as many tokens
         everywhere; places that a map leaves out: any number), or None: it cannot be covered. Where
-        the node has OMEGA the way tells the order of things, and its loops must be gone often
-        enough."""
+        the node has OMEGA, the path gives the order of the firings, and its loops must be repeated
+        often enough."""
         wanted = self.net.marking(marking) if isinstance(marking, Mapping) else tuple(marking)
         for number, node in enumerate(self.nodes):
             if all(n <= have for n, have in zip(wanted, node.marking)):

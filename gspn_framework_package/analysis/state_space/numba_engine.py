@@ -282,7 +282,7 @@ def _enter_for(words: int) -> Any:
 
     @compiled
     def enter(table: Any, states: Any, known: Any, keys: Any, arcs: Any, targets: Any) -> Any:
-        """Number the states ``keys`` that are not known yet, from ``known`` on, and tell the
+        """Number the states ``keys`` that are not known yet, from ``known`` on, and store the
         targets of ``arcs``; the number of states known then. Without arcs the keys are entered all
         the same."""
         shift, mask = _shift(table), np.uint64(len(table) - 1)
@@ -327,8 +327,8 @@ def _expand_for(words: int) -> Any:
 
     @compiled
     def expand(rules: Any, states: Any, table: Any, share: Any, found: Any) -> Any:
-        """Expand the states from the first of ``share`` up to the second; what comes of them goes
-        into ``found``.
+        """Expand the states from the first of ``share`` up to the second; the results go into
+        ``found``.
 
         Returns the number of arcs, that of arcs that lead to markings not known yet, and what keeps
         the compiler from leaving the touching out.

@@ -235,7 +235,7 @@ class _Table:
             numbers = np.arange(begin, begin + len(keys), dtype=self._slots.dtype)
             open_keys = np.arange(len(keys))
             step = 0
-            while len(open_keys):  # all keys differ: whoever does not hold its slot goes on
+            while len(open_keys):  # all keys differ: a key that does not hold its slot goes on
                 step += 1
                 here = at[open_keys]
                 free = self._slots[here] == _EMPTY

@@ -26,7 +26,7 @@ from gspn_framework_package.analysis.state_space.space import StateSpace, Step
 
 class Liveness(enum.IntEnum):
     """Levels of liveness of a transition (Murata 1989). In a bounded net L2 (it can fire any number
-    of times) and L3 (it can fire for ever) are the same; L3 is said."""
+    of times) and L3 (it can fire infinitely often) are the same; L3 is reported."""
 
     L0 = 0
     """Dead: it can never fire."""

@@ -133,7 +133,7 @@ class StateSpace:
 
     @property
     def extent(self) -> str:
-        """For people: what was looked at."""
+        """For people: what was explored."""
         amount = self.shortage[1]
         return "%d states" % len(self) + (" and %s" % amount if amount else "")
 
@@ -281,8 +281,8 @@ def explore(
         places, numba for large state spaces, where it is installed.
     :param untimed: let immediate transitions have no precedence over others, nor priorities among
         themselves: what the robots of a plan, which take time in decision places too, can reach.
-    :param progress: told the number of states now and then.
-    :param cancel: asked now and then.
+    :param progress: receives the number of states now and then.
+    :param cancel: called now and then; returns whether to stop.
     :param bounds: of each place, the most tokens it can hold (None: unknown), if the caller knows;
         otherwise the P-invariants are asked. A bound that is too low costs time, never correctness.
     :param memory: stop when it takes more than so many bytes.

@@ -2,7 +2,7 @@
 
 A marking is kept as what differs from the initial one, and its enabled transitions come from those
 of the marking before: only the transitions around the places that the firing changed are looked at.
-So a firing costs what it changes, and not what the net has.
+So the cost of a firing depends on what it changes, not on the size of the net.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ _MANY = 64
 """Transitions from which on it is worth it to fire them all together."""
 
 _WHOLE = 4_000_000
-"""Up to this many entries the markings are told as they are, and not as what differs from the
-initial one."""
+"""Up to this many entries, markings are stored as they are, and not as differences to the initial
+one."""
 
 
 def explore(

@@ -150,7 +150,7 @@ class Structure:
         self, net: Net, *, limit: int = STRUCTURE_LIMIT, watch: Optional[Callable[[], Watch]] = None
     ) -> None:
         """:param limit: elementary steps of each search at most.
-        :param watch: makes the watch of a search: where it tells progress and asks whether to
+        :param watch: makes the watch of a search, which receives progress and says whether to
           stop."""
         self.net = net
         self._limit = limit

@@ -8,7 +8,7 @@ needed. Remove a module by putting rospy's own back and running the test that is
 ``registration``
     *Fault:* rospy calls the master once for each topic and service, one after the other, without a
     time limit. A robot with a thousand action servers took over a minute to start; a master that
-    hangs holds the caller for ever.
+    hangs holds the caller indefinitely.
     *Touches:* ``rospy.impl.registration``: takes ``RegManager`` off the list of
     ``get_registration_listeners()`` for a while, calls the master itself (one ``MultiCall``), hands
     publishers to ``RegManager.publisher_update``. Calls that only ask the master use
@@ -23,8 +23,8 @@ needed. Remove a module by putting rospy's own back and running the test that is
     *No longer needed when* ``test/unit/ros/test_eager_publisher.py`` passes with
     ``rospy.Publisher``.
 ``service_calls``
-    *Fault:* ``ServiceProxy`` asks the master at every call, and waits for ever for a process that
-    is stopped.
+    *Fault:* ``ServiceProxy`` asks the master at every call, and waits without end for a stopped
+    process.
     *Touches:* ``rospy.impl.tcpros_base.TCPROSTransport`` and
     ``rospy.impl.tcpros_service.TCPROSServiceClient``, from which it builds the connection itself;
     ``rospy.core.parse_rosrpc_uri``.
@@ -52,7 +52,7 @@ needed. Remove a module by putting rospy's own back and running the test that is
     the plan again. Here one process does that once, then forks; the robots share its memory
     (``docs/benchmarks.md``).
     *Touches:* nothing of rospy, but relies on it: importing rospy starts no thread, and a process
-    that was forked before ``init_node`` can become a node of its own (``node_process.be_node``).
+    that was forked before ``init_node`` can become a separate node (``node_process.be_node``).
     *No longer needed when* memory and time for a Python process per robot do not matter.
 ``ending``
     *Fault:* ``threading.Event`` can deadlock when a signal handler calls ``set()`` during another

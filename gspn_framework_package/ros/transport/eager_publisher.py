@@ -39,8 +39,8 @@ def eager_publisher(name: str, data_class: Any) -> Any:
 
 
 class _EagerConnection:
-    """Writes what the socket takes at once; only what it does not take, while its reader is stuck,
-    is left to a thread.
+    """Writes whatever the socket accepts at once; only the rest, while its reader is stuck, is left
+    to a thread.
 
     Behaves as the transport otherwise.
     """

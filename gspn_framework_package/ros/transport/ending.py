@@ -1,4 +1,4 @@
-"""Whether a process shall end, as its signals and its threads say."""
+"""Whether a process should end, according to its signals and its threads."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any, List, Optional
 
 
 class Ending:
-    """Like a ``threading.Event`` that signals set and the main thread waits for, which an event
-    does not stand: a handler that sets it amid another's ``set`` waits for itself, and a main
-    thread that waits for it sleeps on when two signals reach two threads at once (of 60 processes
-    that got SIGINT and SIGTERM together, 13 did). roslaunch and ``gspn_team`` send both. So this is
-    a flag and a pipe; what C does of a signal, in whichever thread, already writes to the pipe.
+    """A signal-safe ``threading.Event``. ``threading.Event`` can deadlock when a handler calls
+    ``set()`` during another ``set()``, and a main thread that waits for it may sleep on when two
+    signals reach two threads at once (13 of 60 processes did that got SIGINT and SIGTERM together).
+    roslaunch and ``gspn_team`` send both. So this is a flag and a pipe: the C signal handler
+    already writes to the pipe, in whichever thread it runs.
 
     :ivar signals: the numbers of the signals that have come.
     """
@@ -38,17 +38,18 @@ class Ending:
         self.set()
 
     def set(self) -> None:
-        """The process shall end. May be called at any moment, from any thread."""
+        """The process should end. May be called at any moment, from any thread."""
         self._set = True
-        with contextlib.suppress(BlockingIOError):  # full: whoever waits wakes up all the same
+        with contextlib.suppress(BlockingIOError):  # full: a waiting thread wakes up anyway
             os.write(self._writer, b"\0")
 
     def is_set(self) -> bool:
-        """Whether the process shall end."""
+        """Whether the process should end."""
         return self._set
 
     def wait(self, timeout: Optional[float] = None) -> bool:
-        """Wait until the process shall end, at most ``timeout`` seconds; whether it shall."""
+        """Wait at most ``timeout`` seconds until the process should end; returns whether it
+        should."""
         deadline = None if timeout is None else time.monotonic() + timeout
         poll = select.poll()
         poll.register(self._reader, select.POLLIN)

@@ -31,7 +31,7 @@ class MasterWatch:
         self._stopping = threading.Event()
 
     def start(self) -> None:
-        """Begin to watch, on a thread of its own."""
+        """Begin to watch, on a separate thread."""
         threading.Thread(target=self._watch, name="master", daemon=True).start()
 
     def stop(self) -> None:
@@ -68,7 +68,7 @@ class MasterWatch:
 
 
 def register_again() -> None:
-    """Register every publisher, subscriber and service of this node, and connect to whoever
+    """Register every publisher, subscriber and service of this node, and connect to everybody who
     publishes by now. :raises OSError: no master."""
     topics, services = registration.get_topic_manager(), registration.get_service_manager()
     kinds = registration.Registration

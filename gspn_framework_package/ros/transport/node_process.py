@@ -1,5 +1,5 @@
-"""A process that is a ROS node: waits for the master, ends in order, and says in one line what is
-wrong."""
+"""A process that is a ROS node: waits for the master, shuts down in order, and reports an error in
+one line."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from gspn_framework_package.ros.transport.ending import Ending
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
 
 ERRORS = (GspnError, rospy.ROSException, *MASTER_ERRORS)
-"""What a node may end with, told in one line."""
+"""What a node may end with, reported in one line."""
 
 SHUTDOWN_TIME = 5.0
 """Seconds that the node has to unregister at its end; a master that does not answer is not waited
@@ -38,9 +38,9 @@ def run_node(
 ) -> int:
     """Start a ROS node, and end it in order on SIGINT, SIGTERM and ``rosnode kill``.
 
-    :param name: of the node, where nobody gives it another.
-    :param body: what the node does; given what tells when the node shall end. Its errors are told
-      in one line.
+    :param name: of the node, if nothing else names it.
+    :param body: the node's work; its argument says when the node should end. Its errors are
+      reported in one line.
     :param before: called when there is a master, before the node takes its name from a node that
       has it.
     :returns: the exit code: that of ``body`` or of its error, or 128 + the signal.
@@ -75,14 +75,14 @@ def run_node(
 
 def _await_shutdown() -> None:
     """Wait until another thread has shut the node down, if one does: after ``rosnode kill``, rospy
-    unregisters the node on a thread that dies with the process, and the master would know the node
-    for ever."""
+    unregisters the node on a thread that dies with the process, and the master would list the node
+    indefinitely."""
     if rospy.core._shutdown_lock.acquire(timeout=SHUTDOWN_TIME):
         rospy.core._shutdown_lock.release()
 
 
 def tell_error(name: str, error: BaseException) -> int:
-    """Tell in one line what one of :data:`ERRORS` was about; the exit code for it.
+    """Report one of :data:`ERRORS` in one line; returns its exit code.
 
     :param name: of the node or command.
     """
@@ -105,7 +105,7 @@ def tell_error(name: str, error: BaseException) -> int:
 def be_node(name: str, namespace: str) -> None:
     """Be another node than this process was started as, before it is initialised.
 
-    :param name: what :func:`run_node` will be told.
+    :param name: the ``name`` that :func:`run_node` will get.
     :param namespace: absolute.
     """
     kept = [word for word in sys.argv if not word.startswith("_")]
@@ -162,8 +162,8 @@ def raise_descriptor_limit(wanted: int = 65536) -> None:
 
 
 def say_nothing_of_sockets_after_the_end() -> None:
-    """A node that ends closes its sockets under threads of rospy that are about to use them: that
-    is no news, and what else has to be said does not get lost among tracebacks."""
+    """A node that ends closes its sockets under threads of rospy that are about to use them. The
+    resulting tracebacks mean nothing, and would hide other messages."""
     tell = threading.excepthook
 
     def tell_unless_ended(args: Any) -> None:
@@ -174,7 +174,7 @@ def say_nothing_of_sockets_after_the_end() -> None:
 
 
 class _Lines(logging.handlers.QueueHandler):
-    """Hands on lines of the log; drops what is too much, rather than wait."""
+    """Hands on lines of the log; drops excess lines rather than wait."""
 
     def enqueue(self, record: logging.LogRecord) -> None:
         with contextlib.suppress(queue.Full):
@@ -182,9 +182,9 @@ class _Lines(logging.handlers.QueueHandler):
 
 
 def publish_log_lines_on_a_thread() -> None:
-    """Publish on ``/rosout`` from a thread of its own. rospy asks the master for a parameter at
-    every line, with no limit of time: a master that is out of reach (a partition, not a death)
-    would hold whoever logs, for minutes.
+    """Publish on ``/rosout`` from a separate thread. rospy asks the master for a parameter at every
+    line, without a time limit: a master that is out of reach (a partition, not a death) would block
+    the logging thread for minutes.
 
     The parameter is ``/rosout_disable_topics_generation``: whether a line goes without the names of
     all topics of the node. It is asked for once here, and taken for true where nobody has set it: a

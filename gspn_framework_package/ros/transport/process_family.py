@@ -14,7 +14,7 @@ import traceback
 from typing import Callable, Dict, List, NamedTuple, Optional
 
 PATIENCE = 10.0
-"""Seconds that processes have to end in order when the parent is told to; ``roslaunch`` gives it
+"""Seconds that processes have to shut down when the parent is told to end; ``roslaunch`` gives it
 15."""
 
 RESPAWN_DELAY = 1.0
@@ -25,15 +25,15 @@ _WATCHED = (signal.SIGCHLD, signal.SIGINT, signal.SIGTERM)
 
 
 class Member(NamedTuple):
-    """A process to be: its name, for people, and what it does; returns its exit code."""
+    """A process to start: its name, for people, and its work, which returns the exit code."""
 
     name: str
     body: Callable[[], int]
 
 
 def run_family(members: List[Member], respawn: bool = False) -> int:
-    """Fork a process for each member, and wait until all have ended; SIGINT and SIGTERM are handed
-    on to all of them. When this process is killed, they are told to end.
+    """Fork a process for each member, and wait until all have ended. SIGINT and SIGTERM are
+    forwarded to all of them. When this process is killed, they are told to end.
 
     The parent must have no other thread: a fork takes none of them along, only the locks that they
     hold.
@@ -45,7 +45,7 @@ def run_family(members: List[Member], respawn: bool = False) -> int:
     if threading.active_count() > 1:
         raise RuntimeError("cannot fork: there are %d threads" % threading.active_count())
     gc.collect()
-    gc.freeze()  # what is there now is shared: no collection shall write to its pages
+    gc.freeze()  # what exists now is shared: no collection should write to its pages
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, _WATCHED)
     try:
         return _Parent(members, respawn, mask).run()
@@ -93,7 +93,7 @@ class _Parent:
         self._running[pid] = member
 
     def _be(self, member: Member, parent: int) -> None:
-        """In the child: do what it is there for, and end."""
+        """In the child: do its work, and end."""
         code = 1
         try:
             ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)

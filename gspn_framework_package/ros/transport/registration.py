@@ -45,7 +45,7 @@ class Entry(NamedTuple):
 
 
 class _Transport(xmlrpc.client.Transport):
-    """A transport that gives up: without it a master that hangs would hold us for ever."""
+    """A transport that gives up: without it a hanging master would block us indefinitely."""
 
     def __init__(self, timeout: float) -> None:
         super().__init__()
@@ -85,8 +85,8 @@ def published_topics(timeout: float = 2.0) -> List[Tuple[str, str]]:
 
 
 def found_parameter(name: str, default: Any, timeout: float = 2.0) -> Any:
-    """The parameter of that name that is nearest to this node; ``default`` where there is none, or
-    no master."""
+    """The parameter of that name that is nearest to this node; ``default`` if there is none, or no
+    master."""
     try:
         master: Any = master_proxy(timeout)
         code, _, key = master.searchParam(rospy.get_name(), name)
@@ -156,8 +156,8 @@ def _register_for_sure(entries: Sequence[Entry]) -> None:
 
 
 def register(entries: Sequence[Entry], timeout: float = 30.0) -> None:
-    """Have the master register these, and connect to whoever publishes on the topics among them
-    that this node subscribes to. :raises OSError: no master."""
+    """Register these with the master, and connect to the publishers of those topics among them that
+    this node subscribes to. :raises OSError: no master."""
     caller, uri = rospy.get_name(), rospy.get_node_uri()
     for begin in range(0, len(entries), CALLS):
         some = entries[begin : begin + CALLS]

@@ -19,10 +19,10 @@ LINES = 3
 
 
 class ServiceCalls:
-    """Calls services of peers, each peer on threads of its own.
+    """Calls services of peers, with separate threads for each peer.
 
-    rospy's ``ServiceProxy`` asks the master at every call, and for ever waits for a process that is
-    stopped. Here the address comes from the peer's own messages, connections persist, and a call
+    rospy's ``ServiceProxy`` asks the master at every call, and waits without end for a stopped
+    process. Here the address comes from the peer's own messages, connections persist, and a call
     whose time is over has its socket shut down, which ends it with an error. Such a call may have
     been carried out: requests must bear repetition.
 
@@ -64,7 +64,7 @@ class ServiceCalls:
         return True
 
     def close(self) -> None:
-        """End all threads; what is under way is given up."""
+        """End all threads; running calls are given up."""
         for lines in self._lines.values():
             for line in lines:
                 line.tasks.put(None)
