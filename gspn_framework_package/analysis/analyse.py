@@ -41,7 +41,7 @@ from gspn_framework_package.analysis.solution.steady_state import SteadyState, s
 from gspn_framework_package.analysis.solution.transient import time_to_steady_state, transient
 from gspn_framework_package.analysis.state_space.coverability import CoverabilityTree
 from gspn_framework_package.analysis.state_space.properties import Liveness, Properties
-from gspn_framework_package.analysis.state_space.space import StateSpace, Step, explore
+from gspn_framework_package.analysis.state_space.space import StateSpace, WitnessStep, explore
 from gspn_framework_package.analysis.structure.invariants import bounds_of
 from gspn_framework_package.analysis.structure.net_structure import Structure
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
@@ -71,7 +71,7 @@ class Reachability(NamedTuple):
 
     reachable: Optional[bool]
     number: int
-    witness: Optional[List[Step]]
+    witness: Optional[List[WitnessStep]]
 
 
 class Boundedness(NamedTuple):

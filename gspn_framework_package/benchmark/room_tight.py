@@ -17,10 +17,10 @@ import sys
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
+from gspn_framework_package.world.driving_team import DrivingTeam
 from gspn_framework_package.world.grid import Grid
-from gspn_framework_package.world.navigation import Status
+from gspn_framework_package.world.navigation import NavigationStatus
 from gspn_framework_package.world.room import Box, Point, Pose, Room
-from gspn_framework_package.world.team import Team
 
 LIMIT = 240.0
 """Seconds of world time after which nobody may be on the way any more."""
@@ -109,7 +109,9 @@ def measure(kind: str, seed: int) -> Optional[Dict[str, Any]]:
     if starts is None or goals is None:
         return None
     names = ["robot_%d" % (index + 1) for index in range(robots)]
-    team = Team(room, names, [Pose(x, y, source.uniform(-math.pi, math.pi)) for x, y in starts])
+    team = DrivingTeam(
+        room, names, [Pose(x, y, source.uniform(-math.pi, math.pi)) for x, y in starts]
+    )
     for name, goal in zip(names, goals):
         team.navigators[name].go(Pose(*goal), team.time, turn=False)
     while team.time < LIMIT and any(navigator.active for navigator in team.navigators.values()):
@@ -118,7 +120,7 @@ def measure(kind: str, seed: int) -> Optional[Dict[str, Any]]:
     reasons = [
         navigator.reason
         for navigator in team.navigators.values()
-        if navigator.status is Status.FAILED
+        if navigator.status is NavigationStatus.FAILED
     ]
     contacts = team.physics.contacts
     team.close()
@@ -128,9 +130,11 @@ def measure(kind: str, seed: int) -> Optional[Dict[str, Any]]:
         "robots": robots,
         "touches": sum(contacts.robots.values()),
         "touches_of_solids": sum(contacts.solids.values()),
-        "arrived": ends.count(Status.REACHED),
-        "given_up": ends.count(Status.FAILED),
-        "still_on_the_way": robots - ends.count(Status.REACHED) - ends.count(Status.FAILED),
+        "arrived": ends.count(NavigationStatus.REACHED),
+        "given_up": ends.count(NavigationStatus.FAILED),
+        "still_on_the_way": robots
+        - ends.count(NavigationStatus.REACHED)
+        - ends.count(NavigationStatus.FAILED),
         "reasons": reasons,
         "seconds": round(team.time, 1),
     }

@@ -20,7 +20,7 @@ from typing import Any, Deque, Dict, List, Optional, Sequence
 
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
 from gspn_framework_package.benchmark.plans import tokens_plan
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.firing import Firing, StartAction
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
@@ -40,7 +40,11 @@ class _Counter(Listener):
     firings = 0
 
     def on_step(
-        self, slot: int, entries: Sequence[log.Entry], firings: Sequence[Firing], state: TeamState
+        self,
+        slot: int,
+        entries: Sequence[log_entries.Entry],
+        firings: Sequence[Firing],
+        state: TeamState,
     ) -> None:
         self.firings += len(firings)
 
@@ -58,7 +62,9 @@ def game_rate(plan: Plan, seconds: float) -> float:
         if slot % 256 == 0 and time.perf_counter() - begin >= seconds:
             return firings / (time.perf_counter() - begin)
         goal = waiting.popleft()
-        done = log.Done(goal.robot, goal.incarnation, goal.visit, ANSWERS.get(goal.place, ""))
+        done = log_entries.Done(
+            goal.robot, goal.incarnation, goal.visit, ANSWERS.get(goal.place, "")
+        )
         step = game.reduce(state, slot, [done])
         firings += len(step.firings)
         slot += 1

@@ -79,20 +79,20 @@ def run(args: argparse.Namespace) -> int:
     return demo.summary()
 
 
-class Room(NamedTuple):
+class PlanRoom(NamedTuple):
     """A room in a plan's folder: its file, and the plan whose robots drive in it."""
 
     world: str
     plan: str
 
 
-def find_room(folder: str) -> Optional[Room]:
+def find_room(folder: str) -> Optional[PlanRoom]:
     """The room of a plan's folder: a ``room.json`` beside one YAML file; None where there is
     none."""
     plan = os.path.join(folder, "room.json")
     worlds = sorted(glob.glob(os.path.join(glob.escape(folder), "*.yaml")))
     return (
-        Room(os.path.abspath(worlds[0]), plan)
+        PlanRoom(os.path.abspath(worlds[0]), plan)
         if len(worlds) == 1 and os.path.isfile(plan)
         else None
     )
@@ -119,7 +119,7 @@ class _Demo:
         plan: Plan,
         path: str,
         seconds: float,
-        room: Optional[Room],
+        room: Optional[PlanRoom],
         port: int,
         open_browser: bool,
     ) -> None:

@@ -20,7 +20,7 @@ from typing import Any, Dict, NamedTuple, NoReturn, Optional, Sequence, Tuple, U
 
 from gspn_framework_package import __version__
 from gspn_framework_package.cli.interrupts import EXIT_INTERRUPTED, INTERRUPTED, Interrupts
-from gspn_framework_package.cli.orders import ORDERS, Order
+from gspn_framework_package.cli.orders import ORDERS, OrderVerb
 from gspn_framework_package.model.errors import GspnError, missing_library
 
 EXIT_USAGE = 2
@@ -43,7 +43,7 @@ class Verb(NamedTuple):
         return importlib.import_module(self.module, __package__)
 
 
-VERBS: Dict[str, Union[Verb, Order]] = {
+VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     "check": Verb(".check", "check whether a plan may run, before any robot moves"),
     "run": Verb(".run", "execute a plan without ROS, its agents on threads"),
     "simulate": Verb(".simulate", "simulate many runs of a net or plan, with confidence intervals"),

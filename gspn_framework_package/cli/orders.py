@@ -13,7 +13,7 @@ from typing import Dict, NamedTuple, Tuple
 from gspn_framework_package.model.errors import UsageError
 
 
-class Order(NamedTuple):
+class OrderVerb(NamedTuple):
     """A verb that gives an order.
 
     :ivar command: the ``command`` of the Command service.
@@ -27,7 +27,7 @@ class Order(NamedTuple):
     robot: str = ""
     argument: Tuple[str, str] = ("", "")
 
-    def load(self) -> Order:
+    def load(self) -> OrderVerb:
         """What declares the words of the verb and runs it."""
         return self
 
@@ -60,27 +60,29 @@ class Order(NamedTuple):
         return 0 if done else 1
 
 
-ORDERS: Dict[str, Order] = {
-    "pause": Order("pause", "stop all firing until resume, or the firings of one robot", "[ROBOT]"),
-    "resume": Order("resume", "end a pause of the team, or of one robot", "[ROBOT]"),
-    "set-place": Order(
+ORDERS: Dict[str, OrderVerb] = {
+    "pause": OrderVerb(
+        "pause", "stop all firing until resume, or the firings of one robot", "[ROBOT]"
+    ),
+    "resume": OrderVerb("resume", "end a pause of the team, or of one robot", "[ROBOT]"),
+    "set-place": OrderVerb(
         "set_place",
         "put a robot into a place; its action there starts",
         "ROBOT",
         ("PLACE", "the place"),
     ),
-    "retry": Order("retry", "try the failed action of a robot again", "ROBOT"),
-    "fire": Order(
+    "retry": OrderVerb("retry", "try the failed action of a robot again", "ROBOT"),
+    "fire": OrderVerb(
         "fire", "fire a transition of the environment", argument=("TRANSITION", "the transition")
     ),
-    "evict": Order("evict", "remove a robot from the team as lost", "ROBOT"),
-    "force-evict": Order(
+    "evict": OrderVerb("evict", "remove a robot from the team as lost", "ROBOT"),
+    "force-evict": OrderVerb(
         "force_evict",
         "the same without a quorum: you assert that the robot is switched off",
         "ROBOT",
     ),
-    "leave": Order("leave", "make a robot leave the team, with its token", "ROBOT"),
-    "stop": Order("stop", "end the run of a team"),
+    "leave": OrderVerb("leave", "make a robot leave the team, with its token", "ROBOT"),
+    "stop": OrderVerb("stop", "end the run of a team"),
 }
 """Verb -> order."""
 

@@ -14,9 +14,9 @@ from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.execution.entries import Entry
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.firing import Firing
+from gspn_framework_package.execution.log_entries import Entry
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.formats.plan_file import read_plan

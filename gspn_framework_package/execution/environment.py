@@ -8,7 +8,7 @@ from __future__ import annotations
 import random
 from typing import List, Optional, Tuple
 
-from gspn_framework_package.execution.draw import choose
+from gspn_framework_package.execution.chance import choose
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 

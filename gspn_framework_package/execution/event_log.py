@@ -49,7 +49,7 @@ import re
 import time
 from typing import Any, BinaryIO, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import Firing, firing_from_json
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
@@ -458,7 +458,7 @@ class Replayed(NamedTuple):
     """
 
     slot: int
-    entries: Tuple[log.Entry, ...]
+    entries: Tuple[log_entries.Entry, ...]
     firings: List[Firing]
     state: TeamState
     record: Record
@@ -520,7 +520,7 @@ def _replay_slot(game: TokenGame, state: TeamState, record: Record) -> Replayed:
     slot = record["slot"]
     if slot != state.next_slot:
         raise LogError("slot %s follows where slot %d should" % (slot, state.next_slot))
-    batch = tuple(log.from_json(e) for e in record["entries"])
+    batch = tuple(log_entries.from_json(e) for e in record["entries"])
     firings = game.reduce(state, slot, batch).firings
     recorded = [firing_from_json(f, game.net) for f in record["firings"]]
     if firings != recorded:

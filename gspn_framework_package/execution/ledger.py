@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import Record, first_hash, next_hash
 from gspn_framework_package.execution.firing import firing_to_json
 from gspn_framework_package.execution.phase import Phase
@@ -37,13 +37,13 @@ class Item(NamedTuple):
     """An entry and its origin, on the way into the log; ``private``: a ``Done`` of partial
     synchronisation whose move was made already."""
 
-    entry: log.Entry
+    entry: log_entries.Entry
     origin: Origin
     private: bool = False
 
     def to_json(self) -> List[Any]:
         """The item as a JSON value."""
-        return [log.to_json(self.entry), list(self.origin), int(self.private)]
+        return [log_entries.to_json(self.entry), list(self.origin), int(self.private)]
 
     @classmethod
     def from_json(cls, data: Any) -> Item:
@@ -55,9 +55,11 @@ class Item(NamedTuple):
             if not isinstance(robot, str) or not isinstance(log_id, str):
                 raise ValueError("its origin has no name")
             item = cls(
-                log.from_json(entry), Origin(robot, incarnation, number, log_id), bool(private)
+                log_entries.from_json(entry),
+                Origin(robot, incarnation, number, log_id),
+                bool(private),
             )
-            if item.private and not isinstance(item.entry, log.Done):
+            if item.private and not isinstance(item.entry, log_entries.Done):
                 raise ValueError("only a Done can be a local transition")
             return item
         except (TypeError, ValueError) as error:
@@ -114,15 +116,15 @@ class Ledger:
             self._note_membership(item.entry)
         return appended
 
-    def _note_membership(self, entry: log.Entry) -> None:
+    def _note_membership(self, entry: log_entries.Entry) -> None:
         """Remember whose log counts, and who was cast out."""
-        if isinstance(entry, log.Join):
+        if isinstance(entry, log_entries.Join):
             robot = self.state.robots.get(entry.robot)
             if entry.robot in self.state.witnesses or (
                 robot and robot.incarnation == entry.incarnation
             ):
                 self.logs[entry.robot] = entry.log
-        elif isinstance(entry, log.Evict) and entry.forced:
+        elif isinstance(entry, log_entries.Evict) and entry.forced:
             robot = self.state.robots.get(entry.robot)
             if (
                 robot is not None
@@ -136,12 +138,15 @@ class Ledger:
         robot = self.state.robots.get(name)
         return name in self.cast_out and (robot is None or robot.phase.gone)
 
-    def append_local(self, entries: Sequence[log.Entry]) -> Tuple[Record, Step]:
+    def append_local(self, entries: Sequence[log_entries.Entry]) -> Tuple[Record, Step]:
         """The same for entries of a local log, which have no origin."""
         return self._append(entries, [], None)
 
     def _append(
-        self, entries: Sequence[log.Entry], origins: List[Any], ballot: Optional[Sequence[Any]]
+        self,
+        entries: Sequence[log_entries.Entry],
+        origins: List[Any],
+        ballot: Optional[Sequence[Any]],
     ) -> Tuple[Record, Step]:
         slot = self.length
         step = self.game.reduce(self.state, slot, entries)
@@ -151,10 +156,10 @@ class Ledger:
         return record, step
 
     def record(
-        self, slot: int, entries: Sequence[log.Entry], origins: List[Any], step: Step
+        self, slot: int, entries: Sequence[log_entries.Entry], origins: List[Any], step: Step
     ) -> Record:
         """The ``slot`` record of a step that was made already; the chain goes on with it."""
-        written = [log.to_json(e) for e in entries]
+        written = [log_entries.to_json(e) for e in entries]
         firings = [firing_to_json(f, self.game.net) for f in step.firings]
         self.hash = next_hash(self.hash, written, origins, firings)
         return {

@@ -17,7 +17,7 @@ import threading
 import time
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.actions import (
     ActionContext,
     ActionFailed,
@@ -49,7 +49,11 @@ class Listener:
     executor's thread and should return soon."""
 
     def on_step(
-        self, slot: int, entries: Sequence[log.Entry], firings: Sequence[Firing], state: TeamState
+        self,
+        slot: int,
+        entries: Sequence[log_entries.Entry],
+        firings: Sequence[Firing],
+        state: TeamState,
     ) -> None:
         """The entries of log slot ``slot`` were reduced, and led to the firings and the state."""
 
@@ -80,7 +84,7 @@ class _Attempt(NamedTuple):
     cancellation: Cancellation
 
 
-_Message = Callable[[], List[log.Entry]]
+_Message = Callable[[], List[log_entries.Entry]]
 """Run on the executor's thread; the entries that follow."""
 
 
@@ -146,9 +150,9 @@ class StandaloneExecutor:
 
     def stop(self, reason: str = "stopped by the operator") -> None:
         """End the run; running actions are asked to cancel."""
-        self.order(log.Stop(reason))
+        self.order(log_entries.Stop(reason))
 
-    def order(self, entry: log.Entry) -> None:
+    def order(self, entry: log_entries.Entry) -> None:
         """An order of the operator: Pause, Resume, Retry, SetPlace, Fire, Leave, Stop."""
         self._queue.put(lambda: [entry])
 
@@ -211,7 +215,7 @@ class StandaloneExecutor:
                 with contextlib.suppress(Exception):  # it may be the listener that broke
                     self._listener.on_broken(_broke_off(self._crash))
 
-    def _next_entries(self) -> List[log.Entry]:
+    def _next_entries(self) -> List[log_entries.Entry]:
         """Wait for the next message, timer, or transition of the environment."""
         now = self._clock()
         fire_at = self._environment.next_time(self.state, now)
@@ -228,15 +232,15 @@ class StandaloneExecutor:
             entries += heapq.heappop(self._timers)[2]()
         transition = self._environment.due(self.state, now)
         if transition is not None:
-            entries.append(log.Fire(transition))
+            entries.append(log_entries.Fire(transition))
         return entries
 
-    def _reduce(self, entries: List[log.Entry]) -> None:
+    def _reduce(self, entries: List[log_entries.Entry]) -> None:
         """One log slot: reduce the entries, notify the listener, carry out the commands."""
         if not entries:
             return
         for entry in entries:
-            if isinstance(entry, log.Done):
+            if isinstance(entry, log_entries.Done):
                 self._set_phase(entry.robot, Phase.DONE)
         with self._lock:
             slot = self._ledger.length
@@ -257,7 +261,7 @@ class StandaloneExecutor:
                 if self._fired == limit
                 else " (%d fired: one event sets off several)" % self._fired
             )
-            self._reduce([log.Stop("the limit of %s firings%s" % (limit, more))])
+            self._reduce([log_entries.Stop("the limit of %s firings%s" % (limit, more))])
 
     def _record(self, *records: Record) -> None:
         if self._event_log is not None:
@@ -310,7 +314,7 @@ class StandaloneExecutor:
 
     # -- actions -----------------------------------------------------------------------------------
 
-    def _start_action(self, command: StartAction) -> List[log.Entry]:
+    def _start_action(self, command: StartAction) -> List[log_entries.Entry]:
         robot = self.state.robots.get(command.robot)
         if robot is None or (robot.visit, robot.attempt) != (command.visit, command.attempt):
             return []
@@ -341,11 +345,11 @@ class StandaloneExecutor:
             command.visit,
             command.attempt,
         )
-        entry: log.Entry
+        entry: log_entries.Entry
         try:
             action = self._actions.get(command.robot) or self._actions[""]
             result = action[command.place](context)
-            entry = log.Done(command.robot, command.incarnation, command.visit, result)
+            entry = log_entries.Done(command.robot, command.incarnation, command.visit, result)
         except ActionFailed as error:
             entry = self._failed(command, "aborted", error_text(error))
         except BaseException as error:  # whatever a user's function raises, SystemExit too
@@ -355,14 +359,14 @@ class StandaloneExecutor:
         self._queue.put(lambda: self._finished(command, attempt, entry))
 
     def _finished(
-        self, command: StartAction, attempt: _Attempt, entry: log.Entry
-    ) -> List[log.Entry]:
+        self, command: StartAction, attempt: _Attempt, entry: log_entries.Entry
+    ) -> List[log_entries.Entry]:
         if self._running.get(command.robot) is not attempt:
             return []  # timed out or cancelled in the meantime
         del self._running[command.robot]
         return [entry]
 
-    def _timed_out(self, command: StartAction, timeout: float) -> List[log.Entry]:
+    def _timed_out(self, command: StartAction, timeout: float) -> List[log_entries.Entry]:
         attempt = self._running.get(command.robot)
         if attempt is None or attempt[:2] != (command.visit, command.attempt):
             return []
@@ -370,8 +374,8 @@ class StandaloneExecutor:
         del self._running[command.robot]
         return [self._failed(command, "timeout", "no result within %g s" % timeout)]
 
-    def _failed(self, command: StartAction, reason: str, detail: str) -> log.Failed:
-        return log.Failed(
+    def _failed(self, command: StartAction, reason: str, detail: str) -> log_entries.Failed:
+        return log_entries.Failed(
             command.robot,
             command.incarnation,
             command.visit,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Iterable, List, NamedTuple, Optional
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import Command, Firing
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
@@ -34,12 +34,14 @@ class TokenGame(Rules):
         marking = tuple(0 if not r else p.tokens for p, r in zip(self.net.places, self.is_resource))
         return TeamState(marking)
 
-    def start_entry(self, plan_hash: Optional[str] = None) -> log.Start:
+    def start_entry(self, plan_hash: Optional[str] = None) -> log_entries.Start:
         """The ``Start`` of the plan's own robots, each in its initial place, incarnation 0."""
         roster = tuple((r.name, r.place, 0) for r in self.plan.robots)
-        return log.Start(roster, self.plan.seed, plan_hash or self.plan.hash(), self.plan.witness)
+        return log_entries.Start(
+            roster, self.plan.seed, plan_hash or self.plan.hash(), self.plan.witness
+        )
 
-    def reduce(self, state: TeamState, slot: int, batch: Iterable[log.Entry]) -> Step:
+    def reduce(self, state: TeamState, slot: int, batch: Iterable[log_entries.Entry]) -> Step:
         """Apply the entries of log slot ``slot`` to ``state``, which is changed, and settle after
         each.
 
@@ -57,33 +59,33 @@ class TokenGame(Rules):
 class _Reducer(Turn):
     """Applies entries."""
 
-    def apply(self, entry: log.Entry) -> None:
-        if isinstance(entry, log.Start):
+    def apply(self, entry: log_entries.Entry) -> None:
+        if isinstance(entry, log_entries.Start):
             self._start(entry)
-        elif isinstance(entry, log.Done):
+        elif isinstance(entry, log_entries.Done):
             robot = self._current(entry.robot, entry.incarnation, entry.visit)
             if robot is not None:
                 self._done(robot, entry.result)
-        elif isinstance(entry, log.Failed):
+        elif isinstance(entry, log_entries.Failed):
             robot = self._current(entry.robot, entry.incarnation, entry.visit)
             if robot is not None and robot.attempt == entry.attempt:
                 self._failed(robot, entry.reason, entry.detail)
-        elif isinstance(entry, log.Retry):
+        elif isinstance(entry, log_entries.Retry):
             self._retry(entry.robot)
-        elif isinstance(entry, log.Fire):
+        elif isinstance(entry, log_entries.Fire):
             self._environment(entry.transition)
-        elif isinstance(entry, log.Join):
+        elif isinstance(entry, log_entries.Join):
             self._join(entry)
-        elif isinstance(entry, (log.Leave, log.Evict)):
+        elif isinstance(entry, (log_entries.Leave, log_entries.Evict)):
             self._depart(entry)
-        elif isinstance(entry, log.SetPlace):
+        elif isinstance(entry, log_entries.SetPlace):
             self._set_place(entry)
-        elif isinstance(entry, (log.Pause, log.Resume)):
-            self._pause(entry.robot, isinstance(entry, log.Pause))
-        elif isinstance(entry, log.Stop):
+        elif isinstance(entry, (log_entries.Pause, log_entries.Resume)):
+            self._pause(entry.robot, isinstance(entry, log_entries.Pause))
+        elif isinstance(entry, log_entries.Stop):
             self._end(entry.reason, finished=False, stopped=True)
 
-    def _start(self, entry: log.Start) -> None:
+    def _start(self, entry: log_entries.Start) -> None:
         if self.state.robots:
             return
         self.state.seed = entry.seed
@@ -132,7 +134,7 @@ class _Reducer(Turn):
 
     # -- membership and the operator ---------------------------------------------------------------
 
-    def _join(self, entry: log.Join) -> None:
+    def _join(self, entry: log_entries.Join) -> None:
         if entry.robot in self.state.witnesses:
             return
         robot = self.state.robots.get(entry.robot)
@@ -157,12 +159,12 @@ class _Reducer(Turn):
                 robot.attempt += 1
                 self._start_action(robot)
 
-    def _depart(self, entry: log.Entry) -> None:
-        assert isinstance(entry, (log.Leave, log.Evict))
+    def _depart(self, entry: log_entries.Entry) -> None:
+        assert isinstance(entry, (log_entries.Leave, log_entries.Evict))
         robot = self.state.robots.get(entry.robot)
         if robot is None or robot.phase.gone:
             return
-        if isinstance(entry, log.Evict) and entry.incarnation != robot.incarnation:
+        if isinstance(entry, log_entries.Evict) and entry.incarnation != robot.incarnation:
             return
         if self.state.members() == [robot.name] and not self.rules.agents:
             # else nobody could let anybody in again
@@ -170,7 +172,7 @@ class _Reducer(Turn):
             return
         self._cancel(robot)
         self.state.remove_waiting(robot)
-        robot.phase = Phase.LOST if isinstance(entry, log.Evict) else Phase.LEFT
+        robot.phase = Phase.LOST if isinstance(entry, log_entries.Evict) else Phase.LEFT
         robot.paused = False
         marking = list(self.state.marking)
         marking[robot.place] -= 1
@@ -214,7 +216,7 @@ class _Reducer(Turn):
             for p, weight in self.net.inputs[t]
         )
 
-    def _set_place(self, entry: log.SetPlace) -> None:
+    def _set_place(self, entry: log_entries.SetPlace) -> None:
         robot = self.state.robots.get(entry.robot)
         p = self.net.place_index.get(entry.place)
         if robot is None or robot.phase.gone or p is None or self.rules.is_resource[p]:

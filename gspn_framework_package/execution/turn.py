@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Dict, List, Optional, Sequence, Tuple
 
-from gspn_framework_package.execution.draw import choose, sample, uniform
+from gspn_framework_package.execution.chance import choose, sample, uniform
 from gspn_framework_package.execution.firing import (
     CancelAction,
     Command,

@@ -9,7 +9,7 @@ import subprocess
 from typing import Dict, List, Mapping, Optional, Sequence, Union
 
 from gspn_framework_package.formats.format import Format
-from gspn_framework_package.formats.routes import Box, Layout, Line, Point, layout
+from gspn_framework_package.formats.routes import Line, NodeBox, Point, Routing, layout
 from gspn_framework_package.model.errors import InputError, LimitError, UsageError
 from gspn_framework_package.model.net import Net, Place, Position, Transition
 
@@ -156,7 +156,7 @@ def _at(name: str, positions: Mapping[str, Position]) -> Dict[str, Attribute]:
     return {"pos": "%.2f,%.2f!" % (x, 0 - y)}  # Graphviz counts y upwards
 
 
-def _placed(net: Net, positions: Mapping[str, Position]) -> Optional[Layout]:
+def _placed(net: Net, positions: Mapping[str, Position]) -> Optional[Routing]:
     """Ways of the arcs and spots of the labels; None where Graphviz has to find them."""
     looks = [_place_attributes(place, 0) for place in net.places] + [
         _transition_attributes(t) for t in net.transitions
@@ -165,12 +165,12 @@ def _placed(net: Net, positions: Mapping[str, Position]) -> Optional[Layout]:
         transition.name for transition in net.transitions
     ]
     number = {name: i for i, name in enumerate(names)}
-    boxes: List[Box] = []
+    boxes: List[NodeBox] = []
     for name, look in zip(names, looks):
         half = [36.0 * float(look.get(key, look["width"])) for key in ("width", "height")]
         x, y = positions[name]
         boxes.append(
-            Box(x, 0 - y, half[0], half[1], look["shape"] == "circle", str(look["xlabel"]))
+            NodeBox(x, 0 - y, half[0], half[1], look["shape"] == "circle", str(look["xlabel"]))
         )
     lines = [
         Line(

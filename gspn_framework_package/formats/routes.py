@@ -29,7 +29,7 @@ LETTER = 6.4
 """Mean width of a letter of a node's label; wider than in most fonts, so that none is cut."""
 
 
-class Box(NamedTuple):
+class NodeBox(NamedTuple):
     """A node: its middle, half its width and height, and the lines of its label."""
 
     x: float
@@ -72,14 +72,14 @@ class Route(NamedTuple):
         return [*found, self.tip]
 
 
-class Layout(NamedTuple):
+class Routing(NamedTuple):
     """The routes, in the order of the lines, and the middle of each box's label."""
 
     routes: List[Route]
     labels: List[Point]
 
 
-def layout(boxes: Sequence[Box], lines: Sequence[Line]) -> Optional[Layout]:
+def layout(boxes: Sequence[NodeBox], lines: Sequence[Line]) -> Optional[Routing]:
     """Routes and labels; None where the drawing is too large for this to be quick."""
     extent = max((abs(v) for box in boxes for v in box[:2]), default=0.0)
     if extent > _MAX_EXTENT or len(boxes) * len(lines) > 100_000:
@@ -106,7 +106,7 @@ def layout(boxes: Sequence[Box], lines: Sequence[Line]) -> Optional[Layout]:
         if line.label:
             route = route._replace(label=spots.put(_along(route), *_size(line.label)))
         ready.append(route)
-    return Layout(ready, labels)
+    return Routing(ready, labels)
 
 
 def _distance(a: Sequence[float], b: Sequence[float]) -> float:
@@ -124,7 +124,7 @@ def _size(label: str) -> Tuple[float, float]:
     return LETTER * max(map(len, lines)), LINE_HEIGHT * len(lines)
 
 
-def _border(box: Box, towards: Point) -> Point:
+def _border(box: NodeBox, towards: Point) -> Point:
     """Where the way from the middle of the box to a point leaves it."""
     dx, dy = towards[0] - box.x, towards[1] - box.y
     length = math.hypot(dx, dy)
@@ -137,7 +137,7 @@ def _border(box: Box, towards: Point) -> Point:
     return box.x + part * dx, box.y + part * dy
 
 
-def _bent(boxes: Sequence[Box], line: Line, bend: float) -> Route:
+def _bent(boxes: Sequence[NodeBox], line: Line, bend: float) -> Route:
     a, b = boxes[line.source], boxes[line.target]
     dx, dy = b.x - a.x, b.y - a.y
     length = math.hypot(dx, dy) or 1.0
@@ -155,7 +155,7 @@ def _bent(boxes: Sequence[Box], line: Line, bend: float) -> Route:
 
 
 def _route(
-    boxes: Sequence[Box],
+    boxes: Sequence[NodeBox],
     lines: Sequence[Line],
     number: int,
     routes: Dict[int, Route],
@@ -204,7 +204,7 @@ def _middle(route: Route) -> Point:
     return _mean((0.125, 0.375, 0.375, 0.125), (route.start, route.first, route.second, route.base))
 
 
-def _around(box: Box) -> Iterator[Tuple[Point, Point, float]]:
+def _around(box: NodeBox) -> Iterator[Tuple[Point, Point, float]]:
     """Spots for the label of a box: a point beside it, the way from there, and what speaks against
     the spot."""
     for gap in _GAPS:
@@ -233,7 +233,7 @@ class _Spots:
 
     _CELL = 30.0
 
-    def __init__(self, boxes: Sequence[Box]) -> None:
+    def __init__(self, boxes: Sequence[NodeBox]) -> None:
         self._boxes = boxes
         self._points: Dict[Tuple[int, int], List[Tuple[float, float, int]]] = {}
         self._labels: List[Tuple[float, float, float, float]] = []

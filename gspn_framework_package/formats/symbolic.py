@@ -15,7 +15,7 @@ _RESERVED = frozenset(_KEYWORDS.split())
 """Words that PRISM or Storm would not take for the name of a variable."""
 
 
-class Comparison(NamedTuple):
+class PlaceComparison(NamedTuple):
     """Tokens of place number ``place``, compared by ``operator`` (``>=``, ``<`` or ``<=``) with a
     number."""
 
@@ -43,14 +43,14 @@ def _identifier(name: str, used: Set[str]) -> str:
     return found
 
 
-def concession(net: Net, t: int) -> List[Comparison]:
+def concession(net: Net, t: int) -> List[PlaceComparison]:
     """What must hold for transition number ``t`` to have concession (``Net.is_enabled``)."""
-    found = [Comparison(p, ">=", weight) for p, weight in net.inputs[t]]
-    found += [Comparison(p, "<", weight) for p, weight in net.inhibitors[t]]
+    found = [PlaceComparison(p, ">=", weight) for p, weight in net.inputs[t]]
+    found += [PlaceComparison(p, "<", weight) for p, weight in net.inhibitors[t]]
     for p, change in net.effect(t):
         capacity = net.places[p].capacity
         if change > 0 and capacity is not None:
-            found.append(Comparison(p, "<=", capacity - change))
+            found.append(PlaceComparison(p, "<=", capacity - change))
     return found
 
 

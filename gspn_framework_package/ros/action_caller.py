@@ -28,7 +28,7 @@ Connection = Union[ActionConnection, DirectConnection]
 
 class ActionEnded(NamedTuple):
     """How an attempt ended: ``reason`` "" for a success with ``result`` (a transition, or "" for
-    "the policy decides"), else one of ``entries.FAILURES``."""
+    "the policy decides"), else one of ``log_entries.FAILURES``."""
 
     identity: GoalIdentity
     result: str = ""

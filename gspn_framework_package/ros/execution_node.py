@@ -15,9 +15,9 @@ from typing import Any, BinaryIO, Callable, Dict, List, Optional
 
 import rospy
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.actions import TEXT_LIMIT
-from gspn_framework_package.execution.agreement import interface as agreement
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.event_log import (
     EventLogWriter,
@@ -209,11 +209,11 @@ class ExecutionNode(Worker):
         self.enqueue(lambda: answers.put(question()))
         return answers.get(timeout=timeout)
 
-    def _received(self, message: agreement.Message) -> None:
-        self.enqueue(self._step, agreement.Received(message))
+    def _received(self, message: interface.Message) -> None:
+        self.enqueue(self._step, interface.Received(message))
 
     def _serve_neighbour(
-        self, message: agreement.Message, answer: Callable[[agreement.Message], None]
+        self, message: interface.Message, answer: Callable[[interface.Message], None]
     ) -> None:
         self.enqueue(self.request, message, answer)
 
@@ -243,7 +243,7 @@ class ExecutionNode(Worker):
         now = time.monotonic()
         if now >= self._wake_at:
             self._wake_at = now + 1.0
-            self._step(agreement.Tick())
+            self._step(interface.Tick())
             self._narrator.note_change()
         if self._leave_at is not None and now >= self._leave_at:
             self._end()
@@ -274,7 +274,7 @@ class ExecutionNode(Worker):
         if self._servers is not None:
             self._servers.stop()
 
-    def _step(self, given: agreement.Input) -> None:
+    def _step(self, given: interface.Input) -> None:
         self._carry_out(self._replica.step(given, time.monotonic()))
         self._note_team()
 
@@ -308,13 +308,13 @@ class ExecutionNode(Worker):
 
     # -- what the replica wants --------------------------------------------------------------------
 
-    def _carry_out(self, effects: List[agreement.Effect]) -> None:
+    def _carry_out(self, effects: List[interface.Effect]) -> None:
         """In order; what is to be persisted is in the file before anything after it goes out."""
         records: List[Record] = []
         durable = False
-        sends: List[agreement.Send] = []
+        sends: List[interface.Send] = []
         for effect in effects:
-            if isinstance(effect, agreement.Persist):
+            if isinstance(effect, interface.Persist):
                 if sends:
                     self._link.send(sends)
                     sends = []
@@ -324,7 +324,7 @@ class ExecutionNode(Worker):
             if records:
                 self._log.append(*records, durable=durable)
                 records, durable = [], False
-            if isinstance(effect, agreement.Send):
+            if isinstance(effect, interface.Send):
                 sends.append(effect)
             else:
                 self._effects[type(effect)](self, effect)
@@ -333,17 +333,17 @@ class ExecutionNode(Worker):
         if sends:
             self._link.send(sends)
 
-    def _reply(self, effect: agreement.Reply) -> None:
+    def _reply(self, effect: interface.Reply) -> None:
         answer = self._answers.pop(effect.request_id, None)
         if answer is not None:
             answer(effect.message)
 
-    def _order_result(self, effect: agreement.OrderResult) -> None:
+    def _order_result(self, effect: interface.OrderResult) -> None:
         answer = self._answers.pop(effect.order_id, None)
         if answer is not None:
             answer(effect)
 
-    def _on_fired(self, effect: agreement.Fired) -> None:
+    def _on_fired(self, effect: interface.Fired) -> None:
         if effect.publish or effect.private:
             self._fired.publish(
                 fired_message(effect, self.plan.net, self._plan_hash, self.options.run)
@@ -369,7 +369,7 @@ class ExecutionNode(Worker):
         if fault.robot in ("", self.robot):
             self._narrator.warn(fault.message)
 
-    def _status_changed(self, effect: agreement.StatusChanged) -> None:
+    def _status_changed(self, effect: interface.StatusChanged) -> None:
         """Does nothing: the narrator reports what is waited for if it lasts."""
 
     def _ended(self, effect: Ended) -> None:
@@ -390,22 +390,22 @@ class ExecutionNode(Worker):
         if not self.options.stay:
             self._leave_at = time.monotonic() + FAREWELL
 
-    def _halted(self, effect: agreement.Halted) -> None:
+    def _halted(self, effect: interface.Halted) -> None:
         self.exit_code, self.reason = 1, effect.reason
         rospy.logerr("%s: halted: %s", self.robot, effect.reason)
         self._caller.cancel()
         self._end()
 
-    def _wake(self, effect: agreement.WakeAt) -> None:
+    def _wake(self, effect: interface.WakeAt) -> None:
         self._wake_at = effect.time
 
     _effects: Dict[type, Callable[[ExecutionNode, Any], None]] = {
-        agreement.Reply: _reply,
-        agreement.OrderResult: _order_result,
-        agreement.Fired: _on_fired,
-        agreement.StatusChanged: _status_changed,
-        agreement.Halted: _halted,
-        agreement.WakeAt: _wake,
+        interface.Reply: _reply,
+        interface.OrderResult: _order_result,
+        interface.Fired: _on_fired,
+        interface.StatusChanged: _status_changed,
+        interface.Halted: _halted,
+        interface.WakeAt: _wake,
         StartAction: _start_action,
         CancelAction: _cancel_action,
         Fault: _fault,
@@ -420,13 +420,13 @@ class ExecutionNode(Worker):
         attempt = ended.identity[1:4]
         if ended.reason:
             self._step(
-                agreement.ActionFailed(*attempt, ended.reason, shorten(ended.detail, TEXT_LIMIT))
+                interface.AttemptFailed(*attempt, ended.reason, shorten(ended.detail, TEXT_LIMIT))
             )
         elif not ended.result or ended.result in self.plan.net.transition_index:
-            self._step(agreement.ActionDone(*attempt, ended.result))
+            self._step(interface.ActionDone(*attempt, ended.result))
         else:
             self._step(
-                agreement.ActionDone(
+                interface.ActionDone(
                     *attempt, shorten(ended.result, TEXT_LIMIT) or repr(ended.result[:20])
                 )
             )
@@ -476,23 +476,23 @@ class ExecutionNode(Worker):
         return status
 
     def request(
-        self, message: agreement.Message, answer: Callable[[agreement.Message], None]
+        self, message: interface.Message, answer: Callable[[interface.Message], None]
     ) -> None:
         """See :class:`Worker`."""
         number = "request %d" % next(self._numbers)
         self._answers[number] = answer
-        self._step(agreement.Received(message, number))
+        self._step(interface.Received(message, number))
 
     def order(
-        self, entry: Optional[log.Entry], force_evict: str, answer: Callable[[Any], None]
+        self, entry: Optional[log_entries.Entry], force_evict: str, answer: Callable[[Any], None]
     ) -> None:
         """See :class:`Worker`."""
         number = "order %d" % next(self._numbers)
         self._answers[number] = answer
         if entry is None:
-            self._step(agreement.ForceEvict(number, force_evict))
+            self._step(interface.ForceEvict(number, force_evict))
         else:
-            self._step(agreement.Order(number, entry))
+            self._step(interface.Order(number, entry))
 
     def _waits_for(self) -> str:
         """What this robot waits for, whether the action, the team or its transition is it."""

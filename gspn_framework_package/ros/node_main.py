@@ -29,7 +29,7 @@ from gspn_framework_package.ros.transport.node_process import (
     share_log_configuration,
     tell_error,
 )
-from gspn_framework_package.ros.transport.process_family import Member, run_family
+from gspn_framework_package.ros.transport.process_family import FamilyMember, run_family
 from gspn_framework_package.ros.transport.registration import (
     MASTER_ERRORS,
     published_topics,
@@ -190,7 +190,7 @@ def _fork(options: NodeOptions) -> int:
     plan, namespaces = _team(options)
     if options.check:
         # in a process of its own: the libraries of the analysis are of no use to the robots
-        code = run_family([Member("the check of the plan", lambda: _check_alone(plan))])
+        code = run_family([FamilyMember("the check of the plan", lambda: _check_alone(plan))])
         if code:
             return code
     # what all will need, once for all
@@ -222,7 +222,7 @@ _Body = Callable[[Plan, str, str, NodeOptions, Ending], int]
 
 def _member(
     plan: Plan, robot: str, namespace: str, name: str, options: NodeOptions, body: _Body
-) -> Member:
+) -> FamilyMember:
     def be_robot() -> int:
         be_node(name, namespace)
         return run_node(
@@ -231,7 +231,7 @@ def _member(
             lambda: refuse_taken([namespace], options.run) if body is _run_robot else None,
         )
 
-    return Member(rospy.names.ns_join(namespace, name), be_robot)
+    return FamilyMember(rospy.names.ns_join(namespace, name), be_robot)
 
 
 def _run_robot(plan: Plan, robot: str, namespace: str, options: NodeOptions, ending: Ending) -> int:

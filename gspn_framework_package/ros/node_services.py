@@ -8,7 +8,7 @@ from typing import Any, Callable, Dict, NamedTuple, Optional
 
 import rospy
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.interface import Message
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.ros.messages import json_object, marking_fields
@@ -71,7 +71,7 @@ class Worker:
         raise NotImplementedError
 
     def order(
-        self, entry: Optional[log.Entry], force_evict: str, answer: Callable[[Any], None]
+        self, entry: Optional[log_entries.Entry], force_evict: str, answer: Callable[[Any], None]
     ) -> None:
         """Give an operator's order to the replica; on the worker thread."""
         raise NotImplementedError
@@ -156,7 +156,7 @@ class NodeServices:
         if not request.place:
             robot = request.robot or self._worker.robot
             return SetPlaceResponse(False, "nothing to do: no place was given for %s" % robot, "")
-        entry = log.SetPlace(request.robot or self._worker.robot, request.place)
+        entry = log_entries.SetPlace(request.robot or self._worker.robot, request.place)
         ok, text = self._order(entry)
         return SetPlaceResponse(ok, text, "")
 
@@ -204,7 +204,7 @@ class NodeServices:
             raise rospy.ServiceException("no answer in time") from None
         return json.dumps(answer, separators=(",", ":")) if answer else ""
 
-    def _order(self, entry: Optional[log.Entry], force_evict: str = "") -> Any:
+    def _order(self, entry: Optional[log_entries.Entry], force_evict: str = "") -> Any:
         results: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._worker.enqueue(self._worker.order, entry, force_evict, results.put)
         try:
@@ -218,7 +218,7 @@ class NodeServices:
 _COMMANDS = "pause, resume, evict, force_evict, set_place, retry, fire, leave, stop, status"
 
 
-def order_entry(command: str, given: str, robot: str, argument: str) -> Optional[log.Entry]:
+def order_entry(command: str, given: str, robot: str, argument: str) -> Optional[log_entries.Entry]:
     """The log entry of an operator's command; None for an unknown one.
 
     :param given: the robot that was named, "" for the whole team where a command allows that.
@@ -226,19 +226,19 @@ def order_entry(command: str, given: str, robot: str, argument: str) -> Optional
     :param argument: of ``set_place``: the place; of ``fire``: the transition.
     """
     if command == "pause":
-        return log.Pause(given)
+        return log_entries.Pause(given)
     if command == "resume":
-        return log.Resume(given)
+        return log_entries.Resume(given)
     if command == "evict":
-        return log.Evict(robot, -1)
+        return log_entries.Evict(robot, -1)
     if command == "leave":
-        return log.Leave(robot)
+        return log_entries.Leave(robot)
     if command == "set_place":
-        return log.SetPlace(robot, argument)
+        return log_entries.SetPlace(robot, argument)
     if command == "retry":
-        return log.Retry(robot)
+        return log_entries.Retry(robot)
     if command == "fire":
-        return log.Fire(argument)
+        return log_entries.Fire(argument)
     if command == "stop":
-        return log.Stop(argument or log.Stop().reason)
+        return log_entries.Stop(argument or log_entries.Stop().reason)
     return None

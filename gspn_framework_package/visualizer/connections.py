@@ -221,7 +221,7 @@ class Connection(HTTPChannel):
         return not self._gone and bool(super().writable())
 
 
-class Rules:
+class RequestRules:
     """What is looked at before a request is taken in.
 
     :param guard: who may ask.
@@ -242,7 +242,7 @@ class Server(TcpWSGIServer):
     """
 
     channel_class = Connection
-    rules: Rules
+    rules: RequestRules
     """To be set before the server runs."""
 
     def __init__(self, application: Any, limit: int, **options: Any) -> None:

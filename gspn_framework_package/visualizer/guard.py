@@ -94,7 +94,7 @@ def check_tokens(token: Optional[str], viewer_token: Optional[str]) -> None:
         raise UsageError("the operator's token and the viewer's are the same")
 
 
-class Verdict(NamedTuple):
+class Admission(NamedTuple):
     """What a request may do: it is refused, or it has a ``role``."""
 
     role: str
@@ -147,7 +147,7 @@ class Guard:
         headers: Mapping[str, str],
         cookies: Mapping[str, str],
         peer: str = "",
-    ) -> Verdict:
+    ) -> Admission:
         """What a request may do.
 
         :param peer: the address that it comes from.
@@ -163,11 +163,11 @@ class Guard:
         if method not in ("GET", "HEAD"):
             refusal = self._check_origin(host, headers)
             if refusal is not None:
-                return Verdict("", refusal)
+                return Admission("", refusal)
         if self.token is None:
-            return Verdict(OPERATOR)
+            return Admission(OPERATOR)
         if not path.startswith("/api/") or path == "/api/login":
-            return Verdict("")
+            return Admission("")
         role = self._role_of_cookie(cookies.get(self.cookie, ""), peer) or ""
         given = headers.get(TOKEN_HEADER, "")
         if not role and given:
@@ -178,7 +178,7 @@ class Guard:
             return _refused(401, "this server asks for its token")
         if role == VIEWER and method not in ("GET", "HEAD"):
             return _refused(403, "the viewer's token is read-only")
-        return Verdict(role)
+        return Admission(role)
 
     def login(self, given: str, peer: str = "") -> str:
         """A cookie for a peer that gives a right token.
@@ -321,8 +321,8 @@ def read_tokens(path: str) -> Tuple[Optional[str], Optional[str]]:
     return token, viewer_token
 
 
-def _refused(status: int, reason: str) -> Verdict:
-    return Verdict("", Refusal(status, reason))
+def _refused(status: int, reason: str) -> Admission:
+    return Admission("", Refusal(status, reason))
 
 
 def _bracketed(name: str) -> str:

@@ -57,7 +57,7 @@ class News(NamedTuple):
     cursor: Cursor
 
 
-class History:
+class KeptEvents:
     """Events that are kept somewhere else than in the ring, and are there whole."""
 
     def board_at(self, n: int) -> Board:
@@ -92,7 +92,7 @@ class Hub:
         board: Board,
         info: Optional[Dict[str, Any]] = None,
         ring: Optional[int] = None,
-        history: Optional[History] = None,
+        history: Optional[KeptEvents] = None,
     ) -> None:
         """Begin a new epoch: another run, or another mode. Everybody gets a snapshot.
 

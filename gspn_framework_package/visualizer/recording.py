@@ -22,7 +22,7 @@ from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.visualizer.board import Board, Event
-from gspn_framework_package.visualizer.hub import History
+from gspn_framework_package.visualizer.hub import KeptEvents
 from gspn_framework_package.visualizer.team_events import TeamEvents
 
 LINES_BETWEEN = 250
@@ -148,7 +148,7 @@ class _Reader:
             raise LogError("the record is damaged (%r)" % error, line=self.line) from None
 
 
-class Recording(History):
+class Recording(KeptEvents):
     """See the module. All methods may be called from any thread; :meth:`read` from one.
 
     :param file: the log.

@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, Optional, Sequence
 
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.visualizer.app import body_limit, create_app, too_large_text
-from gspn_framework_package.visualizer.connections import WAITING, Rules, Server
+from gspn_framework_package.visualizer.connections import WAITING, RequestRules, Server
 from gspn_framework_package.visualizer.guard import (
     OPERATOR,
     VIEWER,
@@ -76,7 +76,7 @@ class WebServer:
         self.host = host
         self.port = int(self._server.effective_port)
         self.guard = Guard(host, self.port, names, token, viewer_token)
-        self._server.rules = Rules(self.guard, body_limit, too_large_text)
+        self._server.rules = RequestRules(self.guard, body_limit, too_large_text)
         self._app = create_app(project, self.guard, viewers)
         self._thread: Optional[threading.Thread] = None
 

@@ -13,7 +13,7 @@ from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.layout import lay_out
 from gspn_framework_package.visualizer.scene import layout_to_json, scene_to_json
-from gspn_framework_package.visualizer.simulation import Simulation
+from gspn_framework_package.visualizer.simulation import OfflineSimulation
 
 SESSIONS = 24
 """How many nets are open at once; for another one, that is closed which is missed least."""
@@ -52,7 +52,7 @@ class Session:
         self._starting = False
         self._start_execution = start_execution
         self._home = activity
-        self.activity: Activity = activity or Simulation(document.net)
+        self.activity: Activity = activity or OfflineSimulation(document.net)
         self.activity.begin(self.hub)
 
     @property
@@ -134,7 +134,7 @@ class Session:
     def _simulate(self) -> Dict[str, Any]:
         if self._home is not None:
             raise RefusedError("there is nothing to simulate here")
-        simulation = Simulation(self.document.net)
+        simulation = OfflineSimulation(self.document.net)
         with self._lock:
             if self._starting or self._is_running():
                 raise RefusedError("it is being executed", hint="stop the execution first")

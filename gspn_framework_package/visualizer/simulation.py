@@ -36,7 +36,7 @@ class _Past(NamedTuple):
     counts: Optional[Dict[int, int]] = None
 
 
-class Simulation(Activity):
+class OfflineSimulation(Activity):
     """The offline simulation of a net. All viewers share it.
 
     :param seed: of the random numbers; None for another simulation each time.

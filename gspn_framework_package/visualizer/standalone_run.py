@@ -11,7 +11,7 @@ import uuid
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.preflight import check
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.phase import Phase
@@ -68,14 +68,19 @@ class StandaloneRun(Activity, Listener):
         self._told_end = False
         self.commands = {
             "stop": self._stop,
-            "pause": self._order("{whom} is paused", lambda f: log.Pause(self._whom(f))),
-            "resume": self._order("{whom} goes on", lambda f: log.Resume(self._whom(f))),
-            "retry": self._order("{whom} tries again", lambda f: log.Retry(self._failed(f))),
-            "leave": self._order("{whom} leaves", lambda f: log.Leave(self._agent(f))),
-            "set_place": self._order(
-                "{whom} is put into {place}", lambda f: log.SetPlace(self._agent(f), self._place(f))
+            "pause": self._order("{whom} is paused", lambda f: log_entries.Pause(self._whom(f))),
+            "resume": self._order("{whom} goes on", lambda f: log_entries.Resume(self._whom(f))),
+            "retry": self._order(
+                "{whom} tries again", lambda f: log_entries.Retry(self._failed(f))
             ),
-            "fire": self._order("{transition} is fired", lambda f: log.Fire(self._transition(f))),
+            "leave": self._order("{whom} leaves", lambda f: log_entries.Leave(self._agent(f))),
+            "set_place": self._order(
+                "{whom} is put into {place}",
+                lambda f: log_entries.SetPlace(self._agent(f), self._place(f)),
+            ),
+            "fire": self._order(
+                "{transition} is fired", lambda f: log_entries.Fire(self._transition(f))
+            ),
         }
 
     def _record(self, runs: str) -> None:
@@ -134,7 +139,7 @@ class StandaloneRun(Activity, Listener):
             text = "it did not react to the order to stop (%s) within %g s, and was given up"
             self._gave_way(text % (reason, seconds))
 
-    def _order(self, message: str, entry: Callable[[Fields], log.Entry]) -> Handler:
+    def _order(self, message: str, entry: Callable[[Fields], log_entries.Entry]) -> Handler:
         """The handler of a command that becomes an entry of the log; ``message`` says what was
         done, with the fields of the entry."""
 
@@ -185,7 +190,7 @@ class StandaloneRun(Activity, Listener):
     def on_step(
         self,
         slot: int,
-        entries: Sequence[log.Entry],
+        entries: Sequence[log_entries.Entry],
         firings: Sequence[Firing],
         state: TeamState,
     ) -> None:
@@ -194,7 +199,7 @@ class StandaloneRun(Activity, Listener):
             return  # it was given up; the hub is no longer its own
         self._hub.publish(*self._events.step(entries, firings, state))
         for entry in entries:
-            if isinstance(entry, (log.Done, log.Failed)):
+            if isinstance(entry, (log_entries.Done, log_entries.Failed)):
                 self._feedback.forget(entry.robot)
 
     def on_feedback(self, agent: str, visit: int, progress: Tuple[Any, ...]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Dict, List, Optional, Sequence
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.phase import ENTERED, Phase
@@ -47,7 +47,7 @@ class TeamEvents:
 
     def step(
         self,
-        entries: Sequence[log.Entry],
+        entries: Sequence[log_entries.Entry],
         firings: Sequence[Firing],
         state: TeamState,
         t: Optional[float] = None,
@@ -173,16 +173,16 @@ class TeamEvents:
         return any(self.net.places[p].name not in resources for p, _ in self.net.inputs[t])
 
 
-def _deed(entry: log.Entry) -> str:
+def _deed(entry: log_entries.Entry) -> str:
     """What an entry that changes the marking by itself did, in words; "" for the others."""
-    if isinstance(entry, log.Start):
+    if isinstance(entry, log_entries.Start):
         return "start"
-    if isinstance(entry, log.Join):
+    if isinstance(entry, log_entries.Join):
         return "%s joined" % entry.robot
-    if isinstance(entry, log.Leave):
+    if isinstance(entry, log_entries.Leave):
         return "%s left" % entry.robot
-    if isinstance(entry, log.Evict):
+    if isinstance(entry, log_entries.Evict):
         return "%s was lost" % entry.robot
-    if isinstance(entry, log.SetPlace):
+    if isinstance(entry, log_entries.SetPlace):
         return "%s was put into %s" % (entry.robot, entry.place)
     return ""

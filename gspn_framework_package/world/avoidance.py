@@ -42,7 +42,7 @@ _TURN = 1.8  # radians per second that a turn on the spot takes on average
 
 
 @dataclass(frozen=True)
-class Peer:
+class OtherRobot:
     """What a robot knows of another one: what it sees, and what the other announces.
 
     :param name: of the other robot.
@@ -91,7 +91,7 @@ def choose(
     pose: Pose,
     target: Point,
     speed: float,
-    peers: Sequence[Peer],
+    peers: Sequence[OtherRobot],
     rank: Rank,
     last: Optional[float],
 ) -> Tuple[float, float]:
@@ -173,7 +173,7 @@ def follow(direction: float, speed: float, yaw: float) -> Tuple[float, float]:
 
 
 def brake(
-    grid: Grid, pose: Pose, speed: float, dt: float, peers: Sequence[Peer], gap: float = 0.025
+    grid: Grid, pose: Pose, speed: float, dt: float, peers: Sequence[OtherRobot], gap: float = 0.025
 ) -> float:
     """The speed, cut so that the robot can stop before it touches anything.
 
@@ -202,7 +202,7 @@ def brake(
     return 0.0
 
 
-def _stays_clear(pose: Pose, there: Point, peer: Peer, dt: float, least: float) -> bool:
+def _stays_clear(pose: Pose, there: Point, peer: OtherRobot, dt: float, least: float) -> bool:
     before = pose.distance(peer.pose)
     after = peer.pose.distance(there)
     # what the other does meanwhile, at worst straight towards us; one that stands may set off now
@@ -213,7 +213,7 @@ def _stays_clear(pose: Pose, there: Point, peer: Peer, dt: float, least: float) 
     return after - before > 0.3 * math.dist((pose.x, pose.y), there)
 
 
-def sort_near(pose: Pose, peers: Sequence[Peer], reach: float) -> List[Peer]:
+def sort_near(pose: Pose, peers: Sequence[OtherRobot], reach: float) -> List[OtherRobot]:
     """The peers within ``reach`` metres, nearest first."""
     near = [peer for peer in peers if pose.distance(peer.pose) < reach]
     return sorted(near, key=lambda peer: pose.distance(peer.pose))

@@ -13,10 +13,10 @@ import actionlib
 from geometry_msgs.msg import PoseStamped
 from move_base_msgs.msg import MoveBaseAction, MoveBaseFeedback
 
+from gspn_framework_package.world.driving_team import DrivingTeam
 from gspn_framework_package.world.messages import pose_from, pose_message, stamp_of
-from gspn_framework_package.world.navigation import Status
+from gspn_framework_package.world.navigation import NavigationStatus
 from gspn_framework_package.world.room import Pose
-from gspn_framework_package.world.team import Team
 
 MAP_FRAME = "map"
 """The frame of all goals."""
@@ -37,7 +37,7 @@ class MoveBase:
     """
 
     def __init__(
-        self, robot: str, team: Team, hand_off: Callable[[Callable[[], None]], None]
+        self, robot: str, team: DrivingTeam, hand_off: Callable[[Callable[[], None]], None]
     ) -> None:
         self._robot = robot
         self._team = team
@@ -96,7 +96,7 @@ class MoveBase:
                 handle.publish_feedback(MoveBaseFeedback(base_position=base))
             return
         self._current = None
-        if self._navigator.status is Status.REACHED:
+        if self._navigator.status is NavigationStatus.REACHED:
             handle.set_succeeded(text="reached")
         else:
             handle.set_aborted(text=self._navigator.reason)

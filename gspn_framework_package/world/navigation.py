@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.world import avoidance
-from gspn_framework_package.world.avoidance import GAP, STANDING_GAP, Peer, Rank, wrap
+from gspn_framework_package.world.avoidance import GAP, STANDING_GAP, OtherRobot, Rank, wrap
 from gspn_framework_package.world.grid import Disc, Field, Grid
 from gspn_framework_package.world.room import Point, Pose
 from gspn_framework_package.world.yielding import (
@@ -50,7 +50,7 @@ _LOOK_AHEAD = 0.9  # metres of path looked at for a target in sight
 _NEIGHBOURHOOD = 1.4  # metres within which others count
 
 
-class Status(enum.Enum):
+class NavigationStatus(enum.Enum):
     """What a navigator is doing."""
 
     IDLE = "idle"
@@ -80,7 +80,7 @@ class Observation:
 
     time: float
     pose: Pose
-    peers: Tuple[Peer, ...] = ()
+    peers: Tuple[OtherRobot, ...] = ()
 
 
 @dataclass
@@ -112,7 +112,7 @@ class Navigator:
         self._goal_tolerance = goal_tolerance
         self._yaw_tolerance = yaw_tolerance
         self._random = random.Random(index)
-        self.status = Status.IDLE
+        self.status = NavigationStatus.IDLE
         self.reason = ""
         self.goal: Optional[Pose] = None
         self.rank: Rank = (math.inf, index)
@@ -140,7 +140,7 @@ class Navigator:
         :param turn: also look along ``goal.yaw`` in the end.
         """
         self.goal = goal
-        self.status = Status.DRIVING
+        self.status = NavigationStatus.DRIVING
         self.reason = ""
         self.rank = (round(time, 3), float(self._index))
         self._turn_at_goal = turn
@@ -156,7 +156,7 @@ class Navigator:
     def cancel(self) -> None:
         """Drop the goal and stop."""
         self.goal = None
-        self.status = Status.IDLE
+        self.status = NavigationStatus.IDLE
         self._rest()
 
     def _rest(self) -> None:
@@ -165,7 +165,7 @@ class Navigator:
         self._yield = None
         self._last_direction = None
 
-    def _end(self, status: Status, reason: str = "") -> None:
+    def _end(self, status: NavigationStatus, reason: str = "") -> None:
         self.goal = None
         self.status = status
         self.reason = reason
@@ -180,9 +180,11 @@ class Navigator:
         """Seconds since the robot last came nearer to its goal."""
         return time - self._progress_time if self.goal is not None else 0.0
 
-    def announce(self, name: str, pose: Pose, velocity: Tuple[float, float], time: float) -> Peer:
+    def announce(
+        self, name: str, pose: Pose, velocity: Tuple[float, float], time: float
+    ) -> OtherRobot:
         """What this robot announces to the others."""
-        return Peer(
+        return OtherRobot(
             name=name,
             pose=pose,
             velocity=velocity,
@@ -206,7 +208,7 @@ class Navigator:
             self._turning = True
             error = wrap(goal.yaw - pose.yaw)
             if not self._turn_at_goal or abs(error) < self._yaw_tolerance:
-                self._end(Status.REACHED)
+                self._end(NavigationStatus.REACHED)
                 return (0.0, 0.0)
             self.path = ((goal.x, goal.y),)
             self._progress_time = seen.time
@@ -230,7 +232,7 @@ class Navigator:
             if before is None or math.dist(before[0], point) > 0.05:
                 self._last_moved[peer.name] = (point, seen.time)
 
-    def _standing(self, peer: Peer, time: float, seconds: float) -> bool:
+    def _standing(self, peer: OtherRobot, time: float, seconds: float) -> bool:
         return time - self._last_moved[peer.name][1] > seconds
 
     def _plan(self, seen: Observation) -> None:
@@ -262,7 +264,7 @@ class Navigator:
                     self._no_way_since = seen.time
                 field = self._grid.field(goal, (), [(x, y, r + 0.05) for x, y, r in blocked])
                 if math.isinf(field.cost((seen.pose.x, seen.pose.y))):
-                    self._end(Status.FAILED, "no way leads there")
+                    self._end(NavigationStatus.FAILED, "no way leads there")
                     return
             else:
                 self._no_way_since = None
@@ -286,9 +288,9 @@ class Navigator:
             # seconds in all: those before it stepped aside count too
             self._in_vain += dt
         if self._no_way_since is not None and seen.time - self._no_way_since > GIVE_UP_AFTER / 2:
-            self._end(Status.FAILED, "the way is blocked by robots that stand there")
+            self._end(NavigationStatus.FAILED, "the way is blocked by robots that stand there")
         elif self._in_vain > GIVE_UP_AFTER:
-            self._end(Status.FAILED, "stuck for %d s" % GIVE_UP_AFTER)
+            self._end(NavigationStatus.FAILED, "stuck for %d s" % GIVE_UP_AFTER)
 
     def _drive(self, seen: Observation, dt: float) -> Tuple[float, float]:
         assert self._field is not None and self.goal is not None
@@ -336,7 +338,7 @@ class Navigator:
                 now.arrived = time
             if self._may_resume(now, seen):
                 self._yield = now = None
-                self.status = Status.DRIVING
+                self.status = NavigationStatus.DRIVING
                 self._progress_time = time
         rank = now.rank if now is not None else self.rank
         asking = [
@@ -375,7 +377,7 @@ class Navigator:
         apart = 2 * self._grid.room.robot.radius + GAP
         return all(distance_to_path(other, point) > apart for point in ahead)
 
-    def _make_room(self, other: Peer, seen: Observation) -> None:
+    def _make_room(self, other: OtherRobot, seen: Observation) -> None:
         """Go to the nearest spot off the path of ``other``."""
         spot = spot_off_the_path(self._grid, (seen.pose.x, seen.pose.y), other, seen.peers)
         if spot is not None:
@@ -395,4 +397,4 @@ class Navigator:
         self, to: str, rank: Rank, spot: Point, blocked: Sequence[Disc], time: float
     ) -> None:
         self._yield = _Yield(to, rank, self._grid.field(spot, blocked), spot, time)
-        self.status = Status.YIELDING
+        self.status = NavigationStatus.YIELDING

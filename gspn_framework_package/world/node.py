@@ -40,12 +40,12 @@ from tf2_msgs.msg import TFMessage
 from gspn_framework_package.model.errors import GspnError, InputError
 from gspn_framework_package.ros.options import launched_file
 from gspn_framework_package.world import messages
+from gspn_framework_package.world.driving_team import CONTROL_PERIOD, DrivingTeam
 from gspn_framework_package.world.move_base import MAP_FRAME, MoveBase
 from gspn_framework_package.world.recording import Recorder
 from gspn_framework_package.world.referee import Referee
 from gspn_framework_package.world.room import Room
 from gspn_framework_package.world.room_file import load_room
-from gspn_framework_package.world.team import CONTROL_PERIOD, Team
 
 STATE_PERIOD = 0.1
 """Seconds of wall time between two ``/world/state``."""
@@ -58,7 +58,7 @@ class _Robot:
     """The ROS side of one robot."""
 
     def __init__(
-        self, name: str, team: Team, hand_off: Callable[[Callable[[], None]], None]
+        self, name: str, team: DrivingTeam, hand_off: Callable[[Callable[[], None]], None]
     ) -> None:
         self.name = name
         self._team = team
@@ -123,7 +123,7 @@ class WorldNode:
         self, room: Room, robots: List[str], real_time_factor: float = 1.0, gui: bool = False
     ) -> None:
         self._factor = real_time_factor
-        self.team = Team(room, robots, gui=gui)
+        self.team = DrivingTeam(room, robots, gui=gui)
         self.referee = Referee(self.team)
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._clock = rospy.Publisher("/clock", Clock, queue_size=1)

@@ -10,9 +10,9 @@ from types import TracebackType
 from typing import Dict, Iterator, List, Optional, TextIO, Tuple, Type, Union
 
 from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.world.driving_team import DrivingTeam
 from gspn_framework_package.world.room import Pose, Room
 from gspn_framework_package.world.room_file import parse_room
-from gspn_framework_package.world.team import Team
 
 FORMAT = "gspn_world_1"
 
@@ -26,7 +26,7 @@ class Recorder:
     :raises InputError: the file cannot be written.
     """
 
-    def __init__(self, file: Union[str, Path], room_text: str, team: Team) -> None:
+    def __init__(self, file: Union[str, Path], room_text: str, team: DrivingTeam) -> None:
         self._team = team
         try:
             self._out: TextIO = open(file, "w", encoding="utf-8")  # noqa: SIM115  # closed by close()
@@ -60,7 +60,7 @@ class Recorder:
 
 
 @dataclass(frozen=True)
-class Recording:
+class RoomRecording:
     """A recorded run.
 
     :param room: where.
@@ -81,7 +81,7 @@ class Recording:
                 due += seconds
 
 
-def read_recording(file: Union[str, Path]) -> Recording:
+def read_recording(file: Union[str, Path]) -> RoomRecording:
     """Read a recording; a last line that was cut off is left out.
 
     :raises InputError: it cannot be read, or is not a recording.
@@ -112,4 +112,4 @@ def read_recording(file: Union[str, Path]) -> Recording:
             line=number,
             hint="world.launch writes one with record:=FILE",
         ) from None
-    return Recording(room, robots, tuple(moments))
+    return RoomRecording(room, robots, tuple(moments))

@@ -10,9 +10,9 @@ from collections import deque
 from dataclasses import asdict, dataclass, field
 from typing import Any, Deque, Dict, List, Set, Tuple
 
-from gspn_framework_package.world.navigation import Status
+from gspn_framework_package.world.driving_team import DrivingTeam
+from gspn_framework_package.world.navigation import NavigationStatus
 from gspn_framework_package.world.room import Pose
-from gspn_framework_package.world.team import Team
 
 STUCK_SECONDS = 20.0
 """A robot with a goal that stays within :data:`STUCK_RADIUS` for longer than this is stuck."""
@@ -82,7 +82,7 @@ class _Track:
     pose: Pose
     anchor: Pose
     since: float
-    status: Status = Status.IDLE
+    status: NavigationStatus = NavigationStatus.IDLE
     inside: Set[str] = field(default_factory=set)
     next_location: int = 0
 
@@ -93,7 +93,7 @@ class Referee:
     :param team: the team.
     """
 
-    def __init__(self, team: Team) -> None:
+    def __init__(self, team: DrivingTeam) -> None:
         self._team = team
         self.tallies: Dict[str, Tally] = {name: Tally() for name in team.robots}
         self.together: List[Tuple[float, str, Tuple[str, ...]]] = []
@@ -137,8 +137,8 @@ class Referee:
     def _watch_goal(self, robot: str, track: _Track, tally: Tally, time: float) -> None:
         navigator = self._team.navigators[robot]
         if navigator.status is not track.status:
-            tally.reached += navigator.status is Status.REACHED
-            tally.aborted += navigator.status is Status.FAILED
+            tally.reached += navigator.status is NavigationStatus.REACHED
+            tally.aborted += navigator.status is NavigationStatus.FAILED
             track.status = navigator.status
         if not navigator.active or track.pose.distance(track.anchor) > STUCK_RADIUS:
             track.anchor, track.since = track.pose, time

@@ -13,16 +13,16 @@ from typing import Dict, List, Optional, Sequence
 
 from gspn_framework_package.execution.actions import ActionFailed
 from gspn_framework_package.world import patrol
-from gspn_framework_package.world.navigation import Status
+from gspn_framework_package.world.driving_team import CONTROL_PERIOD, DrivingTeam
+from gspn_framework_package.world.navigation import NavigationStatus
 from gspn_framework_package.world.referee import Referee
 from gspn_framework_package.world.room import Pose, Room
-from gspn_framework_package.world.team import CONTROL_PERIOD, Team
 
 
 class SimulatedRobot:
     """One robot of a team, as the patrol's actions want it (:class:`.patrol.Robot`)."""
 
-    def __init__(self, team: Team, name: str) -> None:
+    def __init__(self, team: DrivingTeam, name: str) -> None:
         self.name = name
         self._team = team
         self._navigator = team.navigators[name]
@@ -51,7 +51,9 @@ class SimulatedRobot:
 
     def arrived(self) -> Optional[bool]:
         """None on the way; then whether the last goal was reached."""
-        return None if self._navigator.active else self._navigator.status is Status.REACHED
+        return (
+            None if self._navigator.active else self._navigator.status is NavigationStatus.REACHED
+        )
 
     def trouble(self) -> str:
         """Why the last goal was not reached."""
@@ -98,7 +100,7 @@ class Patrol:
         self._ring = list(room.locations)
         # nobody stands quite as the file says, and so no two seeds give the same run
         starts = [Pose(p.x, p.y, p.yaw + self._random.uniform(-0.5, 0.5)) for p in room.spawn]
-        self.team = Team(room, robots, starts, gui)
+        self.team = DrivingTeam(room, robots, starts, gui)
         self.referee = Referee(self.team)
         self.failures: List[str] = []
         self._threshold = threshold

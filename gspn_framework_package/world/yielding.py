@@ -8,7 +8,7 @@ from typing import Optional, Sequence
 
 import numpy as np
 
-from gspn_framework_package.world.avoidance import GAP, STANDING_GAP, Peer
+from gspn_framework_package.world.avoidance import GAP, STANDING_GAP, OtherRobot
 from gspn_framework_package.world.grid import Disc, Grid
 from gspn_framework_package.world.room import Point
 
@@ -16,7 +16,7 @@ FARTHEST = 4.0
 """Metres of (weighted) way that a robot goes to make room."""
 
 
-def standing_for(other: Peer, peers: Sequence[Peer], apart: float) -> Sequence[Disc]:
+def standing_for(other: OtherRobot, peers: Sequence[OtherRobot], apart: float) -> Sequence[Disc]:
     """What is in the way of a robot that makes room for ``other``: it, and all that stand."""
     return [
         (peer.pose.x, peer.pose.y, apart + (0.01 if peer.active else STANDING_GAP))
@@ -26,7 +26,7 @@ def standing_for(other: Peer, peers: Sequence[Peer], apart: float) -> Sequence[D
 
 
 def spot_off_the_path(
-    grid: Grid, here: Point, other: Peer, peers: Sequence[Peer]
+    grid: Grid, here: Point, other: OtherRobot, peers: Sequence[OtherRobot]
 ) -> Optional[Point]:
     """The nearest spot that is off the path which ``other`` announces; None if there is none.
 
@@ -51,7 +51,7 @@ def spot_off_the_path(
 
 
 def spot_at_random(
-    grid: Grid, here: Point, peers: Sequence[Peer], source: random.Random
+    grid: Grid, here: Point, peers: Sequence[OtherRobot], source: random.Random
 ) -> Optional[Point]:
     """Some free spot close by; None if there is none."""
     apart = 2 * grid.room.robot.radius
@@ -65,12 +65,12 @@ def spot_at_random(
     return (float(grid.xs[best]), float(grid.ys[best]))
 
 
-def distance_to_path(peer: Peer, point: Point) -> float:
+def distance_to_path(peer: OtherRobot, point: Point) -> float:
     """How near the announced path of a peer comes to a point, metres."""
     return float(distances_to_path(peer, np.array([point[0]]), np.array([point[1]]))[0])
 
 
-def distances_to_path(peer: Peer, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
+def distances_to_path(peer: OtherRobot, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
     """How near the announced path of a peer comes to each point, metres."""
     path = np.array([(peer.pose.x, peer.pose.y), *peer.path])
     nearest = np.hypot(xs - path[0, 0], ys - path[0, 1])

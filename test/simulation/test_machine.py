@@ -8,8 +8,8 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 
-from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.agreement_simulation.plans import make_plan
 from gspn_framework_package.execution.agreement_simulation.world import Weather, World
@@ -73,11 +73,11 @@ class Team(RuleBasedStateMachine):
     )
     def order(self, i: int, j: int, what: str) -> None:
         victim = self.node(j).name
-        entry: log.Entry = log.Pause(victim)
+        entry: log_entries.Entry = log_entries.Pause(victim)
         if what == "place":
-            entry = log.SetPlace(victim, self.world.plan.action_places[0])
+            entry = log_entries.SetPlace(victim, self.world.plan.action_places[0])
         elif what == "evict" and i != j:
-            entry = log.Evict(victim, -1)
+            entry = log_entries.Evict(victim, -1)
         self.world.operator(entry, self.node(i))
 
     @rule(i=st.integers(0, 2), others=st.sets(st.integers(0, 2), min_size=1, max_size=2))
@@ -85,7 +85,9 @@ class Team(RuleBasedStateMachine):
         """The operator asserts that robots are off, be it true or not."""
         self.world.given_up = True
         for j in sorted(others):
-            self.node(i).give(io.ForceEvict("force %d" % self.world.steps, self.node(j).name))
+            self.node(i).give(
+                interface.ForceEvict("force %d" % self.world.steps, self.node(j).name)
+            )
 
     def teardown(self) -> None:
         if not hasattr(self, "world"):

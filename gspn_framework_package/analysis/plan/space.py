@@ -23,9 +23,9 @@ import numpy as np
 
 from gspn_framework_package.analysis.plan.structure import only_written
 from gspn_framework_package.analysis.state_space.exploration import (
+    Allowance,
     Growing,
     RawGraph,
-    Room,
     label_type,
 )
 from gspn_framework_package.analysis.state_space.marking_store import PackedStore
@@ -47,7 +47,7 @@ WAITING = "(waits)"
 """What a firing sequence says where robots drew transitions that are not enabled, and wait."""
 
 
-class Outcome(NamedTuple):
+class Branch(NamedTuple):
     """One way in which a marking without time is left: ``transition`` (None: the robots wait in it)
     with ``probability``."""
 
@@ -99,7 +99,7 @@ class PlanRules:
             (t, net.effective_rate(marking, t)) for t in self._timed if net.is_enabled(marking, t)
         ]
 
-    def outcomes(self, marking: Marking) -> List[Outcome]:
+    def outcomes(self, marking: Marking) -> List[Branch]:
         """What happens at once: an empty list when nothing does, so that time passes; with a chance
         that the robots wait, the last outcome says so."""
         net = self.net
@@ -120,14 +120,14 @@ class PlanRules:
                     draws.append((marking[p], draw))
         return self._first_of(draws)
 
-    def _by_weight(self, candidates: Sequence[int]) -> List[Outcome]:
+    def _by_weight(self, candidates: Sequence[int]) -> List[Branch]:
         transitions = self.net.transitions
         top = max(transitions[t].priority for t in candidates)
         weights = [(t, transitions[t].weight) for t in candidates if transitions[t].priority == top]
         total = sum(weight for _, weight in weights)
         if total == 0:
-            return [Outcome(weights[0][0], 1.0)]  # as in the token game: file order
-        return [Outcome(t, weight / total) for t, weight in weights if weight]
+            return [Branch(weights[0][0], 1.0)]  # as in the token game: file order
+        return [Branch(t, weight / total) for t, weight in weights if weight]
 
     def _draw(self, marking: Marking, p: int, ready: set[int]) -> List[Tuple[int, float]]:
         """What a robot in place ``p`` draws from: pairs (transition, probability)."""
@@ -148,7 +148,7 @@ class PlanRules:
         total = sum(v for _, v in choices)
         return [(t, v / total) for t, v in choices if v] if total else []
 
-    def _first_of(self, draws: Sequence[Tuple[int, Dict[int, float]]]) -> List[Outcome]:
+    def _first_of(self, draws: Sequence[Tuple[int, Dict[int, float]]]) -> List[Branch]:
         """Which transition fires first when every robot has drawn: ``draws`` has, for each place,
         the number of robots there and what each of them may have drawn that is enabled. High
         priority goes first; among equals every order of the robots is as likely."""
@@ -166,11 +166,11 @@ class PlanRules:
                     if priority[t] == level:
                         chance[t] = chance.get(t, 0.0) + v * first
         wait = 1.0 - sum(chance.values())
-        outcomes = [Outcome(t, v) for t, v in sorted(chance.items()) if v > 0]
+        outcomes = [Branch(t, v) for t, v in sorted(chance.items()) if v > 0]
         if outcomes and wait > 1e-12:
-            return outcomes + [Outcome(None, wait)]
+            return outcomes + [Branch(None, wait)]
         total = sum(outcome.probability for outcome in outcomes)
-        return [Outcome(t, v / total) for t, v in outcomes]
+        return [Branch(t, v / total) for t, v in outcomes]
 
 
 def _goes_first(groups: Sequence[Tuple[int, float, float]], mine: int) -> float:
@@ -268,7 +268,7 @@ def explore_plan(
     :param seconds: stop after so long.
     :raises CancelledError: ``cancel`` said so.
     """
-    room = Room(memory, time.monotonic() + seconds)
+    room = Allowance(memory, time.monotonic() + seconds)
     shortage = ("--limit", "")
     rules = PlanRules(plan)
     net = rules.net

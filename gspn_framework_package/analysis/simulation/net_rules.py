@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import List, Optional, Tuple
 
-from gspn_framework_package.analysis.plan.space import Outcome
+from gspn_framework_package.analysis.plan.space import Branch
 from gspn_framework_package.model.condition import Condition
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Marking, Net
@@ -35,7 +35,7 @@ class NetRules:
             if net.transitions[t].timed
         ]
 
-    def outcomes(self, marking: Marking) -> List[Outcome]:
+    def outcomes(self, marking: Marking) -> List[Branch]:
         """The enabled immediate transitions of the highest priority, with their probabilities.
 
         :raises RefusedError: a choice that no weight decides.
@@ -49,5 +49,5 @@ class NetRules:
             )
         total = sum(transitions[t].weight for t in enabled) or 1.0
         return [
-            Outcome(t, transitions[t].weight / total if len(enabled) > 1 else 1.0) for t in enabled
+            Branch(t, transitions[t].weight / total if len(enabled) > 1 else 1.0) for t in enabled
         ]

@@ -1,5 +1,10 @@
 """The reachable markings of a net, the engines that find them, and what their graph says."""
 
-from gspn_framework_package.analysis.state_space.space import ENGINES, StateSpace, Step, explore
+from gspn_framework_package.analysis.state_space.space import (
+    ENGINES,
+    StateSpace,
+    WitnessStep,
+    explore,
+)
 
-__all__ = ["ENGINES", "StateSpace", "Step", "explore"]
+__all__ = ["ENGINES", "StateSpace", "WitnessStep", "explore"]

@@ -29,7 +29,7 @@ _NODE_BYTES = 400
 """What a node takes beside its counts."""
 
 
-class Node(NamedTuple):
+class TreeNode(NamedTuple):
     """A node of the tree: its ``marking`` (counts, or OMEGA), the number of its ``parent`` and of
     the transition that leads here from it (-1 at the root), and of the first node with the same
     marking (``same``; itself, where it is the first: only that one has children)."""
@@ -64,7 +64,7 @@ class CoverabilityTree:
     ) -> None:
         self.net = net
         self.untimed = untimed
-        self.nodes: List[Node] = []
+        self.nodes: List[TreeNode] = []
         self._exact = _Monotone(net, untimed)
         self._near = _Near(net)
         self._most = memory / (8 * len(net.places) + _NODE_BYTES)
@@ -74,7 +74,7 @@ class CoverabilityTree:
 
     def _build(self, limit: int, watch: Watch) -> None:
         first: Dict[Tuple[int, ...], int] = {self.net.initial_marking: 0}
-        self.nodes.append(Node(self.net.initial_marking, -1, -1, 0))
+        self.nodes.append(TreeNode(self.net.initial_marking, -1, -1, 0))
         with_concession = self.net.enabled(self.net.initial_marking, by_priority=False)
         # and what the parent enabled
         waiting: Deque[Tuple[int, Tuple[int, ...]]] = deque([(0, with_concession)])
@@ -92,7 +92,7 @@ class CoverabilityTree:
                     waiting.append((same, with_concession))
                 else:
                     after = self.nodes[same].marking  # one tuple for both
-                self.nodes.append(Node(after, number, t, same))
+                self.nodes.append(TreeNode(after, number, t, same))
                 if len(self.nodes) > limit or self._comparisons < 0:
                     raise LimitError(
                         "the coverability tree has more than %d nodes" % limit

@@ -26,7 +26,7 @@ class RawGraph(NamedTuple):
     explored: int
 
 
-class Room(NamedTuple):
+class Allowance(NamedTuple):
     """What an exploration may use: ``memory`` in bytes, and the time ``until`` when (of the
     monotonic clock)."""
 
@@ -38,7 +38,7 @@ class Room(NamedTuple):
         return used <= self.memory and time.monotonic() < self.until
 
 
-ENDLESS = Room()
+ENDLESS = Allowance()
 """Room without an end."""
 
 

@@ -25,10 +25,10 @@ from numba import config
 from gspn_framework_package.analysis.compiling import compiled
 from gspn_framework_package.analysis.state_space.exploration import (
     ENDLESS,
+    Allowance,
     FieldOverflowError,
     Growing,
     RawGraph,
-    Room,
     label_type,
 )
 from gspn_framework_package.analysis.state_space.packing import PackedNet
@@ -63,7 +63,7 @@ _CORES = 8
 
 
 def explore(
-    packed: PackedNet, limit: int, watch: Watch, cores: int = 0, room: Room = ENDLESS
+    packed: PackedNet, limit: int, watch: Watch, cores: int = 0, room: Allowance = ENDLESS
 ) -> RawGraph:
     """The reachability graph of ``packed``; same meaning as in ``numpy_engine``.
 

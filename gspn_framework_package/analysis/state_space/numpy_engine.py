@@ -14,10 +14,10 @@ import numpy as np
 
 from gspn_framework_package.analysis.state_space.exploration import (
     ENDLESS,
+    Allowance,
     FieldOverflowError,
     Growing,
     RawGraph,
-    Room,
     label_type,
 )
 from gspn_framework_package.analysis.state_space.packing import PackedNet
@@ -36,7 +36,11 @@ _ROWS = 1 << 15
 
 
 def explore(
-    packed: PackedNet, limit: int, watch: Watch, rounds: Optional[int] = None, room: Room = ENDLESS
+    packed: PackedNet,
+    limit: int,
+    watch: Watch,
+    rounds: Optional[int] = None,
+    room: Allowance = ENDLESS,
 ) -> RawGraph:
     """The reachability graph of ``packed``.
 

@@ -21,7 +21,7 @@ from typing import Any, Dict, List, NamedTuple, Optional
 import numpy as np
 
 from gspn_framework_package.analysis.graph import Components, components
-from gspn_framework_package.analysis.state_space.space import StateSpace, Step
+from gspn_framework_package.analysis.state_space.space import StateSpace, WitnessStep
 
 
 class Liveness(enum.IntEnum):
@@ -135,7 +135,7 @@ class Properties:
         """Transitions that can never fire."""
         return [name for name, level in self.liveness.items() if level is Liveness.L0]
 
-    def way_to(self, states: Any) -> Optional[List[Step]]:
+    def way_to(self, states: Any) -> Optional[List[WitnessStep]]:
         """A shortest firing sequence to one of ``states`` (a boolean array), or None when there is
         none."""
         found = np.flatnonzero(states)

@@ -24,9 +24,9 @@ import numpy as np
 from gspn_framework_package.analysis.limits import STATE_LIMIT
 from gspn_framework_package.analysis.state_space import numpy_engine, sparse_engine
 from gspn_framework_package.analysis.state_space.exploration import (
+    Allowance,
     FieldOverflowError,
     RawGraph,
-    Room,
 )
 from gspn_framework_package.analysis.state_space.marking_store import PackedStore, SparseStore
 from gspn_framework_package.analysis.state_space.packing import PackedNet, Packing, starting_widths
@@ -54,7 +54,7 @@ _INVARIANT_EFFORT = 100_000
 """Steps of a search for invariants that narrow fields are worth."""
 
 
-class Step(NamedTuple):
+class WitnessStep(NamedTuple):
     """One firing of a witness: the transition, and the marking after it."""
 
     transition: str
@@ -236,9 +236,9 @@ class StateSpace:
         ``state``."""
         return [self.transition_name(t) for t, _ in self._way_to(state)]
 
-    def witness(self, state: int) -> List[Step]:
+    def witness(self, state: int) -> List[WitnessStep]:
         """The same with the marking after each firing."""
-        return [Step(self.transition_name(t), self.named(s)) for t, s in self._way_to(state)]
+        return [WitnessStep(self.transition_name(t), self.named(s)) for t, s in self._way_to(state)]
 
     def _way_to(self, state: int) -> List[Tuple[int, int]]:
         if self._parents is None:
@@ -299,7 +299,7 @@ def explore(
             "a limit of %d states makes no sense" % limit, hint="give a number of at least 1"
         )
     watch = Watch(progress, cancel)
-    room = Room(memory, time.monotonic() + seconds)
+    room = Allowance(memory, time.monotonic() + seconds)
 
     def space(
         store: Union[PackedStore, SparseStore], graph: RawGraph, order: Any, name: str
@@ -333,7 +333,7 @@ def _is_sparse(net: Net) -> bool:
 
 
 def _run_sparse(
-    net: Net, limit: int, watch: Watch, untimed: bool, room: Room
+    net: Net, limit: int, watch: Watch, untimed: bool, room: Allowance
 ) -> Tuple[SparseStore, RawGraph, Any]:
     graph, store, order = sparse_engine.explore(
         net, limit, watch, by_priority=not untimed, room=room
@@ -352,7 +352,7 @@ class _Columns:
 
 
 def _run(
-    packed: PackedNet, limit: int, watch: Watch, engine: str, room: Room
+    packed: PackedNet, limit: int, watch: Watch, engine: str, room: Allowance
 ) -> Tuple[RawGraph, str]:
     if engine == "numpy" or (engine == "auto" and not numba_is_there()):
         return numpy_engine.explore(packed, limit, watch, room=room), "numpy"

@@ -15,8 +15,8 @@ import numpy as np
 from gspn_framework_package.analysis.graph import flat_ranges
 from gspn_framework_package.analysis.state_space.exploration import (
     ENDLESS,
+    Allowance,
     RawGraph,
-    Room,
     label_type,
 )
 from gspn_framework_package.analysis.state_space.marking_store import SparseStore
@@ -49,7 +49,7 @@ one."""
 
 
 def explore(
-    net: Net, limit: int, watch: Watch, *, by_priority: bool = True, room: Room = ENDLESS
+    net: Net, limit: int, watch: Watch, *, by_priority: bool = True, room: Allowance = ENDLESS
 ) -> Tuple[RawGraph, SparseStore, Any]:
     """The reachability graph (without its ``states``), the markings, and the order of the
     transitions: engine order to number in the net.

@@ -13,7 +13,7 @@ from collections import Counter
 from typing import Any, Callable, Dict, List
 
 from gspn_framework_package.benchmark.faults import dying_node
-from gspn_framework_package.benchmark.faults.team import Master, Team, require
+from gspn_framework_package.benchmark.faults.team import LaunchedTeam, RestartableMaster, require
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.model.plan import Synchronisation
 
@@ -48,7 +48,12 @@ class EachInTurn:
     """
 
     def __init__(
-        self, master: Master, robots: int, mode: Synchronisation, source: random.Random, tell: Tell
+        self,
+        master: RestartableMaster,
+        robots: int,
+        mode: Synchronisation,
+        source: random.Random,
+        tell: Tell,
     ) -> None:
         self._master, self._source, self._tell = master, source, tell
         self.injected: Counter[str] = Counter()
@@ -56,7 +61,7 @@ class EachInTurn:
         self.unsent: Counter[str] = Counter()
         self.back: List[float] = []
         self.woken: List[float] = []
-        self.team = Team(robots, mode, EVICT_AFTER)
+        self.team = LaunchedTeam(robots, mode, EVICT_AFTER)
 
     def run(self) -> None:
         """Inject every fault, then wait until the team rests. :raises ExecutionError: it did not go

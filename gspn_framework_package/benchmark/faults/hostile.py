@@ -13,8 +13,8 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 from urllib.parse import urlparse
 
 from gspn_framework_package.benchmark.faults.each_in_turn import EVICT_AFTER, MOVES, Tell
-from gspn_framework_package.benchmark.faults.team import RUN, Team, require
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.benchmark.faults.team import RUN, LaunchedTeam, require
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.ledger import Item, Origin
 from gspn_framework_package.model.plan import Synchronisation
 
@@ -41,7 +41,7 @@ class Hostile:
     def __init__(self, robots: int, mode: Synchronisation, tell: Tell) -> None:
         self._tell = tell
         self.injected: Counter[str] = Counter()
-        self.team = Team(robots, mode, EVICT_AFTER)
+        self.team = LaunchedTeam(robots, mode, EVICT_AFTER)
         self._heard: Dict[Tuple[str, str], Body] = {}
         self._early: List[Any] = []
 
@@ -119,7 +119,7 @@ class Hostile:
             "a wrong hash": lambda: {**self._hello(), "hash": "0" * 32},
             "ten ghosts": lambda: self._event(
                 *(
-                    Item(log.Join("g%d" % i, 0, "p1", "x"), Origin("g%d" % i, 0, 1, "x"))
+                    Item(log_entries.Join("g%d" % i, 0, "p1", "x"), Origin("g%d" % i, 0, 1, "x"))
                     for i in range(10)
                 )
             ),
@@ -272,4 +272,6 @@ class Hostile:
     def _done(self, robot: str, number: int, incarnation: Optional[int] = None) -> Item:
         known = self._hello(robot)
         life = known["incarnation"] if incarnation is None else incarnation
-        return Item(log.Done(robot, life, number), Origin(robot, life, number, known["log"][:8]))
+        return Item(
+            log_entries.Done(robot, life, number), Origin(robot, life, number, known["log"][:8])
+        )

@@ -23,7 +23,7 @@ from gspn_framework_package.benchmark.faults.each_in_turn import EachInTurn
 from gspn_framework_package.benchmark.faults.hostile import Hostile
 from gspn_framework_package.benchmark.faults.operators import Operators
 from gspn_framework_package.benchmark.faults.soak import Soak
-from gspn_framework_package.benchmark.faults.team import Master
+from gspn_framework_package.benchmark.faults.team import RestartableMaster
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
 from gspn_framework_package.benchmark.team_run import need_ros
 from gspn_framework_package.model.errors import GspnError
@@ -97,7 +97,7 @@ def _report(args: argparse.Namespace) -> int:
     _tell("seed %d" % seed)
     source = random.Random(seed)
     modes = [Synchronisation(args.mode)] if args.mode else list(Synchronisation)
-    master = Master()
+    master = RestartableMaster()
     began = time.monotonic()
     rows: List[Row] = []
     chosen = {
@@ -153,7 +153,7 @@ def _report(args: argparse.Namespace) -> int:
 
 
 def _soak(
-    master: Master,
+    master: RestartableMaster,
     robots: int,
     mode: Synchronisation,
     source: random.Random,
@@ -166,7 +166,7 @@ def _soak(
 
 
 def _scenario(
-    master: Master,
+    master: RestartableMaster,
     robots: int,
     mode: Synchronisation,
     source: random.Random,

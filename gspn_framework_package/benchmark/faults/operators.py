@@ -10,7 +10,7 @@ from collections import Counter
 from typing import List
 
 from gspn_framework_package.benchmark.faults.each_in_turn import GRACE, HELD_UP, MOVES, Tell
-from gspn_framework_package.benchmark.faults.team import Team, require
+from gspn_framework_package.benchmark.faults.team import LaunchedTeam, require
 from gspn_framework_package.model.plan import Synchronisation
 
 
@@ -26,7 +26,9 @@ class Operators:
     def __init__(self, robots: int, mode: Synchronisation, rounds: int, tell: Tell) -> None:
         self._rounds, self._tell = rounds, tell
         self.injected: Counter[str] = Counter()
-        self.team = Team(robots, mode, evict_after=0.0)  # nobody is evicted but by the operator
+        self.team = LaunchedTeam(
+            robots, mode, evict_after=0.0
+        )  # nobody is evicted but by the operator
 
     def run(self) -> None:
         """Do it all, then wait until the team rests. :raises ExecutionError: it did not go on as it

@@ -11,7 +11,7 @@ from collections import Counter
 from typing import Callable, List
 
 from gspn_framework_package.benchmark.faults import dying_node
-from gspn_framework_package.benchmark.faults.team import Master, Team
+from gspn_framework_package.benchmark.faults.team import LaunchedTeam, RestartableMaster
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.plan import Synchronisation
@@ -29,11 +29,11 @@ class Soak:
     """
 
     def __init__(
-        self, master: Master, robots: int, mode: Synchronisation, source: random.Random
+        self, master: RestartableMaster, robots: int, mode: Synchronisation, source: random.Random
     ) -> None:
         self._master, self._source = master, source
         self.injected: Counter[str] = Counter()
-        self.team = Team(robots, mode, EVICT_AFTER)
+        self.team = LaunchedTeam(robots, mode, EVICT_AFTER)
         self._joined = 0
 
     def run(self, seconds: float) -> None:

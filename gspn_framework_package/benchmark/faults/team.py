@@ -43,7 +43,7 @@ QUIET = 1.5
 """Seconds for which nothing may change in a team that rests."""
 
 
-class Master:
+class RestartableMaster:
     """A ROS master that can be killed, and comes back on its port."""
 
     def __init__(self) -> None:
@@ -76,7 +76,7 @@ class Master:
             self._process.wait()
 
 
-class Team:
+class LaunchedTeam:
     """The nodes of a team that executes ``plans/tokens`` with actions of a tenth of a second.
 
     :param robots: how many begin: ``robot_1`` and so on.

@@ -9,10 +9,10 @@ from dataclasses import replace
 from typing import Any, Callable, Dict, Sequence, Tuple
 
 from gspn_framework_package.benchmark.log_tail import LogTail
-from gspn_framework_package.benchmark.netns.logs import History, check_history
+from gspn_framework_package.benchmark.netns.logs import AgreedHistory, check_history
 from gspn_framework_package.benchmark.netns.network import Network
 from gspn_framework_package.benchmark.netns.rules import Cuts, one_way, partition
-from gspn_framework_package.benchmark.netns.team import MASTER, Team
+from gspn_framework_package.benchmark.netns.team import MASTER, NamespaceTeam
 from gspn_framework_package.benchmark.plans import tokens_plan
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.plan import FunctionAction, Plan, Synchronisation, Timing
@@ -41,7 +41,7 @@ def plan_for(robots: int, mode: str, evict_after: float) -> Plan:
     )
 
 
-class Experiment:
+class PartitionExperiment:
     """A team that works, in a network that can be cut; ends with the ``with`` block, which keeps
     the logs of one that failed.
 
@@ -60,9 +60,9 @@ class Experiment:
         self._places = plan.action_places
         self.network = Network([MASTER, *self.robots], delay)
         self.folder = tempfile.mkdtemp(prefix="gspn_netns_")
-        self._team = Team(self.network, plan, self.folder)
+        self._team = NamespaceTeam(self.network, plan, self.folder)
 
-    def __enter__(self) -> Experiment:
+    def __enter__(self) -> PartitionExperiment:
         try:
             self.network.__enter__()
             try:
@@ -201,7 +201,7 @@ class Experiment:
         )
         return caught - self.healed_at
 
-    def finish(self) -> History:
+    def finish(self) -> AgreedHistory:
         """Have everybody move on, pause the team, see that all replicas end alike, end it, and
         check the history.
 

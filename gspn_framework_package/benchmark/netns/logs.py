@@ -15,7 +15,7 @@ from gspn_framework_package.execution.event_log import read_log, replay
 from gspn_framework_package.model.errors import ExecutionError
 
 
-class History(NamedTuple):
+class AgreedHistory(NamedTuple):
     """What the logs agree on; ``marking`` is the last one, without empty places."""
 
     slots: int
@@ -23,7 +23,7 @@ class History(NamedTuple):
     marking: Dict[str, int]
 
 
-def check_history(paths: Sequence[str]) -> History:
+def check_history(paths: Sequence[str]) -> AgreedHistory:
     """Replay each log, compare all pairwise, slot by slot, and have ``gspn verify`` check the
     rules.
 
@@ -50,7 +50,7 @@ def check_history(paths: Sequence[str]) -> History:
     if any(end != ends[0] for end in ends):
         raise ExecutionError("the replicas do not end alike: %s" % dict(zip(paths, ends)))
     _verify(paths)
-    return History(ends[0][0] + 1, firings, ends[0][1])
+    return AgreedHistory(ends[0][0] + 1, firings, ends[0][1])
 
 
 def _verify(paths: Sequence[str]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 from typing import Any, Callable, Dict, List
 
-from gspn_framework_package.benchmark.netns.experiment import Experiment
+from gspn_framework_package.benchmark.netns.experiment import PartitionExperiment
 from gspn_framework_package.benchmark.netns.team import MASTER
 
 Numbers = Dict[str, Any]
@@ -50,7 +50,7 @@ def master_side(mode: str, hold: float = HOLD) -> Numbers:
 def eviction(mode: str, evict_after: float = 3.0) -> Numbers:
     """One robot is cut off beyond ``evict_after``: it is evicted, the others go on, and after
     healing it joins with a new incarnation."""
-    with Experiment(mode, evict_after=evict_after) as lab:
+    with PartitionExperiment(mode, evict_after=evict_after) as lab:
         lab.warm_up()
         lab.part([MASTER, "robot_1", "robot_2"], ["robot_3"])
 
@@ -132,7 +132,7 @@ def _one_way(mode: str, hold: float, hears: bool) -> Numbers:
         return _finish(lab, numbers)
 
 
-def _finished(lab: Experiment, robot: str, begin: float, end: float) -> List[Any]:
+def _finished(lab: PartitionExperiment, robot: str, begin: float, end: float) -> List[Any]:
     return [
         r["entry"]
         for r in lab.read()[robot].of("invoked", begin, end)
@@ -162,7 +162,7 @@ def delay(mode: str, window: float = WINDOW) -> Numbers:
     layout without."""
     numbers: Numbers = {}
     for name, seconds in (("none", 0.0), ("delayed", DELAY)):
-        with Experiment(mode, delay=seconds) as lab:
+        with PartitionExperiment(mode, delay=seconds) as lab:
             times = [lab.network.travel_time("robot_1", "robot_2") for _ in range(9)]
             lab.require(None not in times, "a datagram was lost in the relay")
             began = lab.wait_for_moves(lab.robots, 1, "of each robot") - lab.began
@@ -185,12 +185,14 @@ def delay(mode: str, window: float = WINDOW) -> Numbers:
     return numbers
 
 
-def _experiment(mode: str, hold: float) -> Experiment:
+def _experiment(mode: str, hold: float) -> PartitionExperiment:
     """A team in which nobody is evicted while the network is cut for ``hold`` seconds."""
-    return Experiment(mode, evict_after=max(15.0, 3 * hold))
+    return PartitionExperiment(mode, evict_after=max(15.0, 3 * hold))
 
 
-def _lose_robot_3(lab: Experiment, hold: float, majority: List[str], rest: List[str]) -> Numbers:
+def _lose_robot_3(
+    lab: PartitionExperiment, hold: float, majority: List[str], rest: List[str]
+) -> Numbers:
     lab.part(majority, rest)
     lab.hold(hold)
     lab.heal()
@@ -208,7 +210,7 @@ def _lose_robot_3(lab: Experiment, hold: float, majority: List[str], rest: List[
     return numbers
 
 
-def _progress_of_others(lab: Experiment, others: List[str]) -> Numbers:
+def _progress_of_others(lab: PartitionExperiment, others: List[str]) -> Numbers:
     """What the majority did meanwhile. With full synchronisation it must go on; with partial
     synchronisation it needs the answers of all that are not evicted."""
     begin, end = lab.fault()
@@ -224,12 +226,12 @@ def _progress_of_others(lab: Experiment, others: List[str]) -> Numbers:
     }
 
 
-def _all_on_after(lab: Experiment) -> float:
+def _all_on_after(lab: PartitionExperiment) -> float:
     """Seconds from healing until every robot moves again."""
     return lab.wait_for_moves(lab.robots, 1, "of each robot after healing") - lab.healed_at
 
 
-def _finish(lab: Experiment, numbers: Numbers) -> Numbers:
+def _finish(lab: PartitionExperiment, numbers: Numbers) -> Numbers:
     history = lab.finish()
     numbers.update(slots=history.slots, firings=history.firings, marking=history.marking)
     return numbers

@@ -47,7 +47,7 @@ def why_no_ros() -> str:
     return ""
 
 
-class Team:
+class NamespaceTeam:
     """The nodes of a team; ends with the ``with`` block.
 
     :param network: has the nodes ``master`` and one for each robot of the plan.
@@ -62,7 +62,7 @@ class Team:
         }
         self._processes: Dict[str, Any] = {}
 
-    def __enter__(self) -> Team:
+    def __enter__(self) -> NamespaceTeam:
         with open(os.path.join(self._folder, "plan.json"), "w", encoding="utf-8") as file:
             json.dump(plan_to_json(self._plan), file)
         try:

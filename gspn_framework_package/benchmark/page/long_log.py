@@ -15,7 +15,7 @@ from typing import Any, Dict, List, Optional
 
 import psutil
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import Record, header, line_of
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.ledger import Ledger
@@ -45,7 +45,7 @@ def write_log(path: str, entries: int, plan_path: str = PLAN, seed: int = 1) -> 
             file.write(line)
 
         write(0, header(plan, "long", "", "long", agents=True))
-        batch: List[log.Entry] = [game.start_entry()]
+        batch: List[log_entries.Entry] = [game.start_entry()]
         for number in range(entries):
             slot = ledger.length
             step = game.reduce(ledger.state, slot, batch)
@@ -57,21 +57,21 @@ def write_log(path: str, entries: int, plan_path: str = PLAN, seed: int = 1) -> 
             if not doing and not failed:
                 raise ExecutionError("the run of the log came to its end after %d entries" % number)
             batch = [
-                log.Retry(failed[0])
+                log_entries.Retry(failed[0])
                 if failed
                 else _result(game, doing.pop(source.choice(list(doing))), source)
             ]
 
 
-def _result(game: TokenGame, action: StartAction, source: random.Random) -> log.Entry:
+def _result(game: TokenGame, action: StartAction, source: random.Random) -> log_entries.Entry:
     if source.random() < 0.001:
-        return log.Failed(
+        return log_entries.Failed(
             action.robot, action.incarnation, action.visit, action.attempt, "aborted", "it slipped"
         )
     net = game.net
     timed = [t for t in net.consumers[net.place_number(action.place)] if net.transitions[t].timed]
     result = net.transitions[source.choice(timed)].name if timed else ""
-    return log.Done(action.robot, action.incarnation, action.visit, result)
+    return log_entries.Done(action.robot, action.incarnation, action.visit, result)
 
 
 def measure_log(entries: int, path: str) -> Dict[str, Any]:

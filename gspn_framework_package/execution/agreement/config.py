@@ -58,7 +58,7 @@ class Pace(NamedTuple):
         )
 
 
-class Limits(NamedTuple):
+class ProtocolLimits(NamedTuple):
     """Sizes of the protocol. None matters for safety; tests make them small."""
 
     batch: int = 256
@@ -83,7 +83,7 @@ class Config:
     tag: str
     """Run and plan, as every message carries them."""
     pace: Pace
-    limits: Limits
+    limits: ProtocolLimits
     place: str
     """Where we start when we join for the first time; "": as the plan says."""
     trusted: bool
@@ -111,7 +111,7 @@ class Config:
         joining: bool,
         place: str,
         pace: Optional[Pace],
-        limits: Optional[Limits],
+        limits: Optional[ProtocolLimits],
         trusted: bool,
     ) -> Config:
         """Work out what follows from the parameters of
@@ -124,7 +124,7 @@ class Config:
             run=run,
             tag="%s|%s" % (run, plan.hash()[:12]),
             pace=(pace or Pace()).for_team(len(team), plan.timing),
-            limits=limits or Limits(),
+            limits=limits or ProtocolLimits(),
             place=place,
             trusted=trusted,
             partial=plan.synchronisation is Synchronisation.PARTIAL,

@@ -17,14 +17,14 @@ One slot is open at a time; batches carry the load.
 Owns the ballots, votes and the running attempt of the open slot (the fields of consensus in
 :class:`~gspn_framework_package.execution.agreement.state.ReplicaState`). Asks the electorate who
 may decide and the proposals what to propose, writes and sends through the outbox, and hands what is
-chosen to the log (:class:`Log`).
+chosen to the log (:class:`ConsensusLog`).
 """
 
 from __future__ import annotations
 
 from typing import Any, Dict, List, Optional, Protocol, Set, Union
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.messages import (
@@ -49,7 +49,7 @@ MOST_BACKOFF = 20
 """How often the wait before a repetition may grow by half; other limits apply long before."""
 
 
-class Log(Protocol):
+class ConsensusLog(Protocol):
     """What the consensus needs of the replicated log."""
 
     def is_open(self, message: Envelope) -> bool:
@@ -76,10 +76,10 @@ class Consensus:
         self.outbox = outbox
         self.electorate = electorate
         self.proposals = proposals
-        self.log: Log
+        self.log: ConsensusLog
         state.promised = state.highest = Ballot(0, config.first)
 
-    def connect(self, log: Log) -> None:
+    def connect(self, log: ConsensusLog) -> None:
         """Set the log that takes what is chosen."""
         self.log = log
 
@@ -224,7 +224,7 @@ class Consensus:
                 evicted = {
                     item.entry.robot
                     for item in map(Item.from_json, batch)
-                    if isinstance(item.entry, log.Evict)
+                    if isinstance(item.entry, log_entries.Evict)
                 }
                 if any(
                     m not in attempt.answered and m not in evicted

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Collection, List, Optional, Sequence, Set, Tuple
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.messages import Envelope
 from gspn_framework_package.execution.agreement.quorum import is_quorum
@@ -178,13 +178,19 @@ class Electorate:
         has no effect: the last member stays, and has to be one that was asked for its local
         transitions."""
         me, members = self.config.name, self.members()
-        gone = {i.entry.robot for i in items if isinstance(i.entry, (log.Evict, log.Leave))}
+        gone = {
+            i.entry.robot
+            for i in items
+            if isinstance(i.entry, (log_entries.Evict, log_entries.Leave))
+        }
         if len(members) < 2 or not gone.issuperset(members):
             return items
         return [
             i
             for i in items
-            if not (isinstance(i.entry, (log.Evict, log.Leave)) and i.entry.robot == me)
+            if not (
+                isinstance(i.entry, (log_entries.Evict, log_entries.Leave)) and i.entry.robot == me
+            )
         ]
 
     def without_ghosts(self, items: Sequence[Item]) -> List[Item]:
@@ -197,20 +203,22 @@ class Electorate:
         live = set(self.heard_of_late())
         refused: Set[Tuple[str, str]] = set()
         cast_out = {
-            i.entry.robot for i in items if isinstance(i.entry, log.Evict) and i.entry.forced
+            i.entry.robot
+            for i in items
+            if isinstance(i.entry, log_entries.Evict) and i.entry.forced
         }
         kept = []
         for item in items:
             entry = item.entry
             name, source = item.origin.robot, (item.origin.robot, item.origin.log)
-            if isinstance(entry, log.Join) and name not in now:
+            if isinstance(entry, log_entries.Join) and name not in now:
                 heard = peers.get(name).heard is not None and peers.get(name).log == entry.log
                 if name == me or (heard and is_quorum(live | {name}, [*now, name])):
                     now.append(name)
                     live.add(name)
                 else:
                     refused.add(source)
-            if isinstance(entry, log.Join) and name in cast_out:
+            if isinstance(entry, log_entries.Join) and name in cast_out:
                 refused.add(source)
             if source not in refused:
                 kept.append(item)

@@ -28,14 +28,13 @@ The host of a replica
   empty, ``{}``: nothing to say; do not feed an empty reply back in);
 - starts and cancels actions for :class:`StartAction` and :class:`CancelAction`, which are only ever
   for this robot, and reports each attempt's end once, with :class:`ActionDone` or
-  :class:`ActionFailed`. A cancelled action need not be reported.
+  :class:`AttemptFailed`. A cancelled action need not be reported.
 """
 
 from __future__ import annotations
 
 from typing import Any, Dict, NamedTuple, Union
 
-from gspn_framework_package.execution.entries import Entry
 from gspn_framework_package.execution.firing import (
     CancelAction,
     Ended,
@@ -43,6 +42,7 @@ from gspn_framework_package.execution.firing import (
     Firing,
     StartAction,
 )
+from gspn_framework_package.execution.log_entries import Entry
 
 Message = Dict[str, Any]
 """A protocol message as a JSON object (see
@@ -84,9 +84,9 @@ class ActionDone(NamedTuple):
     result: str = ""
 
 
-class ActionFailed(NamedTuple):
+class AttemptFailed(NamedTuple):
     """An attempt did not succeed; ``reason`` is one of
-    :data:`~gspn_framework_package.execution.entries.FAILURES`."""
+    :data:`~gspn_framework_package.execution.log_entries.FAILURES`."""
 
     incarnation: int
     visit: int
@@ -117,7 +117,7 @@ class ForceEvict(NamedTuple):
     robot: str
 
 
-Input = Union[Tick, Received, ActionDone, ActionFailed, Order, ForceEvict]
+Input = Union[Tick, Received, ActionDone, AttemptFailed, Order, ForceEvict]
 
 # -- effects ---------------------------------------------------------------------------------------
 

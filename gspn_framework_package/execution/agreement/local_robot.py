@@ -11,8 +11,8 @@ from __future__ import annotations
 import random
 from typing import Any, Dict, List, Mapping, Optional, Tuple, Union
 
-from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.local_transitions import LocalTransitions
@@ -70,12 +70,12 @@ class LocalRobot:
         for own in own_proposals:
             if own.item.private:
                 entry = own.item.entry
-                assert isinstance(entry, log.Done)
+                assert isinstance(entry, log_entries.Done)
                 if self._go(entry) is None:
                     void.append(own)
         return void
 
-    def _go(self, entry: log.Done) -> Optional[Tuple[int, int, int]]:
+    def _go(self, entry: log_entries.Done) -> Optional[Tuple[int, int, int]]:
         """Make a local transition: (transition, place left, place entered), None if it is not
         possible."""
         at = self.state.position
@@ -102,22 +102,22 @@ class LocalRobot:
 
     # -- finished actions --------------------------------------------------------------------------
 
-    def action_ended(self, given: Union[io.ActionDone, io.ActionFailed]) -> None:
+    def action_ended(self, given: Union[interface.ActionDone, interface.AttemptFailed]) -> None:
         """An attempt at an action is over."""
         goal = Goal(given.incarnation, given.visit, given.attempt)
         if self.state.fenced or not self._report(goal):
             return
-        entry: log.Entry
-        if isinstance(given, io.ActionFailed):
-            entry = log.Failed(self.config.name, *goal, given.reason, given.detail)
+        entry: log_entries.Entry
+        if isinstance(given, interface.AttemptFailed):
+            entry = log_entries.Failed(self.config.name, *goal, given.reason, given.detail)
         else:
             result = given.result if given.result not in (None, "None") else ""
-            entry = log.Done(self.config.name, goal.incarnation, goal.visit, result)
+            entry = log_entries.Done(self.config.name, goal.incarnation, goal.visit, result)
             if self._may_move_alone():
                 firing = self._make(entry)
                 if firing is not None:
                     self.proposals.add_local_transition(entry, firing)
-                    self.outbox.put(io.Fired(firing, True, self.state.ledger.hash, True))
+                    self.outbox.put(interface.Fired(firing, True, self.state.ledger.hash, True))
                     self.act({})
                     return
         self.proposals.propose(entry)
@@ -147,7 +147,7 @@ class LocalRobot:
             and self.electorate.surely_a_member()
         )
 
-    def _make(self, entry: log.Done) -> Optional[Firing]:
+    def _make(self, entry: log_entries.Done) -> Optional[Firing]:
         """Make the local transition of a ``Done``, if it is one."""
         net = self.config.plan.net
         before = self.marking()
@@ -218,7 +218,7 @@ class LocalRobot:
         state = self.state
         if not self.config.plan.simulate_environment or not self.electorate.may_vote():
             return
-        if any(isinstance(o.item.entry, log.Fire) for o in state.own_proposals):
+        if any(isinstance(o.item.entry, log_entries.Fire) for o in state.own_proposals):
             return
         due = self._environment.next_time(state.ledger.state, state.now)
         if due is None or state.now < due:
@@ -226,7 +226,7 @@ class LocalRobot:
         live = self.electorate.heard_within(3 * self.config.pace.heartbeat)
         transition = self._environment.due(state.ledger.state, state.now)
         if live[0] == self.config.name and transition is not None:
-            self.proposals.propose(log.Fire(transition))
+            self.proposals.propose(log_entries.Fire(transition))
 
     def wake_times(self) -> List[float]:
         """When to look again (s)."""

@@ -14,8 +14,8 @@ from __future__ import annotations
 import hashlib
 from typing import Any, Dict, List, Protocol, Sequence
 
-from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.local_robot import LocalRobot
@@ -39,7 +39,7 @@ LINGER = 20
 """Heartbeats for which a leaving robot waits for a quorum of the others to hear of it."""
 
 
-class Log(Protocol):
+class MembershipLog(Protocol):
     """What membership needs of the replicated log."""
 
     def begin_anew(self) -> None:
@@ -66,9 +66,9 @@ class Membership:
         self.proposals = proposals
         self.proposer = proposer
         self.robot = robot
-        self.log: Log
+        self.log: MembershipLog
 
-    def connect(self, log: Log) -> None:
+    def connect(self, log: MembershipLog) -> None:
         """Set the log that begins anew where what we know does not count."""
         self.log = log
 
@@ -129,7 +129,7 @@ class Membership:
     def _halt(self, reason: str) -> None:
         self.state.halted = reason
         self.robot.stop_acting()
-        self.outbox.put(io.Halted(reason))
+        self.outbox.put(interface.Halted(reason))
 
     def recall(self, record: Record) -> None:
         """Take over a record of our own log."""
@@ -385,7 +385,7 @@ class Membership:
         state, me = self.state, self.config.name
         for item in items:
             entry = item.entry
-            if isinstance(entry, log.Join):
+            if isinstance(entry, log_entries.Join):
                 robot = state.ledger.state.robots.get(entry.robot)
                 taken = robot is not None and robot.incarnation == entry.incarnation
                 mine = entry.robot == me and entry.log == state.log_id
@@ -397,7 +397,7 @@ class Membership:
                     state.superseded_at, state.rival_since = state.now, None
                     self.forget("another log was let in as %s" % me)
                     return
-            elif isinstance(entry, log.Evict) and state.ledger.is_cast_out(entry.robot):
+            elif isinstance(entry, log_entries.Evict) and state.ledger.is_cast_out(entry.robot):
                 self.proposals.drop_others(entry.robot)
 
     def note_snapshot(self) -> None:
@@ -448,7 +448,7 @@ class Membership:
         if self.electorate.known_incarnation() >= state.incarnation:
             self.new_life()
         if any(
-            isinstance(own.item.entry, log.Join)
+            isinstance(own.item.entry, log_entries.Join)
             and own.item.origin.incarnation == state.incarnation
             for own in state.own_proposals
         ):
@@ -459,7 +459,9 @@ class Membership:
             or next((r.place for r in plan.robots if r.name == config.name), "")
             or (plan.spawn[0] if plan.spawn else "")
         )
-        self.proposals.propose(log.Join(config.name, state.incarnation, place, state.log_id))
+        self.proposals.propose(
+            log_entries.Join(config.name, state.incarnation, place, state.log_id)
+        )
 
     def part(self) -> None:
         """We have left: end once a quorum of those who stay knows, or no quorum can be reached."""
@@ -500,7 +502,9 @@ class Membership:
                 known = state.ledger.state.robots.get(robot)
                 jury = state.peers.accusers(robot) | {self.config.name}
                 if known is not None and is_quorum(jury, members):
-                    self.proposals.propose(log.Evict(robot, known.incarnation), suspect=robot)
+                    self.proposals.propose(
+                        log_entries.Evict(robot, known.incarnation), suspect=robot
+                    )
 
     def _fence(self, fenced: bool) -> None:
         if fenced == self.state.fenced or self.config.witness:
@@ -520,7 +524,7 @@ class Membership:
         self._assert_off(robot, incarnation)
         self.consider_active()
         self.proposer.abandon()
-        self.proposals.propose(log.Evict(robot, incarnation, True), order_id)
+        self.proposals.propose(log_entries.Evict(robot, incarnation, True), order_id)
         warning = self._what_is_given_up()
         if warning:
             self.outbox.fault(warning)

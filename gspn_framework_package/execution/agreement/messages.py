@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple, Type, Union
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.ledger import Item
 from gspn_framework_package.model.errors import LogError
@@ -106,9 +106,9 @@ def _items(value: Any, name: str, *, start: bool = False) -> List[Item]:
         origin = item.origin
         if not 0 <= origin.incarnation <= LARGEST or not 0 <= origin.number <= LARGEST:
             raise MessageError("'%s' holds an entry whose origin is out of bounds" % name)
-        if isinstance(item.entry, log.Start) and not start:
+        if isinstance(item.entry, log_entries.Start) and not start:
             raise MessageError("'%s' holds another start of the run" % name)
-        if isinstance(item.entry, log.Join) and item.entry.robot != origin.robot:
+        if isinstance(item.entry, log_entries.Join) and item.entry.robot != origin.robot:
             raise MessageError("in '%s' %s joins for %s" % (name, origin.robot, item.entry.robot))
     return items
 

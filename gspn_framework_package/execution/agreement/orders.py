@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import Optional
 
-from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.membership import Membership
@@ -39,14 +39,14 @@ class Orders:
         self.proposals = proposals
         self.membership = membership
 
-    def order(self, order: io.Order) -> None:
+    def order(self, order: interface.Order) -> None:
         """Propose an operator's order, if it makes sense."""
         if self.state.now < self.state.listen_until:
             # we are not in the team yet, but only while we listen
             self.state.held_orders.append(order)
             return
         entry = order.entry
-        if isinstance(entry, log.Evict) and entry.incarnation < 0:
+        if isinstance(entry, log_entries.Evict) and entry.incarnation < 0:
             robot = self._robot(entry.robot)
             entry = entry._replace(incarnation=robot.incarnation if robot else 0)
         why = self._why_not(entry)
@@ -61,7 +61,7 @@ class Orders:
         for order in held:
             self.order(order)
 
-    def force_evict(self, order: io.ForceEvict) -> None:
+    def force_evict(self, order: interface.ForceEvict) -> None:
         """Accept an operator's assertion that a robot is off, unless something contradicts it."""
         robot = self._robot(order.robot)
         why = self._why_not_force(order.robot, robot)
@@ -73,24 +73,31 @@ class Orders:
     def _robot(self, name: str) -> Optional[RobotState]:
         return self.state.ledger.state.robots.get(name)
 
-    def _why_not(self, entry: log.Entry) -> str:
+    def _why_not(self, entry: log_entries.Entry) -> str:
         """Why an order makes no sense at present; "" if it does."""
         state, me, plan = self.state, self.config.name, self.config.plan
         if state.ledger.state.ended is not None:
             return "the run is over: %s" % state.ledger.state.ended
         if not state.active or not (self.electorate.is_member() or self.config.witness):
             return "%s is not in the team (yet)" % me
-        if isinstance(entry, log.Leave) and self.electorate.members() == [entry.robot]:
+        if isinstance(entry, log_entries.Leave) and self.electorate.members() == [entry.robot]:
             return "%s is the last one of the team; stop the run instead" % entry.robot
         name = getattr(entry, "robot", "")
         robot = self._robot(name)
         if name and (robot is None or robot.phase.gone):
             return "there is no robot '%s' in the team" % name
-        if isinstance(entry, log.SetPlace) and entry.place not in plan.action_places:
+        if isinstance(entry, log_entries.SetPlace) and entry.place not in plan.action_places:
             return "'%s' is not an action place of the plan" % entry.place
-        if isinstance(entry, log.Fire) and entry.transition not in plan.net.transition_index:
+        if (
+            isinstance(entry, log_entries.Fire)
+            and entry.transition not in plan.net.transition_index
+        ):
             return "the net has no transition '%s'" % entry.transition
-        if isinstance(entry, log.Retry) and robot is not None and robot.phase is not Phase.FAILED:
+        if (
+            isinstance(entry, log_entries.Retry)
+            and robot is not None
+            and robot.phase is not Phase.FAILED
+        ):
             return "the action of %s did not fail" % name
         return ""
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any, List, Sequence
 
-from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.messages import Envelope
 from gspn_framework_package.execution.agreement.state import ReplicaState
@@ -23,7 +23,7 @@ class Outbox:
     def __init__(self, config: Config, state: ReplicaState) -> None:
         self.config = config
         self.state = state
-        self._effects: List[io.Effect] = []
+        self._effects: List[interface.Effect] = []
         self._request = ""
 
     # -- a step begins and ends --------------------------------------------------------------------
@@ -36,10 +36,10 @@ class Outbox:
     def end(self) -> None:
         """A call that nobody answered gets an empty reply."""
         if self._request:
-            self.put(io.Reply(self._request, {}))
+            self.put(interface.Reply(self._request, {}))
             self._request = ""
 
-    def flush(self) -> List[io.Effect]:
+    def flush(self) -> List[interface.Effect]:
         """The effects so far."""
         effects, self._effects = self._effects, []
         return effects
@@ -51,7 +51,7 @@ class Outbox:
 
     # -- effects -----------------------------------------------------------------------------------
 
-    def put(self, *effects: io.Effect) -> None:
+    def put(self, *effects: interface.Effect) -> None:
         """Have these carried out after all earlier effects."""
         self._effects += effects
 
@@ -61,22 +61,22 @@ class Outbox:
         self.state.records += 1
         if durable:
             self.state.durable = self.state.records
-        self.put(io.Persist(record, durable))
+        self.put(interface.Persist(record, durable))
 
     def send_all(self, to: Sequence[str], body: Any) -> None:
         """Send a message to each of these."""
         if to:
             signed = self.signed(body)
-            self.put(*(io.Send(robot, signed) for robot in to))
+            self.put(*(interface.Send(robot, signed) for robot in to))
 
     def broadcast(self, body: Any) -> None:
         """Send a message to everybody, whether in the team or not."""
-        self.put(io.Send(io.EVERYBODY, self.signed(body)))
+        self.put(interface.Send(interface.EVERYBODY, self.signed(body)))
 
     def answer(self, to: Envelope, body: Any) -> None:
         """Answer a message; if it was a call, with its reply."""
         if self._request:
-            self.put(io.Reply(self._request, self.signed(body)))
+            self.put(interface.Reply(self._request, self.signed(body)))
             self._request = ""
         else:
             self.send_all([to.sender], body)
@@ -87,9 +87,9 @@ class Outbox:
 
     def order_result(self, order_id: str, ok: bool, text: str) -> None:
         """Report the outcome of an order to the operator who gave it."""
-        self.put(io.OrderResult(order_id, ok, text))
+        self.put(interface.OrderResult(order_id, ok, text))
 
-    def signed(self, body: Any) -> io.Message:
+    def signed(self, body: Any) -> interface.Message:
         """A message as it leaves, with what every message says about its sender."""
         state = self.state
         return Envelope(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Dict, Iterable, List, Optional, Sequence, Set
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.messages import Batch
@@ -34,21 +34,23 @@ class Proposals:
 
     # -- in ----------------------------------------------------------------------------------------
 
-    def propose(self, entry: log.Entry, order_id: str = "", suspect: str = "") -> None:
+    def propose(self, entry: log_entries.Entry, order_id: str = "", suspect: str = "") -> None:
         """Propose an entry for the log."""
         item = Item(entry, self._next_origin())
         if not suspect:  # a suspicion may be withdrawn, and is never taken up again
             origin = list(item.origin)
-            self.outbox.persist({"kind": "invoked", "entry": log.to_json(entry), "origin": origin})
+            self.outbox.persist(
+                {"kind": "invoked", "entry": log_entries.to_json(entry), "origin": origin}
+            )
         self.state.own_proposals.append(Proposal(item, order_id, suspect))
 
-    def add_local_transition(self, entry: log.Done, firing: Firing) -> None:
+    def add_local_transition(self, entry: log_entries.Done, firing: Firing) -> None:
         """A local transition was made, and has to get into the log at some time."""
         origin = self._next_origin()
         self.outbox.persist(
             {
                 "kind": "private",
-                "entry": log.to_json(entry),
+                "entry": log_entries.to_json(entry),
                 "origin": list(origin),
                 "firing": firing_to_json(firing, self.config.plan.net),
             }
@@ -108,15 +110,17 @@ class Proposals:
         why = self._without_effect(own.item.entry, step)
         self.outbox.order_result(own.order_id, not why, why or "done, in slot %d of the log" % slot)
 
-    def _without_effect(self, entry: log.Entry, step: Optional[Step]) -> str:
+    def _without_effect(self, entry: log_entries.Entry, step: Optional[Step]) -> str:
         """Why an order in the log changed nothing; "" if it did change something."""
-        if isinstance(entry, (log.SetPlace, log.Fire)):
+        if isinstance(entry, (log_entries.SetPlace, log_entries.Fire)):
             return "; ".join(
                 c.message
                 for c in (step.commands if step is not None else ())
                 if isinstance(c, Fault)
             )
-        if isinstance(entry, (log.Leave, log.Evict)) and self.electorate.members() == [entry.robot]:
+        if isinstance(
+            entry, (log_entries.Leave, log_entries.Evict)
+        ) and self.electorate.members() == [entry.robot]:
             return "%s is the last one of the team, and stays; stop the run instead" % entry.robot
         return ""
 
@@ -132,7 +136,7 @@ class Proposals:
         kept = []
         for own in self.state.own_proposals:
             entry = own.item.entry
-            if isinstance(entry, log.Evict) and entry.forced and entry.robot == robot:
+            if isinstance(entry, log_entries.Evict) and entry.forced and entry.robot == robot:
                 self._persist_void(own, why)
                 if own.order_id:
                     self.outbox.order_result(own.order_id, False, why)

@@ -28,7 +28,7 @@ from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.proposals import Proposals
 from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.agreement.state import ReplicaState
-from gspn_framework_package.execution.draw import uniform
+from gspn_framework_package.execution.chance import uniform
 from gspn_framework_package.execution.team_state import POLICY
 
 FLUSH_AT = 100

@@ -12,9 +12,8 @@ from __future__ import annotations
 
 from typing import Any, Dict, List, Optional, Sequence, Set
 
-from gspn_framework_package.execution.agreement import interface as io
-from gspn_framework_package.execution.agreement import messages
-from gspn_framework_package.execution.agreement.config import Config, Limits, Pace
+from gspn_framework_package.execution.agreement import interface, messages
+from gspn_framework_package.execution.agreement.config import Config, Pace, ProtocolLimits
 from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.local_robot import LocalRobot
@@ -33,7 +32,7 @@ from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.model.net import Marking
 from gspn_framework_package.model.plan import Plan
 
-__all__ = ["Limits", "Pace", "Replica"]
+__all__ = ["ProtocolLimits", "Pace", "Replica"]
 
 
 class Replica:
@@ -69,7 +68,7 @@ class Replica:
         joining: bool = False,
         place: str = "",
         pace: Optional[Pace] = None,
-        limits: Optional[Limits] = None,
+        limits: Optional[ProtocolLimits] = None,
         trusted: bool = True,
     ) -> None:
         self.config = config = Config.make(
@@ -113,7 +112,7 @@ class Replica:
 
     # -- one input after the other -----------------------------------------------------------------
 
-    def start(self, now: float) -> List[io.Effect]:
+    def start(self, now: float) -> List[interface.Effect]:
         """Begin (once, before any :meth:`step`).
 
         :raises LogError: the records contradict each other or the plan.
@@ -131,7 +130,7 @@ class Replica:
         self._settle()
         return self.outbox.flush()
 
-    def step(self, given: io.Input, now: float) -> List[io.Effect]:
+    def step(self, given: interface.Input, now: float) -> List[interface.Effect]:
         """Take one input; carry out the effects in order.
 
         :param now: monotonic clock, s.
@@ -140,24 +139,24 @@ class Replica:
         state.now = now
         if now - before > 4 * self.config.pace.heartbeat:
             self.membership.listen_anew()  # suspended, or starved: nobody's silence counts
-        if isinstance(given, io.Received):
+        if isinstance(given, interface.Received):
             self.outbox.begin(given.request_id)
         if state.halted is None:
             self._take(given)
             self._settle()
-        elif isinstance(given, (io.Order, io.ForceEvict)):
+        elif isinstance(given, (interface.Order, interface.ForceEvict)):
             self.outbox.order_result(given.order_id, False, state.halted)
         self.outbox.end()
         return self.outbox.flush()
 
-    def _take(self, given: io.Input) -> None:
-        if isinstance(given, io.Received):
+    def _take(self, given: interface.Input) -> None:
+        if isinstance(given, interface.Received):
             self._receive(given.message)
-        elif isinstance(given, (io.ActionDone, io.ActionFailed)):
+        elif isinstance(given, (interface.ActionDone, interface.AttemptFailed)):
             self.robot.action_ended(given)
-        elif isinstance(given, io.Order):
+        elif isinstance(given, interface.Order):
             self.orders.order(given)
-        elif isinstance(given, io.ForceEvict):
+        elif isinstance(given, interface.ForceEvict):
             self.orders.force_evict(given)
 
     def _receive(self, data: Any) -> None:
@@ -220,7 +219,7 @@ class Replica:
             *self.proposer.wake_times(),
             *self.robot.wake_times(),
         ]
-        self.outbox.put(io.WakeAt(max(state.now + 0.001, min(times))))
+        self.outbox.put(interface.WakeAt(max(state.now + 0.001, min(times))))
 
     # -- questions of the host ---------------------------------------------------------------------
 

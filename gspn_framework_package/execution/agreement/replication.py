@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from typing import Dict, Optional, Sequence, Set, Tuple
 
-from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.local_robot import LocalRobot
@@ -90,11 +90,11 @@ class Replication:
         self.outbox.persist(record, durable=alone)  # then it is our vote as well
         if slot == 0:
             state.first_hash = state.ledger.hash
-        returned = {i.entry.robot for i in kept if isinstance(i.entry, log.Join)}
+        returned = {i.entry.robot for i in kept if isinstance(i.entry, log_entries.Join)}
         self.proposer.next_slot(mine, returned)
         for firing in step.firings:
             published = mine and not _was_local(firing, kept)
-            self.outbox.put(io.Fired(firing, published, state.ledger.hash))
+            self.outbox.put(interface.Fired(firing, published, state.ledger.hash))
         self.outbox.put(*(c for c in step.commands if isinstance(c, (Fault, Ended))))
         self.membership.note_members(kept)
         delays = {
@@ -222,7 +222,8 @@ class Replication:
     def _replay(self, record: Record) -> None:
         state = self.state
         items = [
-            Item(log.from_json(e), Origin(*o)) for e, o in zip(record["entries"], record["origins"])
+            Item(log_entries.from_json(e), Origin(*o))
+            for e, o in zip(record["entries"], record["origins"])
         ]
         before = state.ledger.hash
         again, _ = state.ledger.append(items)
@@ -246,7 +247,7 @@ def _was_local(firing: Firing, items: Sequence[Item]) -> bool:
     """Whether a firing is a local transition, published when it was made."""
     return any(
         i.private
-        and isinstance(i.entry, log.Done)
+        and isinstance(i.entry, log_entries.Done)
         and (i.entry.robot, i.entry.incarnation, i.entry.visit)
         == (firing.robot, firing.incarnation, firing.visit)
         for i in items

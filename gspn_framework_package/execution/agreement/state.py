@@ -10,15 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple
 
-from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.messages import Batch
 from gspn_framework_package.execution.agreement.peers import Peers
 from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.agreement.recent_slots import RecentSlots
 from gspn_framework_package.execution.ledger import Item, Ledger, Origin
 
-CONTROLS = (log.Pause, log.Resume, log.SetPlace, log.Stop)
+CONTROLS = (log_entries.Pause, log_entries.Resume, log_entries.SetPlace, log_entries.Stop)
 """Orders that local transitions must not pass: partial synchronisation decides them while every
 robot holds still."""
 
@@ -214,7 +214,7 @@ class ReplicaState:
 
     # -- people ------------------------------------------------------------------------------------
 
-    held_orders: List[io.Order] = _owned("orders", make=list)
+    held_orders: List[interface.Order] = _owned("orders", make=list)
     """Orders that came while we only listened."""
     told_status: str = _owned("status", "")
     """What people were told last that we wait for."""

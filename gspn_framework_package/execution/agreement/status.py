@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, Dict, List
 
-from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.electorate import Electorate
@@ -47,7 +47,7 @@ class Status:
         if text != self.state.told_status:
             self.state.told_status = text
             if text:
-                self.outbox.put(io.StatusChanged(text))
+                self.outbox.put(interface.StatusChanged(text))
 
     def waits_for(self) -> str:
         """What this replica (not its action) waits for, in words; "" for nothing."""

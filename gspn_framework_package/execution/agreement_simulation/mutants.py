@@ -21,11 +21,10 @@ from typing import (
 )
 from unittest import mock
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries, turn
 from gspn_framework_package.execution import token_game as token_game_module
-from gspn_framework_package.execution import turn
 from gspn_framework_package.execution.agreement import electorate as electorate_module
-from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement import membership as membership_module
 from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.electorate import Electorate
@@ -42,7 +41,10 @@ from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.agreement.replication import Replication
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.agreement_simulation.schedule import Schedule, run_schedule
-from gspn_framework_package.execution.agreement_simulation.world import Node, ViolationError
+from gspn_framework_package.execution.agreement_simulation.world import (
+    SimulatedNode,
+    ViolationError,
+)
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
@@ -302,13 +304,13 @@ def _forgets_inhibitors() -> ContextManager[Any]:
 
 def _writes_late() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def carry_out(self: Node, effects: List[io.Effect]) -> None:
-            late = [e for e in effects if isinstance(e, io.Persist)]
-            original(self, [e for e in effects if not isinstance(e, io.Persist)] + late)
+        def carry_out(self: SimulatedNode, effects: List[interface.Effect]) -> None:
+            late = [e for e in effects if isinstance(e, interface.Persist)]
+            original(self, [e for e in effects if not isinstance(e, interface.Persist)] + late)
 
         return carry_out
 
-    return _wrap(Node, "carry_out", make)
+    return _wrap(SimulatedNode, "carry_out", make)
 
 
 def _starts_goals_twice() -> ContextManager[Any]:
@@ -346,11 +348,11 @@ def _wrong_results() -> ContextManager[Any]:
 
     def make(original: Any) -> Any:
         def propose(
-            self: Proposals, entry: log.Entry, order_id: str = "", suspect: str = ""
+            self: Proposals, entry: log_entries.Entry, order_id: str = "", suspect: str = ""
         ) -> None:
             original(self, entry, order_id, suspect)
             name, own = self.config.name, self.state.own_proposals
-            if isinstance(entry, log.Done):
+            if isinstance(entry, log_entries.Done):
                 before = last.get(name, entry.result)
                 last[name] = entry.result
                 item = own[-1].item._replace(entry=entry._replace(result=before))

@@ -6,15 +6,15 @@ from __future__ import annotations
 import random
 from typing import Callable, Dict, List, NamedTuple, Type
 
-from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.quorum import is_quorum
-from gspn_framework_package.execution.agreement.replica import Limits, Replica
+from gspn_framework_package.execution.agreement.replica import ProtocolLimits, Replica
 from gspn_framework_package.execution.agreement_simulation.plans import make_plan
 from gspn_framework_package.execution.agreement_simulation.world import (
     PACE,
     Disk,
-    Node,
+    SimulatedNode,
     ViolationError,
     Weather,
     World,
@@ -89,7 +89,7 @@ class Schedule(NamedTuple):
         return cls(int(seed), int(robots), mode == "partial", *kind)
 
 
-class Outcome(NamedTuple):
+class ScheduleResult(NamedTuple):
     """What came of it: sizes, the faults that were injected, and the ``logs`` for the checker.
 
     ``blocked``: the team lacks a quorum for good, since a robot whose vote it needs lost its log.
@@ -135,14 +135,14 @@ class _Run:
         times = (0.0, 0.002) if fast else (0.01, 0.08)
         self.world = World(plan, source.getrandbits(48), weather, replica_type, times)
         if self.kind == "tight":
-            self.world.limits = Limits(
+            self.world.limits = ProtocolLimits(
                 batch=source.choice([1, 2, 5]),
                 kept=source.choice([1, 3, 10]),
                 chunk=source.choice([1, 2, 3]),
                 snapshot_every=source.choice([2, 5]),
             )
         elif self.kind == "archive":
-            self.world.limits = Limits(snapshot_every=2, kept=source.choice([1, 3]))
+            self.world.limits = ProtocolLimits(snapshot_every=2, kept=source.choice([1, 3]))
         elif self.kind == "rivals":
             self.world.pace = PACE._replace(takeover=0.004, retry=0.015)
             self.world.weather = Weather(loss=0.15, late=0.3)
@@ -164,7 +164,7 @@ class _Run:
     def _count(self, fault: str) -> None:
         self.faults[fault] = self.faults.get(fault, 0) + 1
 
-    def _up(self) -> List[Node]:
+    def _up(self) -> List[SimulatedNode]:
         return [n for n in self.world.alive() if not n.suspended and n.name not in self.left]
 
     def _later(self, low: float, high: float, what: Callable[[], None]) -> None:
@@ -200,7 +200,7 @@ class _Run:
             node.doomed = self.random.randint(1, 30)
             self._count("crash")
 
-    def on_crash(self, node: Node) -> None:
+    def on_crash(self, node: SimulatedNode) -> None:
         if self.kind != "power":
             node.crash()
         elif self.world.fsync or self._can_lose(node):
@@ -211,7 +211,7 @@ class _Run:
             node.crash()
         self._later(0.01, 0.4, lambda: self._restart(node))
 
-    def _restart(self, node: Node) -> None:
+    def _restart(self, node: SimulatedNode) -> None:
         if node.replica is None and node.name not in self.left:
             node.start()
 
@@ -230,7 +230,7 @@ class _Run:
         else:
             self._lose(node)
 
-    def _lose(self, node: Node) -> None:
+    def _lose(self, node: SimulatedNode) -> None:
         if node.disk is None or node.name in self.left or not self._can_lose(node):
             return
         node.crash()
@@ -239,7 +239,7 @@ class _Run:
         self._count("crash, log lost")
         self._later(0.01, 0.5, lambda: self._restart(node))
 
-    def _can_lose(self, node: Node) -> bool:
+    def _can_lose(self, node: SimulatedNode) -> bool:
         """Whether the others still are a quorum without this robot's vote: otherwise the team
         would (rightly) block for ever."""
         ledgers = [n.replica.ledger for n in self.world.alive() if n.replica]
@@ -289,29 +289,29 @@ class _Run:
         robot = self.random.choice(names)
         place = self.random.choice(self.world.plan.action_places)
         who: str = self.random.choice(["", robot])
-        choices: List[log.Entry] = [
-            log.Pause(who),
-            log.Resume(who),
-            log.Resume(""),
-            log.SetPlace(robot, place),
-            log.Retry(robot),
+        choices: List[log_entries.Entry] = [
+            log_entries.Pause(who),
+            log_entries.Resume(who),
+            log_entries.Resume(""),
+            log_entries.SetPlace(robot, place),
+            log_entries.Retry(robot),
         ]
         entry = self.random.choice(choices)
         self.world.operator(entry, self.random.choice(up))
         self._count("order")
-        if isinstance(entry, log.Pause):
+        if isinstance(entry, log_entries.Pause):
             self._later(0.02, 0.3, lambda: self._resume_team(who))
 
     def _resume_team(self, who: str) -> None:
         up = self._up()
         if up:
-            self.world.operator(log.Resume(who), self.random.choice(up))
+            self.world.operator(log_entries.Resume(who), self.random.choice(up))
 
     def _evict(self) -> None:
         up = self._up()
         if len(up) > 1:
             node, victim = self.random.sample(up, 2)
-            self.world.operator(log.Evict(victim.name, -1), node)
+            self.world.operator(log_entries.Evict(victim.name, -1), node)
             self._count("evict by the operator")
 
     def _force_evict(self) -> None:
@@ -335,7 +335,7 @@ class _Run:
         chosen = self.random.sample(victims, self.random.choice([1, 1, len(victims)]))
         self._later(0.0, 0.35, lambda: self._assert_off(node, chosen))
 
-    def _assert_off(self, node: Node, victims: List[Node]) -> None:
+    def _assert_off(self, node: SimulatedNode, victims: List[SimulatedNode]) -> None:
         if node not in self._up():
             return
         for victim in victims:
@@ -349,14 +349,14 @@ class _Run:
                 # the operator took it on: what only those know does not count
                 self.world.given_up = True
             number = "f%d" % next(self.world._count)
-            node.give(io.ForceEvict(number, victim.name))
+            node.give(interface.ForceEvict(number, victim.name))
             self._count("eviction by force")
             if number in node.results and not node.results[number].ok:
                 self.world.given_up = before
         if self.world.given_up and self.random.random() < 0.6:
             self._later(0.02, 0.2, lambda: self._crash_and_restart(node))
 
-    def _crash_and_restart(self, node: Node) -> None:
+    def _crash_and_restart(self, node: SimulatedNode) -> None:
         if node.replica is not None and node.name not in self.left:
             node.crash()
             node.start()
@@ -415,12 +415,12 @@ class _Run:
         up = [n for n in self._up() if n.name not in self.world.plan.witness]
         if len(up) > 1:
             node = self.random.choice(up)
-            self.world.operator(log.Leave(node.name), node)
+            self.world.operator(log_entries.Leave(node.name), node)
             self._count("leave")
 
     def _join(self) -> None:
         name = "j%d" % sum(n.joins for n in self.world.nodes.values())
-        node = Node(self.world, name)
+        node = SimulatedNode(self.world, name)
         node.joins = True
         self.world.nodes[name] = node
         node.start()
@@ -441,13 +441,13 @@ class _Run:
                 continue
             for robot in replica.ledger.state.robots.values():
                 if robot.phase is Phase.FAILED and self.random.random() < 0.3:
-                    world.operator(log.Retry(robot.name), node)
+                    world.operator(log_entries.Retry(robot.name), node)
                     break
         world.at(world.now + 0.05, self._watch)
 
     # -- the run -----------------------------------------------------------------------------------
 
-    def run(self) -> Outcome:
+    def run(self) -> ScheduleResult:
         world = self.world
         world.on_crash = self.on_crash  # type: ignore[method-assign]
         if self.kind == "late":
@@ -483,7 +483,7 @@ class _Run:
                 raise ViolationError(
                     "not settled %g s after the last fault: %s" % (BOUND, self._why())
                 )
-        return Outcome(
+        return ScheduleResult(
             world.steps,
             world.length(),
             len(world.published),
@@ -542,7 +542,7 @@ class _Run:
         )
 
 
-def check_logs(outcome: Outcome) -> None:
+def check_logs(outcome: ScheduleResult) -> None:
     """Have the history checker look at the logs of a run.
 
     :raises ViolationError: a rule was broken.
@@ -559,7 +559,7 @@ def check_logs(outcome: Outcome) -> None:
 
 def run_schedule(
     schedule: Schedule, replica_type: Type[Replica] = Replica, *, check: bool = True
-) -> Outcome:
+) -> ScheduleResult:
     """Run a schedule.
 
     :param replica_type: the replica, or a mutant of it.

@@ -9,9 +9,9 @@ import random
 from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple, Type
 
-from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution.agreement import interface as io
-from gspn_framework_package.execution.agreement.replica import Limits, Pace, Replica
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.agreement import interface
+from gspn_framework_package.execution.agreement.replica import Pace, ProtocolLimits, Replica
 from gspn_framework_package.execution.agreement_simulation.plans import random_result
 from gspn_framework_package.execution.event_log import Record, header
 from gspn_framework_package.execution.firing import Ended, Fault, StartAction
@@ -62,7 +62,7 @@ def _header(plan: Plan) -> Record:
     return known[1]
 
 
-class Node:
+class SimulatedNode:
     """A process that hosts a replica.
 
     :param key: tells it from another process under the same name.
@@ -81,7 +81,7 @@ class Node:
         self.replica: Optional[Replica] = None
         self.life = 0
         self.suspended = False
-        self.backlog: List[io.Input] = []
+        self.backlog: List[interface.Input] = []
         self.doomed: Optional[int] = None
         """Crash when that many more effects were carried out."""
         self.wake = 0.0
@@ -89,7 +89,7 @@ class Node:
         self.joins = False
         self.halted = ""
         self.ended = False
-        self.results: Dict[str, io.OrderResult] = {}
+        self.results: Dict[str, interface.OrderResult] = {}
         self.log_id = ""
         """What its log goes by at present."""
         self.holds = -1
@@ -152,7 +152,7 @@ class Node:
             self.old_disks.append(self.disk)
         self.disk = None
 
-    def give(self, given: io.Input) -> None:
+    def give(self, given: interface.Input) -> None:
         """An input for the process, if there is one."""
         if self.replica is None or self.halted:
             return
@@ -167,9 +167,9 @@ class Node:
         backlog, self.backlog = self.backlog, []
         for given in backlog:
             self.give(given)
-        self.give(io.Tick())
+        self.give(interface.Tick())
 
-    def carry_out(self, effects: List[io.Effect]) -> None:
+    def carry_out(self, effects: List[interface.Effect]) -> None:
         """Carry effects out in order; a doomed process dies between two of them."""
         assert self.disk is not None
         durable = False
@@ -178,11 +178,11 @@ class Node:
             if self.doomed is not None:
                 self.doomed -= 1
                 if self.doomed <= 0:
-                    if isinstance(effect, io.Persist) and self.world.random.random() < 0.5:
+                    if isinstance(effect, interface.Persist) and self.world.random.random() < 0.5:
                         self._write(effect.record)
                     self.world.on_crash(self)
                     return
-            if isinstance(effect, io.Persist):
+            if isinstance(effect, interface.Persist):
                 self._write(effect.record)
                 written.append(effect.record)
                 durable = durable or effect.durable
@@ -193,31 +193,33 @@ class Node:
             for record in written:  # until here nobody could know of it
                 self.world.on_record(self, record)
             written = []
-            if isinstance(effect, (io.Send, io.Reply)) and effect.message.get("kind") in (
+            if isinstance(effect, (interface.Send, interface.Reply)) and effect.message.get(
+                "kind"
+            ) in (
                 "promise",
                 "accepted",
             ):
                 self._check_written(effect.message)
-            if isinstance(effect, (io.Send, io.Reply)) and effect.message:
+            if isinstance(effect, (interface.Send, interface.Reply)) and effect.message:
                 self.world.on_message(self, effect.message)
-            if isinstance(effect, io.Send):
+            if isinstance(effect, interface.Send):
                 self.world.send(self.key, effect.to, effect.message)
-            elif isinstance(effect, io.Reply):
+            elif isinstance(effect, interface.Reply):
                 self.world.reply(self.key, effect)
             elif isinstance(effect, StartAction):
                 self.world.start_action(self, effect)
-            elif isinstance(effect, io.WakeAt):
+            elif isinstance(effect, interface.WakeAt):
                 self._wake_at(effect.time)
-            elif isinstance(effect, io.Halted):
+            elif isinstance(effect, interface.Halted):
                 self.halted = effect.reason
                 self.world.on_halted(self)
             elif isinstance(effect, Ended):
                 self.ended = True
             elif isinstance(effect, Fault):
                 self.faults.append(effect.message)
-            elif isinstance(effect, io.OrderResult):
+            elif isinstance(effect, interface.OrderResult):
                 self.results[effect.order_id] = effect
-            elif isinstance(effect, io.Fired):
+            elif isinstance(effect, interface.Fired):
                 self.world.on_fired(self, effect)
 
     def _wake_at(self, time: float) -> None:
@@ -232,7 +234,7 @@ class Node:
             return
         self._alarm = None
         if self.world.now >= self.wake - 1e-9:
-            self.give(io.Tick())
+            self.give(interface.Tick())
         else:
             self._wake_at(self.wake)
 
@@ -253,7 +255,7 @@ class Node:
                 "%s moves on its own, though it said that it holds still" % self.key
             )
 
-    def _check_written(self, message: io.Message) -> None:
+    def _check_written(self, message: interface.Message) -> None:
         """What a robot says that it promised or accepted is in its log, and on the disk."""
         assert self.disk is not None
         if not message.get("vote", True):
@@ -295,7 +297,7 @@ class World:
         self.hello_bytes = 0
         self.protocol_messages = 0
         """Messages but ``hello``."""
-        self.limits = Limits()
+        self.limits = ProtocolLimits()
         self.pace = PACE
         self.promised: Set[Tuple[str, Tuple[Any, ...]]] = set()
         """Which log has promised or accepted under which ballot."""
@@ -314,14 +316,14 @@ class World:
         self._last: Tuple[Any, str] = (None, "")
         self._calls: Dict[str, Tuple[str, int]] = {}
         self._chain: Dict[int, str] = {}
-        self.published: List[Tuple[float, io.Fired]] = []
+        self.published: List[Tuple[float, interface.Fired]] = []
         self.spares = 0
         self.away: Set[Tuple[str, str]] = set()
         """Links of a robot that is out of reach while a spare runs under its name."""
         self._gone: List[Disk] = []
-        self.nodes: Dict[str, Node] = {}
+        self.nodes: Dict[str, SimulatedNode] = {}
         for name in [r.name for r in plan.robots] + list(plan.witness):
-            self.nodes[name] = Node(self, name)
+            self.nodes[name] = SimulatedNode(self, name)
 
     # -- time ------------------------------------------------------------------------------------
 
@@ -343,7 +345,7 @@ class World:
 
     # -- network ---------------------------------------------------------------------------------
 
-    def send(self, sender: str, to: str, message: io.Message) -> None:
+    def send(self, sender: str, to: str, message: interface.Message) -> None:
         """Send a message, as a topic does, or as a call in partial synchronisation."""
         if message is not self._last[0]:
             self._last = (message, json.dumps(message))
@@ -352,7 +354,7 @@ class World:
             self.protocol_messages += 1 if to else len(self.nodes) - 1
         else:
             self.hello_bytes += len(text) * (len(self.nodes) - 1)
-        call = self.partial and message["kind"] in io.SERVICE_OF_MESSAGE
+        call = self.partial and message["kind"] in interface.SERVICE_OF_MESSAGE
         for name, node in list(self.nodes.items()):
             if name == sender or (to and node.name != to):
                 continue
@@ -362,7 +364,7 @@ class World:
                 self._calls[request] = (sender, self.nodes[sender].life)
             self._carry(sender, name, text, request)
 
-    def reply(self, sender: str, effect: io.Reply) -> None:
+    def reply(self, sender: str, effect: interface.Reply) -> None:
         """The reply of a call goes back to who called."""
         caller, life = self._calls.pop(effect.request_id, ("", 0))
         if not effect.message or caller not in self.nodes or self.nodes[caller].life != life:
@@ -386,11 +388,11 @@ class World:
 
     def _deliver(self, sender: str, to: str, text: str, request: str) -> None:
         if (sender, to) not in self.blocked and to in self.nodes:
-            self.nodes[to].give(io.Received(json.loads(text), request))
+            self.nodes[to].give(interface.Received(json.loads(text), request))
 
     # -- actions ---------------------------------------------------------------------------------
 
-    def start_action(self, node: Node, goal: StartAction) -> None:
+    def start_action(self, node: SimulatedNode, goal: StartAction) -> None:
         """An action runs, and ends with something that its place allows."""
         low, high = self.action_time
         life = node.life
@@ -415,15 +417,15 @@ class World:
                 return
             key = (goal.incarnation, goal.visit, goal.attempt)
             if failed:
-                node.give(io.ActionFailed(*key, "aborted"))
+                node.give(interface.AttemptFailed(*key, "aborted"))
             else:
-                node.give(io.ActionDone(*key, result))
+                node.give(interface.ActionDone(*key, result))
 
         self.at(self.now + time, end)
 
     # -- what is watched while it goes on ----------------------------------------------------------
 
-    def on_record(self, node: Node, record: Record) -> None:
+    def on_record(self, node: SimulatedNode, record: Record) -> None:
         """A record counts: no two replicas may put different things into one slot."""
         if record["kind"] == "slot" and not self.given_up:
             known = self._chain.setdefault(record["slot"], record["hash"])
@@ -432,7 +434,7 @@ class World:
                     "%s has another slot %d than somebody else" % (node.name, record["slot"])
                 )
 
-    def on_message(self, node: Node, message: io.Message) -> None:
+    def on_message(self, node: SimulatedNode, message: interface.Message) -> None:
         """A message goes out: who says that he holds still has to, and who proposes has promises
         that count."""
         if message["kind"] not in ("prepare", "promise", "accept"):
@@ -451,12 +453,12 @@ class World:
                         "%s counts on a promise that %s does not remember" % (node.key, name)
                     )
 
-    def on_fired(self, node: Node, fired: io.Fired) -> None:
+    def on_fired(self, node: SimulatedNode, fired: interface.Fired) -> None:
         """A firing was told."""
         if fired.publish:
             self.published.append((self.now, fired))
 
-    def on_halted(self, node: Node) -> None:
+    def on_halted(self, node: SimulatedNode) -> None:
         """A replica gave up."""
         if node.superseded or sum(n.name == node.name for n in self.nodes.values()) > 1:
             node.superseded = True
@@ -465,16 +467,16 @@ class World:
             return
         raise ViolationError("%s halted: %s" % (node.name, node.halted))
 
-    def on_crash(self, node: Node) -> None:
+    def on_crash(self, node: SimulatedNode) -> None:
         """A doomed process dies."""
         node.crash()
 
     # -- two processes under one name --------------------------------------------------------------
 
-    def add_spare(self, first: Node) -> Node:
+    def add_spare(self, first: SimulatedNode) -> SimulatedNode:
         """A node for a second process under the name of the first, which is to give way to it."""
         self.spares += 1
-        spare = Node(self, first.name, "%s-spare%d" % (first.name, self.spares))
+        spare = SimulatedNode(self, first.name, "%s-spare%d" % (first.name, self.spares))
         spare.joins = first.joins
         first.superseded = True
         self.nodes[spare.key] = spare
@@ -485,7 +487,7 @@ class World:
         self.blocked -= self.away
         self.away = set()
 
-    def remove(self, node: Node) -> None:
+    def remove(self, node: SimulatedNode) -> None:
         """A node is switched off for good; its logs are kept."""
         node.crash()
         del self.nodes[node.key]
@@ -493,7 +495,7 @@ class World:
 
     # -- questions -------------------------------------------------------------------------------
 
-    def alive(self) -> List[Node]:
+    def alive(self) -> List[SimulatedNode]:
         """The nodes with a process."""
         return [n for n in self.nodes.values() if n.replica is not None]
 
@@ -520,9 +522,9 @@ class World:
                 return False
         return len(ends) <= 1
 
-    def operator(self, order: log.Entry, node: Node) -> None:
+    def operator(self, order: log_entries.Entry, node: SimulatedNode) -> None:
         """Give an order to a node."""
-        node.give(io.Order("o%d" % next(self._count), order))
+        node.give(interface.Order("o%d" % next(self._count), order))
 
     def logs(self) -> List[Disk]:
         """All logs that were ever written."""

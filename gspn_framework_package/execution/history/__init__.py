@@ -10,12 +10,12 @@ from typing import Any, Dict, List, NamedTuple, Optional, Sequence
 
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.history.merge import Merged
-from gspn_framework_package.execution.history.replay import BrokenRuleError, Replay
 from gspn_framework_package.execution.history.robots import (
     LoggedProposals,
     RobotCheck,
     check_real_time,
 )
+from gspn_framework_package.execution.history.slot_check import BrokenRuleError, SlotCheck
 from gspn_framework_package.execution.history.votes import check_votes
 from gspn_framework_package.model.errors import LogError
 
@@ -97,7 +97,7 @@ class _Check:
                 "no log has slot %d: what is after it cannot be checked" % self.length
             )
         plan = self.logs[0].plan
-        replay = Replay(plan, bool(self.logs[0].header.get("agents")))
+        replay = SlotCheck(plan, bool(self.logs[0].header.get("agents")))
         situations, members, markings = [], [], []
         ended_at: Optional[int] = None
         for slot in range(self.length):
@@ -146,7 +146,7 @@ class _Check:
         if merged.void:
             self.notes.append("%d slots were given up by an eviction by force" % len(merged.void))
 
-    def _check_presence(self, merged: Merged, replay: Replay) -> None:
+    def _check_presence(self, merged: Merged, replay: SlotCheck) -> None:
         """The logs of all robots are here that did anything; those that were never switched on have
         none. Rule 9."""
         here = {log.robot for log in self.logs}

@@ -8,7 +8,7 @@ import json
 from typing import Any, Dict, List, NamedTuple, Sequence, Set, Tuple
 
 from gspn_framework_package.execution.event_log import EventLog, Record
-from gspn_framework_package.execution.history.replay import BrokenRuleError
+from gspn_framework_package.execution.history.slot_check import BrokenRuleError
 
 COMPARED = ("entries", "origins", "firings", "hash")
 

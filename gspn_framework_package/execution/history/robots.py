@@ -7,9 +7,9 @@ from bisect import bisect_left
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.execution.event_log import EventLog, Record
+from gspn_framework_package.execution.history.logged_team import Situation
 from gspn_framework_package.execution.history.merge import Merged
-from gspn_framework_package.execution.history.replay import BrokenRuleError
-from gspn_framework_package.execution.history.team import Situation
+from gspn_framework_package.execution.history.slot_check import BrokenRuleError
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.plan import Plan
 

@@ -24,14 +24,14 @@ _SET_PARENT_DEATH_SIGNAL = 1  # prctl(2)
 _WATCHED = (signal.SIGCHLD, signal.SIGINT, signal.SIGTERM)
 
 
-class Member(NamedTuple):
+class FamilyMember(NamedTuple):
     """A process to start: its name, for people, and its work, which returns the exit code."""
 
     name: str
     body: Callable[[], int]
 
 
-def run_family(members: List[Member], respawn: bool = False) -> int:
+def run_family(members: List[FamilyMember], respawn: bool = False) -> int:
     """Fork a process for each member, and wait until all have ended. SIGINT and SIGTERM are
     forwarded to all of them. When this process is killed, they are told to end.
 
@@ -54,10 +54,10 @@ def run_family(members: List[Member], respawn: bool = False) -> int:
 
 
 class _Parent:
-    def __init__(self, members: List[Member], respawn: bool, mask: object) -> None:
+    def __init__(self, members: List[FamilyMember], respawn: bool, mask: object) -> None:
         self._respawn, self._mask = respawn, mask
-        self._due: Dict[float, List[Member]] = {0.0: list(members)}
-        self._running: Dict[int, Member] = {}
+        self._due: Dict[float, List[FamilyMember]] = {0.0: list(members)}
+        self._running: Dict[int, FamilyMember] = {}
         self._ended_by: Optional[int] = None
         self._kill_at = 0.0
         self._code = 0
@@ -83,7 +83,7 @@ class _Parent:
             for member in self._due.pop(when):
                 self._start(member)
 
-    def _start(self, member: Member) -> None:
+    def _start(self, member: FamilyMember) -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         parent = os.getpid()
@@ -92,7 +92,7 @@ class _Parent:
             self._be(member, parent)
         self._running[pid] = member
 
-    def _be(self, member: Member, parent: int) -> None:
+    def _be(self, member: FamilyMember, parent: int) -> None:
         """In the child: do its work, and end."""
         code = 1
         try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any, List
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
@@ -46,11 +46,13 @@ class Run:
 
     def done(self, robot: str, result: str = "") -> List[str]:
         state = self.state.robots[robot]
-        return self.feed(log.Done(robot, state.incarnation, state.visit, result))
+        return self.feed(log_entries.Done(robot, state.incarnation, state.visit, result))
 
     def fail(self, robot: str, reason: str = "aborted") -> List[str]:
         state = self.state.robots[robot]
-        return self.feed(log.Failed(robot, state.incarnation, state.visit, state.attempt, reason))
+        return self.feed(
+            log_entries.Failed(robot, state.incarnation, state.visit, state.attempt, reason)
+        )
 
     def place(self, robot: str) -> str:
         return self.game.net.places[self.state.robots[robot].place].name

@@ -8,8 +8,7 @@ import re
 
 import pytest
 
-from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution import event_log
+from gspn_framework_package.execution import event_log, log_entries
 from gspn_framework_package.execution.agreement_simulation.plans import make_plan
 from gspn_framework_package.execution.event_log import (
     EventLogWriter,
@@ -33,7 +32,7 @@ def written(path, *, done: int = 3):
     writer.append(record)
     for result in ["t1", "t2", "t3", "t4"][:done]:
         robot = ledger.state.robots["r1"]
-        record, _ = ledger.append_local([log.Done("r1", 0, robot.visit, result)])
+        record, _ = ledger.append_local([log_entries.Done("r1", 0, robot.visit, result)])
         writer.append(record)
     writer.close()
     return ledger
@@ -189,8 +188,8 @@ def test_missing_file_and_folder(tmp_path) -> None:
 def test_repeats_have_no_effect_in_a_ledger() -> None:
     ledger = Ledger(TokenGame(PLAN))
     ledger.append([Item(ledger.game.start_entry(), Origin("", 0, 0))])
-    first = Item(log.Done("r1", 0, 1, "t1"), Origin("r1", 0, 1, "a"))
-    late = Item(log.Pause(), Origin("r1", 0, 1, "b"))
+    first = Item(log_entries.Done("r1", 0, 1, "t1"), Origin("r1", 0, 1, "a"))
+    late = Item(log_entries.Pause(), Origin("r1", 0, 1, "b"))
     record, step = ledger.append([first, first, late])
     assert len(record["entries"]) == len(step.firings) == 1
     again = Ledger(TokenGame(PLAN))

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.messages import MessageError, parse
 from gspn_framework_package.execution.agreement_simulation.plans import make_plan
 from gspn_framework_package.execution.agreement_simulation.world import World
@@ -36,7 +36,7 @@ class Listener(World):
         self.heard[form] = copy.deepcopy(message)
         super().send(sender, to, message)
 
-    def reply(self, sender: str, effect: io.Reply) -> None:
+    def reply(self, sender: str, effect: interface.Reply) -> None:
         if effect.message:
             self.heard[effect.message["kind"]] = copy.deepcopy(effect.message)
         super().reply(sender, effect)
@@ -71,7 +71,7 @@ def alive_and_valid(world: World) -> None:
 def give(world: World, message: Any) -> None:
     for node in world.nodes.values():
         if not isinstance(message, dict) or message.get("from") != node.name:
-            node.give(io.Received(message))
+            node.give(interface.Received(message))
 
 
 def forged(world: World, sender: str, kind: str, **fields: Any) -> Any:
@@ -151,7 +151,7 @@ ATTACKS: Dict[str, Attack] = {
         vote=True,
     ),
     "another start": lambda w: forged(
-        w, "r1", "event", vote=True, items=[entry("r9", 1, log.Start((), 1, "x"))]
+        w, "r1", "event", vote=True, items=[entry("r9", 1, log_entries.Start((), 1, "x"))]
     ),
     "broken snapshot": lambda w: forged(
         w, "r1", "learn", snapshot={"slot": w.length() + 5, "state": {}}
@@ -179,20 +179,24 @@ ATTACKS: Dict[str, Attack] = {
         "r1",
         "event",
         vote=True,
-        items=[entry("g%d" % i, 1, log.Join("g%d" % i, 0, "p1", "ghost")) for i in range(10)],
+        items=[
+            entry("g%d" % i, 1, log_entries.Join("g%d" % i, 0, "p1", "ghost")) for i in range(10)
+        ],
     ),
     "join for another": lambda w: forged(
-        w, "r1", "event", vote=True, items=[entry("g", 1, log.Join("r2", 5, "p1", "ghost"))]
+        w, "r1", "event", vote=True, items=[entry("g", 1, log_entries.Join("r2", 5, "p1", "ghost"))]
     ),
     "a million of facts": lambda w: forged(
         w,
         "r1",
         "event",
         vote=True,
-        items=[entry("r2", 10**6, log.Done("r2", 0, 10**6), w.nodes["r2"].replica.log_id[:8])],
+        items=[
+            entry("r2", 10**6, log_entries.Done("r2", 0, 10**6), w.nodes["r2"].replica.log_id[:8])
+        ],
     ),
     "a later incarnation": lambda w: forged(
-        w, "r1", "event", vote=True, items=[entry("r2", 1, log.Done("r2", 99, 1), "x", 99)]
+        w, "r1", "event", vote=True, items=[entry("r2", 1, log_entries.Done("r2", 99, 1), "x", 99)]
     ),
     "very long name": lambda w: {**forged(w, "r1", "hello", **HELLO), "log": "x" * 10**6},
     "a flood of ghosts": lambda w: {**forged(w, "r1", "hello", **HELLO), "from": "ghost"},

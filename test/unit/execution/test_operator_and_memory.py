@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.messages import Event
-from gspn_framework_package.execution.agreement.replica import Limits
+from gspn_framework_package.execution.agreement.replica import ProtocolLimits
 from gspn_framework_package.execution.agreement_simulation.plans import make_plan
-from gspn_framework_package.execution.agreement_simulation.world import Node, World
+from gspn_framework_package.execution.agreement_simulation.world import SimulatedNode, World
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.ledger import Item, Origin
@@ -22,14 +22,14 @@ TOUR, MEET, TOKENS, CROWD = range(4)
 class Team(World):
     """A team whose replicas may halt without a violation."""
 
-    def on_halted(self, node: Node) -> None:
+    def on_halted(self, node: SimulatedNode) -> None:
         pass
 
     def replica(self, name: str) -> Any:
         return self.nodes[name].replica
 
     def force(self, at: str, robot: str) -> None:
-        self.nodes[at].give(io.ForceEvict("force " + robot, robot))
+        self.nodes[at].give(interface.ForceEvict("force " + robot, robot))
 
     def answer(self, at: str, robot: str) -> Any:
         return self.nodes[at].results.get("force " + robot)
@@ -54,7 +54,7 @@ def team(
         node.start()
     world.run(0.5)
     for i in range(joiners):
-        node = world.nodes["j%d" % i] = Node(world, "j%d" % i)
+        node = world.nodes["j%d" % i] = SimulatedNode(world, "j%d" % i)
         node.joins = True
         node.start()
     world.run(1.5)
@@ -75,7 +75,7 @@ def all_agree(world: Team) -> None:
 @pytest.mark.parametrize("every", [3, 1000])
 def test_an_eviction_by_force_does_not_come_back_after_a_restart(partial: bool, every: int) -> None:
     world = team(TOUR, 3, partial)
-    world.limits = Limits(snapshot_every=every)
+    world.limits = ProtocolLimits(snapshot_every=every)
     world.nodes["r3"].crash()
     world.run(world.now + 1)
     world.force("r1", "r3")
@@ -95,7 +95,7 @@ def test_an_eviction_by_force_does_not_come_back_after_a_restart(partial: bool, 
     assert world.replica("r1").ledger.length == length  # one of three decides nothing
     world.blocked.clear()
     world.run(world.now + 1)
-    world.nodes["r2"].give(io.Order("pause", log.Pause()))
+    world.nodes["r2"].give(interface.Order("pause", log_entries.Pause()))
     all_agree(world)
     world.verify()
 
@@ -145,13 +145,13 @@ def test_a_robot_cast_out_wrongly_is_not_let_in_with_what_was_given_up(partial: 
     world.cut_off("r1")
     world.run(world.now + 1)  # r1 alone is a quorum, and goes on
     first = world.replica("r1")
-    join = Item(log.Join("r1", 1, "p1", first.log_id), Origin("r1", 1, 1, first.log_id[:8]))
+    join = Item(log_entries.Join("r1", 1, "p1", first.log_id), Origin("r1", 1, 1, first.log_id[:8]))
     # said in a life of r1 that the others know nothing of
     late = first.outbox.signed(Event([join], False))
     world.force("r2", "r1")
     world.run(world.now + 1)
     assert world.answer("r2", "r1").ok
-    world.nodes["r2"].give(io.Received(late))
+    world.nodes["r2"].give(interface.Received(late))
     world.run(world.now + 1)
     assert world.replica("r2").members() == ["r2"]
     world.blocked.clear()
@@ -169,7 +169,7 @@ def test_after_operators_who_contradict_each_other_one_story_is_left(
     world = team(TOKENS, 3, partial)
     world.given_up = True
     world.cut_off("r3")
-    node = world.nodes["j"] = Node(world, "j")
+    node = world.nodes["j"] = SimulatedNode(world, "j")
     node.joins = True
     away = {"r1", "r2", "r3"} - {joiner_at}
     world.blocked |= {(a, b) for a in away for b in ("j",)} | {("j", b) for b in away}
@@ -286,7 +286,7 @@ def test_the_log_is_learned_from_the_only_one_that_has_it_though_it_was_once_evi
 ) -> None:
     """Slot by slot, the learners go through a time in which that robot was out of the team."""
     world = team(TOKENS, 3, partial)
-    world.limits = Limits(chunk=1)
+    world.limits = ProtocolLimits(chunk=1)
     world.nodes["r3"].crash()
     world.run(world.now + 1)
     world.force("r1", "r3")
@@ -404,12 +404,14 @@ def test_a_name_without_a_robot_keeps_nobody_busy_and_nobody_out(partial: bool) 
     world.run(world.now + 1)
     for name in ("r1", "r2", "r3"):
         world.replica(name).proposals.add_others(
-            [Item(log.Join("j", 0, "p1", "lost"), Origin("j", 0, 1, "lost"))]
+            [Item(log_entries.Join("j", 0, "p1", "lost"), Origin("j", 0, 1, "lost"))]
         )
     before = [len(node.disk.lines) for node in world.nodes.values()]
     world.run(world.now + 3)
     assert [len(node.disk.lines) for node in world.nodes.values()] == before
-    node = world.nodes["j"] = Node(world, "j")  # which lost its log after it had asked to be let in
+    node = world.nodes["j"] = SimulatedNode(
+        world, "j"
+    )  # which lost its log after it had asked to be let in
     node.joins = True
     node.start()
     world.run(world.now + 2)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import gspn_framework_package
-from gspn_framework_package.execution.entries import FAILURES
+from gspn_framework_package.execution.log_entries import FAILURES
 from gspn_framework_package.execution.phase import Phase, phases_to_json
 from gspn_framework_package.execution.team_state import RobotState, TeamState, told_phase
 from gspn_framework_package.model.builder import NetBuilder

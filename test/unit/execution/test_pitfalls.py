@@ -15,7 +15,7 @@ import pytest
 from game_driver import Run, make_plan
 
 from gspn_framework_package.analysis.preflight import check
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
@@ -65,13 +65,17 @@ def test_01_the_robot_that_acquires_a_resource_moves() -> None:
 
 def test_02_a_transition_that_is_not_enabled_does_not_fire() -> None:
     run = Run(make_plan(tool_net(), ["idle", "idle"], resources=["tool"]))
-    run.feed(log.Done("a", 0, 1, "take"), log.Done("a", 0, 1, "take"), log.Done("b", 0, 1, "take"))
+    run.feed(
+        log_entries.Done("a", 0, 1, "take"),
+        log_entries.Done("a", 0, 1, "take"),
+        log_entries.Done("b", 0, 1, "take"),
+    )
     assert run.marking() == {"idle": 1, "use": 1}
 
 
 def test_03_of_two_robots_that_want_one_token_one_gets_it_and_the_other_later() -> None:
     run = Run(make_plan(tool_net(), ["idle", "idle"], resources=["tool"]))
-    run.feed(log.Done("b", 0, 1, "take"), log.Done("a", 0, 1, "take"))
+    run.feed(log_entries.Done("b", 0, 1, "take"), log_entries.Done("a", 0, 1, "take"))
     assert (run.place("a"), run.place("b")) == ("idle", "use")
     run.done("b", "give")
     assert (run.place("a"), run.place("b")) == ("use", "idle")
@@ -90,7 +94,9 @@ def test_05_source_and_sink_transitions() -> None:
         .build()
     )
     run = Run(make_plan(net, ["P"], resources=["order"]))
-    assert run.feed(log.Fire("arrive"), log.Fire("arrive"), log.Fire("drop")) == [
+    assert run.feed(
+        log_entries.Fire("arrive"), log_entries.Fire("arrive"), log_entries.Fire("drop")
+    ) == [
         "arrive",
         "arrive",
         "drop",
@@ -107,7 +113,9 @@ def test_06_a_bystander_sees_a_synchronisation() -> None:
 
 def test_07_partners_that_finish_together_go_to_different_places_once() -> None:
     run = Run(make_plan(meeting(), ["P1", "P2"]))
-    assert run.feed(log.Done("b", 0, 1, "meet"), log.Done("a", 0, 1, "meet")) == ["meet"]
+    assert run.feed(log_entries.Done("b", 0, 1, "meet"), log_entries.Done("a", 0, 1, "meet")) == [
+        "meet"
+    ]
     assert (run.place("a"), run.place("b")) == ("P3", "P4")
 
 
@@ -135,12 +143,12 @@ def test_10_a_wait_blocks_nobody_and_is_asked_again() -> None:
     assert run.done("b", "meet") == ["meet"]
 
 
-@pytest.mark.parametrize("reason", log.FAILURES)
+@pytest.mark.parametrize("reason", log_entries.FAILURES)
 def test_11_an_action_that_fails_stalls_nobody_silently(reason: str) -> None:
     run = Run(make_plan(tool_net(), ["idle"], resources=["tool"]))
     run.fail("a", reason)
     assert reason in run.why("a")
-    run.feed(log.Retry("a"))
+    run.feed(log_entries.Retry("a"))
     assert run.commands[-1] == StartAction("a", "idle", 0, 1, 2)
 
 

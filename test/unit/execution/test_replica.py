@@ -8,14 +8,18 @@ from typing import Any, List, Optional
 
 import pytest
 
-from gspn_framework_package.execution import entries as log
-from gspn_framework_package.execution.agreement import interface as io
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.local_transitions import LocalTransitions
 from gspn_framework_package.execution.agreement.messages import Envelope, Hello, Learn
 from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
-from gspn_framework_package.execution.agreement.replica import Limits, Pace, Replica
+from gspn_framework_package.execution.agreement.replica import Pace, ProtocolLimits, Replica
 from gspn_framework_package.execution.agreement_simulation.plans import make_plan
-from gspn_framework_package.execution.agreement_simulation.world import Node, Weather, World
+from gspn_framework_package.execution.agreement_simulation.world import (
+    SimulatedNode,
+    Weather,
+    World,
+)
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.firing import Ended, StartAction
 from gspn_framework_package.execution.history import verify
@@ -29,14 +33,14 @@ TOUR, MEET, TOKENS, CROWD = range(4)
 class Team(World):
     """A team without faults but those that the test makes; a replica that halts does not raise."""
 
-    def on_halted(self, node: Node) -> None:
+    def on_halted(self, node: SimulatedNode) -> None:
         pass
 
     def status(self, name: str) -> Any:
         return self.nodes[name].replica.status()
 
-    def order(self, name: str, entry: log.Entry) -> Optional[io.OrderResult]:
-        self.nodes[name].give(io.Order("the order", entry))
+    def order(self, name: str, entry: log_entries.Entry) -> Optional[interface.OrderResult]:
+        self.nodes[name].give(interface.Order("the order", entry))
         self.run(self.now + 1.0)
         return self.nodes[name].results.get("the order")
 
@@ -77,26 +81,26 @@ def test_one_robot_needs_no_messages(partial: bool) -> None:
     assert not [e for e in replica.start(0.0) if isinstance(e, StartAction)]
     assert not [
         e
-        for e in replica.step(io.Order("o", log.Pause("r1")), 0.1)
-        if isinstance(e, io.OrderResult)
+        for e in replica.step(interface.Order("o", log_entries.Pause("r1")), 0.1)
+        if isinstance(e, interface.OrderResult)
     ]
-    effects = replica.step(io.Tick(), 0.5)
-    assert [e.ok for e in effects if isinstance(e, io.OrderResult)] == [True]
-    effects += replica.step(io.Order("o", log.Resume("r1")), 0.5)
+    effects = replica.step(interface.Tick(), 0.5)
+    assert [e.ok for e in effects if isinstance(e, interface.OrderResult)] == [True]
+    effects += replica.step(interface.Order("o", log_entries.Resume("r1")), 0.5)
     for result in ["t1", "t2", "t3", "t4"]:
         (goal,) = [e for e in effects if isinstance(e, StartAction)]
         effects = replica.step(
-            io.ActionDone(goal.incarnation, goal.visit, goal.attempt, result), 0.6
+            interface.ActionDone(goal.incarnation, goal.visit, goal.attempt, result), 0.6
         )
-        assert not [e for e in effects if isinstance(e, io.Send) and e.to]
-        assert [e.firing.transition for e in effects if isinstance(e, io.Fired) and e.publish] == [
-            result
-        ]
+        assert not [e for e in effects if isinstance(e, interface.Send) and e.to]
+        assert [
+            e.firing.transition for e in effects if isinstance(e, interface.Fired) and e.publish
+        ] == [result]
 
 
 def test_a_record_is_written_before_anything_that_depends_on_it() -> None:
     world = team(TOKENS, 3)
-    seen: List[List[io.Effect]] = []
+    seen: List[List[interface.Effect]] = []
     for node in world.nodes.values():
         carry_out = node.carry_out
         node.carry_out = lambda effects, go=carry_out: (seen.append(effects), go(effects))[1]
@@ -104,9 +108,12 @@ def test_a_record_is_written_before_anything_that_depends_on_it() -> None:
     votes = 0
     for effects in seen:
         for i, effect in enumerate(effects):
-            if isinstance(effect, io.Send) and effect.message["kind"] in ("accept", "accepted"):
+            if isinstance(effect, interface.Send) and effect.message["kind"] in (
+                "accept",
+                "accepted",
+            ):
                 slot = effect.message["slot"]
-                written = [e.record for e in effects[:i] if isinstance(e, io.Persist)]
+                written = [e.record for e in effects[:i] if isinstance(e, interface.Persist)]
                 votes += any(r["kind"] == "accepted" and r["slot"] == slot for r in written)
     assert votes > 20
 
@@ -128,7 +135,7 @@ def test_the_operator_can_start_without_a_robot_that_never_came() -> None:
     for name in ("r1", "r2"):
         world.nodes[name].start()
     world.run(0.5)
-    world.nodes["r1"].give(io.ForceEvict("f", "r3"))
+    world.nodes["r1"].give(interface.ForceEvict("f", "r3"))
     world.run(1.5)
     assert world.nodes["r1"].results["f"].ok
     assert world.status("r1")["members"] == ["r1", "r2"]
@@ -139,12 +146,12 @@ def test_the_operator_can_start_without_a_robot_that_never_came() -> None:
 def test_a_pause_stops_the_team_and_a_resume_lets_it_go_on(partial: bool) -> None:
     world = team(TOUR, 3, partial)
     world.run(0.4)
-    assert world.order("r2", log.Pause()).ok
+    assert world.order("r2", log_entries.Pause()).ok
     fired = len(world.published)
     world.run(world.now + 0.5)
     assert len(world.published) == fired
     assert all(r["state"] == "Paused" for r in world.status("r1")["robots"])
-    assert world.order("r3", log.Resume()).ok
+    assert world.order("r3", log_entries.Resume()).ok
     assert len(world.published) > fired
     settle(world)
     world.check(settled=True)
@@ -153,14 +160,14 @@ def test_a_pause_stops_the_team_and_a_resume_lets_it_go_on(partial: bool) -> Non
 @pytest.mark.parametrize(
     ("entry", "why"),
     [
-        (log.SetPlace("r1", "nowhere"), "not an action place"),
-        (log.SetPlace("r9", "A"), "no robot 'r9'"),
-        (log.Fire("nothing"), "no transition 'nothing'"),
-        (log.Retry("r1"), "did not fail"),
-        (log.Evict("r7", -1), "no robot 'r7'"),
+        (log_entries.SetPlace("r1", "nowhere"), "not an action place"),
+        (log_entries.SetPlace("r9", "A"), "no robot 'r9'"),
+        (log_entries.Fire("nothing"), "no transition 'nothing'"),
+        (log_entries.Retry("r1"), "did not fail"),
+        (log_entries.Evict("r7", -1), "no robot 'r7'"),
     ],
 )
-def test_orders_that_make_no_sense_are_refused_at_once(entry: log.Entry, why: str) -> None:
+def test_orders_that_make_no_sense_are_refused_at_once(entry: log_entries.Entry, why: str) -> None:
     world = team(TOUR, 2)
     world.run(0.3)
     result = world.order("r1", entry)
@@ -196,7 +203,7 @@ def test_of_two_the_first_goes_on_alone_and_the_second_says_what_it_waits_for() 
     assert world.status("r2")["members"] == ["r1", "r2"]
     assert not world.status("r2")["quorum"]
     assert "r1" in world.status("r2")["waits_for"]
-    world.nodes["r2"].give(io.ForceEvict("f", "r1"))
+    world.nodes["r2"].give(interface.ForceEvict("f", "r1"))
     world.run(3.0)
     assert world.nodes["r2"].results["f"].ok
     assert world.status("r2")["members"] == ["r2"]
@@ -243,7 +250,7 @@ def test_a_robot_given_up_by_force_that_knew_more_learns_the_log_anew() -> None:
     assert ahead > world.nodes["r2"].replica.ledger.length
     world._chain.clear()  # from here on the two tell different stories, as the operator decided
     world.on_record = lambda node, record: None  # type: ignore[method-assign]
-    world.nodes["r2"].give(io.ForceEvict("f", "r1"))
+    world.nodes["r2"].give(interface.ForceEvict("f", "r1"))
     world.run(2.0)
     assert world.status("r2")["members"] == ["r2"]
     world.blocked.clear()
@@ -296,8 +303,8 @@ def test_another_plan_is_not_let_in() -> None:
     stranger.start(0.0)
     hello = Hello(0, True, False, "", (), {}, {}, {})
     message = Envelope("r1", "sim|%s" % world.plan.hash()[:12], "a log", 0, 0, 1, "", hello)
-    effects = stranger.step(io.Received(message.to_json()), 0.1)
-    (halted,) = [e for e in effects if isinstance(e, io.Halted)]
+    effects = stranger.step(interface.Received(message.to_json()), 0.1)
+    (halted,) = [e for e in effects if isinstance(e, interface.Halted)]
     assert "r1 has another plan" in halted.reason
 
 
@@ -309,20 +316,20 @@ def test_messages_of_other_runs_are_ignored() -> None:
     learn = Learn(at=length, slots=((Ballot(9, "r2"), [], replica.ledger.hash),))
     other = "old|%s" % world.plan.hash()[:12]
     message = Envelope("r2", other, world.nodes["r2"].replica.log_id, 0, 0, length + 1, "", learn)
-    effects = replica.step(io.Received(message.to_json()), world.now)
-    assert not [e for e in effects if isinstance(e, (io.Persist, io.Halted))]
+    effects = replica.step(interface.Received(message.to_json()), world.now)
+    assert not [e for e in effects if isinstance(e, (interface.Persist, interface.Halted))]
     assert replica.ledger.length == length
 
 
 def test_a_joiner_far_behind_takes_a_snapshot() -> None:
     world = Team(make_plan(TOKENS, 2, False, 0.0, 0.0, False), 1)
     world.mishaps = False
-    world.limits = Limits(kept=5)
+    world.limits = ProtocolLimits(kept=5)
     for node in world.nodes.values():
         node.start()
     world.run(1.0)
     assert world.length() > 10
-    node = world.nodes["j0"] = Node(world, "j0")
+    node = world.nodes["j0"] = SimulatedNode(world, "j0")
     node.joins = True
     node.start()
     world.run(2.0)
@@ -365,7 +372,7 @@ def test_a_robot_that_left_ends_and_the_others_go_on() -> None:
     node = world.nodes["r1"]
     carry_out = node.carry_out
     node.carry_out = lambda given: (effects.extend(given), carry_out(given))[1]
-    assert world.order("r1", log.Leave("r1")).ok
+    assert world.order("r1", log_entries.Leave("r1")).ok
     assert [e for e in effects if isinstance(e, Ended)]
     length = world.nodes["r2"].replica.ledger.length
     world.run(world.now + 0.5)
@@ -414,7 +421,7 @@ def test_a_robot_that_waits_for_hours_still_waits() -> None:
     world = team(TOKENS, 2)
     world.run(0.5)
     world.nodes["r1"].crash()
-    world.nodes["r2"].give(io.Order("o", log.Pause()))
+    world.nodes["r2"].give(interface.Order("o", log_entries.Pause()))
     world.run(4000.0)
     assert world.status("r2")["waits_for"] == "waits for an answer of r1"
     world.nodes["r1"].start()
@@ -450,9 +457,9 @@ def test_lost_messages_are_not_taken_for_a_slow_network() -> None:
 def test_robots_that_evict_each_other_do_not_empty_the_team(partial: bool) -> None:
     world = team(TOUR, 3, partial)
     nodes = world.nodes
-    nodes["r1"].give(io.Order("a", log.Evict("r3", -1)))
-    nodes["r1"].give(io.Order("b", log.Evict("r2", -1)))
-    nodes["r3"].give(io.Order("c", log.Evict("r1", -1)))
+    nodes["r1"].give(interface.Order("a", log_entries.Evict("r3", -1)))
+    nodes["r1"].give(interface.Order("b", log_entries.Evict("r2", -1)))
+    nodes["r3"].give(interface.Order("c", log_entries.Evict("r1", -1)))
     world.run(2.0)
     settle(world)
     assert sorted(world.status("r1")["members"]) == ["r1", "r2", "r3"]
@@ -465,7 +472,7 @@ def test_the_last_one_of_a_team_stays() -> None:
     world = team(TOUR, 2)
     world.run(0.3)
     for name in ("r1", "r2"):
-        world.nodes[name].give(io.Order("leave", log.Leave(name)))
+        world.nodes[name].give(interface.Order("leave", log_entries.Leave(name)))
     world.run(3.0)
     results = {name: world.nodes[name].results["leave"] for name in ("r1", "r2")}
     (stays,) = [name for name, result in results.items() if not result.ok]
@@ -481,7 +488,7 @@ def test_a_robot_that_is_not_evicted_after_all_keeps_its_local_transitions() -> 
     world = team(TOUR, 3, True)
     world.run(0.5)
     for who in ("r2", "r3", "r1"):  # the last of them stays
-        world.nodes["r2"].give(io.Order("evict " + who, log.Evict(who, -1)))
+        world.nodes["r2"].give(interface.Order("evict " + who, log_entries.Evict(who, -1)))
     world.run(3.0)
     results = world.nodes["r2"].results
     assert [results["evict " + who].ok for who in ("r1", "r2", "r3")] == [True, False, True]

@@ -10,7 +10,7 @@ import pytest
 from full_disk import fill_the_disk
 from waiting import wait_for
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log, replay
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.phase import Phase
@@ -140,7 +140,7 @@ def test_a_fork_makes_agents_and_the_log_rebuilds_the_run_exactly(tmp_path: Path
     state = game.new_state()
     firings: List[Firing] = []
     for slot, entries in enumerate(recorder.entries):
-        again = [log.from_json(log.to_json(e)) for e in entries]
+        again = [log_entries.from_json(log_entries.to_json(e)) for e in entries]
         firings += game.reduce(state, slot, again).firings
     assert (firings, state) == (recorder.firings, executor.state)
     assert len(state.robots) == state.marking[plan.net.place_index["C"]] > 3
@@ -176,7 +176,7 @@ def test_functions_that_do_not_succeed_leave_the_agent_to_the_operator(
     assert reason in recorder.faults[0]
     recorder.until(lambda: S.FAILED in recorder.states["1"])
     assert "waits for the operator" in executor.status()["agents"][0]["why"]
-    executor.order(log.Retry("1"))
+    executor.order(log_entries.Retry("1"))
     recorder.until(lambda: len(recorder.faults) == 2)
     executor.stop()
     ended = executor.wait(DEADLINE)

@@ -10,7 +10,7 @@ from game_driver import Run, make_plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import TeamState
@@ -82,11 +82,11 @@ def test_no_answer_in_a_place_with_one_exponential_output_asks_for_it() -> None:
 
 def test_a_stale_or_repeated_done_changes_nothing() -> None:
     run = Run(make_plan(line(), ["P1"]))
-    entry = log.Done("a", 0, 1, "T1")
+    entry = log_entries.Done("a", 0, 1, "T1")
     run.feed(entry)
     assert run.feed(entry) == []
-    assert run.feed(log.Done("a", 3, 2, "T2")) == []
-    assert run.feed(log.Done("nobody", 0, 1, "T1")) == []
+    assert run.feed(log_entries.Done("a", 3, 2, "T2")) == []
+    assert run.feed(log_entries.Done("nobody", 0, 1, "T1")) == []
     assert run.marking() == {"P2": 1}
 
 
@@ -190,9 +190,9 @@ def test_the_environment_fires_when_told_and_only_if_enabled() -> None:
     )
     run = Run(make_plan(net, ["P"], resources=["order"]))
     assert run.done("a", "work") == []
-    assert run.feed(log.Fire("back")) == []
+    assert run.feed(log_entries.Fire("back")) == []
     assert isinstance(run.commands[-1], Fault)
-    assert run.feed(log.Fire("arrive")) == ["arrive", "work"]
+    assert run.feed(log_entries.Fire("arrive")) == ["arrive", "work"]
 
 
 def test_the_policy_decides_and_counts_every_robot() -> None:
@@ -261,7 +261,7 @@ def test_a_draw_is_held_while_the_partner_is_busy() -> None:
         run = Run(make_plan(net, ["P1", "P2"], policy=policy, seed=seed))
         fired = run.done("a")
         for _ in range(3):
-            fired += run.feed(log.Pause("b"), log.Resume("b"))
+            fired += run.feed(log_entries.Pause("b"), log_entries.Resume("b"))
         fired += run.done("b") if not fired else []
         outcomes[fired[0]] += 1
     assert 340 <= outcomes["meet"] <= 380, outcomes
@@ -326,7 +326,7 @@ def test_a_result_that_names_no_possible_transition_is_a_fault(result: str) -> N
     assert run.done("a", result) == []
     assert run.state.robots["a"].phase is Phase.FAILED
     assert result in run.why("a")
-    run.feed(log.Retry("a"))
+    run.feed(log_entries.Retry("a"))
     assert run.commands[-1] == StartAction("a", "P1", 0, 1, 2)
     assert run.done("a", "T1") == ["T1"]
 
@@ -336,7 +336,7 @@ def test_on_failure_retry_then_wait() -> None:
     run = Run(make_plan(line(), ["P1"], on_failure={"P1": rule}))
     run.fail("a")
     assert run.commands[-1] == StartAction("a", "P1", 0, 1, 2, 0.5)
-    stale = log.Failed("a", 0, 1, 1, "aborted")
+    stale = log_entries.Failed("a", 0, 1, 1, "aborted")
     run.feed(stale)
     assert run.state.robots["a"].attempt == 2
     run.fail("a", "timeout")
@@ -373,42 +373,44 @@ def test_a_cycle_without_time_is_cut_off() -> None:
 
 def test_pause_and_resume_of_team_and_robot() -> None:
     run = Run(make_plan(line(), ["P1", "P1"]))
-    run.feed(log.Pause())
+    run.feed(log_entries.Pause())
     assert run.done("a", "T1") == []
     assert run.why("a") == "paused"
-    assert run.feed(log.Resume()) == ["T1"]
-    run.feed(log.Pause("b"))
+    assert run.feed(log_entries.Resume()) == ["T1"]
+    run.feed(log_entries.Pause("b"))
     assert run.done("b", "T1") == []
-    assert run.feed(log.Resume("b")) == ["T1"]
+    assert run.feed(log_entries.Resume("b")) == ["T1"]
 
 
 def test_eviction_return_leave_and_set_place() -> None:
     run = Run(make_plan(meeting(), ["P1", "P2"]))
     run.done("a", "meet")
     run.done("b", "back4")
-    run.feed(log.Evict("b", 0))
+    run.feed(log_entries.Evict("b", 0))
     assert run.marking() == {"P1": 1}
     assert run.state.members() == ["a"]
     assert "needs a robot in P2" in run.why("a")
-    run.feed(log.Evict("b", 0), log.Evict("nobody", 0))
-    run.feed(log.Join("b", 1))
+    run.feed(log_entries.Evict("b", 0), log_entries.Evict("nobody", 0))
+    run.feed(log_entries.Join("b", 1))
     assert run.commands[-1] == StartAction("b", "P2", 1, 2, 1)
     assert run.done("b", "meet") == ["meet"]
-    run.feed(log.SetPlace("a", "P2"))
+    run.feed(log_entries.SetPlace("a", "P2"))
     assert run.place("a") == "P2"
     assert CancelAction("a", 2) in run.commands
-    run.feed(log.Leave("a"))
+    run.feed(log_entries.Leave("a"))
     assert run.marking() == {"P4": 1}
-    run.feed(log.Evict("b", 1), log.Leave("b"))  # somebody has to let the others in again
+    run.feed(
+        log_entries.Evict("b", 1), log_entries.Leave("b")
+    )  # somebody has to let the others in again
     assert run.marking() == {"P4": 1}
     assert run.state.members() == ["b"]
 
 
 def test_a_restarted_member_keeps_its_visit_and_starts_the_action_again() -> None:
     run = Run(make_plan(line(), ["P1"]))
-    run.feed(log.Join("a", 1))
+    run.feed(log_entries.Join("a", 1))
     assert run.commands[-1] == StartAction("a", "P1", 1, 1, 2)
-    assert run.feed(log.Done("a", 0, 1, "T1")) == []
+    assert run.feed(log_entries.Done("a", 0, 1, "T1")) == []
     assert run.done("a", "T1") == ["T1"]
 
 
@@ -424,11 +426,11 @@ def test_on_lost_and_on_evict() -> None:
         )
     )
     run.done("a", "meet")
-    assert run.feed(log.Evict("b", 0)) == ["alone"]
+    assert run.feed(log_entries.Evict("b", 0)) == ["alone"]
     assert run.marking() == {"P3": 1, "tool": 1}
     run = Run(make_plan(meeting(), ["P1", "P2"], on_lost=LostRule(LostKind.STOP)))
     run.done("a", "meet")
-    run.feed(log.Evict("b", 0))
+    run.feed(log_entries.Evict("b", 0))
     assert run.state.ended is not None and "waits for it" in run.state.ended
 
 
@@ -490,21 +492,23 @@ def test_any_order_of_results_keeps_the_invariants_and_replays_exactly(data: Any
         entry = data.draw(
             st.sampled_from(
                 [
-                    log.Done(
+                    log_entries.Done(
                         name,
                         robot.incarnation,
                         robot.visit,
                         data.draw(st.sampled_from(["", "work", "pair", "home"])),
                     ),
-                    log.Failed(name, robot.incarnation, robot.visit, robot.attempt, "aborted"),
-                    log.Retry(name),
-                    log.Evict(name, robot.incarnation),
-                    log.Join(name, robot.incarnation + 1),
-                    log.Pause(name),
-                    log.Resume(name),
-                    log.SetPlace(name, "P1"),
-                    log.Pause(),
-                    log.Resume(),
+                    log_entries.Failed(
+                        name, robot.incarnation, robot.visit, robot.attempt, "aborted"
+                    ),
+                    log_entries.Retry(name),
+                    log_entries.Evict(name, robot.incarnation),
+                    log_entries.Join(name, robot.incarnation + 1),
+                    log_entries.Pause(name),
+                    log_entries.Resume(name),
+                    log_entries.SetPlace(name, "P1"),
+                    log_entries.Pause(),
+                    log_entries.Resume(),
                 ]
             )
         )
@@ -514,7 +518,7 @@ def test_any_order_of_results_keeps_the_invariants_and_replays_exactly(data: Any
     state = game.new_state()
     firings = []
     for slot, entry in enumerate(entries):
-        again = log.from_json(log.to_json(entry))
+        again = log_entries.from_json(log_entries.to_json(entry))
         assert again == entry
         state = TeamState.from_json(state.to_json(net), net)
         firings += game.reduce(state, slot, [again]).firings

@@ -6,15 +6,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gspn_framework_package.formats.routes import LETTER, LINE_HEIGHT, Box, Line, layout
+from gspn_framework_package.formats.routes import LETTER, LINE_HEIGHT, Line, NodeBox, layout
 
 
 def place(x, y, label="place"):
-    return Box(x, y, 15, 15, True, label)
+    return NodeBox(x, y, 15, 15, True, label)
 
 
 def transition(x, y, label="go\nλ 1"):
-    return Box(x, y, 6, 15, False, label)
+    return NodeBox(x, y, 6, 15, False, label)
 
 
 def gap(some, others):

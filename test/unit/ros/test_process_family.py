@@ -10,12 +10,12 @@ import threading
 import pytest
 from waiting import wait_for
 
-from gspn_framework_package.ros.transport.process_family import Member, run_family
+from gspn_framework_package.ros.transport.process_family import FamilyMember, run_family
 
 PROGRAM = """
 import os, signal, sys, time
 from gspn_framework_package.ros.transport import process_family
-from gspn_framework_package.ros.transport.process_family import Member, run_family
+from gspn_framework_package.ros.transport.process_family import FamilyMember, run_family
 
 process_family.RESPAWN_DELAY = 0.05
 process_family.PATIENCE = 0.5
@@ -86,14 +86,14 @@ def is_alive(pid):
 
 def test_the_largest_exit_code_counts(start, tmp_path):
     parent = start(
-        'sys.exit(run_family([Member("a", ends), Member("b", lambda: 0), Member("c", lambda: 1 / 0)]))'
+        'sys.exit(run_family([FamilyMember("a", ends), FamilyMember("b", lambda: 0), FamilyMember("c", lambda: 1 / 0)]))'
     )
     assert parent.wait(30) == 3
 
 
 def test_a_signal_ends_all_and_nothing_is_left(start, tmp_path):
     parent = start(
-        'sys.exit(run_family([Member("a", waits), Member("b", waits), Member("c", stubborn)]))'
+        'sys.exit(run_family([FamilyMember("a", waits), FamilyMember("b", waits), FamilyMember("c", stubborn)]))'
     )
     children = notes(tmp_path, "waits", 2) + notes(tmp_path, "stubborn", 1)
     parent.send_signal(signal.SIGINT)
@@ -103,7 +103,7 @@ def test_a_signal_ends_all_and_nothing_is_left(start, tmp_path):
 
 
 def test_a_parent_that_is_killed_takes_its_processes_along(start, tmp_path):
-    parent = start('run_family([Member("a", waits), Member("b", waits)])')
+    parent = start('run_family([FamilyMember("a", waits), FamilyMember("b", waits)])')
     children = notes(tmp_path, "waits", 2)
     parent.kill()
     assert sorted(notes(tmp_path, "told", 2)) == sorted(children)
@@ -115,7 +115,7 @@ def test_a_parent_that_is_killed_takes_its_processes_along(start, tmp_path):
 
 
 def test_a_process_that_dies_is_started_again_and_the_others_go_on(start, tmp_path):
-    start('run_family([Member("a", waits), Member("b", ends)], respawn=True)')
+    start('run_family([FamilyMember("a", waits), FamilyMember("b", ends)], respawn=True)')
     first = notes(tmp_path, "waits", 1)[0]
     assert len(set(notes(tmp_path, "ends", 3))) >= 3
     assert is_alive(first)
@@ -129,7 +129,7 @@ def test_threads_are_in_the_way():
     thread.start()
     try:
         with pytest.raises(RuntimeError, match="threads"):
-            run_family([Member("a", lambda: 0)])
+            run_family([FamilyMember("a", lambda: 0)])
     finally:
         release.set()
         thread.join()

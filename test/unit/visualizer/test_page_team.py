@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.visualizer.fired_follower import (
@@ -33,13 +33,13 @@ def random_run(plan, seed, slots=60, evict=0.04):
         robot = source.choice(busy or list(state.robots.values()))
         timed = [t for t in plan.net.consumers[robot.place] if plan.net.transitions[t].timed]
         result = plan.net.transitions[source.choice(timed)].name if timed else ""
-        entry = log.Done(robot.name, robot.incarnation, robot.visit, result)
+        entry = log_entries.Done(robot.name, robot.incarnation, robot.visit, result)
         if source.random() < evict and len(state.active()) > 1:
-            entry = log.Evict(robot.name, robot.incarnation)
+            entry = log_entries.Evict(robot.name, robot.incarnation)
         elif state.paused and (not busy or source.random() < 0.3):
-            entry = log.Resume("")
+            entry = log_entries.Resume("")
         elif not state.paused and source.random() < 0.04:
-            entry = log.Pause("")
+            entry = log_entries.Pause("")
         yield game, (entry,), game.reduce(state, slot, [entry]).firings, state
 
 

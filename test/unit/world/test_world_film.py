@@ -14,11 +14,11 @@ from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.model.robot_colours import colour_of
 from gspn_framework_package.world.bodies import rgba
 from gspn_framework_package.world.camera import Camera
+from gspn_framework_package.world.driving_team import DrivingTeam
 from gspn_framework_package.world.film import Film, find_ffmpeg
 from gspn_framework_package.world.recording import Recorder, read_recording
 from gspn_framework_package.world.room import Pose
 from gspn_framework_package.world.room_file import parse_room
-from gspn_framework_package.world.team import Team
 
 ROOM_TEXT = """
 name: hall
@@ -35,7 +35,7 @@ spawn: [[0.5, 0.5], [-0.5, -0.5]]
 
 @pytest.fixture
 def team():
-    team = Team(parse_room(ROOM_TEXT), ["robot_1", "robot_2"])
+    team = DrivingTeam(parse_room(ROOM_TEXT), ["robot_1", "robot_2"])
     yield team
     team.close()
 

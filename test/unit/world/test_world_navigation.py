@@ -7,12 +7,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gspn_framework_package.benchmark import room_tight
-from gspn_framework_package.world.avoidance import STANDING_GAP, Peer, brake, choose, follow
+from gspn_framework_package.world.avoidance import STANDING_GAP, OtherRobot, brake, choose, follow
+from gspn_framework_package.world.driving_team import CONTROL_PERIOD, DrivingTeam
 from gspn_framework_package.world.grid import RESOLUTION, SPARE, Grid
-from gspn_framework_package.world.navigation import GIVE_UP_AFTER, Navigator, Observation, Status
+from gspn_framework_package.world.navigation import (
+    GIVE_UP_AFTER,
+    NavigationStatus,
+    Navigator,
+    Observation,
+)
 from gspn_framework_package.world.room import Pose
 from gspn_framework_package.world.room_file import parse_room
-from gspn_framework_package.world.team import CONTROL_PERIOD, Team
 
 
 def room(width, height, *boxes):
@@ -48,7 +53,7 @@ CROSSING = room(4.8, 4.8, *((x, y, 1.2, 1.2) for x in (-0.85, 0.85) for y in (-0
 def drive(where, starts, goals, limit):
     """Send robots from poses to points; returns the team when all have ended, or time is up."""
     names = ["r%d" % index for index in range(len(starts))]
-    team = Team(where, names, [Pose(*start) for start in starts])
+    team = DrivingTeam(where, names, [Pose(*start) for start in starts])
     for name, goal in zip(names, goals):
         if goal is not None:
             team.navigators[name].go(Pose(*goal), team.time, turn=len(goal) == 3)
@@ -61,7 +66,7 @@ def drive(where, starts, goals, limit):
 def all_arrived(team, goals):
     """Whether every robot says it has arrived; that it has, is asserted."""
     for name, goal in zip(team.robots, goals):
-        if team.navigators[name].status is not Status.REACHED:
+        if team.navigators[name].status is not NavigationStatus.REACHED:
             return False
         assert goal is not None
     return team.physics.contacts.total == 0
@@ -69,12 +74,12 @@ def all_arrived(team, goals):
 
 def test_a_robot_goes_around_a_wall_and_looks_where_it_was_told():
     where = room(4, 4, (0, -0.5, 0.2, 3))
-    robot = Team(where, ["r0"], [Pose(-1.0, -1.0, 0.0)])
+    robot = DrivingTeam(where, ["r0"], [Pose(-1.0, -1.0, 0.0)])
     robot.navigators["r0"].go(Pose(1.0, -1.0, 1.5), robot.time)
     while robot.navigators["r0"].active and robot.time < 60:
         robot.step()
     pose = robot.physics.pose("r0")
-    assert robot.navigators["r0"].status is Status.REACHED
+    assert robot.navigators["r0"].status is NavigationStatus.REACHED
     assert pose.distance((1.0, -1.0)) < 0.1
     assert pose.yaw == pytest.approx(1.5, abs=0.2)
     assert robot.physics.contacts.total == 0
@@ -83,7 +88,7 @@ def test_a_robot_goes_around_a_wall_and_looks_where_it_was_told():
 
 def test_parked_robots_are_planned_around():
     team = drive(OPEN, [(-1, 0, 0), (0, 0, 0), (0, 0.4, 0)], [(1, 0), None, None], 30)
-    assert team.navigators["r0"].status is Status.REACHED
+    assert team.navigators["r0"].status is NavigationStatus.REACHED
     assert team.physics.contacts.total == 0
 
 
@@ -140,7 +145,7 @@ def test_nobody_touches_and_everybody_arrives(scene):
 )
 def test_a_goal_that_cannot_be_reached_is_given_up_with_a_reason(where, starts, goal, reason):
     team = drive(where, starts, [goal], 100)
-    assert team.navigators["r0"].status is Status.FAILED
+    assert team.navigators["r0"].status is NavigationStatus.FAILED
     assert reason in team.navigators["r0"].reason
     assert team.physics.contacts.total == 0
 
@@ -159,7 +164,7 @@ def test_a_gap_beside_a_parked_robot_is_passed_or_the_goal_is_given_up(gap):
     if gap < 2 * radius + STANDING_GAP:
         assert "blocked by robots" in navigator.reason
     elif gap > 2 * radius + STANDING_GAP + SPARE + RESOLUTION:
-        assert navigator.status is Status.REACHED
+        assert navigator.status is NavigationStatus.REACHED
 
 
 def test_a_narrow_gap_between_corners_is_driven_through():
@@ -170,7 +175,7 @@ def test_a_narrow_gap_between_corners_is_driven_through():
 
 
 def test_who_gets_nowhere_gives_up_in_the_end_however_often_it_stepped_aside():
-    team = Team(OPEN, ["r0"], [Pose(-1, 0, 0)])
+    team = DrivingTeam(OPEN, ["r0"], [Pose(-1, 0, 0)])
     navigator = team.navigators["r0"]
     navigator.go(Pose(1, 0), 0.0)
     # motors that do not answer
@@ -178,9 +183,9 @@ def test_who_gets_nowhere_gives_up_in_the_end_however_often_it_stepped_aside():
     stepped_aside = 0
     while navigator.active and team.time < 120:
         team.step()
-        stepped_aside += navigator.status is Status.YIELDING
+        stepped_aside += navigator.status is NavigationStatus.YIELDING
     assert stepped_aside
-    assert navigator.status is Status.FAILED
+    assert navigator.status is NavigationStatus.FAILED
     assert navigator.reason == "stuck for 60 s"
     assert team.time == pytest.approx(GIVE_UP_AFTER, abs=2.0)
     team.close()
@@ -188,7 +193,7 @@ def test_who_gets_nowhere_gives_up_in_the_end_however_often_it_stepped_aside():
 
 def test_a_way_that_opens_is_taken():
     """A parked robot blocks the corridor for a while."""
-    team = Team(NARROW, ["r0", "r1"], [Pose(-2, 0, 0), Pose(0, 0, 0)])
+    team = DrivingTeam(NARROW, ["r0", "r1"], [Pose(-2, 0, 0), Pose(0, 0, 0)])
     team.navigators["r0"].go(Pose(2, 0), 0.0, turn=False)
     while team.time < 15:
         team.step()
@@ -196,7 +201,7 @@ def test_a_way_that_opens_is_taken():
     team.navigators["r1"].go(Pose(2, 0.6), team.time, turn=False)
     while team.navigators["r0"].active and team.time < 90:
         team.step()
-    assert team.navigators["r0"].status is Status.REACHED
+    assert team.navigators["r0"].status is NavigationStatus.REACHED
     team.close()
 
 
@@ -206,7 +211,7 @@ def test_a_cancelled_goal_stops_the_robot():
     seen = Observation(0.1, Pose(0, 0, 0))
     assert navigator.step(seen, 0.1)[0] > 0.1
     navigator.cancel()
-    assert navigator.status is Status.IDLE
+    assert navigator.status is NavigationStatus.IDLE
     assert navigator.step(seen, 0.1) == (0.0, 0.0)
 
 
@@ -223,7 +228,7 @@ def test_two_who_meet_both_keep_to_the_right():
     grid = Grid(OPEN)
     west, east = Pose(-0.6, 0.0, 0.0), Pose(0.6, 0.0, math.pi)
     for me, other, target in ((west, east, (1.0, 0.0)), (east, west, (-1.0, 0.0))):
-        peer = Peer(
+        peer = OtherRobot(
             "other", other, (0.2 * math.cos(other.yaw), 0.0), True, (1.0,), ((-target[0], 0.0),)
         )
         direction, speed = choose(grid, me, target, 0.22, [peer], (2.0,), None)
@@ -256,7 +261,8 @@ def test_braking_keeps_two_robots_apart_whatever_they_want(headings, distance, b
     for wanted in headings:
         poses = [Pose(p.x, p.y, yaw) for p, yaw in zip(poses, wanted)]
         peers = [
-            Peer("p", p, (s * math.cos(p.yaw), s * math.sin(p.yaw))) for p, s in zip(poses, speeds)
+            OtherRobot("p", p, (s * math.cos(p.yaw), s * math.sin(p.yaw)))
+            for p, s in zip(poses, speeds)
         ]
         speeds = [brake(grid, poses[i], limit, CONTROL_PERIOD, [peers[1 - i]]) for i in (0, 1)]
         poses = [

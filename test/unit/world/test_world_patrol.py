@@ -8,10 +8,10 @@ import pytest
 
 from gspn_framework_package.execution.actions import ActionFailed
 from gspn_framework_package.world import patrol
+from gspn_framework_package.world.driving_team import DrivingTeam
 from gspn_framework_package.world.referee import STUCK_SECONDS, Referee
 from gspn_framework_package.world.room import Pose
 from gspn_framework_package.world.room_file import load_room
-from gspn_framework_package.world.team import Team
 from gspn_framework_package.world.traffic import Patrol
 
 FOLDER = Path(__file__).resolve().parents[3] / "plans" / "patrol"
@@ -265,7 +265,7 @@ def scene():
     made = []
 
     def put(*poses):
-        team = Team(ROOM, names(len(poses)), poses)
+        team = DrivingTeam(ROOM, names(len(poses)), poses)
         made.append(team)
         return team, Referee(team)
 

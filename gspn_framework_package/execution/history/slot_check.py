@@ -11,9 +11,9 @@ import hashlib
 from collections import Counter
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import Record
-from gspn_framework_package.execution.history.team import Team, Token
+from gspn_framework_package.execution.history.logged_team import LoggedRobot, LoggedTeam
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.errors import LogError
 
@@ -30,7 +30,7 @@ class BrokenRuleError(Exception):
         self.text = text
 
 
-class Replay(Team):
+class SlotCheck(LoggedTeam):
     """Looks at one slot after the other.
 
     :param plan: the plan that the log carries.
@@ -46,7 +46,7 @@ class Replay(Team):
         at = 0
         for data in record["entries"]:
             try:
-                entry = log.from_json(data)
+                entry = log_entries.from_json(data)
             except LogError as error:
                 raise BrokenRuleError(2, str(error)) from None
             if self.ended is not None:
@@ -153,7 +153,7 @@ class Replay(Team):
         return self._why_not_robots(firing, t, robot)
 
     def _why_not_robots(self, firing: Record, t: str, requester: str) -> str:
-        taken: Dict[str, List[Token]] = {}
+        taken: Dict[str, List[LoggedRobot]] = {}
         for name, source, _, visit in firing["moves"]:
             if source is None:
                 continue
@@ -212,7 +212,7 @@ class Replay(Team):
             return "%s asked for %s" % (name, robot.asks)
         return self._why_not_policy(firing, t, robot)
 
-    def _why_not_policy(self, firing: Record, t: str, robot: Token) -> str:
+    def _why_not_policy(self, firing: Record, t: str, robot: LoggedRobot) -> str:
         choices = self._choices(robot)
         if not choices:
             return "the policy gives %s nothing to do" % robot.name
@@ -225,7 +225,7 @@ class Replay(Team):
         chosen = _choose(choices, number)
         return "" if chosen == t else "the policy's draw is %s" % chosen
 
-    def _choices(self, robot: Token) -> List[Tuple[str, float]]:
+    def _choices(self, robot: LoggedRobot) -> List[Tuple[str, float]]:
         """What the policy lets the robot choose from: the best row that matches and speaks of its
         place, else (no row matches) the weights."""
         leaving = [t for t in self.leaving[robot.place] if not self.kind[t].timed]
@@ -277,7 +277,7 @@ class Replay(Team):
             if source is None:
                 if not self.agents or name in self.robots:
                     raise BrokenRuleError(3, "%s brings %s into being" % (where, name))
-                self.robots[name] = Token(name, target, 0)
+                self.robots[name] = LoggedRobot(name, target, 0)
             robot = self.robots[name]
             robot.place, robot.visit, robot.may_ask = target, visit, None
             arrived.append(robot)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Dict, List, Optional, Sequence, Tuple
 
-from gspn_framework_package.world.avoidance import Peer
+from gspn_framework_package.world.avoidance import OtherRobot
 from gspn_framework_package.world.grid import Grid
 from gspn_framework_package.world.navigation import Navigator, Observation
 from gspn_framework_package.world.physics import TIME_STEP, Physics
@@ -20,7 +20,7 @@ CONTROL_PERIOD = CONTROL_STEPS * TIME_STEP
 """Seconds between two commands of the navigators."""
 
 
-class Team:
+class DrivingTeam:
     """Robots that drive in a room.
 
     :param room: the room.
@@ -54,7 +54,7 @@ class Team:
         """Drive a robot by hand while it has no goal; it stops when no command follows in time."""
         self._teleop[robot] = (speed, turn_rate, self.time + seconds)
 
-    def peers(self) -> List[Peer]:
+    def peers(self) -> List[OtherRobot]:
         """What every robot shows and announces now."""
         peers = []
         for name in self.robots:

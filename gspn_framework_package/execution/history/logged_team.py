@@ -1,6 +1,6 @@
 """The team according to its log: the net, the marking, the robots, and the effects of entries.
 
-Written apart from the token game, and shares no code with it (see :mod:`.replay`).
+Written apart from the token game, and shares no code with it (see :mod:`.slot_check`).
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Dict, Iterable, List, NamedTuple, Optional, Tuple
 
-from gspn_framework_package.execution import entries as log
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.plan import FailureKind, LostKind, Plan
@@ -25,7 +25,7 @@ class Situation(NamedTuple):
 
 
 @dataclass
-class Token:
+class LoggedRobot:
     """A robot, according to the log."""
 
     name: str
@@ -53,7 +53,7 @@ class Token:
         return not self.phase.gone
 
 
-class Team:
+class LoggedTeam:
     """The state of a team as far as the entries and firings that were looked at.
 
     :param plan: the plan that the log carries.
@@ -68,7 +68,7 @@ class Team:
         self.marking: Dict[str, int] = {
             p.name: p.tokens if p.name in self.resources else 0 for p in net.places
         }
-        self.robots: Dict[str, Token] = {}
+        self.robots: Dict[str, LoggedRobot] = {}
         self.witnesses: Tuple[str, ...] = ()
         self.seed = 0
         self.paused = False
@@ -136,11 +136,11 @@ class Team:
             change[p] = change.get(p, 0) - n
         return change
 
-    def _waiting(self) -> List[Token]:
+    def _waiting(self) -> List[LoggedRobot]:
         done = [r for r in self.robots.values() if r.phase is Phase.DONE and not r.paused]
         return sorted(done, key=lambda r: r.order)
 
-    def _free(self, place: str, t: str) -> List[Token]:
+    def _free(self, place: str, t: str) -> List[LoggedRobot]:
         return [
             r
             for r in self._waiting()
@@ -155,37 +155,37 @@ class Team:
 
     # -- entries -----------------------------------------------------------------------------------
 
-    def _apply(self, entry: log.Entry) -> Optional[str]:
+    def _apply(self, entry: log_entries.Entry) -> Optional[str]:
         """Take an entry; the environment's transition that must fire at once, if it is about
         one."""
-        if isinstance(entry, log.Start):
+        if isinstance(entry, log_entries.Start):
             self._start(entry)
-        elif isinstance(entry, log.Done):
+        elif isinstance(entry, log_entries.Done):
             robot = self.robots.get(entry.robot)
             key = (entry.incarnation, entry.visit)
             if robot and robot.phase is Phase.DOING and key == (robot.incarnation, robot.visit):
                 self._done(robot, entry.result)
-        elif isinstance(entry, log.Failed):
+        elif isinstance(entry, log_entries.Failed):
             robot = self.robots.get(entry.robot)
             attempt = (entry.incarnation, entry.visit, entry.attempt)
             if robot and robot.phase is Phase.DOING and attempt == robot.goal:
                 self._failed(robot)
-        elif isinstance(entry, log.Retry):
+        elif isinstance(entry, log_entries.Retry):
             robot = self.robots.get(entry.robot)
             if robot and robot.phase is Phase.FAILED:
                 robot.phase, robot.failures = Phase.DOING, 0
                 robot.attempt += 1
-        elif isinstance(entry, log.Fire):
+        elif isinstance(entry, log_entries.Fire):
             t = entry.transition
             if t in self.kind and not self.paused and self._has_concession(t):
                 touched = set(self.inputs[t]) | (set() if self.agents else set(self.outputs[t]))
                 if self.resources.issuperset(touched):
                     return t
-        elif isinstance(entry, log.Join):
+        elif isinstance(entry, log_entries.Join):
             self._join(entry)
-        elif isinstance(entry, (log.Leave, log.Evict)):
+        elif isinstance(entry, (log_entries.Leave, log_entries.Evict)):
             self._gone(entry)
-        elif isinstance(entry, log.SetPlace):
+        elif isinstance(entry, log_entries.SetPlace):
             robot = self.robots.get(entry.robot)
             if robot and robot.here and entry.place in self.plan.action_places:
                 self.marking[robot.place] -= 1
@@ -193,34 +193,34 @@ class Team:
                 robot.place = entry.place
                 robot.visit += 1
                 self._enter(robot)
-        elif isinstance(entry, (log.Pause, log.Resume)):
-            paused = isinstance(entry, log.Pause)
+        elif isinstance(entry, (log_entries.Pause, log_entries.Resume)):
+            paused = isinstance(entry, log_entries.Pause)
             if not entry.robot:
                 self.paused = paused
             elif entry.robot in self.robots:
                 self.robots[entry.robot].paused = paused
-        elif isinstance(entry, log.Stop):
+        elif isinstance(entry, log_entries.Stop):
             self.ended = entry.reason
         return None
 
-    def _start(self, entry: log.Start) -> None:
+    def _start(self, entry: log_entries.Start) -> None:
         if self.robots:
             return
         self.seed, self.witnesses = entry.seed, entry.witnesses
         for name, place, incarnation in entry.roster:
-            self.robots[name] = Token(name, place, incarnation)
+            self.robots[name] = LoggedRobot(name, place, incarnation)
             self.marking[place] += 1
         for robot in list(self.robots.values()):
             self._enter(robot)
 
-    def _enter(self, robot: Token) -> None:
+    def _enter(self, robot: LoggedRobot) -> None:
         robot.attempt, robot.failures = 1, 0
         robot.asks = robot.may_ask = None
         robot.phase = Phase.DOING
         if self.plan.action(robot.name, robot.place) is None:
             self._done(robot, "")
 
-    def _done(self, robot: Token, result: Optional[str]) -> None:
+    def _done(self, robot: LoggedRobot, result: Optional[str]) -> None:
         leaving = self.leaving[robot.place]
         if not leaving:
             robot.phase = Phase.INACTIVE
@@ -236,11 +236,11 @@ class Team:
         else:
             self._failed(robot)
 
-    def _ask(self, robot: Token, what: Optional[str]) -> None:
+    def _ask(self, robot: LoggedRobot, what: Optional[str]) -> None:
         self.orders += 1
         robot.phase, robot.asks, robot.order, robot.failures = Phase.DONE, what, self.orders, 0
 
-    def _failed(self, robot: Token) -> None:
+    def _failed(self, robot: LoggedRobot) -> None:
         rule = self.plan.failure_rule(robot.place)
         if rule.kind is FailureKind.RETRY and robot.failures < rule.times:
             robot.failures += 1
@@ -253,13 +253,13 @@ class Team:
             else:
                 robot.phase = Phase.FAILED
 
-    def _join(self, entry: log.Join) -> None:
+    def _join(self, entry: log_entries.Join) -> None:
         robot = self.robots.get(entry.robot)
         if entry.robot in self.witnesses:
             return
         if robot is None:
             if entry.place in self.plan.action_places:
-                robot = Token(entry.robot, entry.place, entry.incarnation)
+                robot = LoggedRobot(entry.robot, entry.place, entry.incarnation)
                 self.robots[entry.robot] = robot
                 self.marking[entry.place] += 1
                 self._enter(robot)
@@ -272,14 +272,14 @@ class Team:
             elif robot.phase is Phase.DOING:
                 robot.attempt += 1
 
-    def _gone(self, entry: log.Entry) -> None:
-        assert isinstance(entry, (log.Leave, log.Evict))
+    def _gone(self, entry: log_entries.Entry) -> None:
+        assert isinstance(entry, (log_entries.Leave, log_entries.Evict))
         robot = self.robots.get(entry.robot)
         if robot is None or not robot.here:
             return
         if self.members() == [robot.name] and not self.agents:
             return  # the last one of a team stays
-        if isinstance(entry, log.Leave):
+        if isinstance(entry, log_entries.Leave):
             robot.phase = Phase.LEFT
             self.marking[robot.place] -= 1
             robot.paused = False
@@ -305,10 +305,10 @@ class Team:
                     else:
                         other.asks = rule.transition
 
-    def _all_waiting(self) -> List[Token]:
+    def _all_waiting(self) -> List[LoggedRobot]:
         return [r for r in self.robots.values() if r.phase is Phase.DONE]
 
-    def _waits_for(self, robot: Token, place: str) -> bool:
+    def _waits_for(self, robot: LoggedRobot, place: str) -> bool:
         wanted: Iterable[str] = [robot.asks] if robot.asks else self.leaving[robot.place]
         return any(
             n > len(self._free(place, t))
