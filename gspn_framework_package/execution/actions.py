@@ -312,7 +312,7 @@ def missing_function(folder: Optional[str], name: str) -> Optional[str]:
         line = ", line %s" % error.lineno if isinstance(error, SyntaxError) and error.lineno else ""
         return "%s%s: it cannot be read: %s" % (file, line, getattr(error, "msg", None) or error)
     defined = set()
-    waiting: list[Any] = list(tree.body)
+    waiting: list[ast.AST] = list(tree.body)
     while waiting:
         node = waiting.pop()
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):

@@ -203,7 +203,7 @@ class Ledger:
         self.hash = record["hash"]
 
 
-def _whole(value: Any) -> int:
+def _whole(value: object) -> int:
     if type(value) is not int or value < 0:
         raise ValueError("not a whole number: %.80r" % (value,))
     return value

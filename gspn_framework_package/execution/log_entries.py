@@ -127,14 +127,14 @@ class Stop(NamedTuple):
 Entry = Union[Start, Done, Failed, Retry, Fire, Join, Leave, Evict, SetPlace, Pause, Resume, Stop]
 
 
-def _plain_types(kind: Any) -> Dict[str, type]:
+def _plain_types(kind: type) -> Dict[str, type]:
     """The types of an entry's fields; a roster is looked at by itself."""
     plain: Dict[str, type] = {"str": str, "int": int, "bool": bool}
     named = {name: getattr(t, "__forward_arg__", t) for name, t in kind.__annotations__.items()}
     return {name: plain[t] for name, t in named.items() if t in plain}
 
 
-_KINDS: Dict[str, Type[Any]] = {
+_KINDS: Dict[str, Type[Entry]] = {
     "start": Start,
     "done": Done,
     "failed": Failed,

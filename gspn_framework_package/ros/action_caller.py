@@ -8,6 +8,7 @@ import time
 from collections import OrderedDict
 from typing import Any, Callable, Dict, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
+import genpy
 import rospy
 
 from gspn_framework_package.execution.firing import StartAction
@@ -49,7 +50,7 @@ class _Goal:
         self.connect_by = connect_by
         self.connection: Optional[Connection] = None
         """The way it was sent; None before."""
-        self.message: Any = None
+        self.message: Optional[genpy.Message] = None
         """As it was sent; None before."""
         self.sent_at = 0.0
         self.send_again_at = 0.0
@@ -104,7 +105,7 @@ class ActionCaller:
         timeout: Callable[[str], Optional[float]],
         enqueue: Callable[..., None],
         ended: Callable[[ActionEnded], None],
-        feedback: Callable[[GoalIdentity, Any], None] = lambda identity, message: None,
+        feedback: Callable[[GoalIdentity, genpy.Message], None] = lambda identity, message: None,
         patience: Patience = DEFAULT_PATIENCE,
         limit: int = 32,
         own_servers: Optional[Mapping[str, PlaceServer]] = None,
@@ -294,7 +295,9 @@ class ActionCaller:
                 "%s does not know the goal any more" % connection.server,
             )
 
-    def _finish(self, goal: _Goal, outcome: str, text: str, result: Any) -> None:
+    def _finish(
+        self, goal: _Goal, outcome: str, text: str, result: Optional[genpy.Message]
+    ) -> None:
         transition = None if outcome == "lost" else goal.target.transition_of(outcome, result)
         if transition is None:
             self._fail(goal, outcome, text)

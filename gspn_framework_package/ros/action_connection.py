@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any, Callable, Dict, Optional
 
+import genpy
 import rospy
 from actionlib_msgs.msg import GoalID, GoalStatus, GoalStatusArray
 
@@ -47,7 +48,7 @@ class ActionConnection:
     def __init__(
         self,
         server: str,
-        action_type: Any,
+        action_type: type,
         robot: str,
         tag: str,
         hand_on: Callable[[ActionConnection, GoalNews, str, Any], None],
@@ -111,7 +112,7 @@ class ActionConnection:
             seconds = min(seconds, rospy.get_time() - self._last_status_ros[caller])
         return seconds
 
-    def send(self, goal_id: str, goal: Any, incarnation: int) -> None:
+    def send(self, goal_id: str, goal: genpy.Message, incarnation: int) -> None:
         """Send a goal and watch it; sending the same one again does no harm.
 
         Its stamp is empty: the server puts its own time there, so that no skew of clocks makes an
@@ -171,12 +172,12 @@ class ActionConnection:
                 rospy.logwarn("%s: cancels the goal %s of an earlier start", self.server, goal_id)
             self.cancel(goal_id)
 
-    def _on_result(self, message: Any) -> None:
+    def _on_result(self, message: genpy.Message) -> None:
         status = message.status
         if status.goal_id.id == self._watched and status.status in ENDED:
             value = (ENDED[status.status], status.text, message.result)
             self._hand_on(self, GoalNews.RESULT, status.goal_id.id, value)
 
-    def _on_feedback(self, message: Any) -> None:
+    def _on_feedback(self, message: genpy.Message) -> None:
         if message.status.goal_id.id == self._watched:
             self._hand_on(self, GoalNews.FEEDBACK, self._watched, message.feedback)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, Mapping, NamedTuple, Optional
+from typing import Any, Dict, Mapping, NamedTuple, Optional, Union
 
 import genpy
 import rosgraph.names
@@ -22,7 +22,7 @@ class ActionTarget(NamedTuple):
     place: str
     server: str
     """Absolute name."""
-    action_type: Any
+    action_type: type
     """The class of the action, e.g. MoveBaseAction."""
     goal: Mapping[str, Any]
     outcomes: Mapping[str, str]
@@ -30,7 +30,7 @@ class ActionTarget(NamedTuple):
     foreign: bool
     """Whether the server is somebody else's: not one of the plan's Python functions."""
 
-    def new_goal(self) -> Any:
+    def new_goal(self) -> genpy.Message:
         """A goal message. Empty time stamps of headers stay empty ("the latest"); the word ``now``
         in the place of a stamp is the time of sending.
 
@@ -49,7 +49,7 @@ class ActionTarget(NamedTuple):
             ) from None
         return goal
 
-    def transition_of(self, outcome: str, result: Any) -> Optional[str]:
+    def transition_of(self, outcome: str, result: Optional[genpy.Message]) -> Optional[str]:
         """The transition that an outcome stands for, "" for "the policy decides"; None: a failure.
 
         :param outcome: the value of an ``Outcome``.
@@ -57,7 +57,7 @@ class ActionTarget(NamedTuple):
         """
         # that a result of another type has a field of this name means nothing
         names_one = getattr(result, "_type", "") == EXEC_GSPN_RESULT
-        if outcome == "succeeded" and not self.outcomes and names_one:
+        if outcome == "succeeded" and not self.outcomes and result is not None and names_one:
             return str(result.transition)
         return self.outcomes.get(outcome, "" if outcome == "succeeded" else None)
 
@@ -80,26 +80,27 @@ def action_targets(plan: Plan, robot: str, namespace: str) -> Dict[str, ActionTa
     return targets
 
 
-def _target(place: str, action: Any, namespace: str) -> ActionTarget:
+def _target(
+    place: str, action: Union[FunctionAction, ServerAction], namespace: str
+) -> ActionTarget:
     name = rospy.names.ns_join(namespace, action.server)
     if not rosgraph.names.is_legal_name(name):
         raise PlanError(
             "'%s' is not a legal name in ROS" % action.server, element="action of '%s'" % place
         )
-    foreign = isinstance(action, ServerAction)
-    type_name = EXEC_GSPN if isinstance(action, FunctionAction) else action.type
-    if type_name == EXEC_GSPN:
+    if isinstance(action, FunctionAction) or action.type == EXEC_GSPN:
         from gspn_framework_package.msg import ExecGSPNAction
 
-        outcomes = action.outcomes if foreign else {}
+        foreign = isinstance(action, ServerAction)
+        outcomes = action.outcomes if isinstance(action, ServerAction) else {}
         return ActionTarget(place, name, ExecGSPNAction, {"place": place}, outcomes, foreign)
-    action_type = _action_type(place, type_name)
+    action_type = _action_type(place, action.type)
     target = ActionTarget(place, name, action_type, action.goal or {}, action.outcomes, True)
     target.new_goal()
     return target
 
 
-def _action_type(place: str, type_name: str) -> Any:
+def _action_type(place: str, type_name: str) -> type:
     """The class of an action type. :raises PlanError: it is not known here."""
     try:
         action_type = roslib.message.get_message_class(type_name)

@@ -6,10 +6,11 @@ from __future__ import annotations
 import time
 from typing import Any, Callable, Dict, Optional
 
+import genpy
 import rospy
 from actionlib_msgs.msg import GoalStatus
 
-from gspn_framework_package.msg import ExecGSPNActionGoal
+from gspn_framework_package.msg import ExecGSPNActionGoal, ExecGSPNGoal
 from gspn_framework_package.ros.action_connection import ENDED
 from gspn_framework_package.ros.goal_state import GoalNews
 from gspn_framework_package.ros.place_servers import PlaceServer
@@ -55,7 +56,7 @@ class DirectConnection:
         """None: a server of the same process is alive."""
         return 0.0
 
-    def send(self, goal_id: str, goal: Any, incarnation: int) -> None:
+    def send(self, goal_id: str, goal: ExecGSPNGoal, incarnation: int) -> None:
         """Send a goal and watch it; sending the same one again does no harm."""
         self._watched = goal_id
         message = ExecGSPNActionGoal(goal=goal)
@@ -72,7 +73,7 @@ class DirectConnection:
         """Have the server cancel a goal."""
         self._server.cancel_goal(goal_id)
 
-    def _told(self, what: GoalNews, status: GoalStatus, message: Any) -> None:
+    def _told(self, what: GoalNews, status: GoalStatus, message: genpy.Message) -> None:
         """By the server, on any thread: ``what`` is FEEDBACK or RESULT."""
         goal_id = status.goal_id.id
         if goal_id != self._watched:

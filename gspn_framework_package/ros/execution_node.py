@@ -38,8 +38,8 @@ from gspn_framework_package.ros.action_targets import action_targets
 from gspn_framework_package.ros.goal_id import GoalIdentity
 from gspn_framework_package.ros.links import ServiceLink, TopicLink
 from gspn_framework_package.ros.messages import FIRED_TOPIC, fired_message
-from gspn_framework_package.ros.narrator import Narrator, level_of
-from gspn_framework_package.ros.node_services import NodeServices, View, Worker
+from gspn_framework_package.ros.narrator import Diagnosis, Narrator, level_of
+from gspn_framework_package.ros.node_services import Answer, NodeServices, View, Worker
 from gspn_framework_package.ros.options import NodeOptions
 from gspn_framework_package.ros.place_servers import PlaceServers
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
@@ -203,9 +203,9 @@ class ExecutionNode(Worker):
         """See :class:`Worker`."""
         self._tasks.put((function, arguments))
 
-    def ask(self, question: Callable[[], Any], timeout: float) -> Any:
+    def ask(self, question: Callable[[], Answer], timeout: float) -> Answer:
         """See :class:`Worker`."""
-        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
         self.enqueue(lambda: answers.put(question()))
         return answers.get(timeout=timeout)
 
@@ -532,7 +532,7 @@ class ExecutionNode(Worker):
             "fault": state.fault or self._replica.halted is not None,
         }
 
-    def _diagnosis(self) -> Any:
+    def _diagnosis(self) -> Diagnosis:
         view, waits_for = self.view(), self._waits_for()
         message = "%s in %s" % (view.robot_state, view.place or "no place")
         if waits_for:

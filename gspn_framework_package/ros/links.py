@@ -6,8 +6,9 @@ from __future__ import annotations
 import json
 import threading
 import time
-from typing import Any, Callable, Dict, List, NamedTuple, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
+import genpy
 import rospy
 
 from gspn_framework_package.execution.agreement.interface import (
@@ -32,7 +33,7 @@ from gspn_framework_package.srv import (
 
 TOPIC = "/gspn_agreement"
 
-_SERVICES: Dict[str, Tuple[Any, Callable[[str, str], Any]]] = {
+_SERVICES: Dict[str, Tuple[type, Callable[[str, str], genpy.Message]]] = {
     "get_place": (GetPlace, lambda me, body: GetPlaceRequest(from_robot=me, agreement=body)),
     "get_state": (GetState, lambda me, body: GetStateRequest(from_robot=me, agreement=body)),
     "set_place": (SetPlace, lambda me, body: SetPlaceRequest(agreement=body)),
@@ -128,7 +129,7 @@ class Link:
         self._subscriber.unregister()
         self._publisher.unregister()
 
-    def _publish(self, publisher: Any, to: str, message: Message) -> None:
+    def _publish(self, publisher: rospy.Publisher, to: str, message: Message) -> None:
         """Tell neighbours directly, and others on a topic.
 
         :param publisher: of the topic on which ``to`` hears; "" is everybody.
@@ -148,7 +149,7 @@ class Link:
     def _neighbours(self) -> Dict[str, Link]:
         return {robot: link for robot, link in _NEIGHBOURS.of(self).items() if link is not self}
 
-    def _somebody_else_listens(self, publisher: Any) -> bool:
+    def _somebody_else_listens(self, publisher: rospy.Publisher) -> bool:
         """Whether the topic is connected to anybody but this node itself."""
         return any(
             connection.endpoint_id != self._node for connection in publisher.impl.connections
@@ -203,7 +204,7 @@ class Link:
             self._answered,
         )
 
-    def _answered(self, response: Any) -> None:
+    def _answered(self, response: genpy.Message) -> None:
         message = json_object(response.agreement)
         if message:
             self._received(message)
@@ -253,7 +254,7 @@ class TopicLink(Link):
                 inbox.unregister()
         super().close()
 
-    def _connected_inbox(self, robot: str) -> Any:
+    def _connected_inbox(self, robot: str) -> Optional[rospy.Publisher]:
         peer = self._peers.get(robot)
         if peer is None:
             return None

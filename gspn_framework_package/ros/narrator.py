@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from typing import Any, Dict, Mapping
+from typing import Any, Callable, Dict, Mapping, Tuple
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -20,6 +20,9 @@ UNHEARD_PERIOD = 1.0
 """The same while nobody listens: the last message is latched."""
 
 DIAGNOSTICS_PERIOD = 1.0
+
+Diagnosis = Tuple[int, str, Mapping[str, Any]]
+"""What ``/diagnostics`` shows: (level, message, values)."""
 
 WAITING_TIME = 1.0
 """Seconds after which a robot that waits says for what."""
@@ -76,7 +79,12 @@ class Narrator:
         """Something has happened, so that what the robot does may have changed."""
         self._changed = True
 
-    def poll(self, now: float, activity: Any, status: Any) -> float:
+    def poll(
+        self,
+        now: float,
+        activity: Callable[[], Dict[str, Any]],
+        status: Callable[[], Diagnosis],
+    ) -> float:
         """Publish what is due; returns when to call it next, unless something happens before.
 
         :param activity: called for what the robot does, a JSON object.

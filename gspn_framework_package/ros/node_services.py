@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
-from typing import Any, Callable, Dict, NamedTuple, Optional
+from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple, TypeVar
 
 import rospy
 
@@ -14,12 +14,16 @@ from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.ros.messages import json_object, marking_fields
 from gspn_framework_package.srv import (
     Command,
+    CommandRequest,
     CommandResponse,
     GetPlace,
+    GetPlaceRequest,
     GetPlaceResponse,
     GetState,
+    GetStateRequest,
     GetStateResponse,
     SetPlace,
+    SetPlaceRequest,
     SetPlaceResponse,
 )
 
@@ -44,6 +48,9 @@ class View(NamedTuple):
     hash: str
 
 
+Answer = TypeVar("Answer")
+
+
 class Worker:
     """What the services need of the node; all of it may be called from any thread."""
 
@@ -54,7 +61,7 @@ class Worker:
         """Have the worker thread call ``function(*arguments)`` soon."""
         raise NotImplementedError
 
-    def ask(self, question: Callable[[], Any], timeout: float) -> Any:
+    def ask(self, question: Callable[[], Answer], timeout: float) -> Answer:
         """The answer of ``question()``, called on the worker thread. :raises queue.Empty: late."""
         raise NotImplementedError
 
@@ -112,13 +119,13 @@ class NodeServices:
 
     # -- the handlers, on rospy's threads ----------------------------------------------------------
 
-    def _get_place(self, request: Any) -> GetPlaceResponse:
+    def _get_place(self, request: GetPlaceRequest) -> GetPlaceResponse:
         if request.agreement:
             return GetPlaceResponse(agreement=self._protocol(request.agreement))
         state = self._get_state_now()
         return GetPlaceResponse(state.robot, state.place, state.incarnation, state.visit, "")
 
-    def _get_state(self, request: Any) -> GetStateResponse:
+    def _get_state(self, request: GetStateRequest) -> GetStateResponse:
         if request.agreement:
             return GetStateResponse(agreement=self._protocol(request.agreement))
         return self._get_state_now()
@@ -147,7 +154,7 @@ class NodeServices:
             "",
         )
 
-    def _set_place(self, request: Any) -> SetPlaceResponse:
+    def _set_place(self, request: SetPlaceRequest) -> SetPlaceResponse:
         if request.agreement:
             return SetPlaceResponse(True, "", self._protocol(request.agreement))
         other = self._other_run(request.run)
@@ -170,7 +177,7 @@ class NodeServices:
             run,
         )
 
-    def _command(self, request: Any) -> CommandResponse:
+    def _command(self, request: CommandRequest) -> CommandResponse:
         other = self._other_run(request.run)
         if other:
             return CommandResponse(False, other)
@@ -204,7 +211,7 @@ class NodeServices:
             raise rospy.ServiceException("no answer in time") from None
         return json.dumps(answer, separators=(",", ":")) if answer else ""
 
-    def _order(self, entry: Optional[log_entries.Entry], force_evict: str = "") -> Any:
+    def _order(self, entry: Optional[log_entries.Entry], force_evict: str = "") -> Tuple[bool, str]:
         results: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._worker.enqueue(self._worker.order, entry, force_evict, results.put)
         try:

@@ -15,7 +15,7 @@ from gspn_framework_package.ros.messages import read_status
 from gspn_framework_package.ros.node_services import ORDER_TIME
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
-from gspn_framework_package.srv import Command, CommandRequest
+from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
 
 PATIENCE = 2.0
 """Seconds that a node has for answering a plain question."""
@@ -46,7 +46,7 @@ def status_in(namespace: str) -> Optional[Dict[str, Any]]:
     if code != 1:
         return None
     calls = ServiceCalls(deadline=PATIENCE)
-    answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    answers: queue.SimpleQueue[CommandResponse] = queue.SimpleQueue()
     try:
         calls.call(namespace, uri, name, Command, CommandRequest(command="status"), answers.put)
         deadline = time.monotonic() + PATIENCE
@@ -160,7 +160,9 @@ class OperatorClient:
             raise ExecutionError("%s does not answer" % node.namespace) from None
         return answer.success, answer.message
 
-    def _send(self, node: NodeAddress, request: Any, answers: queue.SimpleQueue[Answer]) -> None:
+    def _send(
+        self, node: NodeAddress, request: CommandRequest, answers: queue.SimpleQueue[Answer]
+    ) -> None:
         self._calls.call(
             node.namespace,
             node.uri,

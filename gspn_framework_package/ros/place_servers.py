@@ -6,9 +6,11 @@ import threading
 import traceback
 from typing import Any, Callable, Dict, List, Optional
 
+import genpy
 import rospy
 from actionlib import ActionServer
 from actionlib.server_goal_handle import ServerGoalHandle
+from actionlib.status_tracker import StatusTracker
 from actionlib_msgs.msg import GoalID, GoalStatus, GoalStatusArray
 
 from gspn_framework_package.execution.actions import (
@@ -21,7 +23,12 @@ from gspn_framework_package.execution.actions import (
 )
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.model.plan import FunctionAction, Plan
-from gspn_framework_package.msg import ExecGSPNAction, ExecGSPNFeedback, ExecGSPNResult
+from gspn_framework_package.msg import (
+    ExecGSPNAction,
+    ExecGSPNActionGoal,
+    ExecGSPNFeedback,
+    ExecGSPNResult,
+)
 from gspn_framework_package.ros.goal_id import GoalIdentity, parse_goal_id
 from gspn_framework_package.ros.goal_state import GoalNews
 from gspn_framework_package.ros.transport.registration import found_parameter, registered_together
@@ -235,10 +242,10 @@ class PlaceServer(ActionServer):
         self._owner = owner
         self._actions = actions
         self._caller = ""
-        self._direct: Dict[str, Callable[[GoalNews, GoalStatus, Any], None]] = {}
+        self._direct: Dict[str, Callable[[GoalNews, GoalStatus, genpy.Message], None]] = {}
 
     started: bool
-    status_list: List[Any]
+    status_list: List[StatusTracker]
 
     def action(self, place: str) -> Optional[PythonAction]:
         """What is done for ``place``; a server of one action does not look at the place."""
@@ -281,7 +288,9 @@ class PlaceServer(ActionServer):
         ):
             topic.unregister()
 
-    def take(self, goal: Any, told: Callable[[GoalNews, GoalStatus, Any], None]) -> None:
+    def take(
+        self, goal: ExecGSPNActionGoal, told: Callable[[GoalNews, GoalStatus, genpy.Message], None]
+    ) -> None:
         """Take a goal that comes from this process. :param told: receives (FEEDBACK or RESULT,
         status, message) of the goal, besides the topics."""
         with self.lock:
@@ -293,20 +302,20 @@ class PlaceServer(ActionServer):
         """Cancel a goal that came from this process."""
         self.internal_cancel_callback(GoalID(id=goal_id))
 
-    def internal_goal_callback(self, goal: Any) -> None:
+    def internal_goal_callback(self, goal: ExecGSPNActionGoal) -> None:
         """A goal has come over the topic."""
         with self.lock:
             self._caller = goal._connection_header.get("callerid", "")
             super().internal_goal_callback(goal)
 
-    def publish_result(self, status: Any, result: Any) -> None:
+    def publish_result(self, status: GoalStatus, result: ExecGSPNResult) -> None:
         """Tell how a goal has ended."""
         super().publish_result(status, result)
         told = self._direct.pop(status.goal_id.id, None)
         if told is not None:
             told(GoalNews.RESULT, status, result)
 
-    def publish_feedback(self, status: Any, feedback: Any) -> None:
+    def publish_feedback(self, status: GoalStatus, feedback: ExecGSPNFeedback) -> None:
         """Tell how far a goal is."""
         super().publish_feedback(status, feedback)
         told = self._direct.get(status.goal_id.id)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter, deque
-from typing import Any, Deque, Dict, List, NamedTuple, Sequence, Tuple
+from typing import Deque, Dict, List, NamedTuple, Sequence, Tuple
 
 import rospy
 from std_msgs.msg import String
@@ -57,7 +57,7 @@ class TeamMonitor:
             topic = rospy.names.ns_join(namespace, "activity")
             rospy.Subscriber(topic, String, self._on_activity, callback_args=name)
 
-    def _on_fired(self, message: Any) -> None:
+    def _on_fired(self, message: FiredTransition) -> None:
         if message.run != self._run:
             return
         now = time.monotonic()
@@ -74,7 +74,7 @@ class TeamMonitor:
                 before = self.doing.get(robot, Doing("", "", 0, ""))
                 self.doing[robot] = before._replace(place=place, waits_for="")
 
-    def _on_activity(self, message: Any, name: str) -> None:
+    def _on_activity(self, message: String, name: str) -> None:
         told = json_object(message.data)
         if told is None or not _ACTIVITY_FIELDS <= set(told):
             return  # somebody else's

@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import queue
 import re
-from typing import Any, Dict
+from typing import Any, Callable, Dict
 
+import genpy
 import rospy
 
 from gspn_framework_package.execution.phase import Phase
@@ -89,22 +90,22 @@ class ThesisInterface:
     def _service(self, number: int, name: str) -> str:
         return str(rospy.resolve_name("/%s%d/%s" % (self._prefix.strip("/"), number, name)))
 
-    def _on_fired(self, message: Any) -> None:
+    def _on_fired(self, message: FiredTransition) -> None:
         self._run = self._run or message.run
         if message.run == self._run:
             self._publisher.publish(firing_data(message))
 
-    def _current_place(self, number: int, request: Any) -> CurrentPlaceResponse:
+    def _current_place(self, number: int, request: genpy.Message) -> CurrentPlaceResponse:
         state = self._ask(number, "get_state", GetState, GetStateRequest())
         doing = Phase.of_state(state.state) is Phase.DOING
         return CurrentPlaceResponse(state.place, "DOING" if doing else "DONE", number)
 
-    def _fire_sync(self, number: int, request: Any) -> FireSyncTransitionResponse:
+    def _fire_sync(self, number: int, request: genpy.Message) -> FireSyncTransitionResponse:
         order = SetPlaceRequest(place=request.place_to_go, run=self._run)
         answer = self._ask(number, "set_place", SetPlace, order)
         return FireSyncTransitionResponse("SUCCESS" if answer.success else answer.message)
 
-    def _ask(self, number: int, name: str, service_class: Any, request: Any) -> Any:
+    def _ask(self, number: int, name: str, service_class: type, request: genpy.Message) -> Any:
         """What the node of a robot answers. :raises rospy.ServiceException: it does not."""
         service = self._service(number, name)
         try:
@@ -122,7 +123,7 @@ class ThesisInterface:
             raise rospy.ServiceException("%s does not answer" % service) from None
 
 
-def firing_data(message: Any) -> GSPNFiringData:
+def firing_data(message: FiredTransition) -> GSPNFiringData:
     """A FiredTransition in the words of the thesis."""
     marking: Dict[str, int] = dict(zip(message.places, message.counts))
     number = re.search(r"[0-9]{1,18}$", message.robot)
@@ -134,5 +135,7 @@ def firing_data(message: Any) -> GSPNFiringData:
     )
 
 
-def _bound(serve: Any, number: int) -> Any:
+def _bound(
+    serve: Callable[[int, genpy.Message], genpy.Message], number: int
+) -> Callable[[genpy.Message], genpy.Message]:
     return lambda request: serve(number, request)

@@ -11,10 +11,11 @@ import re
 import secrets
 import threading
 import time
-from typing import Any, Dict, Iterator, Optional, Tuple
+from typing import Any, Dict, Iterator, Optional, Tuple, Union
 
 import flask
 from flask import Response, request
+from werkzeug.exceptions import HTTPException
 
 from gspn_framework_package import __version__
 from gspn_framework_package.model.errors import GspnError, InputError, UsageError
@@ -96,8 +97,8 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.errorhandler(404)
     @app.errorhandler(405)
-    def not_here(error: Any) -> Answer:
-        return {"error": "there is no such thing here"}, error.code
+    def not_here(error: HTTPException) -> Answer:
+        return {"error": "there is no such thing here"}, error.code or 404
 
     @app.errorhandler(Exception)
     def fault(error: Exception) -> Answer:
@@ -115,7 +116,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         return app.send_static_file("icon.svg")
 
     @app.route("/api/login", methods=["POST"])
-    def login() -> Any:
+    def login() -> Union[Answer, Response]:
         try:
             cookie = guard.login(str(_body().get("token", "")), _peer())
         except LoginError as error:
@@ -186,7 +187,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         return Response(news.text, mimetype="application/json")
 
     @app.route("/api/stream")
-    def stream() -> Any:
+    def stream() -> Union[Answer, Response]:
         hub = session().hub
         if not streams.take(_peer()):
             return {"error": "enough viewers are served already; this one polls"}, 503

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Any, Dict, List, Optional
+from typing import Any, Dict, List, Optional, Tuple
 
 from gspn_framework_package.model.errors import GspnError, LogError, UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.activity import Activity
 from gspn_framework_package.visualizer.board import Event
 from gspn_framework_package.visualizer.documents import Document, Folder
-from gspn_framework_package.visualizer.fired_follower import FiredFollower
+from gspn_framework_package.visualizer.fired_follower import FiredFollower, FiredMessage
 from gspn_framework_package.visualizer.hub import Hub
 
 TYPE = "gspn_framework_package/FiredTransition"
@@ -88,7 +88,7 @@ class BagReplay(Activity):
         hub.publish(*events)
 
 
-def _read(path: str) -> List[Any]:
+def _read(path: str) -> List[Tuple[float, FiredMessage]]:
     """Pairs (seconds, message) of the firings in a bag, in the order in which they were
     recorded."""
     try:

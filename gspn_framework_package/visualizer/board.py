@@ -28,13 +28,17 @@ none).
 
 from __future__ import annotations
 
-from typing import Any, Dict, Iterable, List, Mapping, Sequence, Set
+from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.execution.enabled_set import Change, EnabledSet
 from gspn_framework_package.execution.phase import ENTERED
 from gspn_framework_package.model.net import Net
 
 Event = Dict[str, Any]
+"""See the module."""
+
+Move = Tuple[str, Optional[int], Optional[int]]
+"""(robot, from, to) by place index; None for "from nowhere" and "to nowhere"."""
 
 NOTES_KEPT = 50
 """How many of the latest notes a board carries, so that one who comes late sees them."""
@@ -48,7 +52,7 @@ def fire_event(
     t: int,
     change: Change,
     who: str = "",
-    moves: Sequence[Sequence[Any]] = (),
+    moves: Sequence[Move] = (),
     back: bool = False,
 ) -> Event:
     """Transition ``t`` fired, or was taken ``back``.
@@ -62,7 +66,7 @@ def fire_event(
         "tr": t,
         "who": who,
         "d": [[p, -count if back else count] for p, count in net.effect(t)],
-        "m": list(moves),
+        "m": [list(move) for move in moves],
         "en": list(change.added),
         "dis": list(change.removed),
     }

@@ -12,7 +12,7 @@ import json
 import os
 import re
 import tempfile
-from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+from typing import Dict, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.formats.plan_file import PLAN_FILE, read_net_or_plan
 from gspn_framework_package.formats.registry import FORMATS
@@ -195,7 +195,7 @@ def _looks_like_plan(path: str) -> bool:
     return own or '"gspn"' in head
 
 
-def read_upload(files: Any) -> Document:
+def read_upload(files: object) -> Document:
     """The net or plan that a browser sent.
 
     The files are looked at in a folder of their own: whatever an uploaded plan names is looked for
@@ -224,7 +224,7 @@ def read_upload(files: Any) -> Document:
             raise
 
 
-def _sent_files(files: Any) -> Dict[str, bytes]:
+def _sent_files(files: object) -> Dict[str, bytes]:
     if not isinstance(files, list) or not 1 <= len(files) <= UPLOAD_FILES:
         raise UsageError("send 1 to %d files" % UPLOAD_FILES)
     sent = {}
@@ -251,7 +251,7 @@ def _only_beside(name: str, data: bytes, sent: Dict[str, bytes]) -> bytes:
     if not isinstance(plan, dict):
         return data
 
-    def beside(value: Any) -> Any:
+    def beside(value: object) -> object:
         if not isinstance(value, str):
             return value
         base = re.split(r"[/\\]", value)[-1]

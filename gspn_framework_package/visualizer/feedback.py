@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from typing import Any, Dict
+from typing import Dict, Optional
 
 from gspn_framework_package.visualizer.hub import Hub
 
@@ -17,7 +17,7 @@ class Feedback:
         self._hub = hub
         self._lock = threading.Lock()
         self._said: Dict[str, str] = {}
-        self._timer: Any = None
+        self._timer: Optional[threading.Timer] = None
 
     def tell(self, robot: str, text: str) -> None:
         """``robot`` says ``text``. May be called from any thread."""

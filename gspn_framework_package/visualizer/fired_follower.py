@@ -17,7 +17,7 @@ from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.model.plan import Plan, Synchronisation
-from gspn_framework_package.visualizer.board import Board, Event, fire_event, mark_event
+from gspn_framework_package.visualizer.board import Board, Event, Move, fire_event, mark_event
 
 PATIENCE = 0.25
 """Seconds that a firing which does not fit waits for the ones before it."""
@@ -30,6 +30,8 @@ class FiredMessage(Protocol):
     """A message of ``fired_transitions`` (gspn_framework_package/FiredTransition), live or out of a
     bag."""
 
+    plan: str
+    run: str
     transition: str
     robot: str
     visit: int
@@ -216,13 +218,13 @@ class FiredFollower:
     def _fire(self, news: FiredMessage) -> Event:
         t = self.net.transition_index[news.transition]
         change = self._enabled.move_to(self._after(t))
-        moves = []
+        moves: List[Move] = []
         for robot, name in zip(news.robots, news.robot_places):
             target = self.net.place_index.get(name)
             if target is None:
                 continue
             seen = self.robots.get(robot)
-            moves.append([robot, seen.place if seen and seen.place >= 0 else None, target])
+            moves.append((robot, seen.place if seen and seen.place >= 0 else None, target))
             visit = None
             if robot == news.robot:
                 visit = news.visit + 1

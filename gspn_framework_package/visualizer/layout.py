@@ -13,9 +13,9 @@ import math
 import subprocess
 import threading
 from collections import OrderedDict
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, List, NamedTuple, Optional, Tuple, Union
 
-from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.net import Net, Place, Transition
 
 Point = Tuple[float, float]
 
@@ -68,7 +68,7 @@ _lock = threading.Lock()
 def net_hash(net: Net) -> str:
     """Hex digest of what decides how a net looks: its nodes, arcs and positions, not its
     tokens."""
-    essence: List[Any] = [
+    essence: List[object] = [
         [[p.name, p.position] for p in net.places],
         [[t.name, t.timed, t.position] for t in net.transitions],
         [list(a) for a in net.arcs],
@@ -134,10 +134,10 @@ def _names(net: Net) -> List[str]:
 def _positions_of_file(net: Net) -> Optional[Dict[str, Point]]:
     """The positions of the file, to the scale of the symbols; None when they are not all there, or
     not all different."""
-    nodes: Sequence[Any] = list(net.places) + list(net.transitions)
-    if any(node.position is None for node in nodes):
+    nodes: List[Union[Place, Transition]] = [*net.places, *net.transitions]
+    points = {node.name: node.position for node in nodes if node.position is not None}
+    if len(points) < len(nodes):
         return None
-    points = {node.name: node.position for node in nodes}
     nearest = _nearest_distance(list(points.values()))
     if nearest < 1.0:
         return None

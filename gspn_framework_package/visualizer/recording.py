@@ -15,7 +15,7 @@ import time
 import zlib
 from bisect import bisect_right
 from collections import OrderedDict
-from typing import Any, BinaryIO, Iterator, List, NamedTuple, Optional, Tuple
+from typing import BinaryIO, Iterator, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution.event_log import LogFile, Record, Replayer
 from gspn_framework_package.execution.team_state import TeamState
@@ -69,7 +69,7 @@ class _Clock:
         return self.t
 
 
-def _number(value: Any) -> Optional[float]:
+def _number(value: object) -> Optional[float]:
     return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
 
 

@@ -10,8 +10,9 @@ import json
 import queue
 import threading
 import time
-from typing import Any, Callable, Dict, FrozenSet, List, Optional, Set, Tuple
+from typing import Any, Callable, Dict, FrozenSet, List, Optional, Set, Tuple, Type
 
+import genpy
 import rospy
 from std_msgs.msg import String
 
@@ -27,7 +28,7 @@ from gspn_framework_package.ros.transport.registration import (
     published_topics,
 )
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
-from gspn_framework_package.srv import Command, CommandRequest
+from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
 from gspn_framework_package.visualizer.activity import Activity, Fields, Handler, text_field
 from gspn_framework_package.visualizer.board import Event
 from gspn_framework_package.visualizer.feedback import Feedback
@@ -96,8 +97,8 @@ class RosWatch(Activity):
         self._status: Dict[str, Any] = {}
         self._others: Set[Tuple[str, str]] = set()
         self._unread: Set[str] = set()
-        self._early: Dict[str, Any] = {}
-        self._subscribers: List[Any] = []
+        self._early: Dict[str, String] = {}
+        self._subscribers: List[rospy.Subscriber] = []
         self._stop = threading.Event()
         self._asking, self._ordering = ServiceCalls(ANSWER_TIME), ServiceCalls(ORDER_TIME)
         self._ask_now = threading.Event()
@@ -148,8 +149,8 @@ class RosWatch(Activity):
         self._asking.close()
         self._ordering.close()
 
-    def _subscribe(self, topic: str, kind: Any, what: str, who: str = "") -> None:
-        def callback(message: Any) -> None:
+    def _subscribe(self, topic: str, kind: Type[genpy.Message], what: str, who: str = "") -> None:
+        def callback(message: genpy.Message) -> None:
             self._queue.put((what, (who, message) if who else message))
 
         self._subscribers.append(
@@ -175,7 +176,7 @@ class RosWatch(Activity):
     def _on_nothing(self, message: None) -> None:
         """Time went by."""
 
-    def _on_fired(self, message: Any) -> None:
+    def _on_fired(self, message: FiredTransition) -> None:
         if not self._run and message.plan == self._hash:
             self._show_run(message.run)
         if self._is_shown(message.plan, message.run):
@@ -209,7 +210,7 @@ class RosWatch(Activity):
         for told in early.items():
             self._on_activity(told)
 
-    def _on_activity(self, told: Tuple[str, Any]) -> None:
+    def _on_activity(self, told: Tuple[str, String]) -> None:
         namespace, message = told
         activity = json.loads(message.data)
         name = str(activity["robot"])
@@ -254,10 +255,10 @@ class RosWatch(Activity):
             self._names = {**self._names, namespace: name}
             self._strangers -= {namespace}
 
-    def _on_room(self, message: Any) -> None:
+    def _on_room(self, message: String) -> None:
         self._hub.set_latest("room", json.loads(message.data))
 
-    def _on_world(self, message: Any) -> None:
+    def _on_world(self, message: String) -> None:
         self._hub.set_latest("world", json.loads(message.data))
 
     def _on_obeyed(self, order: Order) -> None:
@@ -358,7 +359,7 @@ class RosWatch(Activity):
 
     def _ask(self, namespaces: List[str]) -> List[Answer]:
         """What the robots say of the team; those that do not answer in time say nothing."""
-        answers: queue.SimpleQueue[Tuple[str, Any]] = queue.SimpleQueue()
+        answers: queue.SimpleQueue[Tuple[str, CommandResponse]] = queue.SimpleQueue()
         request = CommandRequest(command="status", run=self._run)
         asked = [self._call(n, request, self._asking, answers) for n in namespaces]
         found = []
@@ -388,9 +389,9 @@ class RosWatch(Activity):
     def _call(
         self,
         namespace: str,
-        request: Any,
+        request: CommandRequest,
         calls: ServiceCalls,
-        answers: queue.SimpleQueue[Tuple[str, Any]],
+        answers: queue.SimpleQueue[Tuple[str, CommandResponse]],
     ) -> bool:
         """Call a robot's ``command`` service; whether an answer may come. :raises OSError: no
         master answers."""
@@ -494,7 +495,7 @@ class RosWatch(Activity):
         command, robot, argument = order
         request = CommandRequest(command, robot, argument, self._run)
         for namespace in self._first_to_order(command, robot):
-            answers: queue.SimpleQueue[Tuple[str, Any]] = queue.SimpleQueue()
+            answers: queue.SimpleQueue[Tuple[str, CommandResponse]] = queue.SimpleQueue()
             try:
                 if not self._call(namespace, request, self._ordering, answers):
                     continue

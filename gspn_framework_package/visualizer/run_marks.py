@@ -11,7 +11,7 @@ import contextlib
 import fcntl
 import json
 import os
-from typing import Any, Dict, List, NamedTuple, Optional
+from typing import Any, Dict, List, NamedTuple, Optional, TextIO
 
 from gspn_framework_package.model.errors import LogError
 
@@ -45,7 +45,7 @@ class RunMark:
         folder, name = os.path.split(log)
         self._path = os.path.join(folder, "." + name + ENDING)
         try:
-            self._file: Optional[Any] = open(self._path, "w", encoding="utf-8")  # noqa: SIM115
+            self._file: Optional[TextIO] = open(self._path, "w", encoding="utf-8")  # noqa: SIM115
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             json.dump({"path": path, "log": name}, self._file)
             self._file.flush()

@@ -3,7 +3,7 @@ them."""
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Optional
+from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -57,7 +57,7 @@ def layout_to_json(net: Net, layout: Layout) -> Dict[str, Any]:
     }
 
 
-def _rounded(point: Any) -> List[float]:
+def _rounded(point: Sequence[float]) -> List[float]:
     return [round(point[0], 1), round(point[1], 1)]
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 import socket
 import threading
-from typing import Any, Callable, Dict, Optional, Sequence
+from typing import Any, Callable, Dict, Iterable, Optional, Sequence
+
+from flask import Flask
 
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.visualizer.app import body_limit, create_app, too_large_text
@@ -55,7 +57,6 @@ class WebServer:
         check_tokens(token, viewer_token)
         logging.getLogger("waitress.queue").setLevel(logging.ERROR)
         self.project = project
-        self._app: Any = None
         self._stopped = False
         try:
             self._server = Server(
@@ -77,10 +78,10 @@ class WebServer:
         self.port = int(self._server.effective_port)
         self.guard = Guard(host, self.port, names, token, viewer_token)
         self._server.rules = RequestRules(self.guard, body_limit, too_large_text)
-        self._app = create_app(project, self.guard, viewers)
+        self._app: Flask = create_app(project, self.guard, viewers)
         self._thread: Optional[threading.Thread] = None
 
-    def _call(self, environ: Any, start_response: Any) -> Any:
+    def _call(self, environ: Dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
         return self._app(environ, start_response)
 
     @property

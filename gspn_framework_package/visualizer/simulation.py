@@ -13,6 +13,7 @@ from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.visualizer.activity import (
     Activity,
     Fields,
+    Handler,
     text_field,
     whole_number,
 )
@@ -72,7 +73,7 @@ class OfflineSimulation(Activity):
         hub.restart(self.mode, board, {"probabilities": {}})
         hub.set_latest("choices", self._choices())
 
-    def _locked(self, handler: Any) -> Any:
+    def _locked(self, handler: Handler) -> Handler:
         def run(fields: Fields) -> Dict[str, Any]:
             with self._lock:
                 return handler(fields)

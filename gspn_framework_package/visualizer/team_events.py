@@ -11,7 +11,7 @@ from gspn_framework_package.execution.phase import ENTERED, Phase
 from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.net import Marking
-from gspn_framework_package.visualizer.board import Board, Event, fire_event, mark_event
+from gspn_framework_package.visualizer.board import Board, Event, Move, fire_event, mark_event
 
 
 class TeamEvents:
@@ -100,11 +100,11 @@ class TeamEvents:
         if tuple(before) != self._enabled.marking:
             events.append(self._whole(tuple(before), why))
         change = self._enabled.move_to(firing.marking)
-        moves = []
+        moves: List[Move] = []
         for move in firing.moves:
             source = self.net.place_index[move.source] if move.source is not None else None
             target = self.net.place_index[move.target] if move.target is not None else None
-            moves.append([move.robot, source, target])
+            moves.append((move.robot, source, target))
             if target is None:
                 self._robots.pop(move.robot, None)
             else:

@@ -12,7 +12,7 @@ evictions, makes the proposer give up its attempts and the local robot stop or a
 from __future__ import annotations
 
 import hashlib
-from typing import Any, Dict, List, Protocol, Sequence
+from typing import Dict, List, Protocol, Sequence
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
@@ -609,7 +609,7 @@ class Membership:
         else:
             self.outbox.fault("%s (run '%s'); it is not let in" % (what, self.config.run))
 
-    def refuse_message(self, data: Any, why: str) -> None:
+    def refuse_message(self, data: object, why: str) -> None:
         """Report once for each sender that we do not understand it."""
         complaints = self.state.complaints
         sender = data.get("from") if isinstance(data, dict) else None

@@ -12,6 +12,7 @@ from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.history.merge import Merged
 from gspn_framework_package.execution.history.robots import (
     LoggedProposals,
+    Origin,
     RobotCheck,
     check_real_time,
 )
@@ -115,7 +116,7 @@ class _Check:
             check_votes(merged, members, situations, self.complete)
             if self.complete:
                 self._check_presence(merged, replay)
-        invoked: Dict[Any, float] = {}
+        invoked: Dict[Origin, float] = {}
         newest = {log.robot: i for i, log in enumerate(self.logs)}
         for i, log in enumerate(self.logs):
             check = RobotCheck(

@@ -329,5 +329,5 @@ def _key(origin: Any) -> Origin:
     return str(robot), int(incarnation), int(number), str(log_id)
 
 
-def _name(origin: Any) -> str:
+def _name(origin: Origin) -> str:
     return "proposal %d of %s (incarnation %d)" % (origin[2], origin[0], origin[1])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, Mapping, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import Record
@@ -285,7 +285,7 @@ class SlotCheck(LoggedTeam):
             self._enter(robot)
 
 
-def _short(marking: Any) -> str:
+def _short(marking: Mapping[str, int]) -> str:
     return "{%s}" % ", ".join("%s: %d" % (p, n) for p, n in sorted(marking.items()) if n)
 
 

@@ -81,7 +81,7 @@ def _asserted(log: EventLog) -> Set[Off]:
 def _acceptor(number: int, log: EventLog, merged: Merged) -> List[Tuple[int, int, Vote]]:
     """The votes of one log, whose promises are kept, as (slot, how often it had forgotten,
     vote)."""
-    promised: Any = None
+    promised: Optional[Ballot] = None
     active = False
     length = resets = 0
     out = []

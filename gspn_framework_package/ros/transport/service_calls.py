@@ -9,6 +9,7 @@ import threading
 import time
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
+import genpy
 import rospy
 from rospy.exceptions import TransportException
 from rospy.impl.tcpros_base import DEFAULT_BUFF_SIZE, TCPROSTransport
@@ -40,8 +41,8 @@ class ServiceCalls:
         peer: str,
         uri: str,
         service: str,
-        service_class: Any,
-        request: Any,
+        service_class: type,
+        request: genpy.Message,
         answered: Callable[[Any], None],
     ) -> bool:
         """Call a service; ``answered(response)`` comes on another thread, or not at all.
@@ -99,7 +100,9 @@ class _Line:
         for transport in self._connections.values():
             transport.close()
 
-    def _call(self, uri: str, service: str, service_class: Any, request: Any) -> Any:
+    def _call(
+        self, uri: str, service: str, service_class: type, request: genpy.Message
+    ) -> genpy.Message:
         give_up = time.monotonic() + self._owner.deadline
         transport = self._connections.pop((uri, service), None)
         if transport is None:
