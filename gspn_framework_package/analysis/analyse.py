@@ -16,9 +16,9 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from functools import cached_property
 from typing import (
     Any,
-    Callable,
     Dict,
     FrozenSet,
     List,
@@ -120,22 +120,22 @@ class Analysis:
         self._by_structure = structure
         self._engine = engine
         self._progress, self._cancel = progress, cancel
-        self._known: Dict[str, Any] = {}
+        self._counters: Tuple[str, ...] = ()  # that were left out of the state space
+        self._known_tree: Optional[CoverabilityTree] = None
+        self._growth_reason = ""  # why the first tree does not say what grows without bound
 
     # -- structure and state space -----------------------------------------------------------------
 
-    @property
+    @cached_property
     def structure(self) -> Structure:
         """What the structure of the net alone says."""
-        return self._once(
-            "structure", lambda: Structure(self.net, limit=self.limits.structure, watch=self._watch)
-        )
+        return Structure(self.net, limit=self.limits.structure, watch=self._watch)
 
-    @property
+    @cached_property
     def space(self) -> StateSpace:
         """The markings that were visited: of a plan, those its policy allows; without the places
         ``left_out``. Not complete where the limit was met."""
-        return self._once("space", self._explore)
+        return self._explore()
 
     @property
     def left_out(self) -> Tuple[str, ...]:
@@ -143,16 +143,14 @@ class Analysis:
         state space, since they cannot change what happens."""
         if isinstance(self.space, PlanSpace):
             return self.space.counters
-        left_out: Tuple[str, ...] = self._known.get("left_out", ())
-        return left_out
+        return self._counters
 
     @property
     def tree(self) -> CoverabilityTree:
         """The coverability tree. :raises LimitError: it is too large, or cannot be judged."""
-        return self._once(
-            "tree",
-            lambda: self._tree(self.limits.tree, self.limits.memory),
-        )
+        if self._known_tree is None:
+            self._known_tree = self._tree(self.limits.tree, self.limits.memory)
+        return self._known_tree
 
     def _tree(self, limit: int, memory: int) -> CoverabilityTree:
         return CoverabilityTree(
@@ -167,16 +165,11 @@ class Analysis:
     def _watch(self) -> Watch:
         return Watch(self._progress, self._cancel, seconds=self.limits.seconds)
 
-    @property
+    @cached_property
     def properties(self) -> Properties:
         """Deadlocks, liveness and the like. :raises LimitError: the state space is not complete."""
         self._refuse_if_unbounded("what depends on all markings")
-        return self._once("properties", lambda: Properties(self.space))
-
-    @property
-    def boundedness(self) -> Boundedness:
-        """Whether the net is bounded, and the bounds of its places."""
-        return self._once("boundedness", self._boundedness)
+        return Properties(self.space)
 
     @property
     def reversible(self) -> bool:
@@ -215,10 +208,10 @@ class Analysis:
                 space = self._visit(self.net, self.limit) if self.limit > _BEGINNING else beginning
                 if fewer is None or space.complete:
                     return space
-            self._known["left_out"] = tuple(counters)
+            self._counters = tuple(counters)
             return fewer
         if unbounded and set(unbounded) <= set(counters):
-            self._known["left_out"] = tuple(counters)
+            self._counters = tuple(counters)
             return self._visit(self.net.without_places(counters), self.limit)
         if unbounded or self.limit <= _BEGINNING:
             return beginning
@@ -246,22 +239,17 @@ class Analysis:
             seconds=self.limits.seconds,
         )
 
-    @property
+    @cached_property
     def _invariant_bounds(self) -> Dict[str, Optional[int]]:
-        def compute() -> Dict[str, Optional[int]]:
-            if not self._by_structure:
-                return {place.name: place.capacity for place in self.net.places}
-            try:
-                found = self.structure.place_invariants
-            except LimitError:
-                found = []
-            number = self.net.place_index
-            rows = [
-                [(number[name], w) for name, w in invariant.weights.items()] for invariant in found
-            ]
-            return dict(zip(number, bounds_of(self.net, rows, self.net.initial_marking)))
-
-        return self._once("invariant_bounds", compute)
+        if not self._by_structure:
+            return {place.name: place.capacity for place in self.net.places}
+        try:
+            found = self.structure.place_invariants
+        except LimitError:
+            found = []
+        number = self.net.place_index
+        rows = [[(number[name], w) for name, w in invariant.weights.items()] for invariant in found]
+        return dict(zip(number, bounds_of(self.net, rows, self.net.initial_marking)))
 
     def _unbounded_places(self) -> Optional[List[str]]:
         """The places that grow without bound, by a small coverability tree; None: not decided."""
@@ -270,18 +258,18 @@ class Analysis:
                 min(_FIRST_TREE, self.limits.tree), self.limits.memory // _FIRST_TREE_SHARE
             )
         except LimitError as error:
-            self._known["growth_reason"] = str(error)
+            self._growth_reason = str(error)
             return None
-        self._known["tree"] = tree
+        self._known_tree = tree
         return tree.unbounded_places
 
     @property
     def _is_unbounded(self) -> bool:
         """Whether the first tree says that there are infinitely many markings, so that no limit
         would do."""
-        if self.plan is not None or self.space.complete or "tree" not in self._known:
+        if self.plan is not None or self.space.complete or self._known_tree is None:
             return False
-        return not self._known["tree"].bounded
+        return not self._known_tree.bounded
 
     def _refuse_if_unbounded(self, question: str) -> None:
         """:raises LimitError: it is."""
@@ -289,7 +277,7 @@ class Analysis:
             raise LimitError(
                 "not decided, since the net is unbounded",
                 element=question,
-                hint="%s can grow without end" % ", ".join(self._known["tree"].unbounded_places),
+                hint="%s can grow without end" % ", ".join(self.tree.unbounded_places),
             )
 
     def _is_counter(self, name: str) -> bool:
@@ -300,18 +288,17 @@ class Analysis:
             and p not in self._inhibiting
         )
 
-    @property
+    @cached_property
     def _inhibiting(self) -> FrozenSet[int]:
-        return self._once(
-            "inhibiting", lambda: frozenset(p for arcs in self.net.inhibitors for p, _ in arcs)
-        )
+        return frozenset(p for arcs in self.net.inhibitors for p, _ in arcs)
 
-    def _boundedness(self) -> Boundedness:
+    @cached_property
+    def boundedness(self) -> Boundedness:
+        """Whether the net is bounded, and the bounds of its places."""
         space = self.space
         bounds: Dict[str, Optional[int]] = dict(self._invariant_bounds)
-        if self.plan is None and "tree" in self._known:
-            tree: CoverabilityTree = self._known["tree"]
-            return Boundedness(tree.bounded, tree.bounds)
+        if self.plan is None and self._known_tree is not None:
+            return Boundedness(self._known_tree.bounded, self._known_tree.bounds)
         if not space.complete:
             if None not in bounds.values():
                 return Boundedness(
@@ -322,9 +309,7 @@ class Analysis:
             return Boundedness(
                 None,
                 bounds,
-                self._known.get(
-                    "growth_reason", "not decided within %s (%s)" % (space.extent, space.hint)
-                ),
+                self._growth_reason or "not decided within %s (%s)" % (space.extent, space.hint),
             )
         bounds = dict(self.properties.bounds)
         grows: List[bool] = []
@@ -423,22 +408,22 @@ class Analysis:
 
     # -- time --------------------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def chain(self) -> Chain:
         """The Markov chain. :raises RefusedError: nobody decides a choice, or there is a timeless
         trap."""
         self._refuse_if_unbounded("its Markov chain")
-        return self._once("chain", lambda: Chain.of(self.space))
+        return Chain.of(self.space)
 
-    @property
+    @cached_property
     def steady(self) -> SteadyState:
         """The steady state."""
-        return self._once("steady", lambda: steady_state(self.chain, **self._while_working))
+        return steady_state(self.chain, **self._while_working)
 
-    @property
+    @cached_property
     def measures(self) -> Measures:
         """Tokens and throughput in the steady state."""
-        return self._once("measures", lambda: Measures(self.chain, self.steady.distribution))
+        return Measures(self.chain, self.steady.distribution)
 
     def at(self, times: Sequence[float]) -> List[Tuple[float, Measures]]:
         """Tokens and throughput at given times (s)."""
@@ -489,8 +474,3 @@ class Analysis:
         return time_to_steady_state(
             self.chain, tolerance, steady=self.steady, **self._while_working
         )
-
-    def _once(self, key: str, compute: Callable[[], Any]) -> Any:
-        if key not in self._known:
-            self._known[key] = compute()
-        return self._known[key]

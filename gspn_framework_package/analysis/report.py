@@ -105,7 +105,7 @@ MEASURES: List[Measure] = [
 with a title is shown in the text, in the CSV file and on the page."""
 
 UNGUARDED = "unguarded_siphon"
-"""The witness of ``siphons_hold_marked_traps``: its search is not made a second time."""
+"""The witness where ``siphons_hold_marked_traps`` is false; null otherwise."""
 
 
 def keys_of(part: Part) -> Tuple[str, ...]:

@@ -1,7 +1,19 @@
 """When does the net come to a condition? Mean time, probability ever, probability within a time.
 
 States in which the condition holds are not left any more, vanishing ones included: a condition that
-holds for no time at all has held.
+holds for no time at all has held. Let G be these states, ``q(i, j)`` the rate from state i to state
+j, ``e(i)`` the sum of the rates out of i, and ``p0`` the initial distribution. The probability
+``h(i)`` to reach G from i at all, and the mean time ``m(i)`` until then where G is certain to be
+reached, are the least non-negative solutions of::
+
+    e(i) * h(i) = sum over j in G of q(i, j) + sum over j not in G of q(i, j) * h(j)
+    e(i) * m(i) = 1 + sum over j not in G of q(i, j) * m(j)
+
+for each i not in G, with ``h = 1`` and ``m = 0`` in G. The answers are the means of ``h`` and ``m``
+over ``p0``; where G may be missed, the mean time is infinite. The probability to be there within a
+time t is that of G at t, in the chain that does not leave G (see
+:mod:`~gspn_framework_package.analysis.solution.transient`). See J. R. Norris, *Markov Chains*
+(Cambridge University Press, 1997), section 3.3.
 """
 
 from __future__ import annotations

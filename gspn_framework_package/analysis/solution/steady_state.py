@@ -1,7 +1,25 @@
 """The steady state of a Markov chain.
 
 The recurrent classes are found first; each has its own stationary distribution, and a probability
-to end up in it.
+to end up in it. Let ``q(i, j)`` be the rate from state i to state j, ``e(i)`` the sum of the rates
+out of i, and ``p0`` the initial distribution. The stationary distribution ``pi`` of a class C
+balances what enters and leaves each state::
+
+    e(j) * pi(j) = sum over i in C of pi(i) * q(i, j)        for each j in C
+    sum over j in C of pi(j) = 1
+
+With several classes, let T be the transient states and ``tau(j)`` the mean total time in j. Then
+the probability to end up in C is ``P(C)``::
+
+    e(j) * tau(j) = p0(j) + sum over i in T of tau(i) * q(i, j)        for each j in T
+    P(C) = sum over j in C of (p0(j) + sum over i in T of tau(i) * q(i, j))
+
+and the long-run share of time in a state j of C is ``P(C) * pi(j)``. See W. J. Stewart,
+*Introduction to the Numerical Solution of Markov Chains* (Princeton University Press, 1994), and
+for the absorption J. G. Kemeny and J. L. Snell, *Finite Markov Chains* (Van Nostrand, 1960),
+chapter 3.
+The chain of the tangible markings of a GSPN is that of M. Ajmone Marsan et al., *Modelling with
+Generalized Stochastic Petri Nets* (Wiley, 1995).
 """
 
 from __future__ import annotations

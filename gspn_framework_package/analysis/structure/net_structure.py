@@ -13,6 +13,7 @@ idle + busy = 1
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.analysis.limits import STRUCTURE_LIMIT
@@ -190,21 +191,21 @@ class Structure:
 
         return self._search("unguarded", search)
 
-    @property
+    @cached_property
     def unmarked_siphon(self) -> Tuple[str, ...]:
         """The places of the largest siphon without a token: none of them ever gets one."""
         empty = [place.name for place in self.net.places if not place.tokens]
-        return self._once("unmarked", lambda: largest_siphon(self.net, empty))
+        return largest_siphon(self.net, empty)
 
-    @property
+    @cached_property
     def classes(self) -> NetClasses:
         """The classes it belongs to."""
-        return self._once("classes", lambda: classify(self.net))
+        return classify(self.net)
 
-    @property
+    @cached_property
     def conflict_sets(self) -> List[Tuple[str, ...]]:
         """See :func:`conflict_sets`."""
-        return self._once("conflicts", lambda: conflict_sets(self.net))
+        return conflict_sets(self.net)
 
     @property
     def conservative(self) -> bool:
@@ -275,8 +276,3 @@ class Structure:
         if isinstance(found, LimitError):
             raise found
         return found
-
-    def _once(self, key: str, compute: Callable[[], Any]) -> Any:
-        if key not in self._known:
-            self._known[key] = compute()
-        return self._known[key]
