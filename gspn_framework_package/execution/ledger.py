@@ -111,10 +111,14 @@ class Ledger:
             if self.is_news(item.origin):
                 self.seen[item.origin.robot] = item.origin[1:]
                 fresh.append(item)
-        appended = self._append([i.entry for i in fresh], [list(i.origin) for i in fresh], ballot)
+        slot, entries = self.length, [item.entry for item in fresh]
+        step = self.game.reduce(self.state, slot, entries)
+        record = self.record(slot, entries, [list(item.origin) for item in fresh], step)
+        if ballot is not None:
+            record["ballot"] = list(ballot)
         for item in fresh:
             self._note_membership(item.entry)
-        return appended
+        return record, step
 
     def _note_membership(self, entry: log_entries.Entry) -> None:
         """Remember whose log counts, and who was cast out."""
@@ -137,23 +141,6 @@ class Ledger:
         """Whether the robot was evicted by force and has not joined since."""
         robot = self.state.robots.get(name)
         return name in self.cast_out and (robot is None or robot.phase.gone)
-
-    def append_local(self, entries: Sequence[log_entries.Entry]) -> Tuple[Record, Step]:
-        """The same for entries of a local log, which have no origin."""
-        return self._append(entries, [], None)
-
-    def _append(
-        self,
-        entries: Sequence[log_entries.Entry],
-        origins: List[Any],
-        ballot: Optional[Sequence[Any]],
-    ) -> Tuple[Record, Step]:
-        slot = self.length
-        step = self.game.reduce(self.state, slot, entries)
-        record = self.record(slot, entries, origins, step)
-        if ballot is not None:
-            record["ballot"] = list(ballot)
-        return record, step
 
     def record(
         self, slot: int, entries: Sequence[log_entries.Entry], origins: List[Any], step: Step

@@ -184,6 +184,15 @@ def test_only_the_bench_verb_imports_the_benchmarks():
     assert importing == [Path("cli", "bench.py")]
 
 
+def test_no_two_classes_have_the_same_name():
+    homes = {}
+    for path in MODULES:
+        for node in ast.parse(path.read_text("utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes.setdefault(node.name, []).append(name_of(path))
+    assert {name: places for name, places in homes.items() if len(places) > 1} == {}
+
+
 def test_no_two_modules_import_each_other():
     modules = {name_of(path): path for path in MODULES if path.name != "__init__.py"}
     imported = {name: modules.keys() & set(imports_of(path)) for name, path in modules.items()}

@@ -55,11 +55,6 @@ def largest_siphon(net: Net, within: Iterable[str]) -> Tuple[str, ...]:
     return _largest(net, _siphon_rules(net), within)
 
 
-def largest_trap(net: Net, within: Iterable[str]) -> Tuple[str, ...]:
-    """The largest trap inside a set of places (names), in the order of the net; it may be empty."""
-    return _largest(net, _trap_rules(net), within)
-
-
 def unguarded_siphon(
     net: Net,
     limit: int = STRUCTURE_LIMIT,

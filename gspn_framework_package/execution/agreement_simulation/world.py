@@ -294,7 +294,6 @@ class World:
         self.now = 0.0
         self.steps = 0
         self.messages = 0
-        self.hello_bytes = 0
         self.protocol_messages = 0
         """Messages but ``hello``."""
         self.limits = ProtocolLimits()
@@ -352,8 +351,6 @@ class World:
         text = self._last[1]
         if message["kind"] != "hello":
             self.protocol_messages += 1 if to else len(self.nodes) - 1
-        else:
-            self.hello_bytes += len(text) * (len(self.nodes) - 1)
         call = self.partial and message["kind"] in interface.SERVICE_OF_MESSAGE
         for name, node in list(self.nodes.items()):
             if name == sender or (to and node.name != to):

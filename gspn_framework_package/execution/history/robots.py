@@ -124,7 +124,6 @@ class RobotCheck:
         self._goals: Set[Tuple[int, int, int]] = set()
         self._last_goal: Optional[Tuple[int, int, int]] = None
         self._void: Set[Origin] = set()
-        self._private: Dict[Origin, Record] = {}
 
     def check(self) -> None:
         """Go through the log. :raises BrokenRuleError: a rule is broken."""

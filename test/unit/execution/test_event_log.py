@@ -28,12 +28,16 @@ def written(path, *, done: int = 3):
     """A log of a run in which r1 goes through some places."""
     writer = EventLogWriter(str(path), header(PLAN, "run", "r1", "log1"))
     ledger = Ledger(TokenGame(PLAN))
-    record, _ = ledger.append_local([ledger.game.start_entry()])
-    writer.append(record)
+
+    def append(entry):
+        slot = ledger.length
+        step = ledger.game.reduce(ledger.state, slot, [entry])
+        writer.append(ledger.record(slot, [entry], [], step))
+
+    append(ledger.game.start_entry())
     for result in ["t1", "t2", "t3", "t4"][:done]:
         robot = ledger.state.robots["r1"]
-        record, _ = ledger.append_local([log_entries.Done("r1", 0, robot.visit, result)])
-        writer.append(record)
+        append(log_entries.Done("r1", 0, robot.visit, result))
     writer.close()
     return ledger
 
