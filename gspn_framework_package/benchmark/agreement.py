@@ -1,9 +1,9 @@
-"""Many simulated teams, each under a seed of its own, each looked at by the history checker.
+"""Many simulated teams, each under its own seed, each verified by the history checker.
 
 ``python3 -m gspn_framework_package.benchmark.agreement --schedules 10000``
 
-Exit codes: 0 no violation, 1 a violation (told with the schedule that shows it), 2 wrong usage, 130
-interrupted (with Ctrl-C or SIGTERM; what was done until then is told).
+Exit codes: 0 no violation, 1 a violation (reported with the schedule that shows it), 2 wrong usage,
+130 interrupted (with Ctrl-C or SIGTERM; the results so far are reported).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 ``python3 -m gspn_framework_package.benchmark.analysis [--quick] [--part PART] [--markdown FILE]
 [--json FILE]``
 
-Every measurement is a process of its own, so that its peak memory is its own too; each is repeated,
+Every measurement runs in its own process, so that its peak memory is its own; each is repeated,
 engine after engine (not those that take more than 10 s), and the fastest counts. Times are what a
 clock on the wall says: the numba engine uses all cores, Storm and numpy one, so close what else
 runs. Compiled code is loaded before the clock starts. Storm builds with its sparse engine and
@@ -139,7 +139,7 @@ def _peak() -> float:
 
 
 def _space(engine: str, net: Net) -> Measurement:
-    """Time (s) and memory (MB beyond what is there before) of finding the state space."""
+    """Time (s) and memory (MB beyond what was used before) of finding the state space."""
     if engine == "storm":
         import stormpy
 
@@ -233,7 +233,7 @@ def _storm_chain(net: Net, place: str) -> Measurement:
 WORK: Mapping[str, Callable[[str, Net], Measurement]] = {"space": _space, "chain": _chain}
 
 
-# -- telling ---------------------------------------------------------------------------------------
+# -- reporting -------------------------------------------------------------------------------------
 
 
 def _report(spaces: List[Measurement], chains: List[Measurement]) -> str:

@@ -13,8 +13,8 @@ Row = Dict[str, Any]
 STYLES = {"process": "o-", "hosted": "s--"}
 
 QUIET = 10.0
-"""Percent of the processors that may be busy before a run, for the machine's figures to tell of the
-run (the thesis's baseline: 0.8 % CPU, 25.9 % memory)."""
+"""Percent of the processors that may be busy before a run if the machine's figures are to reflect
+the run (the thesis's baseline: 0.8 % CPU, 25.9 % memory)."""
 
 
 def draw_figures(rows: Sequence[Row], folder: str) -> List[str]:

@@ -1,4 +1,4 @@
-"""How large nets are analysed: each by ``gspn analyse`` in a process of its own, reading included.
+"""How large nets are analysed: each by ``gspn analyse`` in its own process, including reading.
 
 ``python3 -m gspn_framework_package.benchmark.large [NAME ...]``
 """

@@ -63,14 +63,14 @@ def latencies(records: Sequence[Dict[str, Any]], since: float) -> Tuple[List[flo
 
 
 def measure(master: Master, plan: Plan, window: float, check: bool = False) -> Dict[str, Any]:
-    """Run a plan and tell its latencies and throughput over ``window`` seconds.
+    """Run a plan and report its latencies and throughput over ``window`` seconds.
 
     :param check: have the history checker look at the logs, too.
     """
     with TeamRun(master, plan) as run:
         if not run.wait_all_fired(120):
             return {"note": "not all robots fired"}
-        time.sleep(3.0)  # connections that follow in the background are not what is measured
+        time.sleep(3.0)  # connections that are made in the background are not measured
         sent, began = messages_sent(), time.monotonic()
         time.sleep(window)
         ended, sent = time.monotonic(), messages_sent() - sent

@@ -12,7 +12,7 @@ from gspn_framework_package.execution.event_log import Record
 class LogTail:
     """A robot's log as far as it is written.
 
-    :ivar records: what was read; call :meth:`read` for what came since.
+    :ivar records: the records so far; call :meth:`read` for new ones.
     """
 
     def __init__(self, path: str) -> None:
@@ -21,7 +21,7 @@ class LogTail:
         self._at = self._file = 0
 
     def read(self) -> LogTail:
-        """Read what is new."""
+        """Read new records."""
         if os.path.exists(self.path):
             with open(self.path, "rb") as file:
                 number = os.fstat(file.fileno()).st_ino

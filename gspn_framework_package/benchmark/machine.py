@@ -10,7 +10,7 @@ from typing import Dict, Iterable, List, Optional, Sequence
 import gspn_framework_package
 
 LIBRARIES = ("numpy", "scipy", "numba", "lxml", "psutil", "rospy", "actionlib", "matplotlib")
-"""Distributions whose versions are told where they are installed."""
+"""Distributions whose versions are reported if they are installed."""
 
 
 def describe_machine(libraries: Iterable[str] = LIBRARIES) -> Dict[str, str]:

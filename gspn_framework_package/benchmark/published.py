@@ -1,10 +1,10 @@
-"""State counts of the literature, found anew: ``python3 -m
+"""State counts of the literature, reproduced: ``python3 -m
 gspn_framework_package.benchmark.published``.
 
-Every net is explored in a process of its own, so that its peak memory is its own too. A count that
-is not the published one is told, and the exit code is 1. The largest nets (Kanban 6 and 7) take
-minutes on a small machine and about 5 GB of memory: a net that would not fit what is free is left
-out, and said so.
+Every net is explored in its own process, so that its peak memory is its own. A count that differs
+from the published one is reported, and the exit code is 1. The largest nets (Kanban 6 and 7) take
+minutes on a small machine and about 5 GB of memory: a net that would not fit into the free memory
+is left out, with a message.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ begun."""
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Explore the nets, and tell which counts differ."""
+    """Explore the nets, and report which counts differ."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -63,12 +63,12 @@ def measure(room: str, robots: int, seed: int, minutes: float) -> Dict[str, Any]
 
 
 def measure_apart(args: argparse.Namespace, robots: int, seed: int) -> Dict[str, Any]:
-    """The same in a process of its own, so that memory and time are its own."""
+    """The same in a separate process, so that memory and time are its own."""
     words = [sys.executable, "-m", __spec__.name, "--json", "--room", args.room]
     words += ["--robots", str(robots), "--seed", str(seed), "--minutes", str(args.minutes)]
     words += ["--ros", "--factor", str(args.factor)] if args.ros else []
     words += ["--lose"] if args.lose else []
-    # 1 says that there were faults, which the results tell
+    # 1 means that there were faults, which the results report
     ended = subprocess.run(words, stdout=subprocess.PIPE)
     if ended.returncode not in (0, 1):
         raise ExecutionError("the run with %d robots and seed %d failed" % (robots, seed))

@@ -22,7 +22,7 @@ FAULTS = (
 
 
 def figures(report: Dict[str, Any]) -> Dict[str, Any]:
-    """The referee's report, with the laps of each robot, without what is for programs."""
+    """The referee's report with the laps of each robot, without the fields for programs."""
     chosen = {k: v for k, v in report.items() if k not in ("robots", "entry_log", "laps")}
     chosen["laps"] = [tally["laps"] for tally in report["robots"].values()]
     # parts of laps too: how far the robots came in all

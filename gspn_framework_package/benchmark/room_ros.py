@@ -215,8 +215,8 @@ def measure_ros(
 
 
 def read_logs(folder: str) -> Dict[str, Any]:
-    """What the robots' own logs of a run say: whether they tell one valid story (``gspn verify``),
-    failed actions."""
+    """What the robots' own logs of a run say: whether they are consistent and valid (``gspn
+    verify``), failed actions."""
     logs = [read_log(os.path.join(folder, name)) for name in sorted(os.listdir(folder))]
     verdict = verify(logs)
     # each robot has them all in its log, up to where it ended
@@ -263,7 +263,7 @@ def _watch(
 ) -> Dict[str, Any]:
     begin = time.monotonic()
     first: Optional[Tuple[float, float, float]] = None
-    # from the first firing on: how long a team takes to start is told apart
+    # from the first firing on: the start of a team is reported separately
     while first is None or watcher.time < first[1] + minutes * 60:
         if launch.poll() is not None:
             raise ExecutionError("the patrol ended by itself", hint=_last_lines(output))

@@ -162,8 +162,7 @@ def summary(results: Sequence[Dict[str, Any]]) -> str:
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Run the benchmark; 0: nobody touched anything or was on the way for ever, 1: somebody did or
-    was."""
+    """Run the benchmark; 0: nobody touched anything or failed to arrive, 1: somebody did."""
     parser = argparse.ArgumentParser(prog="benchmark.room_tight", description=__doc__.split(":")[0])
     parser.add_argument("--trials", type=int, default=30, help="of each kind of place (30)")
     parser.add_argument("--place", choices=list(PLACES), help="one kind of place only")

@@ -1,5 +1,5 @@
-"""Runs a team on ROS for a benchmark: a master of its own, ``roslaunch``, and what the robots' logs
-say.
+"""Runs a team on ROS for a benchmark, with its own master and ``roslaunch``, and reads the robots'
+logs.
 
 Nothing subscribes: the times of the firings are read from the event logs, whose monotonic clock all
 processes of one host share. So the measurement adds no connection and no message.

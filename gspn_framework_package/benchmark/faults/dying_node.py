@@ -1,4 +1,4 @@
-"""A robot's process that can be told to die while it writes its log.
+"""A robot's process that can be ordered to die while it writes its log.
 
 ``python3 -m gspn_framework_package.benchmark.faults.dying_node`` is ``gspn_executor`` but for two
 signals. Nobody can kill a process from outside at the very moment of a write; so the process does

@@ -27,7 +27,7 @@ CONNECTED = 15
 """Moves after which a robot is connected to all its action servers, and needs no master."""
 
 GRACE = 1.0
-"""Seconds after a fault in which what was under way may still be written."""
+"""Seconds after a fault in which pending records may still be written."""
 
 HELD_UP = 3.0
 """Seconds beyond the eviction time for which a team without a quorum is watched."""
@@ -38,7 +38,7 @@ Tell = Callable[[str], None]
 class EachInTurn:
     """Does all of that to one team, and sees each time that it goes on as it must.
 
-    :param tell: is told each step.
+    :param tell: receives each step.
 
     :ivar injected: how often each fault was.
     :ivar torn: the kinds of the records whose writes were cut, and how often.

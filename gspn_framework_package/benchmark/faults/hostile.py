@@ -33,7 +33,7 @@ Body = Dict[str, Any]
 class Hostile:
     """Sends each kind to a team.
 
-    :param tell: is told each step.
+    :param tell: receives each step.
 
     :ivar injected: how many messages of each kind were sent.
     """

@@ -33,7 +33,7 @@ Row = Dict[str, Any]
 """What came of one team."""
 
 MOST_COLUMNS = 12
-"""Kinds of faults that are told one by one in the table; --json has all of them."""
+"""Kinds of faults that the table lists one by one; --json has all of them."""
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:

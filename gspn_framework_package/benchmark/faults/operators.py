@@ -18,7 +18,7 @@ class Operators:
     """Does each of these to one team so many times, and sees each time that it goes on as it must.
 
     :param rounds: how many times.
-    :param tell: is told each step.
+    :param tell: receives each step.
 
     :ivar injected: how often each was.
     """

@@ -224,7 +224,7 @@ class LaunchedTeam:
             return False
 
     def statuses(self) -> Dict[str, Dict[str, Any]]:
-        """What the nodes that are alive tell; :raises ExecutionError: one of them does not."""
+        """The status of every living node. :raises ExecutionError: one of them does not answer."""
         from gspn_framework_package.ros.operator_client import OperatorClient
 
         with contextlib.closing(OperatorClient()) as client:

@@ -20,7 +20,7 @@ from gspn_framework_package.model.plan import FunctionAction, Plan, Synchronisat
 WORK = "gspn_framework_package.benchmark.netns.work.work"
 
 SETTLE = 0.5
-"""Seconds after a cut in which what was under way may still be written."""
+"""Seconds after a cut in which pending records may still be written."""
 
 PATIENCE = 40.0
 """Seconds until something that must happen counts as not happening."""

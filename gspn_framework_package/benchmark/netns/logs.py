@@ -1,7 +1,7 @@
 """What the event logs of a team say when all is over.
 
-The logs are files of one host, with one monotonic clock: whoever reads them needs no way through
-the network.
+The logs are files of one host, with one monotonic clock: they can be read without using the
+network.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def check_history(paths: Sequence[str]) -> AgreedHistory:
     """Replay each log, compare all pairwise, slot by slot, and have ``gspn verify`` check the
     rules.
 
-    :raises ExecutionError: they tell different histories, or do not end at the same slot and
+    :raises ExecutionError: they contradict each other, or do not end at the same slot and
       marking.
     :raises LogError: a log contradicts itself.
     """

@@ -1,4 +1,4 @@
-"""The command: runs scenarios one after the other, and tells what was seen."""
+"""The command: runs scenarios one after the other, and reports the results."""
 
 from __future__ import annotations
 

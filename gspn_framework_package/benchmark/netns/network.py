@@ -155,8 +155,8 @@ class Network:
             return time.monotonic() - sent
 
     def verify(self) -> None:
-        """See that exactly what is cut does not get through. :raises ExecutionError: it is
-        otherwise."""
+        """Check that exactly the cut traffic does not get through. :raises ExecutionError: some
+        does, or other traffic does not."""
         for source in self.nodes:
             for target in self.nodes:
                 if source == target:

@@ -1,4 +1,4 @@
-"""The scenarios: what is done to the network, and what the team must then do and not do."""
+"""The scenarios: the faults of the network, and what the team must then do and not do."""
 
 from __future__ import annotations
 
@@ -94,13 +94,13 @@ def eviction(mode: str, evict_after: float = 3.0) -> Numbers:
 
 
 def deaf(mode: str, hold: float = HOLD) -> Numbers:
-    """Nothing gets to robot_3, while what it sends arrives (but no acknowledgement of TCP comes
-    back)."""
+    """Nothing reaches robot_3, but its own messages arrive (although no acknowledgement of TCP
+    comes back)."""
     return _one_way(mode, hold, hears=False)
 
 
 def mute(mode: str, hold: float = HOLD) -> Numbers:
-    """Nothing gets from robot_3 to the others, while it hears them: what it finishes cannot get
+    """Nothing from robot_3 reaches the others, but it hears them: what it finishes cannot get
     into the log."""
     return _one_way(mode, hold, hears=True)
 

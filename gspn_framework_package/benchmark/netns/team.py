@@ -114,7 +114,7 @@ class NamespaceTeam:
         return "" if "success: True" in done.stdout else done.stdout.strip()
 
     def end(self) -> None:
-        """End the robots in order, then the master; whoever does not end within 5 s is killed."""
+        """End the robots in order, then the master; kill those that do not end within 5 s."""
         for names in (self.robots, [MASTER]):
             running = [self._processes[name] for name in names if name in self._processes]
             for process in running:

@@ -1,1 +1,1 @@
-"""The page under load: how fast it draws, how many can watch, what it costs a team of robots."""
+"""The page under load: how fast it draws, how many viewers it serves, what it costs a team."""

@@ -29,7 +29,7 @@ WORDS = ("render", "viewers", "memory", "log", "team")
 
 
 def main() -> int:
-    """Measure, and print what came out."""
+    """Measure, and print the results."""
     parser = argparse.ArgumentParser(
         prog="benchmark.page", description="Measure the page under load."
     )

@@ -1,5 +1,5 @@
 """What the page shows while it is measured: a net of any size whose transitions fire at a steady
-rate, served by a process of its own."""
+rate, served by a separate process."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class Served(NamedTuple):
 
 @contextlib.contextmanager
 def served(nodes: int, rate: float) -> Iterator[Served]:
-    """A server in a process of its own. :raises ExecutionError: it did not start."""
+    """A server in a separate process. :raises ExecutionError: it did not start."""
     port = free_port()
     command = [sys.executable, "-m", __name__, str(nodes), str(rate), str(port)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:

@@ -19,7 +19,7 @@ FLAGS = [
 SCREEN: Any = {"width": 1440, "height": 900}
 
 RENDERS = 5
-"""How often the page is opened; the median of the times to the first render is told."""
+"""How often the page is opened; the median of the times to the first render is reported."""
 
 MEASURE = """async (seconds) => {
   const { model, page } = window.gspn;
@@ -57,7 +57,7 @@ def measure_page(nodes: int, rate: float, seconds: float) -> Dict[str, Any]:
     """First render (ms), frames per second, 95th percentile of firing to frame (ms).
 
     The first render is the time from the answer that describes the net to the first frame that
-    shows its marking; the whole page load, from the click on a link on, is told beside it."""
+    shows its marking; the whole page load, from the click on a link, is reported beside it."""
     with served(nodes, rate) as server, chromium() as browser:
         renders, loads = [], []
         for turn in range(RENDERS):

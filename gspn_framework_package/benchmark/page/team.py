@@ -4,10 +4,10 @@ One run; the page comes and goes in it, so that windows without it and windows w
 Firings are counted from the robots' logs afterwards, whose monotonic clock all processes of one
 host share.
 
-The browser is not what is measured: it belongs to another computer. So it has a processor of its
-own, and its share is taken out: in the windows *without* the page the same browser shows another
-page, of a feed that fires as often as the team does. Beside that, firings per second of processor
-time *of the robots* are told, a figure that does not depend on who else uses their processor.
+The browser is not measured: it belongs to another computer. So it has its own processor, and its
+share is excluded: in the windows *without* the page the same browser shows another page, of a feed
+that fires as often as the team does. The benchmark also reports firings per second of processor
+time *of the robots*, a figure that does not depend on who else uses their processor.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Seeded faults in the protocol, the token game and the host, to see that they are caught.
 
-A simulation and a checker that find nothing prove nothing until they find what was put there. Each
+A simulation and a checker that find nothing prove nothing until they find a planted fault. Each
 mutant breaks one rule on purpose; :func:`hunt` runs schedules until one fails.
 """
 
@@ -67,8 +67,8 @@ class Mutant(NamedTuple):
 
 
 class Caught(NamedTuple):
-    """What came of a hunt: after how many schedules (None: not caught), in which, and what was
-    said."""
+    """The outcome of a hunt: after how many schedules (None: not caught), in which, and the
+    message."""
 
     schedules: Optional[int]
     schedule: str

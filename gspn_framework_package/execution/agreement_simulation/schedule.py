@@ -1,5 +1,5 @@
-"""One run of a simulated team under a seed: what it does, what goes wrong, and whether it came out
-right."""
+"""One run of a simulated team under a seed: what it does, what goes wrong, and whether the outcome
+is right."""
 
 from __future__ import annotations
 
@@ -241,7 +241,7 @@ class _Run:
 
     def _can_lose(self, node: SimulatedNode) -> bool:
         """Whether the others still are a quorum without this robot's vote: otherwise the team
-        would (rightly) block for ever."""
+        would (rightly) block without end."""
         ledgers = [n.replica.ledger for n in self.world.alive() if n.replica]
         if not ledgers:
             return False
@@ -394,7 +394,7 @@ class _Run:
         self._count("sleep")
 
     def _start_late(self) -> None:
-        """A robot is not switched on until the others have been told that it is off."""
+        """A robot is not switched on until the others know that it is off."""
         nodes = list(self.world.nodes.values())
         late = self.random.choice(nodes)
         start = late.start

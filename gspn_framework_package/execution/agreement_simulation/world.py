@@ -65,7 +65,7 @@ def _header(plan: Plan) -> Record:
 class SimulatedNode:
     """A process that hosts a replica.
 
-    :param key: tells it from another process under the same name.
+    :param key: distinguishes it from another process under the same name.
     """
 
     def __init__(self, world: World, name: str, key: str = "") -> None:
@@ -451,7 +451,7 @@ class World:
                     )
 
     def on_fired(self, node: SimulatedNode, fired: interface.Fired) -> None:
-        """A firing was told."""
+        """A firing was published."""
         if fired.publish:
             self.published.append((self.now, fired))
 
