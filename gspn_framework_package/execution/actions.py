@@ -349,7 +349,7 @@ def _load_module(folder: Optional[str], name: str, element: str) -> ModuleType:
         raise PlanError(
             "there is no module '%s'" % name,
             element=element,
-            hint="looked for %s.py in %s, and among the installed modules"
+            hint="searched for %s.py in %s, and among the installed modules"
             % (name.replace(".", "/"), folder or "no folder"),
         ) from None
     except Exception as error:

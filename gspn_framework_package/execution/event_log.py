@@ -294,7 +294,9 @@ class EventLog:
             except (GspnError, KeyError) as error:
                 raise LogError("holds no plan (%s)" % error, file=self.path, line=1) from None
             if plan.hash() != self.header["plan_hash"]:
-                raise LogError("its plan has another hash than it says", file=self.path, line=1)
+                raise LogError(
+                    "the hash of its plan differs from the recorded one", file=self.path, line=1
+                )
             self._plan = plan
         return self._plan
 

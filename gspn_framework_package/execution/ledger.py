@@ -183,7 +183,7 @@ class Ledger:
             logs = {str(r): str(x) for r, x in record.get("logs", {}).items()}
             cast_out = {str(r): _whole(n) for r, n in record.get("cast_out", {}).items()}
             if state.next_slot != _whole(record["slot"]) + 1 or not isinstance(record["hash"], str):
-                raise ValueError("it is not of the slot that it names")
+                raise ValueError("it does not belong to the slot that it names")
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise LogError("not a snapshot (%r)" % error) from None
         self.state, self.seen, self.logs, self.cast_out = state, seen, logs, cast_out

@@ -400,8 +400,7 @@ def _load_functions(plan: Plan) -> Dict[str, Dict[str, Callable[[ActionContext],
     for place, action in plan.bindings():
         if isinstance(action, ServerAction):
             raise PlanError(
-                "it is bound to the action server '%s', and there are none without ROS"
-                % action.server,
+                "it is bound to the action server '%s', which needs ROS" % action.server,
                 file=plan.file,
                 element="place '%s'" % place,
                 hint="run the plan with roslaunch, or bind the place to a function",

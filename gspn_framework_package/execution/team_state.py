@@ -170,7 +170,7 @@ class TeamState:
             or self.next_slot < 0
             or min(self.marking, default=0) < 0
         ):
-            raise ValueError("a number is none, or out of bounds")
+            raise ValueError("a number is invalid, or out of bounds")
         if not isinstance(self.paused, bool) or not all(isinstance(w, str) for w in self.witnesses):
             raise ValueError("a field is of another type")
         if self.ended is not None and not isinstance(self.ended, str):

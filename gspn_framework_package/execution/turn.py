@@ -123,7 +123,7 @@ class Turn:
             choices = self._of_top_priority(distribution.choices)
         elif self.rules.policy.matches(self.state.marking):
             return self._nothing(
-                robot, "the policy says nothing about %s in this marking" % self._name(robot.place)
+                robot, "no policy row applies to %s in this marking" % self._name(robot.place)
             )
         elif self.plan.strict:
             return self._nothing(robot, "the policy has no row for this marking", fault=True)

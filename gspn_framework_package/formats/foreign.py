@@ -35,7 +35,7 @@ FOREIGN: Tuple[Foreign, ...] = (
     Foreign(
         lambda file: not file.is_xml and file.text.lstrip().startswith(("{", "[")),
         "this is JSON, not a net",
-        "a plan is given where a plan is asked for; its net is the file it names",
+        "give a plan to a command that takes one; its net is the file that it names",
     ),
     Foreign(
         lambda file: not file.is_xml and file.text.startswith("|0|"),

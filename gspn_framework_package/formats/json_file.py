@@ -94,7 +94,7 @@ def read_document(path: str) -> JsonDocument:
     except RecursionError:
         raise InputError("it is nested too deeply", file=path) from None
     except _DoubleKeyError as error:
-        raise InputError("the key '%s' stands twice in one object" % error, file=path) from None
+        raise InputError("the key '%s' occurs twice in one object" % error, file=path) from None
     except _NumberError as error:
         word = str(error)
         found = re.search(r"(?<![\w.+-])%s(?![\w.])" % re.escape(word), text)

@@ -115,7 +115,7 @@ def read_net_or_plan(
             raise UsageError(
                 "how a net is read (its name in the file, constants, servers, weights) can be "
                 "said of a net only",
-                hint="this is a plan, which says it itself",
+                hint="this is a plan, which has its own setting for it",
             )
         return _net_of_thesis(path, net_will_do) or _whole_plan(path)
     found, notes = read_net_with_notes(path, options)

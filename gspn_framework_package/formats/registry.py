@@ -98,8 +98,7 @@ def _recognise(file: NetFile) -> Format:
             return format
     if file.is_xml:
         raise InputError(
-            "the root element is <%s>, which is no net format that is known"
-            % shorten(tag(file.root)),
+            "the root element <%s> belongs to no known net format" % shorten(tag(file.root)),
             file=file.path,
             line=line_of(file.root),
             hint=_formats_read(),
@@ -148,7 +147,7 @@ def format_of_name(path: PathLike) -> Format:
             return entry
     known = ", ".join("%s (%s)" % (f.name, f.extensions[0]) for f in FORMATS.values())
     raise UsageError(
-        "cannot tell the format from the name '%s'" % path, hint="name one with --to: %s" % known
+        "the name '%s' does not show the format" % path, hint="name one with --to: %s" % known
     )
 
 

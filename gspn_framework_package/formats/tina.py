@@ -107,7 +107,7 @@ class _Reader:
         else:
             self._place()
         if self.words:
-            self._fail("'%s' makes no sense there" % shorten(self.words[-1].text, 30))
+            self._fail("'%s' is not possible there" % shorten(self.words[-1].text, 30))
 
     def net(self) -> Tuple[Net, List[str]]:
         """What was read."""

@@ -87,7 +87,7 @@ def check(element: etree._Element, vocabulary: Element, what: str, fail: _Fail) 
     text = element.text
     if text and not vocabulary.text and text.strip():
         fail(
-            "the text '%s' stands in <%s> itself" % (shorten(text), tag(element)),
+            "the text '%s' must not stand directly in <%s>" % (shorten(text), tag(element)),
             what,
             line_of(element),
             _words("there should be", vocabulary.children),
@@ -97,10 +97,10 @@ def check(element: etree._Element, vocabulary: Element, what: str, fail: _Fail) 
         tail = node.tail
         if tail and tail.strip():
             fail(
-                "the text '%s' stands in <%s> itself" % (shorten(tail), tag(element)),
+                "the text '%s' must not stand directly in <%s>" % (shorten(tail), tag(element)),
                 what,
                 line_of(node),
-                "text belongs into an element of its own",
+                "put the text into a separate element",
             )
         if name not in vocabulary.children:
             refuse_element(node, vocabulary, what, fail)

@@ -59,7 +59,7 @@ def _entities(file: Optional[str]) -> InputError:
     return InputError(
         "the document declares XML entities, which are not read",
         file=file,
-        hint="write what they stand for in their place",
+        hint="replace them by their values",
     )
 
 

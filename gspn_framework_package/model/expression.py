@@ -131,7 +131,7 @@ def tokenize(text: str) -> List[Token]:
         if match is None:
             if text[at] in "\"'":
                 raise ExpressionError("a quote is opened and not closed in '%s'" % shorten(text))
-            raise ExpressionError("character %r makes no sense in '%s'" % (text[at], shorten(text)))
+            raise ExpressionError("unexpected character %r in '%s'" % (text[at], shorten(text)))
         kind = match.lastgroup or ""
         if kind == "quoted":
             tokens.append(Token("name", match.group()[1:-1], at))

@@ -47,7 +47,7 @@ class Policy:
         )
         if doubles:
             raise PolicyError(
-                "the place '%s' stands twice in the tuple of places" % sorted(doubles)[0]
+                "the place '%s' occurs twice in the tuple of places" % sorted(doubles)[0]
             )
         for number, row in enumerate(self.rows, 1):
             self._check_row(number, row)

@@ -83,7 +83,7 @@ def read_options(name: str = "~") -> NodeOptions:
     """
     given: Dict[str, Any] = rospy.get_param(name, {})
     if not isinstance(given, dict):
-        raise UsageError("the private parameters are no map", element=name)
+        raise UsageError("the private parameters are not a map", element=name)
     return options_from(given)
 
 

@@ -86,7 +86,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.errorhandler(UnicodeError)
     def no_text(error: UnicodeError) -> Answer:
-        return {"error": "the request holds what stands for no character"}, 400
+        return {"error": "the request contains an invalid character"}, 400
 
     @app.errorhandler(OSError)
     def no_means(error: OSError) -> Answer:
@@ -98,7 +98,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     @app.errorhandler(404)
     @app.errorhandler(405)
     def not_here(error: HTTPException) -> Answer:
-        return {"error": "there is no such thing here"}, error.code or 404
+        return {"error": "not found"}, error.code or 404
 
     @app.errorhandler(Exception)
     def fault(error: Exception) -> Answer:

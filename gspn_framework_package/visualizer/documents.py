@@ -181,7 +181,7 @@ def _check_files(whole: str) -> None:
             else whole
         )
         if isinstance(name, str) and os.path.exists(path) and not os.path.isfile(path):
-            raise InputError("it names '%s', which is no file" % name, file=whole)
+            raise InputError("it names '%s', which is not a file" % name, file=whole)
 
 
 def _looks_like_plan(path: str) -> bool:

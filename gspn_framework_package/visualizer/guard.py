@@ -175,7 +175,7 @@ class Guard:
                 return _refused(429, TOO_MANY)
             role = self.role_of(given, peer) or ""
         if not role:
-            return _refused(401, "this server asks for its token")
+            return _refused(401, "this server needs a token")
         if role == VIEWER and method not in ("GET", "HEAD"):
             return _refused(403, "the viewer's token is read-only")
         return Admission(role)

@@ -295,9 +295,7 @@ class Recording(KeptEvents):
                     pass
             events += [event for event in self._last if event["n"] == reader.board.n + 1]
             if (events[-1]["n"] if events else mark.n) < last:
-                raise LogError(
-                    "the log is no longer what it was when it was opened", hint="open it again"
-                )
+                raise LogError("the log has changed since it was opened", hint="open it again")
             self._stretches[mark.offset] = (before, events)
             self._stretches.move_to_end(mark.offset)
             while len(self._stretches) > 1 and self._at_hand() > AT_HAND:

@@ -118,7 +118,7 @@ class Session:
         if self._start_execution is None:
             raise RefusedError("plans are not executed from here")
         if fields.get("confirmed") is not True:
-            raise UsageError("starting an execution asks for a confirmation")
+            raise UsageError("starting an execution needs a confirmation")
         with self._lock:
             if self._starting or self._is_running():
                 raise RefusedError("it is running already")

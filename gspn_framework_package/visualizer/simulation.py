@@ -129,7 +129,7 @@ class OfflineSimulation(Activity):
             undone = fire_event(self.net, past.transition, self._simulator.change, back=True)
             events.append(self._now(undone))
         if not events:
-            raise RefusedError("there is no step to take back")
+            raise RefusedError("there is no step to undo")
         self._publish(*events)
         return {"back": len(events)}
 

@@ -52,7 +52,7 @@ class Film:
                 raise InputError("there is no such folder", file=str(target.parent))
         elif kind:
             raise InputError(
-                "'%s' is no kind of film" % kind,
+                "'%s' is not a kind of film" % kind,
                 file=str(target),
                 hint="give .mp4, .gif, .webp, or a folder",
             )

@@ -47,7 +47,7 @@ def pose_from(message: PoseMessage) -> Pose:
     if not all(math.isfinite(number) for number in numbers):
         raise ValueError("the pose has numbers that are not finite")
     if q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w < 1e-6:
-        raise ValueError("the orientation is no quaternion: its length is 0")
+        raise ValueError("the orientation is not a quaternion: its length is 0")
     yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
     return Pose(message.position.x, message.position.y, yaw)
 

@@ -288,7 +288,7 @@ class Navigator:
             # seconds in all: those before it stepped aside count too
             self._in_vain += dt
         if self._no_way_since is not None and seen.time - self._no_way_since > GIVE_UP_AFTER / 2:
-            self._end(NavigationStatus.FAILED, "the way is blocked by robots that stand there")
+            self._end(NavigationStatus.FAILED, "the way is blocked by standing robots")
         elif self._in_vain > GIVE_UP_AFTER:
             self._end(NavigationStatus.FAILED, "stuck for %d s" % GIVE_UP_AFTER)
 

@@ -216,7 +216,7 @@ def robot_names(value: Union[int, str, List[str]]) -> List[str]:
     names = [name.strip("/") for name in names]
     wrong = [name for name in names if not re.match(r"^[A-Za-z]\w*(/[A-Za-z]\w*)*$", name)]
     trouble = (
-        "'%s' is no name for a robot" % wrong[0]
+        "'%s' is not a valid name for a robot" % wrong[0]
         if wrong
         else "no robots, or one twice: %r" % (value,)
     )
@@ -237,7 +237,9 @@ def _number(parameter: str, default: float) -> float:
         or not isinstance(value, (int, float))
         or not 0.0 <= value < math.inf
     ):
-        raise InputError("%r is no number, 0 or more" % (value,), element="parameter ~" + parameter)
+        raise InputError(
+            "%r is not a number of at least 0" % (value,), element="parameter ~" + parameter
+        )
     return float(value)
 
 

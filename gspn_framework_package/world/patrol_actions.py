@@ -82,7 +82,7 @@ def _read(place: str) -> Tuple[int, str]:
     match = _PLACE.match(place)
     if match is None:
         raise ActionFailed(
-            "'%s' is no place of the patrol, such as p1:Check_Temperature_L1" % place
+            "'%s' is not a place of the patrol, such as p1:Check_Temperature_L1" % place
         )
     return int(match.group(1)), match.group("location")
 
@@ -101,7 +101,7 @@ def _connect(robot: str, location: str) -> Tuple[BaseClient, Room]:
     """
     file = _parameter("room", "")
     if not file:
-        raise ActionFailed("no parameter 'room': the room file says where the locations are")
+        raise ActionFailed("no parameter 'room', which names the room file with the locations")
     with _lock:
         if file not in _rooms:
             try:

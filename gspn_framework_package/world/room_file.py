@@ -189,9 +189,9 @@ def _refusal(problem: Any, document: YamlDocument, more: int) -> InputError:
         )
         message = "it has %d entries, and needs %s" % (len(problem.instance), wanted)
     elif problem.validator == "type":
-        message = "%r is no %s" % (problem.instance, _KINDS[rule])
+        message = "%r is not a %s" % (problem.instance, _KINDS[rule])
     elif problem.validator == "pattern":
-        message = "%r is no colour such as #ffcc00" % problem.instance
+        message = "%r is not a colour such as #ffcc00" % problem.instance
     if len(message) > _LONGEST:
         message = message[: _LONGEST // 2] + " ... " + message[-_LONGEST // 2 :]
     if more:

@@ -74,7 +74,7 @@ class YamlDocument:
                     loader.construct_object(node)
                 except ValueError:
                     raise InputError(
-                        "not YAML: '%.40s' is no value of its kind" % node.value,
+                        "not YAML: '%.40s' is not a value of its kind" % node.value,
                         file=self.file,
                         line=line,
                     ) from None
@@ -96,7 +96,7 @@ class YamlDocument:
                 continue
             if (key.tag, key.value) in seen:
                 line = key.start_mark.line + 1
-                raise InputError("the key '%s' stands twice" % key.value, file=self.file, line=line)
+                raise InputError("the key '%s' occurs twice" % key.value, file=self.file, line=line)
             seen.add((key.tag, key.value))
 
     def line(self, path: Iterable[Step], key: Optional[str] = None) -> int:

@@ -366,7 +366,7 @@ def test_beyond_loopback_the_page_logs_in_with_its_token(show_net, open_page):
     assert "token" not in page.url
     assert json.dumps(marking(page)) == json.dumps(site.board().marking)
     stranger = open_page(site.address.split("#")[0], ready=False, expect_errors=True)
-    stranger.wait_for_selector("dialog[open]:has-text('asks for a token')")
+    stranger.wait_for_selector("dialog[open]:has-text('needs a token')")
     stranger.fill("dialog input", "a-long-secret-token")
     stranger.keyboard.press("Enter")
     stranger.wait_for_selector("body[data-ready]")

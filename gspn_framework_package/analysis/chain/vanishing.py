@@ -71,7 +71,7 @@ class Elimination:
         out = mine & ~inside
         if not out.any():
             raise RefusedError(
-                "a timeless trap: immediate transitions go round for ever from %s"
+                "a timeless trap: immediate transitions fire without end from %s"
                 % self._graph.text(int(states[0])),
                 hint="a cycle of immediate transitions must have a way out",
             )

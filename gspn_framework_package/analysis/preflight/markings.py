@@ -144,7 +144,7 @@ class MarkingChecks:
             self._list.add(
                 "timeless_cycle",
                 Severity.REFUSED,
-                "immediate transitions go round for ever, without an action "
+                "immediate transitions fire without end, with no action "
                 "or a time between them, after %s, in %s"
                 % (sequence(traps[0].sequence), marking_text(traps[0].marking)),
                 cycle=self._structure.cycle,
@@ -163,7 +163,7 @@ class MarkingChecks:
             self._undecided(
                 markings,
                 "timeless_cycle",
-                "whether the cycle %s can go on for ever" % " -> ".join(self._structure.cycle),
+                "whether the cycle %s can go on without end" % " -> ".join(self._structure.cycle),
             )
 
     def _decide_bounds(self, markings: PlanMarkings) -> None:

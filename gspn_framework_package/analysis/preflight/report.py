@@ -86,7 +86,7 @@ class PreflightReport(NamedTuple):
             "by structure alone"
             if not self.states
             else "%d markings visited%s"
-            % (self.states, "" if self.complete else ", not all there are")
+            % (self.states, "" if self.complete else ", and possibly more")
         )
         verdict = "refused" if self.refused else "may run"
         return "\n".join(lines + ["%s %s (%s, %.3f s)" % (self.plan, verdict, how, self.seconds)])

@@ -56,7 +56,7 @@ class StructureChecks:
         transitions = self.net.transitions
         if self.standalone:
             self._list.add(
-                "conservative", Severity.OK, "agents may be created and destroyed: not asked for"
+                "conservative", Severity.OK, "not checked: agents may be created and destroyed"
             )
             return
         creating = [t for t, flow in enumerate(flows) if not flow.taken and flow.put]
@@ -124,7 +124,7 @@ class StructureChecks:
         ]
         # one server is also what a file means that says nothing of servers
         for single, severity, what in (
-            (False, Severity.WARNING, "the file says a limited number of servers"),
+            (False, Severity.WARNING, "the file gives a limited number of servers"),
             (True, Severity.OK, "one server in the file, or none said"),
         ):
             listed = [t.name for t in differing if (t.servers == 1) is single]

@@ -151,7 +151,7 @@ def _check_numbers(
     confidence: float,
 ) -> None:
     if math.isnan(time) or time <= 0:
-        raise UsageError("a run of %g s makes no sense" % time)
+        raise UsageError("a run of %g s is not possible" % time)
     if math.isinf(time) and until is None and not (isinstance(subject, Plan) and subject.until):
         raise UsageError("how long is a run?", hint="give a time, or a condition that ends it")
     if replications < 1:
@@ -160,7 +160,7 @@ def _check_numbers(
         raise UsageError("a warm-up of %g s does not fit a run of %g s" % (warmup, time))
     if not 0 < confidence < 1:
         raise UsageError(
-            "a confidence of %g makes no sense" % confidence, hint="give a number between 0 and 1"
+            "a confidence of %g is not possible" % confidence, hint="give a number between 0 and 1"
         )
 
 
@@ -299,7 +299,7 @@ class _Runs:
             counted = np.maximum(after - np.maximum(before, self.warmup), 0.0)
             if np.isinf(after).any():
                 raise RefusedError(
-                    "a run stays for ever in (%s), which is not what should end it"
+                    "a run stays in (%s) without end, which does not satisfy the end condition"
                     % ", ".join("%s: %d" % i for i in self._stuck(here[np.isinf(after)][0])),
                     hint="give a time as well",
                 )

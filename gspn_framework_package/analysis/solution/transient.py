@@ -67,7 +67,7 @@ class Evolution:
         :raises UsageError: a duration that is negative or not finite.
         """
         if not (duration >= 0 and math.isfinite(duration)):
-            raise UsageError("a duration of %g s makes no sense" % duration)
+            raise UsageError("a duration of %g s is not possible" % duration)
         self.time += duration
         ticks = self._clock * duration
         if ticks == 0:
@@ -139,7 +139,7 @@ def time_to_steady_state(
     """
     if not 0 < tolerance < 1:
         raise UsageError(
-            "a tolerance of %g makes no sense" % tolerance, hint="give a number between 0 and 1"
+            "a tolerance of %g is not possible" % tolerance, hint="give a number between 0 and 1"
         )
     goal = (
         steady or steady_state(chain, progress=progress, cancel=cancel, seconds=seconds)

@@ -296,7 +296,7 @@ def explore(
         )
     if limit < 1:
         raise UsageError(
-            "a limit of %d states makes no sense" % limit, hint="give a number of at least 1"
+            "a limit of %d states is not possible" % limit, hint="give a number of at least 1"
         )
     watch = Watch(progress, cancel)
     room = Allowance(memory, time.monotonic() + seconds)

@@ -108,7 +108,7 @@ class Membership:
         self._renew_log_id()
         self.outbox.persist({"kind": "reset", "log": state.log_id, "why": why}, durable=True)
         if state.active:
-            self.outbox.fault("forgets its log, and learns it anew: %s" % why)
+            self.outbox.fault("forgets its log, and learns it again: %s" % why)
         self.robot.stop_acting()
         state.active = False
         state.amnesic = True
@@ -159,7 +159,7 @@ class Membership:
         """All records were read: begin the next life, without memory if necessary."""
         if not self.config.trusted:
             self.forget(
-                "the machine was started anew, and the end of the log may not have reached the disk"
+                "the machine was restarted, and the end of the log may not have reached the disk"
             )
         elif self.state.active and not self.electorate.is_our_name():
             self.forget("another log was let in as %s" % self.config.name)

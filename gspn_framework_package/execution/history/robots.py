@@ -236,7 +236,9 @@ class RobotCheck:
             and not self._void
             and firing["marking"] != self._known_marking(firing["moves"][0][2])
         ):
-            raise BrokenRuleError(10, "%s leads to another marking than it says" % what)
+            raise BrokenRuleError(
+                10, "%s leads to a marking that differs from the recorded one" % what
+            )
         self._ahead.append((origin, entry, firing))
 
     def _known_marking(self, target: str) -> Dict[str, int]:

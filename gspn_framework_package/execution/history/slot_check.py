@@ -259,7 +259,7 @@ class SlotCheck(LoggedTeam):
     def _fire(self, slot: int, index: int, firing: Record) -> None:
         where = "slot %d, firing %d (%s)" % (slot, index, firing["transition"])
         if (firing["slot"], firing["index"]) != (slot, index):
-            raise BrokenRuleError(1, "%s says that its position is another" % where)
+            raise BrokenRuleError(1, "the recorded position of %s differs" % where)
         for p, change in self._effect(firing["transition"]).items():
             self.marking[p] += change
         if {p: n for p, n in self.marking.items() if n} != firing["marking"]:

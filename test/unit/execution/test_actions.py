@@ -131,7 +131,7 @@ def test_an_installed_module_serves_too(tmp_path):
     [
         ("go", "", "'go' is not the name of a function .write module.function"),
         ("actions.", "", "is not the name of a function"),
-        ("no_such_module.go", "", "there is no module 'no_such_module' .looked for"),
+        ("no_such_module.go", "", "there is no module 'no_such_module' .searched for"),
         ("actions.go", "def stay(): pass", "actions.py: .*has no 'go' .it has: stay"),
         ("actions.go", "go = 3", "this is not a function"),
         ("actions.go", "def go(speed): pass", "actions.py: .*'speed' is nothing .*there are"),

@@ -345,7 +345,7 @@ def test_a_log_whose_end_may_be_lost_is_not_trusted() -> None:
     world.nodes["r2"].start()
     world.run(world.now + 3)
     assert [r["why"] for r in world.nodes["r2"].disk.records() if r["kind"] == "reset"] == [
-        "the machine was started anew, and the end of the log may not have reached the disk"
+        "the machine was restarted, and the end of the log may not have reached the disk"
     ]
     assert world.replica("r2").is_settled()
     all_agree(world)

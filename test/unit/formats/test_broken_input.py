@@ -24,7 +24,10 @@ BROKEN = {
     "empty": (b"", "the file is empty"),
     "blank": (b" \n\t", "the file is empty"),
     "cut": ((DATA / "pipe_2.xml").read_bytes()[:900], "not well-formed XML"),
-    "wrong root": (b"<html><body/></html>", "the root element is <html>"),
+    "wrong root": (
+        b"<html><body/></html>",
+        "the root element <html> belongs to no known net format",
+    ),
     "bomb in text": (("%s<pnml><net>&e11;</net></pnml>" % BOMB).encode(), "declares XML entities"),
     "bomb in attribute": (("%s<pnml id='&e11;'/>" % BOMB).encode(), "declares XML entities"),
     "bomb unused": (("%s<pnml/>" % BOMB).encode(), "declares XML entities"),

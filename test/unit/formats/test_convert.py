@@ -76,7 +76,7 @@ def test_standard_output(capfdbinary):
     [
         (["-"], "--to is needed"),
         (["-", "--to", "pnml", "--json"], "cannot both go to standard output"),
-        (["n.xyz"], "cannot tell the format"),
+        (["n.xyz"], "does not show the format"),
         (["n.xml", "--to", "word"], "there is no format 'word'"),
         (["n.xml", "--from", "jani"], "JANI is written, not read"),
         (["n.xml", "--const", "N"], "NAME=NUMBER was expected"),
@@ -108,7 +108,7 @@ def test_wrong_usage_has_one_clear_message(words, message, tmp_path, capsys, mon
 )
 def test_plans_say_themselves_how_their_net_is_read(words, tmp_path, capsys):
     assert convert(PLANS / "measure", tmp_path / "n.xml", *words) == 2
-    assert "this is a plan, which says it itself" in capsys.readouterr().err
+    assert "this is a plan, which has its own setting for it" in capsys.readouterr().err
 
 
 def test_every_format_has_its_own_endings():

@@ -141,7 +141,7 @@ def test_robots_are_dealt_where_a_plan_names_none() -> None:
     ("data", "message"),
     [
         ('{"net": ', "plan.json:1: it is not JSON"),
-        ('{"net": "a", "net": "b"}', "the key 'net' stands twice"),
+        ('{"net": "a", "net": "b"}', "the key 'net' occurs twice"),
         ("[1]", "a plan is a JSON object, not a list"),
         ("[" * 100000, "nested too deeply"),
         ({"actions": {}}, "'net' is a required property"),

@@ -110,7 +110,7 @@ def test_an_unknown_format(tmp_path):
     net = NetBuilder().place("a").build()
     with pytest.raises(UsageError, match="there is no format 'word'"):
         write_net(net, tmp_path / "n", "word")
-    with pytest.raises(UsageError, match="cannot tell the format"):
+    with pytest.raises(UsageError, match="does not show the format"):
         write_net(net, tmp_path / "n.doc")
     with pytest.raises(UsageError, match="JANI is written, not read"):
         read_net(tmp_path / "n", format="jani")

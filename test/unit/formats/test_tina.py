@@ -62,7 +62,7 @@ def test_a_transition_may_be_told_twice(tmp_path):
         ("pl a\ntr t a!1 -> b", 2, "stopwatch"),
         ("tr t a -> b\ntr u a -> b\npr t > u", 3, "priorities"),
         ("tr t a b", 1, "'->' was expected"),
-        ("tr t a -> b (2)", 1, "'(2)' makes no sense there"),
+        ("tr t a -> b (2)", 1, "'(2)' is not possible there"),
         ("tr", 1, "the name of a transition was expected"),
         ("tr t a -> b?1", 1, "cannot test it"),
         ("pl a (x)", 1, "cannot be read"),

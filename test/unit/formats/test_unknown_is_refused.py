@@ -278,7 +278,12 @@ def test_a_subprocess_of_woped_is_refused(tmp_path):
     "name, old, new, message",
     [
         ("tapaal.pnml", "<text>2</text>", "<value>2</value>", "a <value> in it"),
-        ("tapaal.pnml", "<text>2</text>", "2", "the text '2' stands in <initialMarking> itself"),
+        (
+            "tapaal.pnml",
+            "<text>2</text>",
+            "2",
+            "the text '2' must not stand directly in <initialMarking>",
+        ),
         (
             "tapaal.pnml",
             '</initialMarking></place>\n      <place id="P1">',

@@ -62,7 +62,7 @@ def test_values(text, value):
         ("floor(1, 2)", "floor takes 1 argument, not 2"),
         ("pow(1)", "pow takes 2 arguments, not 1"),
         ("f(1)", "an operator was expected before '('"),
-        ("1 $ 2", "character '$' makes no sense"),
+        ("1 $ 2", "unexpected character '$'"),
         ("'open", "a quote is opened and not closed"),
         ("x", "'x' has no value"),
         ("1/0", "division by zero"),

@@ -76,7 +76,7 @@ def test_only_rows_that_speak_of_the_place_count_and_are_renormalised() -> None:
         (PLACES, [((1, 1, 1), {"a": 1.5, "b": -0.5})], "not between 0 and 1"),
         (PLACES, [((1, 1, 1), {"a": "much"})], "'much' is not a probability"),
         (PLACES, [((1, 1, 1), {})], "chooses nothing"),
-        (["P", "P"], [], "stands twice"),
+        (["P", "P"], [], "occurs twice"),
         (["P", "X"], [], "no place 'X'"),
         (["P"], [((1,), {"zz": 1})], "no transition 'zz'"),
         (["P"], [((1,), {"d": 1})], "'d' is an exponential transition"),

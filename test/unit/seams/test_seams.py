@@ -70,7 +70,7 @@ def test_it_is_among_those_that_are_listed(toy_format, tmp_path):
 
 
 def test_a_format_that_is_not_registered_is_refused(tmp_path):
-    with pytest.raises(UsageError, match="cannot tell the format"):
+    with pytest.raises(UsageError, match="does not show the format"):
         write_net(small_net(), tmp_path / "net.toy")
 
 

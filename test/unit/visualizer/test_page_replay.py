@@ -181,7 +181,7 @@ def test_a_log_that_changes_under_the_page_is_told(recorded, tmp_path, monkeypat
     n = hub.board().n
     with open(str(copy), "r+b") as file:
         file.truncate(2000)
-    with pytest.raises(LogError, match="no longer what it was"):
+    with pytest.raises(LogError, match="the log has changed since"):
         hub.board_at(n - 1)
     copy.unlink()
     with pytest.raises(LogError, match="cannot be read"):
