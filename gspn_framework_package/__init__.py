@@ -24,4 +24,4 @@ from pkgutil import extend_path
 # next line, ``python3 -m gspn_framework_package`` started in the checkout would hide them.
 __path__ = extend_path(__path__, __name__)
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
