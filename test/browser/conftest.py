@@ -3,6 +3,7 @@ for elsewhere, fails its test."""
 
 import os
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,8 @@ from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.serving import WebServer
 from gspn_framework_package.visualizer.session import Session
 from gspn_framework_package.visualizer.standalone_run import StandaloneRun
+
+sys.path.append(str(Path(__file__).parents[1] / "rostest" / "support"))
 
 sync_api = pytest.importorskip("playwright.sync_api")
 

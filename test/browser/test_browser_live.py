@@ -8,12 +8,11 @@ import sys
 
 import pytest
 from page_reading import boxes, dots, marking, overlaps, settle
+from told_run import ToldRun
 
 from gspn_framework_package.benchmark.ports import free_port
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.robot_colours import colour_of
-from gspn_framework_package.visualizer.activity import Activity
-from gspn_framework_package.visualizer.board import Board
 
 PATROL = "patrol/plan.json"
 
@@ -138,34 +137,10 @@ def test_pausing_the_view_never_pauses_the_robots(serve_folder, open_page):
     assert marking(page) == site.session("file-" + PATROL).hub.board().marking
 
 
-class Told(Activity):
-    """A run that a test tells."""
-
-    mode = "LIVE"
-
-    def __init__(self, plan):
-        super().__init__()
-        self.plan = plan
-
-    def begin(self, hub):
-        self.hub = hub
-        net = self.plan.net
-        board = Board(len(net.transitions), net.initial_marking, [], {"running": True})
-        for robot in self.plan.robots:
-            place = net.place_index[robot.place]
-            board.robots[robot.name] = {
-                "name": robot.name,
-                "place": place,
-                "phase": "doing",
-                "since": 0.0,
-            }
-        hub.restart("LIVE", board, {"commands": ["stop"]})
-
-
 @pytest.fixture(name="told")
 def _told(show_net):
     plan = read_plan("plans/patrol")
-    activity = Told(plan)
+    activity = ToldRun(plan)
     site = show_net(plan.net, plan, activity)
     site.told = activity
     return site
@@ -274,7 +249,7 @@ def test_the_age_of_the_last_event_is_told_and_the_end_of_all_events(told, open_
 
 def test_more_viewers_than_streams_poll_and_agree(show_net, open_page):
     plan = read_plan("plans/patrol")
-    activity = Told(plan)
+    activity = ToldRun(plan)
     site = show_net(plan.net, plan, activity, viewers=1)
     one = open_page(site.address)
     two = open_page(site.address, expect_errors=True)

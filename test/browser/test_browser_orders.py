@@ -2,24 +2,21 @@
 
 import pytest
 from page_reading import boxes
+from told_run import ToldRun
 
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.plan import Plan, RobotSpec
-from gspn_framework_package.visualizer.activity import Activity
-from gspn_framework_package.visualizer.board import Board
 
 COMMANDS = ["evict", "fire", "leave", "pause", "resume", "retry", "set_place", "stop"]
 
 
-class Team(Activity):
+class Team(ToldRun):
     """Two robots of run "run_7"; keeps the orders, and refuses those for robot_2."""
 
-    mode = "LIVE"
-
     def __init__(self, plan):
-        super().__init__()
-        self.plan = plan
+        status = {"paused": False, "ended": None, "run": "run_7"}
+        super().__init__(plan, status, environment=["rain"], commands=COMMANDS)
         self.given = []
         self.commands = {name: self._taker(name) for name in COMMANDS}
 
@@ -31,23 +28,6 @@ class Team(Activity):
             return {"message": "done in the log"}
 
         return take
-
-    def begin(self, hub):
-        self.hub = hub
-        net = self.plan.net
-        status = {"running": True, "paused": False, "ended": None, "run": "run_7"}
-        board = Board(
-            len(net.transitions), net.initial_marking, [net.transition_number("rain")], status
-        )
-        for robot in self.plan.robots:
-            place = net.place_index[robot.place]
-            board.robots[robot.name] = {
-                "name": robot.name,
-                "place": place,
-                "phase": "doing",
-                "since": 0.0,
-            }
-        hub.restart(self.mode, board, {"commands": COMMANDS})
 
     def robot(self, name, **fields):
         self.hub.publish({"k": "robots", "r": [{"name": name, **fields}], "gone": []})

@@ -1,12 +1,11 @@
 """Why a transition cannot fire, as the page is told: by the token game's own rules."""
 
 from page_client import PageClient
+from told_run import ToldRun
 
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Arc
-from gspn_framework_package.visualizer.activity import Activity
-from gspn_framework_package.visualizer.board import Board
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.session import Session
@@ -70,29 +69,9 @@ def test_it_is_answered_for_the_moment_that_is_shown():
     assert ask("t", at=0) == {"transition": "t", "enabled": True, "reasons": [], "at": 0}
 
 
-class _Team(Activity):
-    """A live run with one robot in each place of the plan's beginning."""
-
-    def __init__(self, plan):
-        super().__init__()
-        self.plan = plan
-
-    def begin(self, hub):
-        self.hub = hub
-        net = self.plan.net
-        board = Board(len(net.transitions), net.initial_marking)
-        for robot in self.plan.robots:
-            board.robots[robot.name] = {
-                "name": robot.name,
-                "place": net.place_index[robot.place],
-                "phase": "doing",
-            }
-        hub.restart("LIVE", board)
-
-
 def test_in_a_run_it_is_told_which_robots_are_awaited():
     plan = read_plan("plans/patrol")
-    team = _Team(plan)
+    team = ToldRun(plan)
     _, ask = asking(plan.net, plan, team)
     robot = plan.robots[0]
     t = plan.net.transitions[plan.net.consumers[plan.net.place_index[robot.place]][0]].name
