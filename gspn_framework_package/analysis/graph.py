@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, List, NamedTuple, Optional, Tuple
+from typing import List, NamedTuple, Optional, Tuple, Union
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
+
+from gspn_framework_package.analysis.arrays import Booleans, Indices, Matrix
 
 
 class Components(NamedTuple):
@@ -14,22 +16,22 @@ class Components(NamedTuple):
     node); ``bottom`` (boolean array: no arc leaves the component)."""
 
     number: int
-    of: Any
-    bottom: Any
+    of: Indices
+    bottom: Booleans
 
 
-def adjacency(nodes: int, sources: Any, targets: Any) -> Any:
+def adjacency(nodes: int, sources: Indices, targets: Indices) -> Matrix:
     """The sparse matrix with an entry for every arc."""
     ones = np.ones(len(targets), dtype=np.int8)
     return sparse.csr_matrix((ones, (sources, targets)), shape=(nodes, nodes))
 
 
-def components(nodes: int, sources: Any, targets: Any) -> Components:
+def components(nodes: int, sources: Indices, targets: Indices) -> Components:
     """The strongly connected components of the graph with these arcs."""
     return components_of(adjacency(nodes, sources, targets))
 
 
-def components_of(matrix: Any) -> Components:
+def components_of(matrix: Matrix) -> Components:
     """The strongly connected components of the graph that has an arc for every entry of a sparse
     matrix (CSR)."""
     count, of = csgraph.connected_components(matrix, connection="strong")
@@ -40,7 +42,9 @@ def components_of(matrix: Any) -> Components:
     return Components(int(count), of, bottom)
 
 
-def reachable_from(nodes: int, sources: Any, targets: Any, start: Any) -> Any:
+def reachable_from(
+    nodes: int, sources: Indices, targets: Indices, start: Union[Indices, Booleans]
+) -> Booleans:
     """Boolean array: which nodes can be reached from those of ``start`` (numbers, or a boolean
     array), themselves included."""
     seen = np.zeros(nodes, dtype=bool)
@@ -59,7 +63,9 @@ def reachable_from(nodes: int, sources: Any, targets: Any, start: Any) -> Any:
     return seen
 
 
-def can_reach(nodes: int, sources: Any, targets: Any, goal: Any) -> Any:
+def can_reach(
+    nodes: int, sources: Indices, targets: Indices, goal: Union[Indices, Booleans]
+) -> Booleans:
     """Boolean array: from which nodes those of ``goal`` can be reached, themselves included."""
     return reachable_from(nodes, targets, sources, goal)
 
@@ -68,7 +74,7 @@ class ShortestWays:
     """Shortest ways from node 0 along the arcs that are ``allowed``; arcs are sorted by source."""
 
     def __init__(
-        self, nodes: int, sources: Any, targets: Any, allowed: Optional[Any] = None
+        self, nodes: int, sources: Indices, targets: Indices, allowed: Optional[Booleans] = None
     ) -> None:
         arcs = np.arange(len(targets)) if allowed is None else np.flatnonzero(allowed)
         self._sources, self._targets = sources, targets
@@ -96,7 +102,7 @@ class ShortestWays:
         return arcs[::-1]
 
 
-def flat_ranges(begins: Any, ends: Any) -> Any:
+def flat_ranges(begins: Indices, ends: Indices) -> Indices:
     """The numbers of all the ranges ``begins[i]:ends[i]``, one after another."""
     lengths = ends - begins
     total = int(lengths.sum())
@@ -111,7 +117,7 @@ def flat_ranges(begins: Any, ends: Any) -> Any:
     return np.cumsum(steps)
 
 
-def longest_levels(nodes: int, sources: Any, targets: Any) -> Tuple[Any, bool]:
+def longest_levels(nodes: int, sources: Indices, targets: Indices) -> Tuple[Indices, bool]:
     """For an acyclic graph the length of the longest way from each node, and True; with a cycle,
     False."""
     waiting = np.bincount(sources, minlength=nodes)

@@ -3,12 +3,13 @@ starts."""
 
 from __future__ import annotations
 
-from typing import Any, List, NamedTuple, Optional, Tuple
+from typing import List, NamedTuple, Optional, Tuple
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices, Matrix
 from gspn_framework_package.analysis.chain.vanishing import Elimination, eliminate
 from gspn_framework_package.analysis.graph import components_of
 from gspn_framework_package.analysis.plan.space import PlanSpace
@@ -26,7 +27,7 @@ class Chain:
     :ivar initial: float array: the distribution at time 0.
     """
 
-    def __init__(self, graph: RatedGraph, absorbing: Optional[Any] = None) -> None:
+    def __init__(self, graph: RatedGraph, absorbing: Optional[Booleans] = None) -> None:
         """:param absorbing: boolean array over the states of the graph: states that are not left
         any more, vanishing ones included.
 
@@ -44,9 +45,9 @@ class Chain:
         self.rates = _without_loops(rates)
         self.exit_rates = np.asarray(self.rates.sum(axis=1)).reshape(-1)
         self.initial = initial
-        self._inflow: Optional[Any] = None
+        self._inflow: Optional[Matrix] = None
 
-    def _as_it_is(self, absorbing: Optional[Any]) -> Tuple[Any, Any]:
+    def _as_it_is(self, absorbing: Optional[Booleans]) -> Tuple[Matrix, Floats]:
         """Rates and initial distribution where no state is vanishing."""
         graph = self.graph
         values = (
@@ -63,8 +64,8 @@ class Chain:
         return rates, initial
 
     def _without_vanishing(
-        self, kept: Any, elimination: Elimination, absorbing: Optional[Any]
-    ) -> Tuple[Any, Any]:
+        self, kept: Booleans, elimination: Elimination, absorbing: Optional[Booleans]
+    ) -> Tuple[Matrix, Floats]:
         graph = self.graph
         leaving = kept[graph.sources]
         if absorbing is not None:
@@ -88,17 +89,17 @@ class Chain:
         return len(self.states)
 
     @property
-    def inflow(self) -> Any:
+    def inflow(self) -> Matrix:
         """The transposed rates, by rows (CSR): from where each state is entered."""
         if self._inflow is None:
             self._inflow = self.rates.T.tocsr()
         return self._inflow
 
-    def column(self, place: int) -> Any:
+    def column(self, place: int) -> Indices:
         """Token counts of place number ``place`` in the states of the chain."""
         return self.graph.column(place, self.states)
 
-    def bottom_components(self) -> List[Any]:
+    def bottom_components(self) -> List[Indices]:
         """The recurrent classes: for each an int array of states, by their first state."""
         start = int(self.initial.argmax())
         if all(  # two searches take a third of the time of looking for components
@@ -120,7 +121,7 @@ class Chain:
         )
 
 
-def _without_loops(rates: Any) -> Any:
+def _without_loops(rates: Matrix) -> Matrix:
     """The matrix with parallel arcs added up, and without its diagonal and explicit zeros."""
     rates.sum_duplicates()
     rows = np.repeat(np.arange(rates.shape[0], dtype=rates.indices.dtype), np.diff(rates.indptr))
@@ -134,6 +135,6 @@ class Component(NamedTuple):
     """A recurrent class of a chain: its ``states`` (int array), the probability to end up in it,
     and the stationary distribution over ``states``."""
 
-    states: Any
+    states: Indices
     probability: float
-    distribution: Any
+    distribution: Floats

@@ -7,11 +7,12 @@ levels, and is eliminated level by level.
 
 from __future__ import annotations
 
-from typing import Any, List, NamedTuple, Optional, Tuple
+from typing import List, NamedTuple, Optional, Tuple
 
 import numpy as np
 from scipy import sparse
 
+from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices, Matrix
 from gspn_framework_package.analysis.graph import components, flat_ranges, longest_levels
 from gspn_framework_package.analysis.state_space.exploration import Growing
 from gspn_framework_package.analysis.state_space.rated_graph import RatedGraph
@@ -22,8 +23,8 @@ class _Cycle(NamedTuple):
     """A strongly connected set of vanishing states; ``visits[i, j]``: how often ``j`` is visited on
     the way out when one enters at ``i``."""
 
-    states: Any
-    visits: Any
+    states: Indices
+    visits: Floats
 
 
 class Elimination:
@@ -34,7 +35,7 @@ class Elimination:
     :raises RefusedError: a timeless trap: immediate transitions fire without end.
     """
 
-    def __init__(self, graph: RatedGraph, kept: Any) -> None:
+    def __init__(self, graph: RatedGraph, kept: Booleans) -> None:
         self._graph = graph
         self._kept = kept
         self._number = np.cumsum(kept) - 1  # of each state that stays
@@ -62,7 +63,7 @@ class Elimination:
         for number in np.flatnonzero(nontrivial).tolist():
             self._take_apart(np.flatnonzero(found.of == number))
 
-    def _take_apart(self, states: Any) -> None:
+    def _take_apart(self, states: Indices) -> None:
         """Replace the arcs that leave ``states`` by those that leave them for good."""
         position = np.full(len(self._kept), -1, dtype=np.int64)
         position[states] = np.arange(len(states))
@@ -96,7 +97,7 @@ class Elimination:
         self._values = np.concatenate([self._values[~mine], leaving.data])
         self._cycles.append(_Cycle(states, visits))
 
-    def _solve(self) -> Any:
+    def _solve(self) -> Matrix:
         kept = self._kept
         # where the row of each state begins in columns, values
         begin = np.zeros(len(kept), dtype=np.int64)
@@ -135,7 +136,7 @@ class Elimination:
             (values.array[entries], columns.array[entries], offsets), shape=(len(kept), len(own))
         )
 
-    def visits(self, inflow: Any) -> Any:
+    def visits(self, inflow: Floats) -> Floats:
         """How often each vanishing state is visited per unit of time.
 
         :param inflow: float array over all states: how often it is entered per unit of time from
@@ -158,7 +159,7 @@ class Elimination:
         return visits
 
 
-def eliminate(graph: RatedGraph, kept: Optional[Any] = None) -> Tuple[Any, Elimination]:
+def eliminate(graph: RatedGraph, kept: Optional[Booleans] = None) -> Tuple[Booleans, Elimination]:
     """The states that stay (as a boolean array; the tangible ones, and those of ``kept``) and the
     elimination of the others."""
     stay = ~graph.vanishing if kept is None else ~graph.vanishing | kept

@@ -7,9 +7,11 @@ words (Walker and Ni 2011), with no need of the matrix of ``G``.
 
 from __future__ import annotations
 
-from typing import Any, Optional, Tuple
+from typing import Optional, Tuple
 
 import numpy as np
+
+from gspn_framework_package.analysis.arrays import Floats
 
 DEPTH = 5
 """Earlier steps that are combined."""
@@ -35,9 +37,9 @@ class Anderson:
         self._moves = np.zeros((depth, size))  # differences of successive G(x)
         self._products = np.zeros((depth, depth))  # of the changes with each other
         self._count = 0
-        self._last: Optional[Tuple[Any, Any]] = None
+        self._last: Optional[Tuple[Floats, Floats]] = None
 
-    def next(self, point: Any, image: Any) -> Any:
+    def next(self, point: Floats, image: Floats) -> Floats:
         """The point to go on from.
 
         :param point: float array.
@@ -57,7 +59,7 @@ class Anderson:
         length = np.sqrt(np.maximum(np.diagonal(self._products)[:used], 1e-300))
         gram = self._products[:used, :used] / np.outer(length, length)
         shares = np.linalg.lstsq(gram, (changes @ change) / length, rcond=_DEPENDENT)[0] / length
-        result: Any = image - shares @ self._moves[:used]
+        result: Floats = image - shares @ self._moves[:used]
         return result
 
     def forget(self) -> None:

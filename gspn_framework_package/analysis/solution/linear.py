@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import sys
 import warnings
-from typing import Any, Callable, NamedTuple, Optional
+from typing import Callable, NamedTuple, Optional
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
 
+from gspn_framework_package.analysis.arrays import Floats, Indices, Matrix
 from gspn_framework_package.analysis.solution.anderson import Anderson
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
@@ -64,21 +65,21 @@ class Solution(NamedTuple):
     """``values``; ``residual``: see :func:`residual`; ``method``: ``LU`` or ``Gauss-Seidel``;
     ``sweeps``: how many were done."""
 
-    values: Any
+    values: Floats
     residual: float
     method: str
     sweeps: int = 0
 
 
 def solve(
-    matrix: Any,
-    diagonal: Any,
-    rhs: Optional[Any],
+    matrix: Matrix,
+    diagonal: Floats,
+    rhs: Optional[Floats],
     *,
     backward: bool = False,
-    order: Optional[Any] = None,
+    order: Optional[Indices] = None,
     watch: Optional[Watch] = None,
-    start: Optional[Any] = None,
+    start: Optional[Floats] = None,
 ) -> Solution:
     """Solve ``diagonal * x = rhs + matrix @ x``.
 
@@ -113,7 +114,7 @@ def solve(
     return best
 
 
-def residual(matrix: Any, diagonal: Any, rhs: Optional[Any], values: Any) -> float:
+def residual(matrix: Matrix, diagonal: Floats, rhs: Optional[Floats], values: Floats) -> float:
     """The largest imbalance of an equation, relative to the largest term ``d x``, or to the largest
     of ``rhs``.
 
@@ -134,7 +135,7 @@ def _better(first: Optional[Solution], second: Solution) -> Solution:
     return second if first is None or not first.residual <= second.residual else first
 
 
-def _direct(matrix: Any, diagonal: Any, rhs: Optional[Any]) -> Solution:
+def _direct(matrix: Matrix, diagonal: Floats, rhs: Optional[Floats]) -> Solution:
     """Sparse LU; of the homogeneous system one unknown is set to 1 and its equation left out."""
     size = len(diagonal)
     if rhs is None and size == 1:
@@ -160,13 +161,13 @@ def _direct(matrix: Any, diagonal: Any, rhs: Optional[Any]) -> Solution:
 
 
 def _swept_in_order(
-    matrix: Any,
-    diagonal: Any,
-    rhs: Optional[Any],
+    matrix: Matrix,
+    diagonal: Floats,
+    rhs: Optional[Floats],
     backward: bool,
-    order: Optional[Any],
+    order: Optional[Indices],
     watch: Watch,
-    start: Optional[Any],
+    start: Optional[Floats],
 ) -> Solution:
     if order is None:
         return _swept(matrix, diagonal, rhs, backward, watch, start)
@@ -187,12 +188,12 @@ def _swept_in_order(
 
 
 def _swept(
-    matrix: Any,
-    diagonal: Any,
-    rhs: Optional[Any],
+    matrix: Matrix,
+    diagonal: Floats,
+    rhs: Optional[Floats],
     backward: bool,
     watch: Watch,
-    start: Optional[Any],
+    start: Optional[Floats],
 ) -> Solution:
     size = len(diagonal)
     constant = np.zeros(size) if rhs is None else np.asarray(rhs, dtype=np.float64)
@@ -239,7 +240,9 @@ def _swept(
     return Solution(best, best_residual, "Gauss-Seidel", stride * _STRIDE)
 
 
-def _sweeper(matrix: Any, diagonal: Any, constant: Any, backward: bool) -> Callable[[Any], Any]:
+def _sweeper(
+    matrix: Matrix, diagonal: Floats, constant: Floats, backward: bool
+) -> Callable[[Floats], Floats]:
     """One Gauss-Seidel sweep, as a function of the values; it may change them in place."""
     if matrix.nnz < _WORTH_LOADING and "numba" not in sys.modules:
         return _scipy_sweeper(matrix, diagonal, constant, backward)
@@ -249,7 +252,7 @@ def _sweeper(matrix: Any, diagonal: Any, constant: Any, backward: bool) -> Calla
         return _scipy_sweeper(matrix, diagonal, constant, backward)
     share = 1.0 / diagonal
 
-    def compiled(values: Any) -> Any:
+    def compiled(values: Floats) -> Floats:
         sweep(matrix.indptr, matrix.indices, matrix.data, constant, share, values, backward)
         return values
 
@@ -257,8 +260,8 @@ def _sweeper(matrix: Any, diagonal: Any, constant: Any, backward: bool) -> Calla
 
 
 def _scipy_sweeper(
-    matrix: Any, diagonal: Any, constant: Any, backward: bool
-) -> Callable[[Any], Any]:
+    matrix: Matrix, diagonal: Floats, constant: Floats, backward: bool
+) -> Callable[[Floats], Floats]:
     own = sparse.diags(diagonal, format="csr")
     lower, upper = sparse.tril(matrix, -1, format="csr"), sparse.triu(matrix, 1, format="csr")
     solved, known = (own - upper, lower) if backward else (own - lower, upper)
@@ -268,7 +271,7 @@ def _scipy_sweeper(
         solved.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     )
 
-    def triangular(values: Any) -> Any:
+    def triangular(values: Floats) -> Floats:
         return factor.solve(known @ values + constant)
 
     return triangular

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, Dict, Mapping, Optional, Union
+from typing import Callable, Dict, Mapping, Optional, Union
 
 import numpy as np
 
+from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.chain.markov_chain import Chain
 from gspn_framework_package.analysis.state_space.rated_graph import RatedGraph
 from gspn_framework_package.model.errors import UsageError
@@ -31,10 +32,10 @@ class Measures:
     (0.75, 0.75)
     """
 
-    def __init__(self, chain: Chain, distribution: Any) -> None:
+    def __init__(self, chain: Chain, distribution: Floats) -> None:
         self.chain = chain
         self.distribution = distribution
-        self._flow: Optional[Any] = None
+        self._flow: Optional[Floats] = None
 
     @property
     def graph(self) -> RatedGraph:
@@ -53,12 +54,12 @@ class Measures:
         found = self.graph.store.distributions(self.chain.states, self.distribution)
         return {place.name: counts for place, counts in zip(self.graph.net.places, found)}
 
-    def probability(self, holds: Any) -> float:
+    def probability(self, holds: Booleans) -> float:
         """Probability of a condition. :param holds: boolean array over the states of the graph."""
         return float(self.distribution[holds[self.chain.states]].sum())
 
     @property
-    def flows(self) -> Any:
+    def flows(self) -> Floats:
         """How often (1/s) each arc of the graph is taken: float array."""
         if self._flow is None:
             graph, chain = self.graph, self.chain
@@ -68,7 +69,7 @@ class Measures:
             flow = np.where(timed, weight[graph.sources] * graph.values, 0.0)
             if chain.elimination is not None:
                 inflow = np.bincount(graph.targets, weights=flow, minlength=len(graph))
-                visits = chain.elimination.visits(inflow)
+                visits = chain.elimination.visits(inflow.astype(np.float64, copy=False))
                 flow[~timed] = (visits[graph.sources] * graph.values)[~timed]
             self._flow = flow
         return self._flow
@@ -98,7 +99,7 @@ class Measures:
         }
 
     @property
-    def sojourn_times(self) -> Any:
+    def sojourn_times(self) -> Floats:
         """Mean time (s) of one stay in each state of the chain: float array, infinite in absorbing
         states."""
         with np.errstate(divide="ignore"):
@@ -106,7 +107,7 @@ class Measures:
 
     def reward(
         self,
-        rates: Union[Mapping[str, float], Callable[[Any], Any], None] = None,
+        rates: Union[Mapping[str, float], Callable[[Indices], Floats], None] = None,
         impulses: Optional[Mapping[str, float]] = None,
     ) -> float:
         """Reward per second.

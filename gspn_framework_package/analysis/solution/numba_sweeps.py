@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from gspn_framework_package.analysis.arrays import Floats, Indices
 from gspn_framework_package.analysis.compiling import compiled
 
 
 @compiled
 def sweep(
-    offsets: Any, columns: Any, data: Any, constant: Any, share: Any, values: Any, backward: Any
+    offsets: Indices,
+    columns: Indices,
+    data: Floats,
+    constant: Floats,
+    share: Floats,
+    values: Floats,
+    backward: bool,
 ) -> None:
     """One sweep of ``values = (constant + matrix @ values) * share``, in place; the matrix in CSR
     form."""

@@ -8,10 +8,11 @@ those by markings, place after place.
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Optional
+from typing import Dict, List, Optional
 
 import numpy as np
 
+from gspn_framework_package.analysis.arrays import Indices
 from gspn_framework_package.analysis.chain.markov_chain import Chain
 from gspn_framework_package.analysis.graph import flat_ranges
 
@@ -26,7 +27,7 @@ _WORTH = 0.7
 """Another order is worth the sorting when it leaves less than this share of what goes backward."""
 
 
-def sweep_order(chain: Chain, states: Any) -> Optional[Any]:
+def sweep_order(chain: Chain, states: Indices) -> Optional[Indices]:
     """The order in which to sweep: positions in ``states``; None for the order that they have.
 
     :param states: int array: states of the chain, ascending.
@@ -63,10 +64,10 @@ def sweep_order(chain: Chain, states: Any) -> Optional[Any]:
     return order[::-1] if best.endswith("falling") else order
 
 
-def _sort_keys(chain: Chain, states: Any, reverse: bool = False) -> List[Any]:
+def _sort_keys(chain: Chain, states: Indices, reverse: bool = False) -> List[Indices]:
     """The markings as few integers each: the last one decides first, and in it the last place (or
     the first)."""
-    keys: List[Any] = []
+    keys: List[Indices] = []
     room = 0
     places = range(len(chain.graph.net.places))
     for p in reversed(places) if reverse else places:

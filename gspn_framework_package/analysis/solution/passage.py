@@ -19,10 +19,11 @@ time t is that of G at t, in the chain that does not leave G (see
 from __future__ import annotations
 
 import math
-from typing import Any, List, NamedTuple, Optional, Sequence
+from typing import List, NamedTuple, Optional, Sequence
 
 import numpy as np
 
+from gspn_framework_package.analysis.arrays import Booleans
 from gspn_framework_package.analysis.chain.markov_chain import Chain
 from gspn_framework_package.analysis.graph import can_reach, reachable_from
 from gspn_framework_package.analysis.solution.linear import solve
@@ -49,7 +50,7 @@ class Passage(NamedTuple):
 
 def first_passage(
     graph: RatedGraph,
-    goal: Any,
+    goal: Booleans,
     times: Sequence[float] = (),
     *,
     progress: Optional[Progress] = None,

@@ -25,12 +25,13 @@ Generalized Stochastic Petri Nets* (Wiley, 1995).
 from __future__ import annotations
 
 import math
-from typing import Any, Iterator, List, NamedTuple, Optional
+from typing import Iterator, List, NamedTuple, Optional
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
 
+from gspn_framework_package.analysis.arrays import Floats, Indices, Matrix
 from gspn_framework_package.analysis.chain.markov_chain import Chain, Component
 from gspn_framework_package.analysis.graph import flat_ranges
 from gspn_framework_package.analysis.solution.linear import ACCEPTED, Solution, solve
@@ -50,7 +51,7 @@ class SteadyState(NamedTuple):
     """
 
     chain: Chain
-    distribution: Any
+    distribution: Floats
     components: List[Component]
     residual: float
     method: str
@@ -94,7 +95,7 @@ def steady_state(
     return SteadyState(chain, distribution, components, worst, method)
 
 
-def _stationary_in_each(chain: Chain, classes: List[Any], watch: Watch) -> Iterator[Solution]:
+def _stationary_in_each(chain: Chain, classes: List[Indices], watch: Watch) -> Iterator[Solution]:
     """The stationary distribution over each recurrent class, in their order."""
     several = [states for states in classes if 1 < len(states) <= TOGETHER]
     together = iter(_stationary_together(chain, several) if len(several) > 1 else [])
@@ -110,7 +111,7 @@ def _stationary_in_each(chain: Chain, classes: List[Any], watch: Watch) -> Itera
         yield solution
 
 
-def _stationary_together(chain: Chain, classes: List[Any]) -> List[Solution]:
+def _stationary_together(chain: Chain, classes: List[Indices]) -> List[Solution]:
     """The stationary distributions over small recurrent classes, by one decomposition: nothing
     leads from one to another, so each is a block of it, with its own first state as the measure of
     the others."""
@@ -139,7 +140,7 @@ def _stationary_together(chain: Chain, classes: List[Any]) -> List[Solution]:
     ]
 
 
-def _part(matrix: Any, states: Any, size: int) -> Any:
+def _part(matrix: Matrix, states: Indices, size: int) -> Matrix:
     """The rows and columns ``states`` of a square sparse matrix (CSR) in which they are only joined
     to each other."""
     number = np.full(size, -1, dtype=matrix.indices.dtype)
@@ -155,7 +156,7 @@ def _part(matrix: Any, states: Any, size: int) -> Any:
     )
 
 
-def stationary(chain: Chain, states: Any, watch: Optional[Watch] = None) -> Solution:
+def stationary(chain: Chain, states: Indices, watch: Optional[Watch] = None) -> Solution:
     """The stationary distribution over a recurrent class."""
     if len(states) == 1:
         return Solution(np.ones(1), 0.0, "LU")
@@ -165,7 +166,7 @@ def stationary(chain: Chain, states: Any, watch: Optional[Watch] = None) -> Solu
     return solve(inflow, exits, None, order=sweep_order(chain, states), watch=watch)
 
 
-def _absorption(chain: Chain, classes: List[Any], watch: Watch) -> Solution:
+def _absorption(chain: Chain, classes: List[Indices], watch: Watch) -> Solution:
     """The probability to end up in each class."""
     if len(classes) == 1:
         return Solution(np.ones(1), 0.0, "LU")

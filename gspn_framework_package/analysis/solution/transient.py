@@ -19,11 +19,12 @@ The distance to the steady state ``pi`` is the total variation distance, half th
 from __future__ import annotations
 
 import math
-from typing import Any, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Iterable, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 from scipy import special
 
+from gspn_framework_package.analysis.arrays import Floats, Matrix
 from gspn_framework_package.analysis.chain.markov_chain import Chain
 from gspn_framework_package.analysis.solution.steady_state import SteadyState, steady_state
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
@@ -38,7 +39,7 @@ class Transient(NamedTuple):
     chain)."""
 
     time: float
-    distribution: Any
+    distribution: Floats
 
 
 class Evolution:
@@ -49,7 +50,7 @@ class Evolution:
     """
 
     def __init__(
-        self, chain: Chain, initial: Optional[Any] = None, *, watch: Optional[Watch] = None
+        self, chain: Chain, initial: Optional[Floats] = None, *, watch: Optional[Watch] = None
     ) -> None:
         self.chain = chain
         self.time = 0.0
@@ -58,10 +59,10 @@ class Evolution:
         )
         self._clock = float(chain.exit_rates.max(initial=0.0)) * 1.02
         self._watch = watch or Watch()
-        self._stays: Optional[Any] = None
-        self._moves: Optional[Any] = None
+        self._stays: Optional[Floats] = None
+        self._moves: Optional[Matrix] = None
 
-    def advance(self, duration: float) -> Any:
+    def advance(self, duration: float) -> Floats:
         """Let ``duration`` seconds pass; the distribution then.
 
         :raises UsageError: a duration that is negative or not finite.
@@ -92,8 +93,8 @@ class Evolution:
         self.distribution = result / result.sum()
         return self.distribution
 
-    def _tick(self, vector: Any) -> Any:
-        if self._moves is None:
+    def _tick(self, vector: Floats) -> Floats:
+        if self._moves is None or self._stays is None:
             self._moves = self.chain.inflow / self._clock
             self._stays = 1.0 - self.chain.exit_rates / self._clock
         return self._stays * vector + self._moves @ vector
@@ -146,7 +147,7 @@ def time_to_steady_state(
     ).distribution
     watch = Watch(progress, cancel, seconds=seconds)
 
-    def away(vector: Any) -> float:
+    def away(vector: Floats) -> float:
         return 0.5 * float(np.abs(vector - goal).sum())
 
     if away(chain.initial) <= tolerance:
@@ -172,7 +173,7 @@ def time_to_steady_state(
     return low.time + step
 
 
-def poisson(mean: float) -> Tuple[int, Any]:
+def poisson(mean: float) -> Tuple[int, Floats]:
     """The Poisson weights that matter: the first count, and the weights from there on; the omitted
     ones sum to less than :data:`ERROR`."""
     spread = 8 * math.sqrt(mean) + 24
