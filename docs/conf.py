@@ -73,13 +73,13 @@ LAYERS = {
 
 
 def write_api_pages() -> None:
-    """One page for each layer, with all of its public modules: a new module is never forgotten."""
+    """One page for each layer, with all of its modules: a new one is never forgotten."""
     folder = HERE / "api"
     folder.mkdir(exist_ok=True)
     for layer, summary in LAYERS.items():
         path = ROOT / "gspn_framework_package" / layer
         prefix = "gspn_framework_package.%s." % layer
-        names = sorted(m.name for m in pkgutil.walk_packages([str(path)], prefix) if not m.ispkg)
+        names = sorted(m.name for m in pkgutil.walk_packages([str(path)], prefix))
         title = "gspn_framework_package." + layer
         lines = [title, "=" * len(title), "", summary, ""]
         for name in names:
