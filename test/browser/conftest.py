@@ -27,7 +27,9 @@ FLAGS = [
 ]
 ROOT = Path(__file__).resolve().parents[2]
 PICTURES = ROOT / ".workspace" / "screenshots"
-DEADLINE = 90_000  # ms that any condition may take: other jobs of run_tests run beside these
+# ms that any condition may take: other jobs of run_tests run beside these, before the analyses,
+# which run at a low priority
+DEADLINE = 120_000
 
 
 @pytest.fixture(scope="session", name="browser")

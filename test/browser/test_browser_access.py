@@ -80,7 +80,7 @@ def test_axe_finds_nothing_in_any_mode(serve_folder, open_page, axe, tmp_path):
         page.wait_for_selector("dialog:not([open])", state="attached")
     page.keyboard.press("3")
     page.click("#an-all")
-    page.wait_for_selector("[data-state='done']", timeout=60_000)
+    page.wait_for_selector("[data-state='done']")
     page.evaluate(
         "() => document.querySelectorAll('#analysis details').forEach((d) => { d.open = true; })"
     )

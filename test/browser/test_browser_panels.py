@@ -25,7 +25,7 @@ def flawed():
 
 
 def analysed(page):
-    page.wait_for_selector("[data-state='done']", timeout=60_000)
+    page.wait_for_selector("[data-state='done']")
 
 
 def test_everything_is_analysed_and_painted(show_net, open_page, picture):
@@ -195,7 +195,7 @@ def test_a_long_analysis_shows_progress_and_is_cancelled(open_long_analysis):
     site, page = open_long_analysis
     page.click("button:has-text('State space')")
     page.wait_for_selector("#an-cancel")
-    page.wait_for_selector("#analysis:has-text(' states')", timeout=60_000)
+    page.wait_for_selector("#analysis:has-text(' states')")
     page.click("#an-cancel")
     page.wait_for_selector("[data-state='cancelled']")
     jobs = site.server._app.extensions["gspn_jobs"]
