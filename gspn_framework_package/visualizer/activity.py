@@ -1,7 +1,7 @@
-"""What can go on in an open net: one activity at a time feeds its hub.
+"""Activities: one activity at a time feeds the hub of an open net.
 
-Each activity takes *commands* from the page. A command is a name and JSON fields; whatever is wrong
-with it raises a :class:`~gspn_framework_package.model.errors.GspnError` that the page shows.
+Each activity takes *commands* from the page. A command is a name and JSON fields; an invalid one
+raises a :class:`~gspn_framework_package.model.errors.GspnError`, which the page shows.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Handler = Callable[[Fields], Dict[str, Any]]
 class Activity:
     """Base of all activities.
 
-    :cvar mode: what the page calls it.
+    :cvar mode: its name on the page.
     """
 
     mode = ""
@@ -28,18 +28,18 @@ class Activity:
 
     @property
     def running(self) -> Optional[bool]:
-        """Whether a plan is being executed; None: as the status of the board says."""
+        """Whether a plan is being executed; None: the status of the board decides."""
         return None
 
     def begin(self, hub: Hub) -> None:
-        """Take over ``hub``, which starts a new epoch."""
+        """Start feeding ``hub``, which begins a new epoch."""
         raise NotImplementedError
 
     def end(self) -> None:
-        """Let go of the hub, and of everything else that is held. May be called twice."""
+        """Release the hub and every other resource. May be called twice."""
 
     def command(self, name: str, fields: Fields) -> Dict[str, Any]:
-        """Do what the page asks. :raises UsageError: this activity has no such command."""
+        """Execute a command of the page. :raises UsageError: this activity has no such command."""
         handler = self.commands.get(name)
         if handler is None:
             raise UsageError(
@@ -50,8 +50,10 @@ class Activity:
 
 
 def whole_number(fields: Fields, key: str, default: int, low: int, high: int) -> int:
-    """A whole number among the fields of a command. :raises UsageError: not one, or out of
-    range."""
+    """Return the whole number in the field ``key`` of a command, or ``default``.
+
+    :raises UsageError: it is not a whole number from ``low`` to ``high``.
+    """
     value = fields.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise UsageError("'%s' is a whole number from %d to %d" % (key, low, high))
@@ -59,10 +61,10 @@ def whole_number(fields: Fields, key: str, default: int, low: int, high: int) ->
 
 
 def text_field(fields: Fields, key: str, default: Optional[str] = None) -> str:
-    """A text among the fields of a command.
+    """Return the text in the field ``key`` of a command.
 
-    :param default: what stands for a field that is left out; None: it must be there.
-    :raises UsageError: it is not there, or not a text.
+    :param default: the value of a missing field; None: the field is required.
+    :raises UsageError: it is missing, or not a text.
     """
     value = fields.get(key, default)
     if not isinstance(value, str):

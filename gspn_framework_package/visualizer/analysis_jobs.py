@@ -23,7 +23,7 @@ from gspn_framework_package.visualizer.documents import Document
 JOBS_AT_ONCE = 2
 JOBS_KEPT = 20
 SECONDS = 120.0
-"""Longest time of one analysis unless the page asks for less."""
+"""Time limit of one analysis, in seconds, unless the page asks for less."""
 
 STATES = 2_000_000
 """Largest limit on states that the page may ask for."""
@@ -53,7 +53,7 @@ class _Job:
         self.result: Optional[Dict[str, Any]] = None
         self.error = ""
         self.ended = 0.0
-        self._complaints = tempfile.TemporaryFile()  # noqa: SIM115  # not a pipe, which would fill up and hold it
+        self._complaints = tempfile.TemporaryFile()  # noqa: SIM115  # a full pipe would block the process
         try:
             self._process = subprocess.Popen(
                 WORKER,
@@ -72,8 +72,7 @@ class _Job:
         threading.Thread(target=self._follow, name="analysis", daemon=True).start()
 
     def _follow(self) -> None:
-        """On a thread: take in what the process says, until it has ended. Whatever goes wrong, the
-        job ends with it."""
+        """Read the output of the process, on a thread, until it ends. Any error ends the job."""
         process = self._process
         try:
             self._listen()
@@ -147,12 +146,12 @@ class AnalysisJobs:
         self._jobs: OrderedDict[str, _Job] = OrderedDict()
 
     def start(self, document: Document, marking: Sequence[int], fields: Dict[str, Any]) -> str:
-        """Start an analysis, and return its key.
+        """Start an analysis and return its key.
 
-        :param marking: the current marking of the page, used where ``from`` is ``marking``.
-        :param fields: ``parts`` asked for, ``limit`` on states, ``seconds``, and what the parts
-            take.
-        :raises LimitError: too many are running.
+        :param marking: the current marking of the page, used if ``from`` is ``marking``.
+        :param fields: the requested ``parts``, the ``limit`` on states, ``seconds``, and the
+            parameters of the parts.
+        :raises LimitError: too many analyses are running.
         """
         limit = _bounded(fields, "limit", 100_000, 1, STATES)
         seconds = _bounded(fields, "seconds", 60.0, 0.1, SECONDS)
@@ -176,11 +175,11 @@ class AnalysisJobs:
         return key
 
     def report(self, key: str) -> Dict[str, Any]:
-        """The progress of a job. :raises InputError: there is none of that key."""
+        """Return the progress of a job. :raises InputError: no job has that key."""
         return self._job(key).to_json()
 
     def cancel(self, key: str) -> None:
-        """Kill a job. :raises InputError: there is none of that key."""
+        """Kill a job. :raises InputError: no job has that key."""
         self._job(key).kill()
 
     def _job(self, key: str) -> _Job:
@@ -190,14 +189,14 @@ class AnalysisJobs:
             return self._jobs[key]
 
     def close(self) -> None:
-        """Kill all."""
+        """Kill all jobs."""
         with self._lock:
             for job in self._jobs.values():
                 job.kill()
 
 
 def _environment() -> Dict[str, str]:
-    """The worker imports the very package that this process runs."""
+    """Make the worker import the same package that this process runs."""
     root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
     paths = [root] + [p for p in os.environ.get("PYTHONPATH", "").split(os.pathsep) if p]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}

@@ -1,8 +1,8 @@
-"""The process that analyses for the page: a request (JSON) on stdin, lines of JSON on stdout.
+"""The process that runs the page's analyses: a JSON request on stdin, lines of JSON on stdout.
 
 Lines are ``{"progress": ...}``, ``{"part": keys of the report}`` and at the end, if it failed,
-``{"error": message}``. It limits its own processor time, memory and states; its parent kills it
-when it takes too long.
+``{"error": message}``. The process limits its own processor time, memory and states; its parent
+kills it when it takes too long.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ MEMORY_BYTES = 4 << 30
 TIMES = 200
 
 REPLICATIONS = 100_000
-"""Most simulated runs that may be asked for."""
+"""Largest number of simulated runs that the page may ask for."""
 
 LIKELY = 40
-"""The states with the largest probabilities, up to this many, are reported one by one."""
+"""How many of the most probable states are reported individually."""
 
 
 def main() -> int:
-    """Answer the request on stdin."""
+    """Answer the request on stdin and return the exit status."""
     request = json.load(sys.stdin)
     _limit_itself(float(request["seconds"]))
     try:
@@ -56,7 +56,7 @@ def _limit_itself(seconds: float) -> None:
     cpu = int(2 * seconds) + 5
     resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu))
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
-    os.nice(10)  # robots and viewers go first
+    os.nice(10)  # robots and viewers take precedence
 
 
 def _analyse(request: Dict[str, Any]) -> None:
@@ -74,7 +74,7 @@ def _analyse(request: Dict[str, Any]) -> None:
     analysis = Analysis(subject, limits=limits, structure=questions.structure, progress=progress)
     if questions.structure or questions.timing:
         first = Questions(structure=questions.structure, timing=False)
-        _say(part=report(analysis, first))  # what is known soon is shown soon
+        _say(part=report(analysis, first))  # the page shows the quick results first
     found = report(analysis, questions)
     if found.get("steady_state") is not None:
         found["likely_states"] = _likely_states(analysis)
@@ -82,7 +82,7 @@ def _analyse(request: Dict[str, Any]) -> None:
 
 
 def _simulate(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, Any]:
-    """Many simulated runs, with confidence intervals."""
+    """Simulate many runs and return the estimates, with confidence intervals."""
     if not isinstance(asked, dict):
         raise UsageError("'simulate' is an object")
     replications = _number(asked, "replications", 1000.0)
@@ -114,8 +114,8 @@ def _number(asked: Dict[str, Any], key: str, default: Optional[float] = None) ->
 
 
 def _likely_states(analysis: Analysis) -> List[Dict[str, Any]]:
-    """The most probable tangible states: marking, steady-state probability, mean time (s) of one
-    stay."""
+    """The most probable tangible states: marking, steady-state probability and mean sojourn time
+    in seconds."""
     measures = analysis.measures
     stays, graph = measures.sojourn_times, measures.graph
     found = []
@@ -140,7 +140,7 @@ def _subject(request: Dict[str, Any]) -> Union[Net, Plan]:
 
 
 def _at(request: Dict[str, Any], net: Net) -> Net:
-    """The net, from the marking that was asked for on."""
+    """The net, with the requested marking as its initial marking."""
     return net.with_marking(tuple(request["marking"])) if "marking" in request else net
 
 

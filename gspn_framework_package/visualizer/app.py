@@ -1,7 +1,7 @@
-"""The web application: routes, and nothing that knows about nets.
+"""The web application: routes only, and no knowledge of nets.
 
-Nothing changes by a GET. Every answer of ``/api/`` is JSON; an error is ``{"error": message}`` with
-a fitting status.
+A GET changes nothing. Every answer of ``/api/`` is JSON; an error is ``{"error": message}`` with
+the appropriate status.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ from gspn_framework_package.visualizer.reasons import reasons_in
 from gspn_framework_package.visualizer.session import Session
 
 UPLOAD_BYTES = 12_000_000
-"""Largest request; an upload is base64, so files of 8 MB fit."""
+"""Largest request in bytes; an upload is base64, so files of 8 MB fit."""
 
 COMMAND_BYTES = 2_000_000
 
 LOGIN_BYTES = 4_000
-"""Largest request of who has not given a token yet."""
+"""Largest request, in bytes, of a peer that has not given a token yet."""
 
 PING = 3.0
-"""Seconds after which a silent stream says that it is alive."""
+"""Seconds of silence after which a stream sends a sign of life."""
 
 GATHER = 0.012
-"""Seconds in which events are gathered into one message of a stream."""
+"""Seconds during which a stream gathers events into one message."""
 
 Answer = Tuple[Dict[str, Any], int]
 
 
 def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask:
-    """The application.
+    """Create the application.
 
     :param project: what can be opened.
-    :param guard: who may ask.
-    :param viewers: how many streams are served at once; who comes later polls.
+    :param guard: decides which requests are allowed.
+    :param viewers: how many streams are served at once; further viewers poll.
     """
     app = flask.Flask(__name__, static_url_path="/static")
     app.config["SEND_FILE_MAX_AGE_DEFAULT"] = 0
@@ -223,14 +223,14 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
 
 def body_limit(path: str) -> int:
-    """Bytes that the body of a request to ``path`` may have."""
+    """Largest body, in bytes, of a request to ``path``."""
     if not path.startswith("/api/"):
         return 0
     return {"/api/upload": UPLOAD_BYTES, "/api/login": LOGIN_BYTES}.get(path, COMMAND_BYTES)
 
 
 def too_large_text(path: str) -> str:
-    """The message for somebody who posts more to ``path``."""
+    """The message for a request to ``path`` with a larger body."""
     if path == "/api/upload":
         return "that is too large: files of up to %d MB in all can be uploaded" % (
             UPLOAD_BYTES * 2 // 3_000_000
@@ -245,7 +245,7 @@ def _peer() -> str:
 
 
 def _body() -> Dict[str, Any]:
-    """The JSON object of a request. :raises UsageError: it is not one."""
+    """The JSON object in the body of a request. :raises UsageError: the body is not one."""
     if (request.content_length or 0) > body_limit(request.path):
         flask.abort(413)
     if request.mimetype != "application/json":
@@ -269,8 +269,8 @@ def _number(key: str, default: int = 0) -> int:
 
 
 class Streams:
-    """The streams that are under way, at most ``limit``, and of them at most half for one peer
-    elsewhere."""
+    """Counts the active streams: at most ``limit``, and at most half of them for one remote
+    peer."""
 
     def __init__(self, limit: int) -> None:
         self._condition = threading.Condition()
@@ -279,7 +279,7 @@ class Streams:
         self.closing = False
 
     def take(self, peer: str = "") -> bool:
-        """Begin one of a peer; False where as many as may be are under way."""
+        """Count a new stream of ``peer``; False if there are as many as allowed."""
         with self._condition:
             own = self._by_peer.get(peer, 0)
             share = self._limit if not peer or is_loopback(peer) else max(2, self._limit // 2)
@@ -290,7 +290,7 @@ class Streams:
             return True
 
     def give_back(self, peer: str = "") -> None:
-        """One has ended."""
+        """Count one stream of ``peer`` less."""
         with self._condition:
             self._taken -= 1
             self._by_peer[peer] -= 1
@@ -299,18 +299,18 @@ class Streams:
             self._condition.notify_all()
 
     def close(self) -> None:
-        """Have all end soon."""
+        """Ask all streams to end soon."""
         self.closing = True
 
     def wait(self, timeout: float) -> bool:
-        """Wait until all have ended; whether they have, after ``timeout`` seconds."""
+        """Wait at most ``timeout`` seconds for all streams to end; return whether they have."""
         with self._condition:
             return self._condition.wait_for(lambda: self._taken == 0, timeout)
 
 
 class _Stream:
-    """The messages of one viewer. Holds a cursor, and no queue: a viewer that does not read blocks
-    its own thread and nothing else."""
+    """The messages to one viewer. It holds a cursor and no queue: a viewer that does not read
+    blocks only its own thread."""
 
     def __init__(
         self,
@@ -345,7 +345,7 @@ class _Stream:
         return self._messages
 
     def close(self) -> None:
-        """Called by the web server when the viewer has gone."""
+        """Called by the web server when the viewer has disconnected."""
         if self._open:
             self._open = False
             self._hub.came(-1)

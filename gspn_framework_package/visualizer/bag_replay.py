@@ -19,13 +19,13 @@ EVENTS = 400_000
 
 
 class BagReplay(Activity):
-    """The firings that a bag recorded, of the first run in it. A bag holds no plan: it is found by
+    """Replays the firings of the first run in a bag. A bag holds no plan: the plan is identified by
     its hash.
 
     :param path: the bag.
-    :param plans: plans that may be the one.
-    :raises LogError: not a bag, without firings, or of none of the plans.
-    :ivar left_out: the names of other runs of the plan in the bag.
+    :param plans: the candidate plans.
+    :raises LogError: the file is not a bag, holds no firings, or matches none of the plans.
+    :ivar left_out: the names of the plan's other runs in the bag.
     """
 
     mode = "REPLAY"
@@ -53,11 +53,11 @@ class BagReplay(Activity):
         self._messages = [item for item in messages if (item[1].plan, item[1].run) == (wanted, run)]
         names = {name for _, message in self._messages for name in message.robots}
         if len(self.plan.robots) != len(names):
-            with contextlib.suppress(GspnError):  # the marking of the first message decides then
+            with contextlib.suppress(GspnError):  # the first message's marking decides then
                 self.plan = self.plan.for_robots(max(1, len(names)))
 
     def document(self, title: str) -> Document:
-        """The plan that was run, to be shown."""
+        """The plan of the recorded run, for display."""
         return Document(title, self.plan.net, self.plan)
 
     def begin(self, hub: Hub) -> None:
@@ -89,8 +89,7 @@ class BagReplay(Activity):
 
 
 def _read(path: str) -> List[Tuple[float, FiredMessage]]:
-    """Pairs (seconds, message) of the firings in a bag, in the order in which they were
-    recorded."""
+    """Pairs (seconds, message) of the firings in a bag, in recording order."""
     try:
         import rosbag
     except ImportError:
@@ -115,7 +114,7 @@ def _read(path: str) -> List[Tuple[float, FiredMessage]]:
 
 
 def plans_of(folder: Folder, given: Optional[Plan] = None) -> List[Plan]:
-    """The plans that a bag in ``folder`` may be of."""
+    """The candidate plans for a bag in ``folder``."""
     plans = [given] if given is not None else []
     for entry in folder.entries():
         if entry.kind != "plan":

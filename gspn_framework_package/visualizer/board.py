@@ -1,29 +1,29 @@
-"""What the page shows at one moment, and the events that lead from one moment to the next.
+"""The state that the page shows at one moment, and the events that change it.
 
-An *event* is a JSON object that a source hands to the hub; ``k`` is its kind:
+An *event* is a JSON object that a source passes to the hub; ``k`` is its kind:
 
 ``fire``
-    ``tr`` transition (index) fired; ``d`` pairs (place index, change of its count); ``m`` moves
-    (robot, from, to) by place index, None for "from nowhere" and "to nowhere"; ``en``, ``dis``
-    transitions that became enabled or ceased to be; ``who`` the robot that asked; ``s`` (slot,
-    index) in the log, in a run that has one.
+    Transition ``tr`` (index) fired. ``d``: pairs (place index, change of its token count); ``m``:
+    moves (robot, from, to) by place index, None for "from nowhere" and "to nowhere"; ``en``,
+    ``dis``: the transitions that became enabled and disabled; ``who``: the robot that requested
+    it; ``s``: (slot, index) in the log, if the run has one.
 ``undo``
-    as ``fire``, for a firing that was taken back.
+    Like ``fire``, for a firing that was undone.
 ``mark``
-    the whole ``marking`` and ``enabled`` replaced (reset, clear, resynchronised), ``why`` says why.
-    With ``restart`` the time and the counts of firings begin anew; with ``back`` a reset or a clear
-    was taken back, and ``counts`` are those before the reset.
+    Replaces the whole ``marking`` and ``enabled`` (reset, clear, resynchronisation); ``why`` gives
+    the reason. With ``restart``, the time and the firing counts start again from zero; with
+    ``back``, a reset or a clear was undone, and ``counts`` are those from before the reset.
 ``robots``
-    ``r`` robots that changed (objects with ``name``), ``gone`` names of those that are no more.
+    ``r``: the robots that changed (objects with ``name``); ``gone``: the names of robots that left.
 ``note``
-    ``text`` for people, of a ``level`` (info, warning, fault), about ``robot`` or nobody.
+    ``text`` for people, with a ``level`` (info, warning, fault), about ``robot`` or about none.
 ``status``
-    fields of the status that changed: ``run`` (the name of the run that is shown, "" where there is
-    none or it is not known yet), ``running``, ``paused``, ``ended`` (why, None before),
+    The fields of the status that changed: ``run`` (the name of the run shown, "" if there is none
+    or it is not known yet), ``running``, ``paused``, ``ended`` (the reason, None until then),
     ``finished``, ``stalled``, ``fault`` (whether the run ended because something broke).
 
-The hub adds ``n`` (number, from 1) and ``t`` (seconds since the beginning, where the source gave
-none).
+The hub adds ``n`` (number, from 1) and, unless the source gave it, ``t`` (seconds since the
+beginning).
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ Move = Tuple[str, Optional[int], Optional[int]]
 """(robot, from, to) by place index; None for "from nowhere" and "to nowhere"."""
 
 NOTES_KEPT = 50
-"""How many of the latest notes a board carries, so that one who comes late sees them."""
+"""How many of the latest notes a board carries, so that late viewers see them."""
 
 _SINCE = ("place", "phase")
-"""A robot is "since" the moment at which one of these changed."""
+"""A robot's ``since`` is the time at which one of these fields last changed."""
 
 
 def fire_event(
@@ -55,11 +55,12 @@ def fire_event(
     moves: Sequence[Move] = (),
     back: bool = False,
 ) -> Event:
-    """Transition ``t`` fired, or was taken ``back``.
+    """The event of a firing of transition ``t``, or of its undoing.
 
-    :param change: what that changed in the enabled transitions.
-    :param who: the robot that asked.
+    :param change: the resulting change of the enabled transitions.
+    :param who: the robot that requested it.
     :param moves: (robot, from, to), see the module.
+    :param back: the firing was undone.
     """
     return {
         "k": "undo" if back else "fire",
@@ -73,7 +74,7 @@ def fire_event(
 
 
 def mark_event(enabled: EnabledSet, why: str) -> Event:
-    """The whole marking of ``enabled``, and what is enabled in it."""
+    """The event that replaces the marking by that of ``enabled``, with its enabled transitions."""
     return {
         "k": "mark",
         "marking": list(enabled.marking),
@@ -83,9 +84,9 @@ def mark_event(enabled: EnabledSet, why: str) -> Event:
 
 
 class Board:
-    """The state that the events so far led to.
+    """The state after the events so far.
 
-    :param transitions: how many transitions the net has.
+    :param transitions: the number of transitions of the net.
     :param marking: token counts in the order of the places.
     :param enabled: indices of the enabled transitions.
     :param status: see the module.
@@ -109,7 +110,7 @@ class Board:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Board:
-        """The board of a JSON object."""
+        """Read a board from its JSON object."""
         board = cls(0, data["marking"], data["enabled"], data["status"])
         board.n, board.t = data["n"], data["t"]
         board.counts = list(data["counts"])
@@ -118,7 +119,7 @@ class Board:
         return board
 
     def copy(self) -> Board:
-        """A board that goes its own way."""
+        """Return an independent copy."""
         board = Board(0, self.marking, self.enabled, self.status)
         board.n, board.t = self.n, self.t
         board.counts = list(self.counts)
@@ -127,7 +128,7 @@ class Board:
         return board
 
     def apply(self, event: Event) -> None:
-        """Go on by one event."""
+        """Update the board by one event."""
         self.n = event["n"]
         self.t = event["t"]
         kind = event["k"]

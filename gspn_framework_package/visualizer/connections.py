@@ -1,12 +1,11 @@
-"""The web server's connections, so that a few peers that are slow on purpose cannot use them all
-up.
+"""The web server's connections: a few deliberately slow peers cannot exhaust them.
 
-Waitress serves a request in a thread when all of it has come. What is added here is what it does
-before and after that. Before the body of a request is taken in, the guard is asked, from the header
-alone, and the length is looked at: who may not ask makes the server keep nothing. A request has a
-deadline. Where there are more connections than there may be, a new one takes the place of one that
-is waited for: of the peer that has most of them, the one that was heard longest ago. And a peer
-that does not read its answer is cut off, so that it holds no thread for long.
+Waitress passes a request to a thread when it has arrived completely. This module adds checks
+before and after that. When the header has arrived, the guard and the limit on the length decide
+whether the body is read at all, so an unauthorised peer cannot make the server store anything. A
+request has a deadline. When there are too many connections, a new one replaces a connection that
+is waiting for its peer: of the peer with most of them, the one silent for longest. A peer that
+does not read its answer is cut off, so that it does not hold a thread for long.
 """
 
 from __future__ import annotations
@@ -26,37 +25,37 @@ from werkzeug.http import parse_cookie
 from gspn_framework_package.visualizer.guard import HEADER, TOKEN_HEADER, Guard
 
 WAITING = 150
-"""Connections beside those of the viewers."""
+"""Number of connections in addition to those of the viewers."""
 
 HEADER_SECONDS = 10.0
-"""Time in which the header of a request has to come, and the first byte of a new connection."""
+"""Time allowed for the header of a request, and for the first byte of a new connection."""
 
 BODY_SECONDS = 10.0
-"""Time for the body of a request, and a second more for each :data:`SLOWEST` bytes."""
+"""Time allowed for the body of a request, plus one second for every :data:`SLOWEST` bytes."""
 
 SLOWEST = 20_000
 
 IDLE_SECONDS = 60.0
-"""Time that a connection is kept for another request."""
+"""Time for which an idle connection is kept open."""
 
 STALLED_SECONDS = 30.0
-"""Time after which a peer that takes nothing of its answer is cut off."""
+"""Time after which a peer that reads nothing of its answer is cut off."""
 
 DISCARDED = 64_000_000
-"""Bytes of a request that is too large, up to which it is taken in and thrown away, so that the
-peer, which does not listen before it has sent everything, gets the answer."""
+"""A request that is too large is read and discarded up to this many bytes: the peer does not read
+the answer before it has sent everything."""
 
 _ASKED = ("Host", "Origin", "Sec-Fetch-Site", HEADER, TOKEN_HEADER)
 
 
 class Refused:
-    """Why a request is not served, as waitress keeps it."""
+    """Why a request is refused, in the form of waitress's own errors."""
 
     def __init__(self, code: int, text: str) -> None:
         self.code, self.text = code, text
 
     def to_response(self, *ident: Any) -> Any:
-        """Status, headers and body."""
+        """Return the status, the headers and the body."""
         headers = [
             ("Content-Type", "application/json"),
             ("Cache-Control", "no-store"),
@@ -83,7 +82,7 @@ class _RefusalTask(ErrorTask):
 
 
 class _Discard:
-    """Takes in a body and keeps nothing."""
+    """Reads a body and keeps nothing of it."""
 
     error = None
 
@@ -93,7 +92,7 @@ class _Discard:
         self._buffer = OverflowableBuffer(1)
 
     def received(self, data: bytes) -> int:
-        """How much of the data belongs to the body."""
+        """Take in data; return how many bytes of it belong to the body."""
         taken = min(self._left, len(data))
         self._left -= taken
         self.completed = self._left <= 0
@@ -112,7 +111,7 @@ class _Discard:
 
 
 class _Parser(HTTPRequestParser):
-    """A request on its way in. Looks at the header before the body is taken in."""
+    """Parses an incoming request, and checks its header before it reads the body."""
 
     error: Any
     completed: bool
@@ -166,7 +165,7 @@ class _Parser(HTTPRequestParser):
         return dict(parse_cookie(self.headers.get("COOKIE", "")))
 
     def deadline(self) -> float:
-        """When it has to have come, in monotonic seconds."""
+        """The time by which the request must be complete, in monotonic seconds."""
         if not self.headers_finished:
             return self.began + HEADER_SECONDS
         length = self.content_length if not self.chunked else self._limit
@@ -188,7 +187,7 @@ class Connection(HTTPChannel):
 
     @property
     def waited_for(self) -> bool:
-        """Whether nothing is done for it: it has still to send a request, or all of it."""
+        """Whether the server waits for the peer: a complete request has not arrived yet."""
         return not self.requests and not self.total_outbufs_len
 
     def late(self, now: float) -> bool:
@@ -208,7 +207,7 @@ class Connection(HTTPChannel):
         return bool(self.last_activity < now - IDLE_SECONDS)
 
     def cut_off(self) -> None:
-        """Close it. To be called on the server's own thread."""
+        """Close the connection. Must be called on the server's own thread."""
         self._gone = self.will_close = True
         self.handle_close()
 
@@ -222,11 +221,11 @@ class Connection(HTTPChannel):
 
 
 class RequestRules:
-    """What is looked at before a request is taken in.
+    """The checks made before the body of a request is read.
 
-    :param guard: who may ask.
-    :param body_limit: bytes that the body of a request to a path may have.
-    :param too_large: the message for somebody who sends more.
+    :param guard: decides which requests are allowed.
+    :param body_limit: the largest body of a request to a path, in bytes.
+    :param too_large: the message for a larger one.
     """
 
     def __init__(
@@ -236,24 +235,24 @@ class RequestRules:
 
 
 class Server(TcpWSGIServer):
-    """Waitress with these connections.
+    """A waitress server with these connections.
 
-    :param limit: how many there may be.
+    :param limit: the largest number of connections.
     """
 
     channel_class = Connection
     rules: RequestRules
-    """To be set before the server runs."""
+    """Must be set before the server runs."""
 
     def __init__(self, application: Any, limit: int, **options: Any) -> None:
         self._limit = limit
         super().__init__(
             application,
-            # here it is not reached: it would have the server take no new connection
+            # never reached here: at this limit waitress would accept no new connection
             connection_limit=limit + 50,
             cleanup_interval=1,
-            asyncore_use_poll=True,  # select() ends with the 1024th file
-            max_request_body_size=1 << 62,  # each request is looked at by its path
+            asyncore_use_poll=True,  # select() cannot watch more than 1024 files
+            max_request_body_size=1 << 62,  # RequestRules limits each path
             **options,
         )
 
@@ -264,7 +263,7 @@ class Server(TcpWSGIServer):
                 connection.cut_off()
 
     def handle_accept(self) -> None:
-        """Take a new connection; another one, or else this, is closed where there are too many."""
+        """Accept a connection. If there are too many, close another one, or else this one."""
         known = set(self.active_channels)
         super().handle_accept()
         if len(self.active_channels) <= self._limit:

@@ -1,6 +1,6 @@
-"""What can be opened: the files of the served folder, and what a browser uploads.
+"""The documents that can be opened: files of the served folder, and uploads from a browser.
 
-Only a plan of the served folder can be executed. What is uploaded is shown and simulated.
+Only a plan of the served folder can be executed. An upload can only be shown and simulated.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ UPLOAD_FILES = 10
 
 
 class Document(NamedTuple):
-    """An open net: ``title`` for people, ``plan`` where it is one, ``executable`` where the
-    operator served it as a plan, ``notes`` on how it was read."""
+    """An open net: ``title`` for people, ``plan`` if it is a plan, ``executable`` if the operator
+    served it as a plan, ``notes`` on how it was read."""
 
     title: str
     net: Net
@@ -42,7 +42,7 @@ class Document(NamedTuple):
 
 
 class FileEntry(NamedTuple):
-    """A file of the served folder: ``path`` from there, ``kind`` net, plan or log."""
+    """A file of the served folder: ``path`` relative to the folder, ``kind`` net, plan or log."""
 
     path: str
     kind: str
@@ -50,9 +50,10 @@ class FileEntry(NamedTuple):
 
 
 class Folder:
-    """The served folder. Nothing outside it is opened, links that lead out included.
+    """The served folder. Nothing outside it is opened, not even through a link.
 
-    :param root: the folder. :raises InputError: it is not one.
+    :param root: the folder.
+    :raises InputError: it is not a folder.
     """
 
     def __init__(self, root: str) -> None:
@@ -70,7 +71,7 @@ class Folder:
             )
             for name in sorted(names):
                 whole = os.path.join(path, name)
-                with contextlib.suppress(OSError):  # it went away in the meantime
+                with contextlib.suppress(OSError):  # it has been deleted meanwhile
                     kind = self._kind(whole)
                     if kind and self._inside(whole):
                         found.append(
@@ -83,9 +84,10 @@ class Folder:
         return found[:FILES_LISTED]
 
     def resolve(self, path: str) -> str:
-        """The whole path of ``path``, which is relative to the folder.
+        """The absolute path of ``path``, which is relative to the folder.
 
-        :raises RefusedError: it leads out of the folder. :raises InputError: it is not there.
+        :raises RefusedError: it leads out of the folder.
+        :raises InputError: it does not exist.
         """
         if "\0" in path or os.path.isabs(path):
             raise RefusedError("only files of the served folder are opened")
@@ -100,8 +102,8 @@ class Folder:
         return whole
 
     def name(self, path: str) -> str:
-        """The one name that the file at ``path`` goes by, however that is written: from the folder
-        on, without links; of a plan's folder its plan file.
+        """The canonical name of the file at ``path``: relative to the folder, with links resolved;
+        for the folder of a plan, its plan file.
 
         :raises GspnError: as :meth:`resolve`.
         """
@@ -111,7 +113,7 @@ class Folder:
         return os.path.relpath(whole, self.root)
 
     def inside(self, whole: str) -> Optional[str]:
-        """A whole path as one from the folder on; None where it leads elsewhere."""
+        """An absolute path as one relative to the folder; None if it is outside the folder."""
         return os.path.relpath(os.path.realpath(whole), self.root) if self._inside(whole) else None
 
     def kind(self, path: str) -> str:
@@ -134,7 +136,7 @@ class Folder:
         name = os.path.basename(whole).lower()
         if os.path.isdir(whole):
             return "plan" if os.path.isfile(os.path.join(whole, PLAN_FILE)) else ""
-        if not os.path.isfile(whole):  # a pipe or a device would be waited for
+        if not os.path.isfile(whole):  # reading a pipe or a device would block
             return ""
         if name.endswith(LOG_ENDINGS):
             return "log"
@@ -145,7 +147,7 @@ class Folder:
 
 
 def _check_text(name: str) -> None:
-    """:raises UsageError: it holds what stands for no character, and no file can be called that."""
+    """Check a file name. :raises UsageError: it has an invalid character: no file has this name."""
     try:
         name.encode()
     except UnicodeEncodeError:
@@ -153,9 +155,9 @@ def _check_text(name: str) -> None:
 
 
 def _check_files(whole: str) -> None:
-    """Check that what a plan names is not a pipe or device: opening it would block without end.
+    """Check that a plan names no pipe or device: opening one would block indefinitely.
 
-    :raises InputError: it is.
+    :raises InputError: it names one.
     """
     if os.path.isdir(whole):
         whole = os.path.join(whole, PLAN_FILE)
@@ -185,7 +187,7 @@ def _check_files(whole: str) -> None:
 
 
 def _looks_like_plan(path: str) -> bool:
-    """Whether a JSON file begins like a plan; the whole is only read when it is opened."""
+    """Whether a JSON file begins like a plan; it is read completely only when it is opened."""
     try:
         with open(path, encoding="utf-8") as file:
             head = file.read(200_000)
@@ -196,13 +198,13 @@ def _looks_like_plan(path: str) -> bool:
 
 
 def read_upload(files: object) -> Document:
-    """The net or plan that a browser sent.
+    """Read the net or plan that a browser sent.
 
-    The files are looked at in a folder of their own: whatever an uploaded plan names is looked for
-    among the files sent with it, and nowhere else.
+    The files are read in a temporary folder: the files that an uploaded plan names must be among
+    those sent with it.
 
     :param files: ``[{"name": ..., "content": base64}, ...]``: a net, or an input file with its net.
-    :raises GspnError: it is not one, is too large, or names files that were not sent.
+    :raises GspnError: it is neither, is too large, or names files that were not sent.
     """
     sent = _sent_files(files)
     with tempfile.TemporaryDirectory(prefix="gspn_upload_") as folder:
@@ -219,7 +221,7 @@ def read_upload(files: object) -> Document:
             found = read_net_or_plan(os.path.join(folder, name), net_will_do=True)
             return _checked(Document(name, found.net, found.plan, notes=found.notes))
         except InputError as error:
-            if error.file:  # the folder is nobody's business
+            if error.file:  # do not reveal the folder
                 error.file = os.path.basename(error.file)
             raise
 
@@ -243,7 +245,7 @@ def _sent_files(files: object) -> Dict[str, bytes]:
 
 
 def _only_beside(name: str, data: bytes, sent: Dict[str, bytes]) -> bytes:
-    """An uploaded input file with every file it names replaced by one that was sent with it."""
+    """An uploaded input file, with every file name replaced by that of a file sent with it."""
     try:
         plan = json.loads(data)
     except (ValueError, RecursionError):
@@ -278,7 +280,7 @@ def _only_beside(name: str, data: bytes, sent: Dict[str, bytes]) -> bytes:
 
 
 def _checked(document: Document) -> Document:
-    """The document itself, if a browser can show it. :raises LimitError: it is too large."""
+    """Return the document if a browser can show it. :raises LimitError: it is too large."""
     nodes = len(document.net.places) + len(document.net.transitions)
     if nodes > NODES or len(document.net.arcs) > ARCS:
         raise LimitError(

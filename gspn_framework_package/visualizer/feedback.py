@@ -1,4 +1,4 @@
-"""Feedback of actions on its way to the page: the latest of each robot, a few times a second."""
+"""Passes the feedback of actions to the page: each robot's latest, a few times a second."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SECONDS = 0.2
 
 
 class Feedback:
-    """Gathers feedback, and hands it to a hub at most every :data:`SECONDS`."""
+    """Gathers feedback and passes it to a hub at most every :data:`SECONDS`."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
@@ -20,7 +20,7 @@ class Feedback:
         self._timer: Optional[threading.Timer] = None
 
     def tell(self, robot: str, text: str) -> None:
-        """``robot`` says ``text``. May be called from any thread."""
+        """Take in the feedback ``text`` of ``robot``. May be called from any thread."""
         with self._lock:
             self._said[robot] = text[:200]
             if self._timer is None:
@@ -29,7 +29,7 @@ class Feedback:
                 self._timer.start()
 
     def forget(self, robot: str) -> None:
-        """The action of ``robot`` is over."""
+        """Drop the feedback of ``robot``, whose action is over."""
         with self._lock:
             known = self._said.pop(robot, None)
         if known is not None:

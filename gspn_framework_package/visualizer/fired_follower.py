@@ -1,12 +1,12 @@
-"""Follows a team by ``fired_transitions`` alone: firings as they are heard, late, twice, out of
-order or not at all. No ROS in here: live messages and recorded ones (rosbag) come as
+"""Follows a team by ``fired_transitions`` alone, although firings may arrive late, twice, out of
+order or not at all. This module does not use ROS: live and recorded (rosbag) messages come as
 :class:`FiredMessage`.
 
 In full synchronisation a message carries the marking that the whole team agrees on: a firing is
-taken over when it leads from the marking shown to the one it carries. In partial synchronisation
-each robot only knows its own marking: a firing is taken over when it ends the visit that its robot
-is known to be in. What does not fit waits a moment for what is missing, and then the team has to be
-asked.
+accepted if it leads from the marking shown to the one it carries. In partial synchronisation each
+robot only knows its own marking: a firing is accepted if it ends the visit that its robot is known
+to be in. A firing that does not fit waits a moment for the missing ones; after that, the team has
+to be asked.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.visualizer.board import Board, Event, Move, fire_event, mark_event
 
 PATIENCE = 0.25
-"""Seconds that a firing which does not fit waits for the ones before it."""
+"""Seconds for which a firing that does not fit waits for the missing ones."""
 
 _WAITING = 500
-"""Most firings that wait; with more, the team is asked."""
+"""Largest number of waiting firings; if there are more, the team is asked."""
 
 
 class FiredMessage(Protocol):
-    """A message of ``fired_transitions`` (gspn_framework_package/FiredTransition), live or out of a
+    """A message of ``fired_transitions`` (gspn_framework_package/FiredTransition), live or from a
     bag."""
 
     plan: str
@@ -45,22 +45,22 @@ class FiredMessage(Protocol):
 
 
 class _Heard(NamedTuple):
-    """A message, and when it was heard: in seconds, on any clock that only grows."""
+    """A message, and when it was received: in seconds, on any monotonic clock."""
 
     message: FiredMessage
     at: float
 
 
 class RobotSeen(NamedTuple):
-    """Where a robot is: place (index), and the visit where it is known."""
+    """Where a robot is: its place (index), and its visit if known."""
 
     place: int
     visit: Optional[int] = None
 
 
 class TeamSeen(NamedTuple):
-    """What a robot that was asked said of the team: its marking and robots after log slot
-    ``slots - 1``; those that are ``gone`` have no token in the net."""
+    """A robot's answer about the team: the marking and the robots after log slot ``slots - 1``;
+    robots that are ``gone`` have no token in the net."""
 
     marking: Marking
     robots: Mapping[str, RobotSeen]
@@ -69,11 +69,11 @@ class TeamSeen(NamedTuple):
 
 
 class FiredFollower:
-    """See the module.
+    """Turns the messages of a team into events; see the module.
 
     :param plan: the plan that the team runs.
     :ivar gone: robots that have no token in the net any more.
-    :ivar lost_track: the team should be asked, and the answer handed to :meth:`adopt`.
+    :ivar lost_track: the team should be asked, and the answer passed to :meth:`adopt`.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -94,7 +94,7 @@ class FiredFollower:
         return self._enabled.marking
 
     def board(self, status: Mapping[str, object]) -> Board:
-        """The board before anything was heard: the initial marking of the plan."""
+        """The board before the first message: the initial marking of the plan."""
         board = Board(len(self.net.transitions), self.marking, self._enabled.now, status)
         for name, seen in self.robots.items():
             board.robots[name] = {
@@ -106,9 +106,9 @@ class FiredFollower:
         return board
 
     def take(self, news: FiredMessage, heard: float) -> List[Event]:
-        """What a message leads to: events for the hub, none while it waits.
+        """Take in a message; return its events for the hub, none while it has to wait.
 
-        :param heard: when it came, in seconds on any clock that only grows.
+        :param heard: when it arrived, in seconds on any monotonic clock.
         """
         if news.transition not in self.net.transition_index:
             return []
@@ -118,7 +118,7 @@ class FiredFollower:
         return self.retry(heard)
 
     def retry(self, now: float) -> List[Event]:
-        """Take over what has waited and now fits; notice what has waited too long."""
+        """Accept the waiting firings that fit now; note whether any has waited too long."""
         events: List[Event] = []
         self._waiting.sort(key=lambda w: (w.message.slot, w.message.index, w.message.visit))
         again = True
@@ -137,7 +137,7 @@ class FiredFollower:
         return events
 
     def is_behind(self, team: TeamSeen) -> bool:
-        """Whether the team was further, when it said this, than what is shown now."""
+        """Whether the answer of the team is ahead of the state shown."""
         if self.full:
             return team.slots - 1 > self._last[0] and team.marking != self.marking
         known = {name: seen.visit or 0 for name, seen in self.robots.items()}
@@ -148,11 +148,11 @@ class FiredFollower:
         }
         if any(steps > 0 for steps in further.values()):
             return True
-        # what moves counters only is no robot's visit
+        # a firing that only moves counters belongs to no robot's visit
         return not any(further.values()) and team.marking != self.marking
 
     def adopt(self, team: TeamSeen, why: str) -> List[Event]:
-        """Take over what a robot said of the team, and what has been heard since."""
+        """Adopt a robot's answer about the team, and apply the messages received since."""
         self.lost_track = False
         self._last = max(self._last, (team.slots - 1, 1 << 60))
         self.robots = dict(team.robots)
@@ -163,7 +163,7 @@ class FiredFollower:
         return events + self.retry(0.0)
 
     def give_up(self, why: str) -> List[Event]:
-        """Nobody can be asked: go on from the latest message that waits, and say so."""
+        """Continue from the latest waiting message, with a note: no robot can be asked."""
         events: List[Event] = []
         self.lost_track = False
         if not self._waiting:

@@ -1,11 +1,13 @@
-"""Who may ask this server for what. A browser on a robot network visits other pages too.
+"""Access control of the web server. A browser on a robot network visits other pages too.
 
-Every request: the Host header must be one that the server was started with (a page that rebinds its
-name to this machine has another), and what is asked of ``/api/`` must not come from another site,
-as Sec-Fetch-Site tells. Every POST: from this very page, as Origin tells too, and with a header
-that a form of another page cannot send. Beyond loopback: a token. There are two: the operator's,
-and the viewer's, which may only look. Every answer: a content security policy that allows nothing
-from elsewhere.
+- Every request: the Host header must be one that the server was started with (a page that rebinds
+  its name to this machine has another), and a request to ``/api/`` must not come from another site,
+  according to Sec-Fetch-Site.
+- Every POST must come from this page, according to Origin too, and carry a header that a form of
+  another page cannot send.
+- Beyond loopback, a request needs a token. There are two: the operator's, and the viewer's, which
+  only allows looking.
+- Every answer has a content security policy that allows nothing from other servers.
 """
 
 from __future__ import annotations
@@ -28,25 +30,25 @@ HEADER = "X-Gspn-Page"
 """A header that every POST of the page carries."""
 
 TOKEN_HEADER = "X-Gspn-Token"
-"""Where a program that keeps no cookies gives its token."""
+"""The header in which a program without cookies sends its token."""
 
 OPERATOR, VIEWER = "operator", "viewer"
 
 SHORTEST_TOKEN = 16
-"""Characters."""
+"""Shortest token, in characters."""
 
 GUESSES = 10
-"""Wrong tokens that a peer may give within :data:`GUESS_TIME`; further ones are not even
-compared."""
+"""Number of wrong tokens that a peer may send within :data:`GUESS_TIME`; further tokens are not
+even compared."""
 
 GUESS_TIME = 60.0
-"""Seconds."""
+"""Seconds for which a wrong token counts."""
 
 PEERS = 1000
-"""How many peers' wrong guesses are remembered; of more, those that guessed last."""
+"""Number of peers whose wrong guesses are remembered; if there are more, the latest are kept."""
 
 LOGINS = 1000
-"""How many cookies that were right are remembered: they are not taken for guesses."""
+"""Number of valid cookies that are remembered, so that they are not treated as guesses."""
 
 SECURITY_HEADERS = {
     "Content-Security-Policy": (
@@ -81,7 +83,7 @@ def is_loopback(host: str) -> bool:
 
 
 def check_tokens(token: Optional[str], viewer_token: Optional[str]) -> None:
-    """See that the tokens that were given will do. :raises UsageError: they will not."""
+    """Check the given tokens. :raises UsageError: one is too short, or both are the same."""
     for given in (token, viewer_token):
         if given is not None and (
             len(given) < SHORTEST_TOKEN or not given.isascii() or not given.isprintable()
@@ -95,7 +97,7 @@ def check_tokens(token: Optional[str], viewer_token: Optional[str]) -> None:
 
 
 class Admission(NamedTuple):
-    """What a request may do: it is refused, or it has a ``role``."""
+    """The verdict on a request: it has a ``role``, or it is refused."""
 
     role: str
     refusal: Optional[Refusal] = None
@@ -106,10 +108,10 @@ class Guard:
 
     :param host: the address it listens on.
     :param port: the port.
-    :param names: further names that browsers may call it by.
-    :param token: what the operator must know; made up where one is needed and none is given.
-    :param viewer_token: what those must know who may only look; made up beyond loopback.
-    :param time_source: monotonic seconds.
+    :param names: further host names that browsers may use for it.
+    :param token: the operator's token; generated if one is needed and none is given.
+    :param viewer_token: the token of viewers, who may only look; generated beyond loopback.
+    :param time_source: returns monotonic seconds.
     :raises UsageError: a token is too short, or both are the same.
     """
 
@@ -127,7 +129,7 @@ class Guard:
         needed = not local or viewer_token is not None
         self.token = token or (secrets.token_urlsafe(18) if needed else None)
         self.viewer_token = viewer_token or (None if local else secrets.token_urlsafe(18))
-        # cookies do not keep ports apart, and two servers may run on one machine
+        # cookies are shared by all ports of a host, and two servers may run on one machine
         self.cookie = "gspn_token_%d" % port
         self._guesses, self._cookie_guesses = _Guesses(time_source), _Guesses(time_source)
         self._logins: OrderedDict[str, str] = OrderedDict()
@@ -148,7 +150,7 @@ class Guard:
         cookies: Mapping[str, str],
         peer: str = "",
     ) -> Admission:
-        """What a request may do.
+        """Decide on a request.
 
         :param peer: the address that it comes from.
         """
@@ -181,10 +183,10 @@ class Guard:
         return Admission(role)
 
     def login(self, given: str, peer: str = "") -> str:
-        """A cookie for a peer that gives a right token.
+        """Make a cookie for a peer that sends a valid token.
 
-        :returns: the cookie's value, "" where no token is needed.
-        :raises LoginError: it is not right, or the peer has guessed too often.
+        :returns: the cookie's value, "" if no token is needed.
+        :raises LoginError: the token is wrong, or the peer has guessed too often.
         """
         if self.token is None:
             return ""
@@ -199,7 +201,7 @@ class Guard:
         return cookie
 
     def role_of(self, given: str, peer: str = "") -> Optional[str]:
-        """The role of a token; None, and counted as a guess of ``peer``, where it is no one's."""
+        """The role of a token; None if it is wrong, which counts as a guess of ``peer``."""
         encoded = given.encode("utf-8", "surrogatepass")
         found = None
         for role, token in ((OPERATOR, self.token), (VIEWER, self.viewer_token)):
@@ -210,10 +212,12 @@ class Guard:
         return found
 
     def _role_of_cookie(self, cookie: str, peer: str) -> Optional[str]:
-        """A cookie is a number used once and a seal that only who knows the token can make. It
-        outlives a server that is started again with the same token. One that was right is known
-        again, however much its peer guesses. Wrong ones are counted by themselves: a page that
-        still has the cookie of another start keeps nobody from a login."""
+        """The role of a cookie, None if it is wrong.
+
+        A cookie is a nonce and a seal that takes the token to make. It stays valid if the server
+        is restarted with the same token. A cookie that was once valid is recognised however often
+        its peer guesses. Wrong cookies are counted separately from wrong tokens: a page with the
+        cookie of an earlier server start does not lock its peer out of the login."""
         with self._lock:
             if not cookie or cookie in self._logins:
                 return self._logins.get(cookie)
@@ -253,7 +257,7 @@ TOO_MANY = "too many wrong tokens came from there; wait a minute"
 
 
 class LoginError(Exception):
-    """No cookie: an HTTP ``status`` and a message."""
+    """The login is refused, with an HTTP ``status`` and a message."""
 
     def __init__(self, status: int, reason: str) -> None:
         super().__init__(reason)
@@ -269,7 +273,7 @@ class _Guesses:
         self._wrong: OrderedDict[str, Deque[float]] = OrderedDict()
 
     def wrong(self, peer: str) -> None:
-        """A peer gave a wrong one."""
+        """Count a wrong token of a peer."""
         with self._lock:
             times = self._wrong.setdefault(_network(peer), deque(maxlen=GUESSES))
             times.append(self._clock())
@@ -278,7 +282,7 @@ class _Guesses:
                 self._wrong.popitem(last=False)
 
     def too_many(self, peer: str) -> bool:
-        """Whether its next one is not to be looked at."""
+        """Whether the next token of the peer is to be ignored."""
         with self._lock:
             times = self._wrong.get(_network(peer))
             return (
@@ -289,7 +293,7 @@ class _Guesses:
 
 
 def _network(peer: str) -> str:
-    """Whom an address belongs to: of IPv6 a whole network is given out."""
+    """The owner of an address: with IPv6, a peer is assigned a whole network."""
     try:
         address = ipaddress.ip_address(peer.split("%")[0])
     except ValueError:
@@ -300,10 +304,10 @@ def _network(peer: str) -> str:
 
 
 def read_tokens(path: str) -> Tuple[Optional[str], Optional[str]]:
-    """The operator's token and the viewers', from the first two lines of a file; None for a line
-    that is not there.
+    """Read the operator's and the viewers' token from the first two lines of a file; None for a
+    missing line.
 
-    :raises InputError: it cannot be read, holds no token, or others may read it too.
+    :raises InputError: it cannot be read, holds no token, or other users may read it.
     """
     try:
         with open(path, encoding="utf-8") as file:
@@ -330,7 +334,7 @@ def _bracketed(name: str) -> str:
 
 
 def _own_names() -> FrozenSet[str]:
-    """The names and addresses that this machine goes by."""
+    """The names and addresses of this machine."""
     names = {socket.gethostname(), socket.getfqdn()}
     try:
         import psutil
