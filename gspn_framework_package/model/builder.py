@@ -7,7 +7,7 @@ from typing import Dict, List, Mapping, Optional, Sequence, Union
 from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
 
 PlaceSet = Union[str, Sequence[str], Mapping[str, int]]
-"""One place, several, or place -> arc weight."""
+"""One place, several places (a repeated place adds up), or place -> arc weight."""
 
 
 class NetBuilder:
@@ -50,7 +50,7 @@ class NetBuilder:
         inhibitors: PlaceSet = (),
         position: Optional[Position] = None,
     ) -> NetBuilder:
-        """Add an immediate transition and its arcs."""
+        """Add an immediate transition and its arcs; a larger ``priority`` takes precedence."""
         self._transitions.append(Transition(name, False, 1.0, weight, priority, 1, position))
         return self._connect(name, inputs, outputs, inhibitors)
 
@@ -75,12 +75,12 @@ class NetBuilder:
         return self
 
     def inhibitor(self, place: str, transition: str, weight: int = 1) -> NetBuilder:
-        """Add an inhibitor arc: ``weight`` tokens or more on ``place`` forbid ``transition``."""
+        """Add an inhibitor arc: ``weight`` or more tokens on ``place`` disable ``transition``."""
         self._arcs.append(Arc(place, transition, weight, inhibitor=True))
         return self
 
     def build(self) -> Net:
-        """The net. :raises NetError: see :class:`~gspn_framework_package.model.net.Net`."""
+        """Return the net. :raises NetError: see :class:`~gspn_framework_package.model.net.Net`."""
         return Net(self._places, self._transitions, self._arcs, self._name)
 
     def _connect(

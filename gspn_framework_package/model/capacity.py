@@ -1,4 +1,4 @@
-"""Capacities of places said in other words, for formats and methods that have none."""
+"""Rewriting of place capacities, for formats and methods that do not have them."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from gspn_framework_package.model.net import Arc, Net
 
 
 def capacities_as_inhibitors(net: Net) -> Net:
-    """The net with every capacity replaced by inhibitor arcs that forbid the same firings.
+    """Replace every capacity with inhibitor arcs that forbid the same firings.
 
     A transition that adds ``d`` tokens to a place of capacity ``c`` may fire as long as the place
-    holds at most ``c - d``: an inhibitor arc of weight ``c - d + 1`` says so. Markings, enabled
-    transitions and rates stay what they are (a complementary place would slow multi-server
-    transitions down).
+    holds at most ``c - d`` tokens, which an inhibitor arc of weight ``c - d + 1`` expresses.
+    Markings, enabled transitions and rates do not change (a complementary place would slow down
+    multi-server transitions).
 
-    :raises NetError: a transition adds more tokens than a place can hold at all, so it can never
-        fire."""
+    :raises NetError: a transition can never fire, because it adds more tokens to a place than the
+        place can hold."""
     if all(place.capacity is None for place in net.places):
         return net
     arcs: List[Arc] = list(net.arcs)

@@ -1,4 +1,4 @@
-"""Hierarchical composition: a place of one net becomes a whole net."""
+"""Hierarchical composition: replaces a place of a net with a whole net."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from gspn_framework_package.model.net import Arc, Net, Place, Position, Transiti
 def expand_place(
     net: Net, place: str, subnet: Net, entry: str, exit: str, prefix: Optional[str] = None
 ) -> Net:
-    """The net with ``place`` replaced by ``subnet``: what was one activity becomes a procedure.
+    """Replace ``place`` with ``subnet``, which turns a single activity into a procedure.
 
-    What put a token on the place puts it on the subnet's ``entry``; what took one from the place
-    takes it from the subnet's ``exit``. Tokens of the place in the initial marking begin at the
-    entry. The nodes of the subnet are renamed to ``prefix + name``; their order, like that of the
-    arcs, is kept: the subnet's places stand where the place stood, its transitions and arcs come
-    last.
+    Transitions that put a token on the place now put it on the subnet's ``entry``; transitions
+    that took one from the place take it from the subnet's ``exit``. Tokens of the place in the
+    initial marking start at the entry. The nodes of the subnet are renamed to ``prefix + name``.
+    Nodes and arcs keep their order: the subnet's places take the position of the replaced place,
+    and its transitions and arcs come last.
 
-    If the subnet keeps the number of tokens (every transition moves as many as it takes), the
-    tokens in it, added up, behave as the tokens of the place did, only that one must have reached
-    the exit before it can leave. Places of the subnet that are marked to begin with are its own
-    resources (a tool that the procedure needs): they are not part of that count.
+    If every transition of the subnet preserves the number of tokens, the total number of tokens in
+    the subnet behaves as the tokens of the place did, except that a token must reach the exit
+    before it can leave. Places of the subnet that are marked initially are its own resources (a
+    tool that the procedure needs) and are not part of that total.
 
     An inhibitor arc of weight 1 from the place ("while it is occupied") becomes one from every
-    place of the subnet that is not such a resource. One of a larger weight counts tokens of a
-    place, which no arc can do over several places, and is refused; so is a capacity of the place.
+    place of the subnet that is not such a resource. An inhibitor arc of larger weight is refused,
+    because no arc can count tokens across several places; so is a capacity of the place.
 
     :param place: name of the place to replace.
-    :param subnet: what replaces it.
-    :param entry: name of the place of the subnet where tokens come in.
-    :param exit: name of the place of the subnet where tokens go out; may be the entry.
-    :param prefix: what the names of the subnet's nodes begin with; by default ``place`` and a dot.
-    :raises NetError: no such place, entry or exit; a name that is taken; an inhibitor arc or a
-        capacity that cannot be carried over.
+    :param subnet: the net that replaces it.
+    :param entry: name of the subnet's place where tokens enter.
+    :param exit: name of the subnet's place where tokens leave; may be the entry.
+    :param prefix: prefix of the names of the subnet's nodes; by default ``place`` and a dot.
+    :raises NetError: the place, entry or exit does not exist; the entry or exit holds tokens; a
+        name is taken; an inhibitor arc or a capacity cannot be carried over.
 
     >>> from gspn_framework_package.model.builder import NetBuilder
     >>> outer = (NetBuilder().place("Idle", 1).place("Inspect")
@@ -122,7 +122,7 @@ def _shift(to: Optional[Position], origin: Optional[Position]) -> Optional[Posit
 
 
 def _moved(where: Optional[Position], shift: Optional[Position]) -> Optional[Position]:
-    """The position in the drawing of the outer net, where the entry stands on the place."""
+    """The position in the drawing of the outer net; the entry is where the place was."""
     if where is None or shift is None:
         return None
     return where[0] + shift[0], where[1] + shift[1]

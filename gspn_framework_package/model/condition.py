@@ -1,11 +1,11 @@
 """Conditions on markings: ``p3 >= 1 and robots_at_base == 2``, ``'p1:Check L1' + p2 > 3``, ``not
 deadlock``.
 
-The language is that of :mod:`~gspn_framework_package.model.expression`, with place names for
-numbers, comparisons (``== != < <= > >=``; ``=`` means ``==``), ``and``, ``or``, ``not`` (also
-``&``, ``|``, ``!``), ``true`` and ``false``. A name that is not made of letters, digits, ``_``,
-``.`` and ``:`` is written in quotes; a ``#`` before a place, as in GreatSPN, changes nothing. No
-text can do more than compare token counts.
+The language extends that of :mod:`~gspn_framework_package.model.expression`: place names stand for
+token counts, and there are comparisons (``== != < <= > >=``; ``=`` means ``==``), ``and``, ``or``,
+``not`` (also ``&``, ``|``, ``!``), ``true`` and ``false``. A name with characters other than
+letters, digits, ``_``, ``.`` and ``:`` is written in quotes. A ``#`` before a place, as in
+GreatSPN, is ignored. A condition can only compare token counts, so untrusted text is safe.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from gspn_framework_package.model.expression import (
 
 
 class Comparison(NamedTuple):
-    """``left operator right``, numbers on both sides, a truth value as the result."""
+    """``left operator right``: compares two numbers and yields a truth value."""
 
     operator: str
     left: Any
@@ -55,7 +55,7 @@ class Logical(NamedTuple):
 
 
 class Not(NamedTuple):
-    """The opposite of a truth value."""
+    """The negation of a truth value."""
 
     operand: Any
 
@@ -67,7 +67,7 @@ class Truth(NamedTuple):
 
 
 class Label(NamedTuple):
-    """A truth value that the analysis knows of each marking, such as ``deadlock``."""
+    """A truth value that the analysis supplies for each marking, such as ``deadlock``."""
 
     name: str
 
@@ -87,10 +87,11 @@ _TRUTH_NODES = (Comparison, Logical, Not, Truth, Label)
 
 
 class Condition:
-    """A condition that was read by :func:`parse_condition`, for markings of one net.
-    :ivar text: as written.
-    :ivar text: as it was written.
-    :ivar places: names of the places it looks at.
+    """A condition on the markings of one net, as read by :func:`parse_condition`.
+
+    :ivar text: the condition as written.
+    :ivar places: names of the places that the condition refers to.
+    :ivar labels: names of the labels that the condition refers to.
 
     >>> condition = parse_condition("a >= 1 and a + b == 3", ["a", "b"])
     >>> condition.holds((1, 2)), condition.holds((0, 3))
@@ -109,21 +110,20 @@ class Condition:
         )
 
     def holds(self, marking: Sequence[int], labels: Mapping[str, bool] = {}) -> bool:
-        """Whether it holds in ``marking`` (counts in the order of the places).
+        """Whether the condition holds in ``marking`` (counts in the order of the places).
 
-        A division by zero makes the comparison it stands in false.
+        A comparison that divides by zero is false.
 
-        :param labels: what is known of this marking beyond its counts, e.g. ``{"deadlock":
-          False}``.
+        :param labels: truth values of the labels in this marking, e.g. ``{"deadlock": False}``.
         """
         return bool(_run(self._program, marking, labels, _SCALAR))
 
     def holds_in(self, markings: Any, labels: Mapping[str, Any] = {}) -> Any:
-        """In which of many markings it holds.
+        """Evaluate the condition in many markings at once.
 
-        :param markings: integer array, one row a marking, one column a place.
-        :param labels: label -> boolean array, one value a row.
-        :return: boolean array, one value a row.
+        :param markings: integer array with one row per marking and one column per place.
+        :param labels: label -> boolean array with one value per row.
+        :return: boolean array with one value per row.
         """
         import numpy
 
@@ -131,8 +131,8 @@ class Condition:
         return self.holds_in_columns(columns, columns.shape[1] if columns.ndim == 2 else 0, labels)
 
     def holds_in_columns(self, columns: Any, rows: int, labels: Mapping[str, Any] = {}) -> Any:
-        """The same, with the markings in columns: ``columns[p]`` has the counts of place number
-        ``p`` in each of the ``rows`` markings, and is asked for those places only that the
+        """As :meth:`holds_in`, with the markings in columns: ``columns[p]`` has the counts of place
+        number ``p`` in each of the ``rows`` markings, and is read only for the places that the
         condition names."""
         import numpy
 
@@ -141,11 +141,11 @@ class Condition:
         return numpy.broadcast_to(numpy.asarray(result, dtype=bool), (rows,)).copy()
 
     def enough(self) -> List[Tuple[str, int]]:
-        """Pairs (place, count): the condition holds wherever the place has that many tokens or
-        more.
+        """Return pairs (place, count): the condition holds wherever the place has that many tokens
+        or more.
 
-        Only what stands there as such is found: ``place >= number``, and such comparisons joined by
-        "or".
+        Only explicit lower bounds are found: comparisons such as ``place >= number``, and such
+        comparisons joined by "or".
 
         >>> parse_condition("a >= 3 or 2 < b or (a > 1 and b > 1)", ["a", "b"]).enough()
         [('a', 3), ('b', 3)]
@@ -174,11 +174,11 @@ class Condition:
 def parse_condition(text: str, places: Sequence[str], labels: Collection[str] = ()) -> Condition:
     """Read a condition.
 
-    :param places: names of the places, in the order that markings have.
-    :param labels: further names that are true or false of a marking; a place of the same name goes
-      first.
-    :raises ExpressionError: it cannot be read, or names something that is not there; the message
-      says where.
+    :param places: names of the places, in the order of the counts in a marking.
+    :param labels: names of further truth values of a marking; a place of the same name takes
+      precedence.
+    :raises ExpressionError: the text cannot be read, or uses an unknown name; the message says
+      where.
     """
     index = {name: i for i, name in enumerate(places)}
     parser = _ConditionParser(text, index, labels)
@@ -194,8 +194,8 @@ def parse_condition(text: str, places: Sequence[str], labels: Collection[str] = 
 
 class _ConditionParser(Parser):
     """``disjunction = conjunction {or conjunction}``, ``conjunction = opposite {and opposite}``,
-    ``opposite = not opposite | comparison``, ``comparison = sum [(== | < | ...) sum]``; parentheses
-    hold any."""
+    ``opposite = not opposite | comparison``, ``comparison = sum [(== | < | ...) sum]``; any of
+    these may be in parentheses."""
 
     def __init__(self, text: str, places: Mapping[str, int], labels: Collection[str]) -> None:
         super().__init__(text)
@@ -284,7 +284,7 @@ class _ConditionParser(Parser):
         )
 
     def _arithmetic(self, rule: Callable[[], Any]) -> Any:
-        """Apply a rule of the arithmetic grammar; what it combines must be numbers."""
+        """Apply a rule of the arithmetic grammar; its operands must be numbers."""
         at = self.next
         result = rule()
         for operand in _operands(result):
@@ -338,7 +338,7 @@ def _operands(node: Any) -> Tuple[Any, ...]:
     return node.arguments if isinstance(node, Call) else ()
 
 
-# -- evaluation: a flat program for a stack machine, so that no text is too deep -------------------
+# -- evaluation: a flat program for a stack machine, so that depth does not matter -----------------
 
 _Step = Tuple[str, Any]
 _Functions = Mapping[str, Callable[..., Any]]
@@ -413,15 +413,15 @@ def _or_nan(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _extreme(function: Callable[..., Any]) -> Callable[..., Any]:
-    """``min`` or ``max`` with "not a number" on any side giving just that: Python's own depend on
-    the order."""
+    """Make ``min`` or ``max`` return NaN if any argument is NaN; with Python's own, the result
+    depends on the order of the arguments."""
     return lambda *values: (
         math.nan if any(value != value for value in values) else function(*values)
     )
 
 
 def _is_not_equal(a: Any, b: Any) -> bool:
-    return bool(a < b or a > b)  # false with "not a number" on a side, as all comparisons are
+    return bool(a < b or a > b)  # false if either is NaN, like every other comparison
 
 
 _COMMON: Dict[str, Callable[..., Any]] = {

@@ -1,4 +1,4 @@
-"""Constants of a net file, which may be defined by expressions over each other."""
+"""Constants of a net file, which may be defined in terms of each other."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from gspn_framework_package.model.expression import evaluate, names_in, parse
 def resolve_constants(
     definitions: Mapping[str, str], given: Mapping[str, float] = {}
 ) -> Dict[str, float]:
-    """The values of constants that are defined by expressions over each other.
+    """Compute the values of constants that are defined in terms of each other.
 
     :param definitions: name -> expression.
-    :param given: values from outside; they go before a definition of the same name.
-    :raises ExpressionError: a definition that cannot be read, uses an unknown name, or uses itself.
+    :param given: values from outside; they take precedence over a definition of the same name.
+    :raises ExpressionError: a definition cannot be read, uses an unknown name, or depends on
+        itself.
 
     >>> resolve_constants({"a": "2*b", "b": "N"}, {"N": 3}) == {"N": 3.0, "a": 6.0, "b": 3.0}
     True
@@ -30,7 +31,7 @@ def resolve_constants(
                 raise ExpressionError(
                     error.message, element="constant '%s'" % name, hint=error.hint
                 ) from None
-    open_names: Dict[str, None] = {}  # ordered: the chain of definitions under way
+    open_names: Dict[str, None] = {}  # ordered: the chain of definitions being resolved
     waiting = list(reversed(list(trees)))
     while waiting:
         name = waiting[-1]

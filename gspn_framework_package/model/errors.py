@@ -1,8 +1,8 @@
-"""The errors of the package: one small tree under one base class.
+"""The errors of the package: a small hierarchy under one base class.
 
 Every error that a user can cause says *what* is wrong, *where* (file, element, line) and *what to
-do*; the command line prints ``str(error)`` and exits with ``error.exit_code``: 1 when the plan or
-the answer is "no", 2 when the input or the usage is wrong.
+do*. The command line prints ``str(error)`` and exits with ``error.exit_code``: 1 when the answer
+is "no" or a plan must not run, 2 when the input or the usage is wrong.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import Optional
 
 class GspnError(Exception):
     """Base of all errors of this package.
-    :param message: the fault, one sentence without a full stop.
-    :param message: what is wrong, one sentence without a full stop.
-    :param file: the file it was found in.
+
+    :param message: what is wrong, as one sentence without a full stop.
+    :param file: the file with the fault.
     :param line: the line in that file, counted from 1.
     :param element: the element of the file or model, e.g. ``arc a3`` or ``policy row 4``.
     :param hint: what to do about it.
@@ -50,15 +50,15 @@ class GspnError(Exception):
         return place + element + self.message + hint
 
     def located(self, *, file: Optional[str] = None, line: Optional[int] = None) -> GspnError:
-        """The same error with a position from an outer reader; a position that is already known
-        wins."""
+        """Return this error with a position added by an outer reader; a position that is already
+        known takes precedence."""
         self.file = self.file or (str(file) if file is not None else None)
         self.line = self.line or line
         return self
 
 
 class InputError(GspnError):
-    """Invalid input: the tree of exit code 2."""
+    """Invalid input; the base of all errors with exit code 2."""
 
 
 class UsageError(InputError):
@@ -66,7 +66,7 @@ class UsageError(InputError):
 
 
 class NetError(InputError):
-    """Not a well-formed net: duplicate or unknown name, negative weight, arc between two places
+    """A net is not well formed: duplicate or unknown name, negative weight, arc between two places
     ..."""
 
 
@@ -79,12 +79,12 @@ class NoValueError(ExpressionError):
 
 
 class PolicyError(InputError):
-    """Not a well-formed policy: wrong length of a row, probabilities that do not sum to 1, unknown
-    name ..."""
+    """A policy is not well formed: a row of the wrong length, probabilities that do not sum to 1,
+    an unknown name ..."""
 
 
 class PlanError(InputError):
-    """Not a plan: syntax, schema, unknown names."""
+    """A plan is invalid: bad syntax, a schema violation or an unknown name."""
 
 
 class LogError(InputError):
@@ -92,8 +92,8 @@ class LogError(InputError):
 
 
 class RefusedError(GspnError):
-    """The input is well-formed, and the answer is no: a plan that must not run, a question answered
-    "no"."""
+    """The input is well formed, but the answer is no: for example, a plan must not run, or a
+    property does not hold."""
 
     exit_code = 1
 
@@ -103,7 +103,7 @@ class NotEnabledError(RefusedError):
 
 
 class LimitError(RefusedError):
-    """Not decided within the limit on states, steps or memory that was set."""
+    """The computation reached a limit on states, steps, memory or time before it had an answer."""
 
 
 class CancelledError(RefusedError):
@@ -111,11 +111,11 @@ class CancelledError(RefusedError):
 
 
 class ExecutionError(RefusedError):
-    """A run that cannot go on: a missing server, a stalled team, a broken action function."""
+    """A run cannot continue: a missing server, a stalled team, a broken action function."""
 
 
 def missing_library(error: ModuleNotFoundError) -> str:
-    """The message for a user whose Python lacks a library."""
+    """Return the message for a user whose Python lacks a library."""
     return (
         "%s has no Python library '%s'\n"
         "Install it, or use the Python that ./run_demo prepares in a checkout: "

@@ -1,10 +1,10 @@
-"""Arithmetic over named constants, as net files hold it: ``2*N + 1``, ``lambda / min(k, 3)``,
+"""Arithmetic over named constants, as it occurs in net files: ``2*N + 1``, ``lambda / min(k, 3)``,
 ``1.5e-3``.
 
-Text becomes tokens (:func:`tokenize`), tokens a tree (:func:`parse`), the tree a number
-(:func:`evaluate`). Nothing of Python's own ``eval`` or ``ast`` is involved, so a constant may be
-called ``lambda``, and no text from a file can do more than arithmetic. The language of conditions
-on markings builds on the same tokens and parser."""
+:func:`tokenize` splits the text into tokens, :func:`parse` builds a tree from them, and
+:func:`evaluate` computes its value. Python's ``eval`` and ``ast`` are not involved, so a constant
+may be called ``lambda``, and text from a file can do nothing but arithmetic. The language of
+conditions on markings uses the same tokens and parser."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from typing import (
 from gspn_framework_package.model.errors import ExpressionError, NoValueError
 
 MAX_LENGTH = 10_000
-"""Longest expression that is read, in characters."""
+"""Maximum length of an expression, in characters."""
 
 MAX_DEPTH = 60
-"""Deepest nesting of parentheses, signs and powers that is read: far above need, far below the
-stack."""
+"""Maximum nesting of parentheses, signs and powers: far more than anyone needs, far less than
+Python's stack allows."""
 
 
 class Token(NamedTuple):
-    """A word of an expression: ``kind`` is ``number``, ``name``, ``operator`` or ``end``; ``text``
-    is what it says (of a quoted name: without the quotes); ``start`` is where it begins, in
-    characters from 0."""
+    """A token of an expression: ``kind`` is ``number``, ``name``, ``operator`` or ``end``; ``text``
+    is its text (a quoted name without the quotes); ``start`` is the index of its first character,
+    from 0."""
 
     kind: str
     text: str
@@ -51,7 +51,7 @@ class Number(NamedTuple):
 
 
 class Name(NamedTuple):
-    """A name that somebody must give a value: a constant, or in a condition a place."""
+    """A name that needs a value: a constant or, in a condition, a place."""
 
     name: str
 
@@ -63,7 +63,7 @@ class Negation(NamedTuple):
 
 
 class Operation(NamedTuple):
-    """``left operator right``, the operator one of ``+ - * / ^``."""
+    """``left operator right``, where the operator is one of ``+ - * / ^``."""
 
     operator: str
     left: Expression
@@ -93,7 +93,7 @@ FUNCTIONS: Mapping[str, Tuple[int, Optional[int], Callable[..., Any]]] = {
     "pow": (2, 2, math.pow),
     "mod": (2, 2, math.fmod),
 }
-"""Function name -> least and greatest number of arguments (None: any), and what it does."""
+"""Function name -> (minimum number of arguments, maximum or None for any, implementation)."""
 
 _NUMBER = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 _TOKEN = re.compile(
@@ -110,12 +110,13 @@ _TOKEN = re.compile(
 
 
 def tokenize(text: str) -> List[Token]:
-    """The tokens of ``text``, the last one of kind ``end``.
+    """Split ``text`` into tokens; the last one has the kind ``end``.
 
     Names may hold letters, digits, ``_``, ``.`` and ``:``; any other name is written in quotes.
     Comparison and logical operators are tokens too, for the language of conditions.
 
-    :raises ExpressionError: a character that begins no token, or a text above :data:`MAX_LENGTH`.
+    :raises ExpressionError: no token begins with some character, or the text is longer than
+        :data:`MAX_LENGTH`.
 
     >>> [t.text for t in tokenize("2*p1:Wait >= 'a b'")]
     ['2', '*', 'p1:Wait', '>=', 'a b', '']
@@ -164,8 +165,8 @@ class Parser:
         return self.tokens[self.next]
 
     def take(self, *operators: str) -> Optional[str]:
-        """Step over the next token if it is one of these operators; its text, or None if it is
-        not."""
+        """Step over the next token if it is one of these operators and return its text, else
+        None."""
         token = self.token
         if token.kind == "operator" and token.text in operators:
             self.next += 1
@@ -173,12 +174,12 @@ class Parser:
         return None
 
     def expect(self, operator: str) -> None:
-        """Step over that operator. :raises ExpressionError: something else comes next."""
+        """Step over this operator. :raises ExpressionError: the next token is another one."""
         if not self.take(operator):
             self.fail("'%s' was expected" % operator)
 
     def fail(self, message: str) -> NoReturn:
-        """Raise the error that ``message`` happened at the next token."""
+        """Raise an error with ``message`` and the position of the next token."""
         token = self.token
         seen = (
             "at the end of"
@@ -188,12 +189,12 @@ class Parser:
         raise ExpressionError("%s %s '%s'" % (message, seen, shorten(self.text)))
 
     def finish(self) -> None:
-        """:raises ExpressionError: there are tokens left."""
+        """Check that the whole text was read. :raises ExpressionError: there are tokens left."""
         if self.token.kind != "end":
             self.fail("an operator was expected")
 
     def sum(self) -> Expression:
-        """Read terms that are added and subtracted."""
+        """Read a sum: products joined by ``+`` and ``-``."""
         left = self.product()
         while True:
             operator = self.take("+", "-")
@@ -202,7 +203,7 @@ class Parser:
             left = Operation(operator, left, self.product())
 
     def product(self) -> Expression:
-        """Read factors that are multiplied and divided."""
+        """Read a product: factors joined by ``*`` and ``/``."""
         left = self.sign()
         while True:
             operator = self.take("*", "/")
@@ -211,7 +212,7 @@ class Parser:
             left = Operation(operator, left, self.sign())
 
     def sign(self) -> Expression:
-        """Read a power with the signs before it."""
+        """Read a power and any signs before it."""
         self.enter()
         if self.take("-"):
             result: Expression = Negation(self.sign())
@@ -223,7 +224,7 @@ class Parser:
         return result
 
     def power(self) -> Expression:
-        """Read an atom, raised to a power or not."""
+        """Read an atom and its exponent, if it has one."""
         base = self.atom()
         return Operation("^", base, self.sign()) if self.take("^") else base
 
@@ -258,7 +259,7 @@ class Parser:
         return Call(function, tuple(arguments))
 
     def enter(self) -> None:
-        """Count one level of nesting. :raises ExpressionError: above :data:`MAX_DEPTH`."""
+        """Enter a level of nesting. :raises ExpressionError: more than :data:`MAX_DEPTH`."""
         self._depth += 1
         if self._depth > MAX_DEPTH:
             raise ExpressionError(
@@ -266,16 +267,16 @@ class Parser:
             )
 
     def leave(self) -> None:
-        """Undo one :meth:`enter`."""
+        """Leave the level that :meth:`enter` entered."""
         self._depth -= 1
 
 
 def parse(text: str) -> Expression:
-    """The tree of an arithmetic expression.
+    """Parse an arithmetic expression into a tree.
 
-    :raises ExpressionError: it cannot be read; the message says where.
+    :raises ExpressionError: the text cannot be read; the message says where.
     """
-    # as most are; a parser takes ten times as long
+    # most expressions are plain numbers, and the parser takes ten times as long
     if len(text) <= MAX_LENGTH and _NUMBER.fullmatch(text):
         return Number(float(text))
     parser = Parser(text)
@@ -285,7 +286,7 @@ def parse(text: str) -> Expression:
 
 
 def names_in(tree: Expression) -> Set[str]:
-    """The names that must have a value for ``tree`` to have one."""
+    """Return the names that occur in ``tree``; each needs a value before it can be evaluated."""
     found: Set[str] = set()
     waiting: List[Expression] = [tree]
     while waiting:
@@ -302,10 +303,11 @@ def names_in(tree: Expression) -> Set[str]:
 
 
 def evaluate(expression: Union[str, Expression], constants: Mapping[str, float] = {}) -> float:
-    """The value of an expression (text, or its tree), a finite number.
+    """Evaluate an expression, given as text or as a tree; the result is finite.
 
     :param constants: the values of its names.
-    :raises ExpressionError: it cannot be read, a name has no value, or there is no finite result.
+    :raises ExpressionError: the text cannot be read, a name has no value, or the result is not
+        finite.
 
     >>> evaluate("2*N + min(lambda, 3)", {"N": 2, "lambda": 0.5})
     4.5
@@ -323,7 +325,7 @@ def evaluate(expression: Union[str, Expression], constants: Mapping[str, float] 
 
 
 def _postorder(tree: Expression, constants: Mapping[str, float]) -> float:
-    """The value of ``tree``; its own stack, because a long sum nests to the left."""
+    """Evaluate ``tree`` without recursion, because a long sum nests deeply to the left."""
     values: List[float] = []
     waiting: List[Tuple[Expression, bool]] = [(tree, False)]
     while waiting:
@@ -378,14 +380,14 @@ def _constant(name: str, constants: Mapping[str, float]) -> float:
 
 
 def whole(value: float) -> Optional[int]:
-    """``value`` as an int if it is a whole number that a float holds exactly, else None."""
+    """Return ``value`` as an int if it is a whole number that a float holds exactly, else None."""
     return (
         int(value) if math.isfinite(value) and value == int(value) and abs(value) <= 2**53 else None
     )
 
 
 def shorten(text: str, limit: int = 60) -> str:
-    """``text`` on one line, of at most ``limit`` characters, for a message."""
+    """Return ``text`` on one line of at most ``limit`` characters, for a message."""
     flat = " ".join(text.split())
     return flat if len(flat) <= limit else flat[: limit - 3] + "..."
 

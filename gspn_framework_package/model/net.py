@@ -3,12 +3,11 @@ Definition 1).
 
 A :class:`Net` is immutable. It is built by
 :class:`~gspn_framework_package.model.builder.NetBuilder` or by a reader of ``formats``; every edit
-gives a new net. A *marking* is a tuple of token counts in the order of ``net.places``: hashable,
-cheap, and the same thing for the token game, the analysis and the page.
+returns a new net. A *marking* is a tuple of token counts in the order of ``net.places``. It is
+hashable and cheap, and the token game, the analysis and the page all use it.
 
-This module holds the only firing rule of the package; everything else calls :meth:`Net.is_enabled`
-and
-:meth:`Net.fire`, or is tested to agree with them.
+This module has the only firing rule of the package; everything else calls :meth:`Net.is_enabled`
+and :meth:`Net.fire`, or is tested to agree with them.
 """
 
 from __future__ import annotations
@@ -32,16 +31,16 @@ from gspn_framework_package.model.errors import NetError, NotEnabledError
 Marking = Tuple[int, ...]
 Position = Tuple[float, float]
 MAX_COUNT = 2**53
-"""Largest number of tokens, capacity, arc weight or priority that a net may say: what every part of
-the package, JSON and a browser hold exactly."""
+"""Largest number of tokens, capacity, arc weight, priority or number of servers in a net: every
+part of the package, JSON and browsers represent integers up to this one exactly."""
 
 WeightedPlaces = Tuple[Tuple[int, int], ...]
 """Pairs (place index, arc weight), in the order of the arcs in the file."""
 
 
 class Place(NamedTuple):
-    """A place: ``tokens`` in the initial marking; ``capacity`` None means unlimited; ``position``
-    (x, y) in the units of the drawing, y downwards."""
+    """A place: ``tokens`` is its count in the initial marking; ``capacity`` None means unlimited;
+    ``position`` is (x, y) in the units of the drawing, y downwards."""
 
     name: str
     tokens: int = 0
@@ -52,10 +51,10 @@ class Place(NamedTuple):
 class Transition(NamedTuple):
     """A transition, immediate (``timed`` false) or exponential.
 
-    ``rate`` (1/s, > 0) counts for exponential ones only. ``weight`` (>= 0) and ``priority`` (a
-    larger number goes first) count for immediate ones only; weight 0 marks a *controllable* choice,
-    which a policy must make. ``servers`` is the number of servers of an exponential transition,
-    None for infinitely many.
+    ``rate`` (1/s, > 0) applies to exponential transitions only. ``weight`` (>= 0) and ``priority``
+    (a larger number takes precedence) apply to immediate ones only; weight 0 marks a *controllable*
+    choice, which a policy must make. ``servers`` is the number of servers of an exponential
+    transition, None for infinitely many.
     """
 
     name: str
@@ -71,8 +70,8 @@ Node = TypeVar("Node", Place, Transition)
 
 
 class Arc(NamedTuple):
-    """An arc from a place to a transition or back, by name; an ``inhibitor`` arc goes from a place
-    to a transition, and forbids it while the place holds ``weight`` tokens or more."""
+    """An arc from a place to a transition or vice versa, by name; an ``inhibitor`` arc goes from a
+    place to a transition and disables it while the place holds ``weight`` or more tokens."""
 
     source: str
     target: str
@@ -83,11 +82,11 @@ class Arc(NamedTuple):
 class Net:
     """An immutable GSPN.
 
-    :param places: in the order that markings have.
-    :param transitions: in file order.
-    :param arcs: in file order, which decides where the robots of a transition go. Parallel arcs add
-        up (of parallel inhibitor arcs the lowest weight counts).
-    :param name: for messages and pictures.
+    :param places: the places, in the order of the counts in a marking.
+    :param transitions: the transitions, in file order.
+    :param arcs: the arcs in file order, which decides where the robots of a transition go. The
+        weights of parallel arcs add up; of parallel inhibitor arcs, the lowest weight applies.
+    :param name: name for messages and pictures.
     :raises NetError: duplicate or empty names, arcs to nowhere or between two nodes of one kind,
         weights below 1, negative counts, a marking above capacity, rates that are not positive
         numbers.
@@ -216,9 +215,9 @@ class Net:
     # -- the firing rule ---------------------------------------------------------------------------
 
     def is_enabled(self, marking: Sequence[int], t: int) -> bool:
-        """Whether transition number ``t`` has concession in ``marking``: enough tokens on every
-        input place, fewer than the weight on every inhibitor place, room in every output place with
-        a capacity. Priorities are not looked at here, see :meth:`enabled`."""
+        """Whether transition number ``t`` has concession in ``marking``: every input place has
+        enough tokens, every inhibitor place has fewer than the weight, and every output place with
+        a capacity has room. This ignores priorities; see :meth:`enabled`."""
         for p, weight in self.inputs[t]:
             if marking[p] < weight:
                 return False
@@ -228,10 +227,10 @@ class Net:
         return all(marking[p] + change <= capacity for p, change, capacity in self._capacities[t])
 
     def fire(self, marking: Sequence[int], t: int) -> Marking:
-        """The marking after transition number ``t`` fired.
+        """Return the marking after transition number ``t`` fires in ``marking``.
 
-        :raises NotEnabledError: when ``marking`` does not enable it; the message says which place
-            is why.
+        :raises NotEnabledError: ``marking`` does not enable it; the message says which place is to
+            blame.
         """
         if not self.is_enabled(marking, t):
             raise NotEnabledError(
@@ -244,9 +243,9 @@ class Net:
         return tuple(after)
 
     def enabled(self, marking: Sequence[int], *, by_priority: bool = True) -> Tuple[int, ...]:
-        """Numbers of the enabled transitions. With ``by_priority`` immediate transitions go before
-        exponential ones, and of the immediate ones only those of the highest priority are
-        enabled."""
+        """Return the numbers of the enabled transitions. With ``by_priority``, immediate
+        transitions take precedence over exponential ones, and of the immediate ones only those of
+        the highest priority are enabled."""
         found = tuple(t for t in range(len(self.transitions)) if self.is_enabled(marking, t))
         if not by_priority:
             return found
@@ -257,15 +256,16 @@ class Net:
         return tuple(t for t in immediate if self.transitions[t].priority == top)
 
     def enabling_degree(self, marking: Sequence[int], t: int) -> int:
-        """How many times transition ``t`` could fire at once in ``marking``: what an infinite
-        server works on. A transition without input places has degree 1 when it is enabled."""
+        """Return how many times transition ``t`` could fire concurrently in ``marking``, which is
+        the number of busy servers if there are infinitely many. An enabled transition without input
+        places has degree 1."""
         if not self.is_enabled(marking, t):
             return 0
         return min((marking[p] // weight for p, weight in self.inputs[t]), default=1)
 
     def effective_rate(self, marking: Sequence[int], t: int) -> float:
-        """Rate (1/s) at which the exponential transition ``t`` fires in ``marking``: its rate times
-        the number of its servers that have work."""
+        """Return the rate (1/s) at which the exponential transition ``t`` fires in ``marking``: its
+        rate times the number of its busy servers."""
         transition = self.transitions[t]
         degree = self.enabling_degree(marking, t)
         if transition.servers is not None:
@@ -273,7 +273,7 @@ class Net:
         return transition.rate * degree
 
     def why_disabled(self, marking: Sequence[int], t: int) -> List[str]:
-        """The reasons, for people, why transition ``t`` is not enabled; empty when it is."""
+        """Return the reasons, in words, why transition ``t`` is not enabled; empty if it is."""
         reasons = []
         for p, weight in self.inputs[t]:
             if marking[p] < weight:
@@ -299,31 +299,31 @@ class Net:
         return reasons
 
     def effect(self, t: int) -> WeightedPlaces:
-        """Pairs (place index, change of its count) of firing ``t``; places that keep their count
-        are left out."""
+        """Return pairs (place index, change of its count) for a firing of ``t``; places whose count
+        does not change are left out."""
         return self._effects[t]
 
     # -- look-up -----------------------------------------------------------------------------------
 
     def place(self, name: str) -> Place:
-        """The place of that name. :raises NetError: there is none."""
+        """Return the place of that name. :raises NetError: there is none."""
         return self.places[self.place_number(name)]
 
     def transition(self, name: str) -> Transition:
-        """The transition of that name. :raises NetError: there is none."""
+        """Return the transition of that name. :raises NetError: there is none."""
         return self.transitions[self.transition_number(name)]
 
     def place_number(self, name: str) -> int:
-        """Index of a place in markings. :raises NetError: there is none of that name."""
+        """Return the index of a place in markings. :raises NetError: no place has that name."""
         return _number(self.place_index, name, "place")
 
     def transition_number(self, name: str) -> int:
-        """Index of a transition. :raises NetError: there is none of that name."""
+        """Return the index of a transition. :raises NetError: no transition has that name."""
         return _number(self.transition_index, name, "transition")
 
     def marking(self, counts: Mapping[str, int]) -> Marking:
-        """The marking with these counts, zero elsewhere. :raises NetError: unknown place, negative
-        count."""
+        """Return the marking with these counts, and zero elsewhere. :raises NetError: unknown
+        place, negative count."""
         marking = [0] * len(self.places)
         for name, count in counts.items():
             if not isinstance(count, int) or count < 0:
@@ -334,25 +334,26 @@ class Net:
         return tuple(marking)
 
     def named(self, marking: Sequence[int], *, zeros: bool = True) -> Dict[str, int]:
-        """The marking as place name -> count; without the empty places unless ``zeros``."""
+        """Return the marking as place name -> count; empty places are included if ``zeros``."""
         return {p.name: n for p, n in zip(self.places, marking) if n or zeros}
 
-    # -- edits: each gives a new net ---------------------------------------------------------------
+    # -- edits: each returns a new net -------------------------------------------------------------
 
     def with_place(self, place: Place) -> Net:
-        """The net with one more place (or with the place of that name replaced)."""
+        """Return the net with this place added, or replacing the place of the same name."""
         return Net(_put(self.places, place), self.transitions, self.arcs, self.name)
 
     def with_transition(self, transition: Transition) -> Net:
-        """The net with one more transition (or with the transition of that name replaced)."""
+        """Return the net with this transition added, or replacing the one of the same name."""
         return Net(self.places, _put(self.transitions, transition), self.arcs, self.name)
 
     def with_arc(self, arc: Arc) -> Net:
-        """The net with one more arc."""
+        """Return the net with this arc added."""
         return Net(self.places, self.transitions, self.arcs + (arc,), self.name)
 
     def with_marking(self, marking: Union[Marking, Mapping[str, int]]) -> Net:
-        """The net with another initial marking (a tuple in place order, or place name -> count)."""
+        """Return the net with another initial marking: a tuple in place order, or place name ->
+        count."""
         counts = self.marking(marking) if isinstance(marking, Mapping) else tuple(marking)
         if len(counts) != len(self.places):
             raise NetError("a marking of %d counts for %d places" % (len(counts), len(self.places)))
@@ -360,12 +361,12 @@ class Net:
         return Net(places, self.transitions, self.arcs, self.name)
 
     def without_place(self, name: str) -> Net:
-        """The net without a place and its arcs ("delete place", thesis 4.3.5)."""
+        """Return the net without a place and its arcs ("delete place", thesis 4.3.5)."""
         self.place_number(name)
         return self.without_places([name])
 
     def without_places(self, names: Iterable[str]) -> Net:
-        """The net without these places and their arcs."""
+        """Return the net without these places and their arcs."""
         gone = set(names)
         for name in gone:
             self.place_number(name)
@@ -377,7 +378,7 @@ class Net:
         )
 
     def without_transition(self, name: str) -> Net:
-        """The net without a transition and its arcs ("delete transition", thesis 4.3.5)."""
+        """Return the net without a transition and its arcs ("delete transition", thesis 4.3.5)."""
         self.transition_number(name)
         return Net(
             self.places,
@@ -387,8 +388,8 @@ class Net:
         )
 
     def without_arc(self, source: str, target: str, *, inhibitor: bool = False) -> Net:
-        """The net without the arcs from ``source`` to ``target``. :raises NetError: there is
-        none."""
+        """Return the net without the arcs from ``source`` to ``target``. :raises NetError: there
+        is no such arc."""
         kept = [
             a for a in self.arcs if (a.source, a.target, a.inhibitor) != (source, target, inhibitor)
         ]
@@ -417,7 +418,7 @@ class Net:
 
 
 def _put(nodes: Sequence[Node], node: Node) -> List[Node]:
-    """``nodes`` with ``node`` in the place of the one of its name, or at the end."""
+    """Return ``nodes`` with ``node`` replacing the one of the same name, or added at the end."""
     if any(n.name == node.name for n in nodes):
         return [node if n.name == node.name else n for n in nodes]
     return list(nodes) + [node]
@@ -439,7 +440,7 @@ def _arc_name(arc: Arc) -> str:
 
 
 def _effect(taken: Mapping[int, int], put: Mapping[int, int]) -> WeightedPlaces:
-    """What a firing changes, of what it takes and what it puts."""
+    """Return the net change of a firing that takes and puts these tokens."""
     if taken.keys().isdisjoint(put):
         return (*[(p, -weight) for p, weight in taken.items()], *put.items())
     change = {p: put.get(p, 0) - weight for p, weight in taken.items()}
@@ -447,8 +448,8 @@ def _effect(taken: Mapping[int, int], put: Mapping[int, int]) -> WeightedPlaces:
     return tuple((p, c) for p, c in change.items() if c)
 
 
-# A net has some 100,000 nodes and more arcs: what to call them is put together only where one is
-# wrong.
+# A net may have 100,000 nodes and more arcs, so the checks build the name of an element only when
+# it is wrong.
 
 
 def _check_weight(arc: Arc) -> None:

@@ -1,7 +1,7 @@
-"""Plans: a net, a policy and a map from places to actions, with everything a run needs to know.
+"""Plans: a net, a policy and a map from places to actions, with all the settings of a run.
 
-A plan is read by ``formats.plan_file`` (or ``formats.thesis_input``) and checked by
-``analysis.preflight``. What its parts mean when it runs is written down in ``docs/semantics.md``.
+``formats.plan_file`` (or ``formats.thesis_input``) reads a plan, and ``analysis.preflight`` checks
+it. ``docs/semantics.md`` defines what its parts mean at run time.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.policy import Policy
 
 MAX_ROBOTS = 10_000
-"""Most robots of a team: a number beyond it is a slip, and would fill the memory."""
+"""Maximum number of robots in a team: a larger number is a typo, and would exhaust the memory."""
 
 
 def too_many_robots(number: int) -> PlanError:
-    """The error of a team that is larger than any could be."""
+    """Return the error for a team of more than :data:`MAX_ROBOTS` robots."""
     return PlanError(
         "a team of %d robots; at most %d are possible" % (number, MAX_ROBOTS),
         element="robots",
@@ -45,14 +45,13 @@ class Synchronisation(enum.Enum):
     """How much the robots share with each other (thesis 4.3.3)."""
 
     FULL = "full"
-    """Every finished action goes through the shared log, on a topic."""
+    """Every finished action goes through the shared log, over a topic."""
     PARTIAL = "partial"
-    """Moves that concern nobody else stay with the robot; the rest is agreed through services."""
+    """A robot makes moves that concern nobody else locally; the rest is agreed through services."""
 
 
 class Outcome(enum.Enum):
-    """The ways in which an action of any type can end, by the names that ``outcomes`` uses in a
-    plan."""
+    """The ways in which an action of any type can end, named as in ``outcomes`` of a plan."""
 
     SUCCEEDED = "succeeded"
     ABORTED = "aborted"
@@ -61,9 +60,9 @@ class Outcome(enum.Enum):
 
 
 class FunctionAction(NamedTuple):
-    """An action that is a Python function or class of the plan's folder, ``module.function``; in
-    ROS it is served as an ExecGSPN action server of the name ``server``. ``settings`` are passed to
-    the function, or to the class when it is instantiated, by name."""
+    """An action that is a Python function or class in the plan's folder, ``module.function``. In
+    ROS an ExecGSPN action server named ``server`` runs it. ``settings`` are passed by name to the
+    function, or to the constructor of the class."""
 
     function: str
     server: str
@@ -76,13 +75,12 @@ class FunctionAction(NamedTuple):
 
 
 class ServerAction(NamedTuple):
-    """An action server that exists already, ``server``, of the action type ``type``
-    (package/NameAction).
+    """An existing action server, ``server``, of the action type ``type`` (package/NameAction).
 
-    An ``ExecGSPNAction`` names its transition itself. For any other type ``goal`` holds the goal's
-    fields (nested maps), and ``outcomes`` says which transition each :class:`Outcome` stands for;
-    "" lets the policy decide, and an outcome that is not listed is a failure (but success, not
-    listed, lets the policy decide).
+    An ``ExecGSPNAction`` names its transition itself. For any other type, ``goal`` holds the goal's
+    fields (nested maps), and ``outcomes`` maps each :class:`Outcome` to a transition; "" lets the
+    policy decide. An outcome that is not listed is a failure, except that an unlisted success lets
+    the policy decide.
     """
 
     type: str
@@ -97,25 +95,25 @@ class ServerAction(NamedTuple):
 
 
 Action = Union[FunctionAction, ServerAction, None]
-"""What happens in an action place; None: nothing, a robot there is done at once."""
+"""The action of an action place; None means no action, so a robot there is done at once."""
 
 
 class FailureKind(enum.Enum):
     """What to do when an action does not succeed."""
 
     RETRY = "retry"
-    """Try again, same visit, next attempt; when the attempts are used up, wait."""
+    """Try again within the same visit; when the attempts are used up, wait."""
     FIRE = "fire"
     """Go on as if the action had asked for that transition."""
     WAIT = "wait"
-    """Wait for the operator, loudly."""
+    """Wait for the operator, and report that prominently."""
     STOP = "stop"
     """Stop the whole team."""
 
 
 class FailureRule(NamedTuple):
-    """A failure rule of one place: ``times`` and ``delay`` (seconds) count for RETRY,
-    ``transition`` for FIRE."""
+    """The failure rule of a place: ``times`` and ``delay`` (seconds) apply to RETRY,
+    ``transition`` to FIRE."""
 
     kind: FailureKind = FailureKind.WAIT
     times: int = 0
@@ -124,26 +122,26 @@ class FailureRule(NamedTuple):
 
 
 class LostKind(enum.Enum):
-    """What to do when a robot is lost that others wait for."""
+    """What to do when other robots wait for a robot that is lost."""
 
     HOLD = "hold"
-    """They go on waiting (and say for what)."""
+    """They keep waiting, and report what they wait for."""
     STOP = "stop"
     """The team stops."""
     FIRE = "fire"
-    """Those that wait ask for that transition instead, where it leaves their place."""
+    """Waiting robots request that transition instead, if it leaves their place."""
 
 
 class LostRule(NamedTuple):
-    """``transition`` counts for FIRE."""
+    """The rule for lost robots; ``transition`` applies to FIRE."""
 
     kind: LostKind = LostKind.HOLD
     transition: str = ""
 
 
 class RobotSpec(NamedTuple):
-    """A robot of the plan: its ``name``, its initial ``place`` and the places where it acts
-    otherwise than the team does (``actions``, a team of different robots)."""
+    """A robot of the plan: its ``name``, its initial ``place`` and its own ``actions``, which
+    override those of the team (for teams of different robots)."""
 
     name: str
     place: str
@@ -151,9 +149,9 @@ class RobotSpec(NamedTuple):
 
 
 class Timing(NamedTuple):
-    """Times of the agreement, in seconds. A robot that nobody heard for ``evict_after`` is proposed
-    for eviction (0: never); one without contact to a quorum for ``fence_after`` stops itself (0:
-    never)."""
+    """Times of the agreement protocol, in seconds. A robot that nobody has heard for
+    ``evict_after`` is proposed for eviction (0: never). A robot without contact to a quorum for
+    ``fence_after`` stops itself (0: never)."""
 
     evict_after: float = 10.0
     fence_after: float = 0.0
@@ -161,8 +159,8 @@ class Timing(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """A plan. Its maker has checked every field against the net: see
-    :meth:`validate`."""
+    """A plan. The code that creates one calls :meth:`validate`, which checks every field against
+    the net."""
 
     net: Net
     name: str = "plan"
@@ -192,35 +190,35 @@ class Plan:
 
     @property
     def action_places(self) -> Tuple[str, ...]:
-        """The places whose tokens are robots, in net order."""
+        """Return the places whose tokens are robots, in net order."""
         return tuple(p.name for p in self.net.places if p.name not in self.resource_places)
 
     def action(self, robot: str, place: str) -> Action:
-        """What ``robot`` does in ``place``."""
+        """Return the action of ``robot`` in ``place``."""
         for spec in self.robots:
             if spec.name == robot and place in spec.actions:
                 return spec.actions[place]
         return self.actions.get(place)
 
     def bindings(self) -> Iterator[Tuple[str, Action]]:
-        """Every place that is bound to an action, and the action: of the team, then of each robot
-        that acts otherwise."""
+        """Yield every place that is bound to an action, with the action: first those of the team,
+        then those of each robot with its own."""
         yield from self.actions.items()
         for robot in self.robots:
             yield from robot.actions.items()
 
     def failure_rule(self, place: str) -> FailureRule:
-        """The failure rule of a place; ``'*'`` in the plan stands for every place without one of
-        its own."""
+        """Return the failure rule of a place; ``'*'`` in the plan stands for every place without
+        its own rule."""
         return self.on_failure.get(place) or self.on_failure.get("*") or FailureRule()
 
     def timeout(self, place: str) -> Optional[float]:
-        """Seconds that an action in ``place`` may take, None for as long as it likes."""
+        """Return the seconds that an action in ``place`` may take, None for no limit."""
         return self.timeouts.get(place, self.timeouts.get("*"))
 
     def hash(self) -> str:
-        """Hex digest of everything that decides how a run goes: replicas that differ in it must not
-        meet."""
+        """Hex digest of everything that determines the course of a run; replicas whose digests
+        differ must not cooperate."""
         text = json.dumps(self._essence(), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
@@ -260,11 +258,12 @@ class Plan:
         }
 
     def for_robots(self, number: int) -> Plan:
-        """The plan for a team of ``number`` robots: its first ones, or more, which start at the
-        entries of ``spawn``, cyclically (the places of the plan's own robots where there is no
-        ``spawn``). Robots added are named robot_k. The initial marking follows.
+        """Return the plan for a team of ``number`` robots. A smaller team consists of the plan's
+        first robots; additional ones, named robot_k, start at the entries of ``spawn``, cyclically
+        (without ``spawn``, at the places of the plan's own robots). The initial marking changes
+        accordingly.
 
-        :raises PlanError: ``number`` below 1, or nowhere to start.
+        :raises PlanError: ``number`` is below 1, or there is no place to start at.
         """
         if not 1 <= number <= MAX_ROBOTS:
             raise PlanError("a team has from 1 to %d robots, not %d" % (MAX_ROBOTS, number))
@@ -285,7 +284,7 @@ class Plan:
         return self.with_robots(robots)
 
     def with_robots(self, robots: List[RobotSpec]) -> Plan:
-        """The plan with these robots; the marking of the action places follows from their
+        """Return the plan with these robots; their places determine the marking of the action
         places."""
         counts = {p.name: p.tokens for p in self.net.places if p.name in self.resource_places}
         for robot in robots:
@@ -293,20 +292,20 @@ class Plan:
         return replace(self, robots=tuple(robots), net=self.net.with_marking(counts))
 
     def with_seed(self, seed: int) -> Plan:
-        """The plan with another seed for the policy's draws."""
+        """Return the plan with another seed for the policy's random draws."""
         return replace(self, seed=seed)
 
     def with_notes(self, notes: Iterable[str]) -> Plan:
-        """The plan with more notes of its reader for people."""
+        """Return the plan with further notes for the user on how it was read."""
         return replace(self, notes=self.notes + tuple(notes))
 
     # -- checking ----------------------------------------------------------------------------------
 
     def validate(self) -> Plan:
-        """The plan itself, if every name in it exists where it should.
+        """Check that every name in the plan refers to something suitable, and return the plan.
 
         :raises PlanError: unknown places or transitions, a rule that names a transition it cannot
-            fire, two robots of one name, robots in resource places.
+            fire, two robots with the same name, robots in resource places.
         :raises PolicyError: see :class:`~gspn_framework_package.model.policy.PolicyTable`.
         """
         self.policy.bind(self.net)

@@ -1,9 +1,9 @@
 """Policies: from a marking to a distribution over immediate transitions (thesis 2.3, Definition 2).
 
-A :class:`Policy` is the table as written. :class:`PolicyTable` is the table made ready for one net:
-rows are kept for each place they speak of (the "shortcut" of thesis 7.2.1), grouped by which cells
-are wildcards, so that a look-up costs one dictionary access for each such group, and the same for
-ten rows and for a million.
+A :class:`Policy` is the table as written. A :class:`PolicyTable` is the table prepared for one net:
+it keeps the rows by the place they apply to (the "shortcut" of thesis 7.2.1), grouped by which
+cells are wildcards. A look-up costs one dictionary access per group, whether the table has ten rows
+or a million.
 """
 
 from __future__ import annotations
@@ -16,13 +16,12 @@ from gspn_framework_package.model.errors import PolicyError
 from gspn_framework_package.model.net import Net
 
 SUM_TOLERANCE = 1e-6
-"""How far the probabilities of a row may be from summing to 1 (they are written by hand, often as
-0.33)."""
+"""Tolerance for the sum of a row's probabilities, which must be 1 (people round them by hand)."""
 
 
 class PolicyRow(NamedTuple):
-    """``counts``: tokens per place of the policy's tuple, None matches any count; ``choices``:
-    pairs (transition, probability)."""
+    """A row: ``counts`` has the tokens of each place of the policy's tuple (None matches any
+    count); ``choices`` has pairs (transition, probability)."""
 
     counts: Tuple[Optional[int], ...]
     choices: Tuple[Tuple[str, float], ...]
@@ -31,10 +30,10 @@ class PolicyRow(NamedTuple):
 class Policy:
     """A stationary policy as a table over an ordered tuple of places.
 
-    :param places: the places that the cells of a row stand for; places left out may hold any count.
-    :param rows: in file order.
-    :raises PolicyError: a row of the wrong length, a count that is not a number of tokens,
-        probabilities that are negative or do not sum to 1, a row without a choice.
+    :param places: the places that the cells of a row refer to; other places may have any count.
+    :param rows: the rows, in file order.
+    :raises PolicyError: a row has the wrong length or no choice, a count is not a number of tokens,
+        or probabilities are negative or do not sum to 1.
     """
 
     def __init__(self, places: Sequence[str] = (), rows: Iterable[PolicyRow] = ()) -> None:
@@ -56,10 +55,10 @@ class Policy:
     def from_table(
         cls, places: Sequence[str], table: Iterable[Tuple[Sequence[object], Mapping[str, object]]]
     ) -> Policy:
-        """A policy from cells as people write them: numbers, numeric strings, ``'-'`` for any
-        count.
+        """Create a policy from cells as people write them: numbers, numeric strings, or ``'-'`` for
+        any count.
 
-        :raises PolicyError: see :class:`Policy`; also a cell or probability that cannot be read.
+        :raises PolicyError: see :class:`Policy`; also if a cell or probability cannot be read.
         """
         rows = []
         for number, (cells, choices) in enumerate(table, 1):
@@ -100,7 +99,7 @@ class Policy:
             raise PolicyError("the probabilities sum to %g, not to 1" % total, element=element)
 
     def bind(self, net: Net) -> PolicyTable:
-        """The policy made ready for ``net``. :raises PolicyError: unknown or exponential names."""
+        """Prepare the policy for ``net``. :raises PolicyError: see :class:`PolicyTable`."""
         return PolicyTable(self, net)
 
     def __eq__(self, other: object) -> bool:
@@ -114,26 +113,27 @@ class Policy:
 
 
 class Distribution(NamedTuple):
-    """What a policy says to a robot: ``row`` (its number from 0) and pairs (transition index,
-    probability), renormalised over the transitions that leave the robot's place."""
+    """The choice that a policy gives a robot: the ``row`` that applies (its number, from 0) and
+    pairs (transition index, probability), renormalised over the transitions that leave the robot's
+    place."""
 
     row: int
     choices: Tuple[Tuple[int, float], ...]
 
 
 Overlap = Tuple[int, int, int]
-"""Rows (first, second; numbers from 0) of one precedence that match one marking and speak of one
-place."""
+"""(place, earlier row, later row), all as numbers from 0: two rows of equal precedence that apply
+to the place and that match a common marking."""
 
 
 class PolicyTable:
     """A policy indexed for look-up in one net.
 
-    Precedence among the rows that match and speak of the robot's place: fewer wildcards first, then
-    file order.
+    Among the rows that match the marking and apply to the robot's place, the one with the fewest
+    wildcards takes precedence, then the first in file order.
 
-    :raises PolicyError: a place or transition that the net does not have; an exponential
-        transition.
+    :raises PolicyError: the policy names a place or transition that the net does not have, or an
+        exponential transition.
     """
 
     def __init__(self, policy: Policy, net: Net) -> None:
@@ -178,8 +178,8 @@ class PolicyTable:
         return tuple(places)
 
     def distribution(self, marking: Sequence[int], place: int) -> Optional[Distribution]:
-        """What the policy says to a robot in ``place`` (an index) at ``marking``; None when no
-        matching row speaks of it."""
+        """Return the choice of a robot in ``place`` (an index) at ``marking``, None if no matching
+        row applies to that place."""
         index = self._by_place.get(place)
         number = index.find(marking) if index is not None else None
         if number is None:
@@ -190,7 +190,7 @@ class PolicyTable:
         return self._restricted[key]
 
     def matches(self, marking: Sequence[int]) -> bool:
-        """Whether any row matches ``marking``, whomever it speaks of."""
+        """Whether any row matches ``marking``, whatever place the row applies to."""
         return self._any.find(marking) is not None
 
     def _restrict(self, number: int, place: int) -> Distribution:
@@ -203,7 +203,7 @@ class PolicyTable:
         return Distribution(number, tuple((t, p / total) for t, p in leaving))
 
     def overlaps(self, limit: int = 100) -> List[Overlap]:
-        """Pairs of rows that only file order decides between, at most ``limit`` of them, as
+        """Return at most ``limit`` pairs of rows whose precedence depends only on file order, as
         (place, earlier row, later row)."""
         found: List[Overlap] = []
         for place, index in self._by_place.items():
@@ -219,7 +219,7 @@ KeyedRows = Dict[Tuple[int, ...], int]
 
 
 class _RowIndex:
-    """Rows grouped by the set of cells that are not wildcards; a dictionary for each group."""
+    """Rows grouped by the set of cells that are not wildcards, with one dictionary per group."""
 
     def __init__(self, columns: Sequence[int]) -> None:
         self._columns = columns
@@ -277,8 +277,8 @@ def _compatible(
     other_rows: KeyedRows,
     limit: int,
 ) -> List[Tuple[int, int]]:
-    """Pairs of rows of two groups that some marking matches both of: they agree on the cells they
-    share."""
+    """Return pairs of rows, one from each group, that match a common marking because they agree on
+    the cells that both groups have."""
     shared = [c for c in cells if c in other_cells]
     mine, theirs = [cells.index(c) for c in shared], [other_cells.index(c) for c in shared]
     seen: Dict[Tuple[int, ...], List[int]] = {}

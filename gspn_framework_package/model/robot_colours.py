@@ -1,4 +1,4 @@
-"""The colour of each robot: the same on the page, in the world's window and in its films."""
+"""The colour of each robot, the same on the page, in the world's window and in its films."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ PALETTE = (
     "#3f6475",
     "#8c4a2f",
 )
-"""Colours as ``#rrggbb``, dark enough for white letters on them."""
+"""Colours as ``#rrggbb``, dark enough for white text on them."""
 
 _NUMBER = re.compile(r"([0-9]{1,6})$")
 
 
 def colour_of(name: str) -> str:
-    """The colour of a robot, ``#rrggbb``: by the number at the end of its name (neighbours differ),
-    by all of the name where there is none. ``static/js/colours.js`` of the page has the same rule;
-    a test holds the two together."""
+    """Return the colour of a robot, ``#rrggbb``. It depends on the number at the end of its name,
+    so that neighbours differ, or on the whole name if there is no number. ``static/js/colours.js``
+    of the page has the same rule; a test checks that the two agree."""
     digits = _NUMBER.search(name)
     if digits:
         return PALETTE[(int(digits.group(1)) - 1) % len(PALETTE)]
