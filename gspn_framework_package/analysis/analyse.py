@@ -1,5 +1,4 @@
-"""All analyses of one net or plan behind one object; each part is computed when it is asked for
-first.
+"""All analyses of one net or plan behind one object; each part is computed on first use.
 
 >>> from gspn_framework_package.model.builder import NetBuilder
 >>> net = (NetBuilder("machine").place("up", tokens=1).place("down")
@@ -51,23 +50,22 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
 _SEARCHED = 100_000
-"""Markings among which one is looked for in a net that has infinitely many."""
+"""Number of markings to search for a given one in a net that has infinitely many."""
 
 _BEGINNING = 20_000
-"""Markings that are visited before anybody asks whether there are infinitely many: most nets have
-fewer. Of a net that is known to have infinitely many no more are visited: there will be questions
-left anyway."""
+"""Markings to visit before checking whether there are infinitely many; most nets have fewer. If
+there are infinitely many, no more are visited, since some questions would stay open anyway."""
 
 _FIRST_TREE = 5_000
-"""Nodes of the first coverability tree that is tried, before more markings are visited."""
+"""Most nodes of the first coverability tree, which is tried before more markings are visited."""
 
 _FIRST_TREE_SHARE = 32
-"""What share of the memory it may take: one part in so many."""
+"""The first tree may take the memory limit divided by this."""
 
 
 class Reachability(NamedTuple):
-    """Whether a condition can come to hold: ``reachable`` (None: not decided), in what ``number``
-    of the markings that were visited, and a shortest way to one of them."""
+    """Whether a condition can come to hold: ``reachable`` (None: not decided), the ``number`` of
+    visited markings in which it holds, and a shortest path to one of them."""
 
     reachable: Optional[bool]
     number: int
@@ -87,16 +85,16 @@ class Analysis:
     """The analysis of a net, or of a plan under its policy.
 
     :param subject: a net or a validated plan.
-    :param limit: markings to visit at most, short for ``limits`` with so many states.
+    :param limit: most markings to visit; shorthand for ``limits`` with this many states.
     :param limits: how far each part may go.
-    :param structure: whether P-invariants may be asked for bounds. Without them, the coverability
-        tree alone says what grows without bound.
+    :param structure: whether P-invariants may be used for bounds. Without them, only the
+        coverability tree shows which places grow without bound.
     :param engine: see :func:`~gspn_framework_package.analysis.state_space.space.explore`.
     :param progress: called with the progress of long computations.
     :param cancel: called now and then; returns whether to stop.
 
-    Every part raises LimitError where it was not decided within the limit, and RefusedError where
-    the net has no such thing, as a Markov chain where nobody decides a choice.
+    Every part raises LimitError if it was not decided within the limit, and RefusedError if the
+    net has no such thing (for example no Markov chain, because nothing resolves a choice).
     """
 
     def __init__(
@@ -104,7 +102,7 @@ class Analysis:
         subject: Union[Net, Plan],
         *,
         limit: Optional[int] = None,
-        limits: Limits = Limits(),  # noqa: B008 (it never changes)
+        limits: Limits = Limits(),  # noqa: B008 (immutable)
         structure: bool = True,
         engine: str = "auto",
         progress: Optional[Progress] = None,
@@ -120,34 +118,37 @@ class Analysis:
         self._by_structure = structure
         self._engine = engine
         self._progress, self._cancel = progress, cancel
-        self._counters: Tuple[str, ...] = ()  # that were left out of the state space
+        self._counters: Tuple[str, ...] = ()  # the places left out of the state space
         self._known_tree: Optional[CoverabilityTree] = None
-        self._growth_reason = ""  # why the first tree does not say what grows without bound
+        self._growth_reason = ""  # why the first tree does not show what grows without bound
 
     # -- structure and state space -----------------------------------------------------------------
 
     @cached_property
     def structure(self) -> Structure:
-        """What the structure of the net alone says."""
+        """The structural properties of the net."""
         return Structure(self.net, limit=self.limits.structure, watch=self._watch)
 
     @cached_property
     def space(self) -> StateSpace:
-        """The markings that were visited: of a plan, those its policy allows; without the places
-        ``left_out``. Not complete where the limit was met."""
+        """The visited markings, without the places ``left_out``; for a plan, those its policy
+        allows. It is not complete if the limit was reached."""
         return self._explore()
 
     @property
     def left_out(self) -> Tuple[str, ...]:
-        """Places that nothing reads and that may grow without bound: they were left out of the
-        state space, since they cannot change what happens."""
+        """Places that nothing reads and that may grow without bound. The state space omits them,
+        since they cannot affect the behaviour."""
         if isinstance(self.space, PlanSpace):
             return self.space.counters
         return self._counters
 
     @property
     def tree(self) -> CoverabilityTree:
-        """The coverability tree. :raises LimitError: it is too large, or cannot be judged."""
+        """The coverability tree.
+
+        :raises LimitError: it is too large, or a growth in it could not be judged.
+        """
         if self._known_tree is None:
             self._known_tree = self._tree(self.limits.tree, self.limits.memory)
         return self._known_tree
@@ -167,14 +168,17 @@ class Analysis:
 
     @cached_property
     def properties(self) -> Properties:
-        """Deadlocks, liveness and the like. :raises LimitError: the state space is not complete."""
+        """Deadlocks, liveness and related properties.
+
+        :raises LimitError: the state space is not complete.
+        """
         self._refuse_if_unbounded("what depends on all markings")
         return Properties(self.space)
 
     @property
     def reversible(self) -> bool:
-        """Whether the initial marking can always be reached again. Not where a counter that was
-        left out can get tokens, since nothing takes them."""
+        """Whether the initial marking can always be reached again. It cannot if an omitted counter
+        can gain tokens, since nothing removes them."""
         if any(self._counts_up(place) != self.net.place(place).tokens for place in self.left_out):
             return False
         return self.properties.reversible
@@ -193,7 +197,7 @@ class Analysis:
             seconds=self.limits.seconds,
         )
         if beginning.complete or len(beginning) <= min(self.limit, _BEGINNING):
-            return beginning  # that is all, or it is time or memory that there is too little of
+            return beginning  # everything was visited, or time or memory ran out
         bounds = self._invariant_bounds
         counters = [
             name for name, bound in bounds.items() if bound is None and self._is_counter(name)
@@ -201,9 +205,9 @@ class Analysis:
         unbounded: Optional[List[str]] = []
         if None in bounds.values():
             unbounded = self._unbounded_places()
-        if unbounded is None:  # not decided: visit markings, and see
+        if unbounded is None:  # not decided: visit markings to find out
             fewer = self._visit(self.net.without_places(counters), self.limit) if counters else None
-            # where even those are too many, the markings with counters are too
+            # if even these are too many, so are the markings with counters
             if fewer is None or fewer.complete:
                 space = self._visit(self.net, self.limit) if self.limit > _BEGINNING else beginning
                 if fewer is None or space.complete:
@@ -252,7 +256,7 @@ class Analysis:
         return dict(zip(number, bounds_of(self.net, rows, self.net.initial_marking)))
 
     def _unbounded_places(self) -> Optional[List[str]]:
-        """The places that grow without bound, by a small coverability tree; None: not decided."""
+        """The places that grow without bound, from a small coverability tree; None: not decided."""
         try:
             tree = self._tree(
                 min(_FIRST_TREE, self.limits.tree), self.limits.memory // _FIRST_TREE_SHARE
@@ -265,14 +269,14 @@ class Analysis:
 
     @property
     def _is_unbounded(self) -> bool:
-        """Whether the first tree says that there are infinitely many markings, so that no limit
-        would do."""
+        """Whether the first tree shows infinitely many markings, so that no limit would be high
+        enough."""
         if self.plan is not None or self.space.complete or self._known_tree is None:
             return False
         return not self._known_tree.bounded
 
     def _refuse_if_unbounded(self, question: str) -> None:
-        """:raises LimitError: it is."""
+        """:raises LimitError: the first tree shows that the net is unbounded."""
         if self._is_unbounded:
             raise LimitError(
                 "not decided, since the net is unbounded",
@@ -321,7 +325,7 @@ class Analysis:
         return Boundedness(not any(grows), ordered)
 
     def _counts_up(self, place: str) -> Optional[int]:
-        """The most tokens of a counter that was left out; None where it grows without bound."""
+        """The most tokens that an omitted counter can hold; None if it grows without bound."""
         feeding = {
             self.net.transitions[t].name for t in self.net.producers[self.net.place_number(place)]
         }
@@ -331,8 +335,7 @@ class Analysis:
         return self.net.place(place).tokens + self._most_gained(place)
 
     def _most_gained(self, place: str) -> int:
-        """The most tokens that a firing sequence can put into a counter that is fed only outside
-        cycles."""
+        """The most tokens that a firing sequence can put into a counter that no cycle feeds."""
         space = self.space
         gain = np.zeros(len(self.net.transitions) + 1, dtype=np.int64)
         p = self.net.place_number(place)
@@ -345,7 +348,7 @@ class Analysis:
         sources, targets, gains = sources[across], targets[across], gains[across]
         most = np.zeros(found.number, dtype=np.int64)
         watch = self._watch()
-        # longest ways in an acyclic graph, by as many rounds as the longest has arcs
+        # longest paths in an acyclic graph, in as many rounds as the longest has arcs
         for rounds in itertools.count():
             watch.step("rounds", rounds)
             better = most.copy()
@@ -360,7 +363,7 @@ class Analysis:
     def reach(self, condition: str) -> Reachability:
         """Whether a condition can come to hold.
 
-        :raises ExpressionError: it cannot be read, or names an unknown place.
+        :raises ExpressionError: it cannot be parsed, or names an unknown place.
         """
         if self._looks_at_counters(condition):
             return self._search(condition)
@@ -371,7 +374,7 @@ class Analysis:
         return Reachability(False if space.complete else None, 0, None)
 
     def _search(self, condition: str) -> Reachability:
-        """Look for a marking in a net that has infinitely many: among more and more of them."""
+        """Search a net with infinitely many markings, visiting more and more of them."""
         limit = 1_000
         while True:
             space = self._visit(self.net, min(limit, self.limit))
@@ -385,7 +388,10 @@ class Analysis:
             limit *= 10
 
     def cover(self, marking: Mapping[str, int]) -> Reachability:
-        """Whether at least these many tokens can be in these places at once."""
+        """Whether these places can hold at least these numbers of tokens at the same time.
+
+        :param marking: place -> count.
+        """
         wanted = self.net.marking(marking)
         condition = " and ".join("'%s' >= %d" % item for item in marking.items()) or "true"
         if self.plan is not None or (self.space.complete and not self.left_out):
@@ -396,11 +402,11 @@ class Analysis:
             return self.reach(condition)
         if not coverable:
             return Reachability(False, 0, None)
-        # The way in the tree leaves out how often its loops are gone; a real one is looked for.
+        # The path in the tree does not show how often its loops repeat; search for a real one.
         return self._search(condition)._replace(reachable=True)
 
     def _looks_at_counters(self, condition: str) -> bool:
-        """Whether the condition is about places that were left out."""
+        """Whether the condition refers to omitted places."""
         if not self.left_out:
             return False
         parsed = parse_condition(condition, [p.name for p in self.net.places], ["deadlock"])
@@ -410,8 +416,10 @@ class Analysis:
 
     @cached_property
     def chain(self) -> Chain:
-        """The Markov chain. :raises RefusedError: nobody decides a choice, or there is a timeless
-        trap."""
+        """The Markov chain.
+
+        :raises RefusedError: nothing resolves a choice, or there is a timeless trap.
+        """
         self._refuse_if_unbounded("its Markov chain")
         return Chain.of(self.space)
 
@@ -422,20 +430,21 @@ class Analysis:
 
     @cached_property
     def measures(self) -> Measures:
-        """Tokens and throughput in the steady state."""
+        """Mean tokens and throughput in the steady state."""
         return Measures(self.chain, self.steady.distribution)
 
     def at(self, times: Sequence[float]) -> List[Tuple[float, Measures]]:
-        """Tokens and throughput at given times (s)."""
+        """Mean tokens and throughput at given times (s)."""
         return [
             (found.time, Measures(self.chain, found.distribution))
             for found in transient(self.chain, times, **self._while_working)
         ]
 
     def first_passage(self, condition: str, times: Sequence[float] = ()) -> Passage:
-        """When a condition holds for the first time; the probabilities within ``times`` (s).
+        """When a condition first holds, with the probability that it does within each of ``times``
+        (s).
 
-        :raises ExpressionError: the condition cannot be read, or names an unknown place.
+        :raises ExpressionError: the condition cannot be parsed, or names an unknown place.
         :raises LimitError: there are too many markings before it holds, or a linear system was not
           solved.
         """
@@ -452,8 +461,8 @@ class Analysis:
         return {"progress": self._progress, "cancel": self._cancel, "seconds": self.limits.seconds}
 
     def _until(self, condition: str) -> PlanSpace:
-        """The markings up to where a condition on counters holds: with the counters, and yet not
-        without end."""
+        """The markings, counters included, up to those in which a condition on counters holds. The
+        condition ends each run, which keeps the exploration finite."""
         plan = self.plan
         if plan is None:  # a plan without robots follows the rules of its net
             plan = Plan(

@@ -1,5 +1,5 @@
-"""Names for the types of arrays. numpy.typing came after the NumPy of Ubuntu 20.04, so only type
-checkers see the types of the elements."""
+"""Names for array types. The NumPy of Ubuntu 20.04 has no numpy.typing yet, so only type checkers
+see the element types."""
 
 from __future__ import annotations
 
@@ -17,4 +17,4 @@ else:
     Floats = Indices = Booleans = np.ndarray
 
 Matrix = Any
-"""A sparse matrix of SciPy, which has no types."""
+"""A SciPy sparse matrix; SciPy has no type annotations."""

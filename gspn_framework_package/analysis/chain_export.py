@@ -1,4 +1,4 @@
-"""A computed Markov chain on its way to a model checker."""
+"""Converts a computed Markov chain for export to a model checker."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _ROUNDING = 1e-12
 
 
 def explicit_chain(analysis: Analysis, labels: Mapping[str, str] = {}) -> ExplicitChain:
-    """The chain of a net, or of a plan under its policy, written out.
+    """The explicit chain of a net, or of a plan under its policy.
 
     :param labels: label -> the condition on markings that it stands for.
     :raises LimitError: the state space is larger than the limit.
-    :raises RefusedError: there is no chain, or it starts in one of several states by chance, which
-        the formats cannot say.
-    :raises ExpressionError: a condition cannot be read.
+    :raises RefusedError: there is no chain, or its initial state is random, which the formats
+        cannot express.
+    :raises ExpressionError: a condition cannot be parsed.
     """
     chain = analysis.chain
     starts = np.flatnonzero(chain.initial > _ROUNDING)

@@ -1,5 +1,5 @@
-"""Compiling with numba so that the machine code is kept for the next process, where there is a
-place to keep it; the import fails where numba is not installed."""
+"""Compiles with numba and caches the machine code for the next process if a cache directory is
+writable. The import fails if numba is not installed."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ Function = Callable[..., Any]
 
 
 def compiled(function: Function) -> Any:
-    """``function``, compiled by numba at its first call.
+    """``function``, compiled by numba on its first call.
 
-    Its machine code is kept beside its file, or in the user's cache. Where neither can be written
-    (an installation that is read-only, a user without a home) every process compiles for itself.
+    The machine code is cached next to the source file, or in the user's cache directory. If neither
+    is writable (a read-only installation, a user without a home), every process compiles it again.
     """
     try:
         return njit(cache=True, nogil=True)(function)
-    except RuntimeError:  # numba found no place to keep it
+    except RuntimeError:  # numba found no writable cache directory
         return njit(nogil=True)(function)

@@ -13,8 +13,8 @@ from gspn_framework_package.formats.dot import Attribute, Graph
 from gspn_framework_package.model.net import Net
 
 _MAX_LAYERED = 60
-"""Most states of a chain that are drawn in layers, with their rates: more make long rows of nodes
-with all arcs between them, and numbers that cannot be matched to their arcs."""
+"""Largest chain (in states) that is drawn in layers, with its rates. A larger one would give long
+rows of nodes with all arcs between them, and numbers that cannot be matched to their arcs."""
 
 _LAYERED: Mapping[str, Attribute] = {
     "rankdir": "TB",
@@ -23,12 +23,12 @@ _LAYERED: Mapping[str, Attribute] = {
     "ranksep": 0.6,
 }
 
-_MERGED = 1e-12  # probabilities below this are the rounding of an elimination
+_MERGED = 1e-12  # smaller probabilities are rounding errors of the elimination
 
 
 def tree_graph(tree: CoverabilityTree) -> Graph:
-    """The coverability tree: a node a marking, an arc a firing. The root is bold; a marking that
-    the tree has already is dashed and has no children; one that enables nothing is red."""
+    """The coverability tree: each node is a marking, each arc a firing. The root is bold. A marking
+    that is already in the tree is dashed and has no children; one that enables nothing is red."""
     net = tree.net
     graph = _graph(net.name)
     inner = {node.parent for node in tree.nodes}
@@ -47,10 +47,10 @@ def tree_graph(tree: CoverabilityTree) -> Graph:
 
 
 def chain_graph(chain: Chain, note: str = "") -> Graph:
-    """The Markov chain: a node a tangible marking, an arc a rate (1/s). States where it can start
-    are bold, with their probability where there are several; states that are never left are red.
+    """The Markov chain: each node is a tangible marking, each arc has a rate (1/s). Initial states
+    are bold, with their probabilities if there are several; absorbing states are red.
 
-    :param note: a line to write below the drawing, which then has no rates.
+    :param note: a line of text below the drawing; with a note, the drawing shows no rates.
     """
     net = chain.graph.net
     graph = _graph(net.name, {"label": note} if note else {}, large=len(chain) > _MAX_LAYERED)
@@ -70,14 +70,14 @@ def chain_graph(chain: Chain, note: str = "") -> Graph:
     for source, target, rate in sorted(
         zip(rates.row.tolist(), rates.col.tolist(), rates.data.tolist())
     ):
-        # else two labels read as one number
+        # without the spaces, two adjacent labels read as one number
         shown: Dict[str, Attribute] = {} if note else {"label": " %.4g " % rate}
         graph.edge(str(source), str(target), **shown)
     return graph
 
 
 def note_of_rates_left_out(chain: Chain) -> str:
-    """The note on a chain that is too large for rates in its picture; empty for a smaller one."""
+    """The note for a chain too large to be drawn with rates; empty for a smaller chain."""
     if len(chain) <= _MAX_LAYERED:
         return ""
     return (
@@ -91,8 +91,7 @@ def note_of_rates_left_out(chain: Chain) -> str:
 
 
 def _graph(name: str, attributes: Mapping[str, Attribute] = {}, large: bool = False) -> Graph:
-    # Nodes are drawn over the arcs, and are white: an arc that passes behind one does not cross its
-    # text.
+    # Nodes are white and drawn over the arcs, so that no arc crosses the text of a node.
     graph = Graph(
         name,
         fontname="Helvetica",

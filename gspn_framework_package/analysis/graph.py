@@ -1,4 +1,4 @@
-"""Graph algorithms on state spaces: components, what can be reached, shortest ways."""
+"""Graph algorithms on state spaces: components, reachability, shortest paths."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from gspn_framework_package.analysis.arrays import Booleans, Indices, Matrix
 
 
 class Components(NamedTuple):
-    """Strongly connected components: ``number`` of them; ``of`` (int array: the component of each
-    node); ``bottom`` (boolean array: no arc leaves the component)."""
+    """Strongly connected components: their ``number``; ``of`` (int array: the component of each
+    node); ``bottom`` (boolean array over the components: no arc leaves it)."""
 
     number: int
     of: Indices
@@ -32,7 +32,7 @@ def components(nodes: int, sources: Indices, targets: Indices) -> Components:
 
 
 def components_of(matrix: Matrix) -> Components:
-    """The strongly connected components of the graph that has an arc for every entry of a sparse
+    """The strongly connected components of the graph with an arc for every entry of a sparse
     matrix (CSR)."""
     count, of = csgraph.connected_components(matrix, connection="strong")
     bottom = np.ones(count, dtype=bool)
@@ -45,8 +45,8 @@ def components_of(matrix: Matrix) -> Components:
 def reachable_from(
     nodes: int, sources: Indices, targets: Indices, start: Union[Indices, Booleans]
 ) -> Booleans:
-    """Boolean array: which nodes can be reached from those of ``start`` (numbers, or a boolean
-    array), themselves included."""
+    """Boolean array: the nodes that can be reached from ``start`` (numbers, or a boolean array),
+    including ``start``."""
     seen = np.zeros(nodes, dtype=bool)
     seen[start] = True
     frontier = np.flatnonzero(seen)
@@ -66,12 +66,13 @@ def reachable_from(
 def can_reach(
     nodes: int, sources: Indices, targets: Indices, goal: Union[Indices, Booleans]
 ) -> Booleans:
-    """Boolean array: from which nodes those of ``goal`` can be reached, themselves included."""
+    """Boolean array: the nodes from which ``goal`` (numbers, or a boolean array) can be reached,
+    including ``goal``."""
     return reachable_from(nodes, targets, sources, goal)
 
 
 class ShortestWays:
-    """Shortest ways from node 0 along the arcs that are ``allowed``; arcs are sorted by source."""
+    """Shortest paths from node 0 along the ``allowed`` arcs; arcs are sorted by source."""
 
     def __init__(
         self, nodes: int, sources: Indices, targets: Indices, allowed: Optional[Booleans] = None
@@ -80,7 +81,7 @@ class ShortestWays:
         self._sources, self._targets = sources, targets
         self._parent = np.full(nodes, -1, dtype=np.int64)
         self.reached = np.zeros(nodes, dtype=bool)
-        """Boolean array: which nodes there is a way to."""
+        """Boolean array: the nodes that have a path from node 0."""
         self.reached[0] = True
         offsets = np.searchsorted(sources[arcs], np.arange(nodes + 1))
         frontier = np.zeros(1, dtype=np.int64)
@@ -93,7 +94,7 @@ class ShortestWays:
             frontier = reached
 
     def way_to(self, node: int) -> List[int]:
-        """The arcs of a shortest way to ``node``, which is reached."""
+        """The arcs of a shortest path to ``node``, which must be reachable."""
         arcs = []
         while node:
             arc = int(self._parent[node])
@@ -103,7 +104,7 @@ class ShortestWays:
 
 
 def flat_ranges(begins: Indices, ends: Indices) -> Indices:
-    """The numbers of all the ranges ``begins[i]:ends[i]``, one after another."""
+    """The numbers of all ranges ``begins[i]:ends[i]``, concatenated."""
     lengths = ends - begins
     total = int(lengths.sum())
     if not total:
@@ -118,8 +119,8 @@ def flat_ranges(begins: Indices, ends: Indices) -> Indices:
 
 
 def longest_levels(nodes: int, sources: Indices, targets: Indices) -> Tuple[Indices, bool]:
-    """For an acyclic graph the length of the longest way from each node, and True; with a cycle,
-    False."""
+    """For an acyclic graph, the length of the longest path from each node, and True. If there is a
+    cycle, the second value is False."""
     waiting = np.bincount(sources, minlength=nodes)
     level = np.zeros(nodes, dtype=np.int64)
     backward = sparse.csr_matrix(

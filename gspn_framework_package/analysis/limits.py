@@ -1,5 +1,5 @@
-"""How far an analysis may go, and who counts: no search runs without an end, and where one stops it
-says so."""
+"""Limits of an analysis, and the counter that enforces them: every search ends, and reports if it
+stopped early."""
 
 from __future__ import annotations
 
@@ -9,34 +9,34 @@ from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
 
 STATE_LIMIT = 2_000_000
-"""Markings that are visited when nothing else is said."""
+"""Default limit on the markings visited."""
 
 LARGE_NET = 10_000
-"""Places and transitions from which on fewer markings are visited when nothing else is said: each
-takes longer."""
+"""Number of places and transitions above which the default limit on markings falls, since each
+marking takes longer."""
 
 TREE_LIMIT = 50_000
-"""Nodes that a coverability tree may have when nothing else is said."""
+"""Default limit on the nodes of a coverability tree."""
 
 STRUCTURE_LIMIT = 2_000_000
-"""Elementary steps of each search for invariants, siphons or traps when nothing else is said: a
-second or two."""
+"""Default limit on the elementary steps of each search for invariants, siphons or traps: one or two
+seconds of work."""
 
 SECONDS = 300.0
-"""Longest time (s) of each part of an analysis when nothing else is said."""
+"""Default time limit (s) of each part of an analysis."""
 
 MEMORY = 4 << 30
-"""Bytes that the result of each part may take when nothing else is said."""
+"""Default limit on the size (bytes) of the result of each part."""
 
 
 class Limits(NamedTuple):
     """The limits of one analysis.
 
-    :ivar states: markings to visit at most; None: see :func:`states_of`.
-    :ivar tree: nodes of a coverability tree at most.
-    :ivar structure: elementary steps of each search for invariants, siphons and traps at most.
+    :ivar states: most markings to visit; None: see :func:`states_of`.
+    :ivar tree: most nodes of a coverability tree.
+    :ivar structure: most elementary steps of each search for invariants, siphons and traps.
     :ivar seconds: longest time (s) of each part.
-    :ivar memory: bytes that a state space or a coverability tree may take at most.
+    :ivar memory: most bytes that a state space or a coverability tree may take.
     """
 
     states: Optional[int] = None
@@ -47,16 +47,15 @@ class Limits(NamedTuple):
 
 
 def states_of(nodes: int) -> int:
-    """The markings to visit at most in a net of so many places and transitions, when nothing else
-    is said."""
+    """The default limit on markings for a net with ``nodes`` places and transitions."""
     return STATE_LIMIT if nodes <= LARGE_NET else max(STATE_LIMIT * LARGE_NET // nodes, 20_000)
 
 
 class Effort:
     """Counts the elementary steps of one search.
 
-    :param limit: how many there may be.
-    :param watch: asked now and then whether to stop.
+    :param limit: most steps.
+    :param watch: consulted at intervals on whether to stop.
 
     >>> effort = Effort(100)
     >>> effort.spend(60, "rows")
@@ -75,10 +74,10 @@ class Effort:
     def spend(self, steps: int, what: str, found: str = "") -> None:
         """Count ``steps`` more.
 
-        :param what: what the search deals with, for the progress line.
-        :param found: what it has found so far, for the error.
-        :raises LimitError: those were too many.
-        :raises CancelledError: the watch said so.
+        :param what: what the search is counting, for the progress line.
+        :param found: what it has found so far, for the error message.
+        :raises LimitError: the limit is exceeded.
+        :raises CancelledError: the watch cancelled the search.
         """
         self.steps += steps
         if self.steps > self._limit:

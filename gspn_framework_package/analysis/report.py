@@ -1,7 +1,7 @@
-"""The report of ``gspn analyse``: answers as plain JSON values, and the same as text for people.
+"""The report of ``gspn analyse``: answers as plain JSON values, and the same as text.
 
-A question that could not be decided has the answer ``null``, and its reason is under
-``undecided``. Infinite values are the string ``"infinite"``: JSON has no number for them.
+A question that could not be decided has the answer ``null``, with the reason under ``undecided``.
+Infinite values are the string ``"infinite"``, since JSON has no number for them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Part(enum.Enum):
     """When a measure is computed, and where it is shown."""
 
     STRUCTURE = "structure"
-    """With the structure, for which no marking is visited."""
+    """With the structure, without visiting any marking."""
     BEHAVIOUR = "behaviour"
     """With the state space."""
     TIMING = "timing"
@@ -37,10 +37,10 @@ class Measure(NamedTuple):
 
     :ivar key: its name in the report.
     :ivar part: the part that it belongs to.
-    :ivar compute: the answer, as a value that JSON has a form for; it may raise LimitError where it
-        was not decided and RefusedError where there is no such thing.
-    :ivar title: what the text and the page call it. Empty for measures that they lay out
-        themselves.
+    :ivar compute: returns the answer as a value that JSON can represent; it may raise LimitError
+        if the answer was not decided, and RefusedError if there is none.
+    :ivar title: its name in the text and on the page; empty for measures that have a layout of
+        their own there.
     """
 
     key: str
@@ -101,11 +101,11 @@ MEASURES: List[Measure] = [
     Measure("reversible", Part.BEHAVIOUR, lambda a: a.reversible),
     Measure("home_states", Part.BEHAVIOUR, _home_states),
 ]
-"""To add a measure, add a row here, and one to the table of keys in ``docs/analysis.md``. A row
-with a title is shown in the text, in the CSV file and on the page."""
+"""To add a measure, add a row here and one to the table of keys in ``docs/analysis.md``. Measures
+with a title appear in the text, in the CSV file and on the page."""
 
 UNGUARDED = "unguarded_siphon"
-"""The witness where ``siphons_hold_marked_traps`` is false; null otherwise."""
+"""Key of the witness if ``siphons_hold_marked_traps`` is false; null otherwise."""
 
 
 def keys_of(part: Part) -> Tuple[str, ...]:
@@ -115,21 +115,22 @@ def keys_of(part: Part) -> Tuple[str, ...]:
 
 
 COMPONENTS = 10
-"""Recurrent classes that are reported one by one, the most probable ones; others are counted."""
+"""The most probable recurrent classes are reported individually, up to this many; the others are
+only counted."""
 
 
 class Questions(NamedTuple):
-    """What is asked beyond the usual.
+    """The questions of a report, besides those it always answers.
 
-    :ivar at: times (s) at which tokens and throughput are wanted; also of ``mean_time_to``, to be
-      there within.
-    :ivar reach: conditions that may be reachable.
-    :ivar cover: markings (place -> count) that may be coverable.
-    :ivar mean_time_to: conditions whose first passage is wanted.
+    :ivar at: times (s) at which to report tokens and throughput; also the times within which
+      ``mean_time_to`` gives probabilities.
+    :ivar reach: conditions to check for reachability.
+    :ivar cover: markings (place -> count) to check for coverability.
+    :ivar mean_time_to: conditions whose first passage to report.
     :ivar rewards: name of a place or transition -> reward per token and second, or per firing.
-    :ivar settling: tolerance of the time to steady state; None: not asked for.
-    :ivar structure: whether invariants, siphons and traps are wanted.
-    :ivar timing: whether the steady state is wanted.
+    :ivar settling: tolerance of the time to steady state; None: do not report it.
+    :ivar structure: whether to report invariants, siphons and traps.
+    :ivar timing: whether to report the steady state.
     """
 
     at: Tuple[float, ...] = ()
@@ -145,7 +146,7 @@ class Questions(NamedTuple):
 def report(analysis: Analysis, questions: Optional[Questions] = None) -> Dict[str, Any]:
     """The answers as plain JSON values; see ``docs/analysis.md`` for the keys.
 
-    :raises InputError: a condition cannot be read, or a name is unknown.
+    :raises InputError: a condition cannot be parsed, or a name is unknown.
     :raises CancelledError: the work was cancelled.
     """
     questions = questions or Questions()
@@ -179,7 +180,7 @@ class _Report:
         self.undecided: Dict[str, str] = {}
 
     def answer(self, key: str, compute: Callable[[], Any]) -> Any:
-        """Put the answer under ``key``; null, with its reason, if there is none."""
+        """Store the answer under ``key``; null, with the reason, if there is none."""
         self.data[key] = self._try(key, compute)
         return self.data[key]
 
@@ -189,7 +190,7 @@ class _Report:
         except CancelledError:
             raise
         except LimitError as error:
-            error.element = None  # the key says what was asked
+            error.element = None  # the key already names the question
             self.undecided[key] = str(error)
         except RefusedError as error:
             self.undecided[key] = str(error)
@@ -200,7 +201,7 @@ class _Report:
     def measures(self, part: Part, undecided: str = "") -> None:
         """Answer the measures of a part.
 
-        :param undecided: why none of them is decided; empty where they are to be computed.
+        :param undecided: why none of them is decided; empty to compute them.
         """
         for measure in MEASURES:
             if measure.part is not part:
@@ -298,7 +299,7 @@ class _Report:
             self.undecided["deadlocks"] = "none found within %s, which are not all" % space.extent
 
     def _by_tree(self) -> None:
-        """What the coverability tree knows of an unbounded net."""
+        """Answer what the coverability tree shows of an unbounded net."""
         if self.analysis.boundedness.bounded is False and self.analysis.plan is None:
 
             def dead_transitions() -> List[str]:
@@ -373,7 +374,7 @@ class _Report:
         self.answer("steady_state", compute)
 
     def _component(self, component: Component, several: bool) -> Dict[str, Any]:
-        """A recurrent class: how large it is, how probable, whether it is a deadlock, and its most
+        """A recurrent class: its size, its probability, whether it is a deadlock, and its most
         probable marking."""
         chain = self.analysis.chain
         likeliest = int(component.states[int(component.distribution.argmax())])
@@ -396,7 +397,7 @@ class _Report:
         net = self.analysis.net
         for name in rewards:
             if name not in net.place_index:
-                net.transition_number(name)  # says that there is no such thing
+                net.transition_number(name)  # raises the error for an unknown name
         return measures.reward(
             {n: v for n, v in rewards.items() if n in net.place_index},
             {n: v for n, v in rewards.items() if n in net.transition_index},
@@ -456,7 +457,7 @@ def _reachability(what: str, found: Reachability) -> Dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """``value`` with nothing in it that JSON has no form for."""
+    """``value`` converted to what JSON can represent."""
     if isinstance(value, float):
         if math.isinf(value):
             return INFINITE
@@ -469,7 +470,7 @@ def _plain(value: Any) -> Any:
 
 
 def titled(data: Mapping[str, Any], part: Optional[Part] = None) -> Iterator[Tuple[str, str]]:
-    """The measures with a title in a report: (key, title); of one part, or of all."""
+    """The measures of a report that have a title, as (key, title); of one part, or of all."""
     for of_part, titles in data["titles"].items():
         if part is None or of_part == part.value:
             yield from titles.items()

@@ -1,4 +1,4 @@
-"""Progress, cancelling and time limits of whatever takes long."""
+"""Progress, cancellation and time limits of long computations."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from typing import Callable, Optional
 from gspn_framework_package.model.errors import CancelledError, LimitError
 
 Progress = Callable[[str, int, float], None]
-"""Called with what is counted (``"states"``), how many there are, and the seconds since the
-start."""
+"""Called with what is being counted (``"states"``), the count, and the seconds since the start."""
 
 Cancel = Callable[[], bool]
-"""Asked now and then; true stops the work with a CancelledError."""
+"""Called at intervals; if it returns true, the work stops with a CancelledError."""
 
 
 class Watch:
-    """Tells progress at most every ``interval`` seconds, and stops the work when it is cancelled or
-    has taken longer than ``seconds``."""
+    """Reports progress at most every ``interval`` seconds, and stops the work when it is cancelled
+    or has taken longer than ``seconds``."""
 
     def __init__(
         self,
@@ -35,10 +34,10 @@ class Watch:
         self._last = self._start
 
     def step(self, what: str, count: int) -> None:
-        """Say that ``count`` of ``what`` are done.
+        """Report that ``count`` of ``what`` are done.
 
-        :raises CancelledError: somebody said stop.
-        :raises LimitError: the time is over.
+        :raises CancelledError: the work was cancelled.
+        :raises LimitError: the time limit is exceeded.
         """
         if self._cancel is not None and self._cancel():
             raise CancelledError("cancelled after %d %s" % (count, what))

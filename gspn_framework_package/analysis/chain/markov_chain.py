@@ -1,5 +1,5 @@
-"""The continuous-time Markov chain of a net: its tangible states, the rates between them, where it
-starts."""
+"""The continuous-time Markov chain of a net: its tangible states, the rates between them, and its
+initial distribution."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from gspn_framework_package.analysis.state_space.space import StateSpace
 class Chain:
     """A continuous-time Markov chain.
 
-    :ivar graph: the graph that it was made from.
-    :ivar states: int array: the state of the graph that each state of the chain is.
+    :ivar graph: the graph that it was built from.
+    :ivar states: int array: for each state of the chain, the state of the graph.
     :ivar rates: sparse matrix (CSR): rates (1/s) from row to column, none from a state to itself.
     :ivar exit_rates: float array: the sum of each row.
     :ivar initial: float array: the distribution at time 0.
     """
 
     def __init__(self, graph: RatedGraph, absorbing: Optional[Booleans] = None) -> None:
-        """:param absorbing: boolean array over the states of the graph: states that are not left
-        any more, vanishing ones included.
+        """:param absorbing: boolean array over the states of the graph: states to make absorbing;
+        they may be vanishing.
 
         :raises RefusedError: there is a timeless trap.
         """
@@ -48,7 +48,7 @@ class Chain:
         self._inflow: Optional[Matrix] = None
 
     def _as_it_is(self, absorbing: Optional[Booleans]) -> Tuple[Matrix, Floats]:
-        """Rates and initial distribution where no state is vanishing."""
+        """Rates and initial distribution of a graph without vanishing states."""
         graph = self.graph
         values = (
             graph.values
@@ -81,8 +81,10 @@ class Chain:
 
     @classmethod
     def of(cls, space: StateSpace) -> Chain:
-        """The chain of a net's or a plan's state space. :raises GspnError: see
-        :func:`~.rated_graph.rate`."""
+        """The chain of the state space of a net or a plan.
+
+        :raises GspnError: see :func:`~.rated_graph.rate`.
+        """
         return cls(space.rated() if isinstance(space, PlanSpace) else rate(space))
 
     def __len__(self) -> int:
@@ -90,7 +92,7 @@ class Chain:
 
     @property
     def inflow(self) -> Matrix:
-        """The transposed rates, by rows (CSR): from where each state is entered."""
+        """The transposed rate matrix (CSR): row j has the rates into state j."""
         if self._inflow is None:
             self._inflow = self.rates.T.tocsr()
         return self._inflow
@@ -100,9 +102,9 @@ class Chain:
         return self.graph.column(place, self.states)
 
     def bottom_components(self) -> List[Indices]:
-        """The recurrent classes: for each an int array of states, by their first state."""
+        """The recurrent classes, each an int array of states, ordered by their first state."""
         start = int(self.initial.argmax())
-        if all(  # two searches take a third of the time of looking for components
+        if all(  # two searches take a third of the time of finding components
             len(csgraph.breadth_first_order(arcs, start, return_predecessors=False)) == len(self)
             for arcs in (self.rates, self.inflow)
         ):
@@ -122,7 +124,7 @@ class Chain:
 
 
 def _without_loops(rates: Matrix) -> Matrix:
-    """The matrix with parallel arcs added up, and without its diagonal and explicit zeros."""
+    """The matrix with parallel arcs summed, and without its diagonal and explicit zeros."""
     rates.sum_duplicates()
     rows = np.repeat(np.arange(rates.shape[0], dtype=rates.indices.dtype), np.diff(rates.indptr))
     rates.data[rows == rates.indices] = 0.0
@@ -132,7 +134,7 @@ def _without_loops(rates: Matrix) -> Matrix:
 
 
 class Component(NamedTuple):
-    """A recurrent class of a chain: its ``states`` (int array), the probability to end up in it,
+    """A recurrent class of a chain: its ``states`` (int array), the probability of ending up in it,
     and the stationary distribution over ``states``."""
 
     states: Indices

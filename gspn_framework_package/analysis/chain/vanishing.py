@@ -1,8 +1,7 @@
-"""Elimination of vanishing states: where does one go, without time, when one comes into such a
-state?
+"""Elimination of vanishing states: where the net goes, in zero time, from such a state.
 
-Cycles of immediate firings are resolved first (each by one small linear system); the rest has
-levels, and is eliminated level by level.
+Cycles of immediate firings are resolved first (each by one small linear system); the rest is
+acyclic, and is eliminated level by level.
 """
 
 from __future__ import annotations
@@ -20,25 +19,25 @@ from gspn_framework_package.model.errors import RefusedError
 
 
 class _Cycle(NamedTuple):
-    """A strongly connected set of vanishing states; ``visits[i, j]``: how often ``j`` is visited on
-    the way out when one enters at ``i``."""
+    """A strongly connected set of vanishing states; ``visits[i, j]`` is the mean number of visits
+    to ``j`` before leaving the set, after entering at ``i``."""
 
     states: Indices
     visits: Floats
 
 
 class Elimination:
-    """Where the vanishing states of a graph lead to.
+    """Where the vanishing states of a graph lead.
 
     :param graph: the graph.
-    :param kept: boolean array: the states that stay, all tangible ones at least.
-    :raises RefusedError: a timeless trap: immediate transitions fire without end.
+    :param kept: boolean array: the states to keep, at least all tangible ones.
+    :raises RefusedError: there is a timeless trap: immediate transitions fire without end.
     """
 
     def __init__(self, graph: RatedGraph, kept: Booleans) -> None:
         self._graph = graph
         self._kept = kept
-        self._number = np.cumsum(kept) - 1  # of each state that stays
+        self._number = np.cumsum(kept) - 1  # of each kept state
         self._cycles: List[_Cycle] = []
         arcs = np.flatnonzero(~kept[graph.sources])
         self._sources, self._targets = graph.sources[arcs], graph.targets[arcs]
@@ -48,8 +47,8 @@ class Elimination:
         self._level, acyclic = longest_levels(len(kept), self._sources[inner], self._targets[inner])
         assert acyclic
         self.ends = self._solve()
-        """Sparse matrix: row = any state, column = number of a state that stays: the probability to
-        get there without time. A state that stays leads to itself."""
+        """Sparse matrix: the probability of going in zero time from any state (row) to a kept state
+        (column: its number among those kept). A kept state leads to itself."""
 
     def _take_cycles_apart(self) -> None:
         inner = ~self._kept[self._targets]
@@ -64,7 +63,7 @@ class Elimination:
             self._take_apart(np.flatnonzero(found.of == number))
 
     def _take_apart(self, states: Indices) -> None:
-        """Replace the arcs that leave ``states`` by those that leave them for good."""
+        """Replace the arcs that leave ``states`` by those that leave the set for good."""
         position = np.full(len(self._kept), -1, dtype=np.int64)
         position[states] = np.arange(len(states))
         mine = position[self._sources] >= 0
@@ -99,7 +98,7 @@ class Elimination:
 
     def _solve(self) -> Matrix:
         kept = self._kept
-        # where the row of each state begins in columns, values
+        # where the row of each state begins in ``columns`` and ``values``
         begin = np.zeros(len(kept), dtype=np.int64)
         length = np.zeros(len(kept), dtype=np.int64)
         columns, values = Growing(np.int64), Growing(np.float64)
@@ -139,8 +138,8 @@ class Elimination:
     def visits(self, inflow: Floats) -> Floats:
         """How often each vanishing state is visited per unit of time.
 
-        :param inflow: float array over all states: how often it is entered per unit of time from
-            states that stay (other entries are ignored).
+        :param inflow: float array over all states: how often each is entered per unit of time from
+            kept states (entries for kept states are ignored).
         """
         visits = np.where(self._kept, 0.0, inflow)
         inner = ~self._kept[self._targets]
@@ -160,7 +159,7 @@ class Elimination:
 
 
 def eliminate(graph: RatedGraph, kept: Optional[Booleans] = None) -> Tuple[Booleans, Elimination]:
-    """The states that stay (as a boolean array; the tangible ones, and those of ``kept``) and the
+    """The states to keep (a boolean array: the tangible ones, and those of ``kept``) and the
     elimination of the others."""
     stay = ~graph.vanishing if kept is None else ~graph.vanishing | kept
     return stay, Elimination(graph, stay)

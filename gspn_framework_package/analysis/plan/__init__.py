@@ -1,1 +1,1 @@
-"""What a plan adds to its net: the policy, what robots do on their own, places that only count."""
+"""What a plan adds to its net: the policy, the robots' own behaviour, places that only count."""

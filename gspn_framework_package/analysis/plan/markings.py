@@ -1,10 +1,10 @@
 """The markings that a run of a plan can reach, for the check before any robot moves.
 
 They are the *untimed* ones: a robot in a decision place is busy with its action while others move,
-so immediate transitions have no priority here. Counters that nothing reads are left out, so that
-the exploration ends. A robot can be lost anywhere, so smaller teams are covered too. Then the
-policy has its say: firings that it never chooses are crossed out (an action that names an immediate
-transition itself is not foreseen by that).
+so immediate transitions have no priority here. Counters that nothing reads are omitted, so that the
+exploration ends. A robot can be lost anywhere, so smaller teams are covered too. Firings that the
+policy never chooses are then removed (this does not foresee an action that names an immediate
+transition itself).
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from gspn_framework_package.model.policy import Distribution, PolicyTable
 
 
 class Finding(NamedTuple):
-    """A marking with a shortest firing sequence that leads to it; ``place`` where one is
-    concerned."""
+    """A marking with a shortest firing sequence that leads to it, and the ``place`` that the
+    finding concerns, if any."""
 
     marking: Dict[str, int]
     sequence: List[str]
@@ -42,7 +42,7 @@ class PlanMarkings:
     """The reachable markings of a plan.
 
     :param plan: a validated plan.
-    :param limit: on the states that are visited.
+    :param limit: most states to visit.
     :param losses: whether robots can be lost.
     """
 
@@ -85,7 +85,7 @@ class PlanMarkings:
 
     @property
     def complete(self) -> bool:
-        """Whether these are all."""
+        """Whether all reachable markings were visited."""
         return self.space.complete
 
     def _until(self) -> Any:
@@ -96,7 +96,7 @@ class PlanMarkings:
     # -- the policy --------------------------------------------------------------------------------
 
     def _cross_out(self) -> None:
-        """Disallow the firings of immediate transitions that nobody would choose."""
+        """Disallow the firings of immediate transitions that are never chosen."""
         transitions = self.net.transitions
         robots = {
             p
@@ -118,8 +118,8 @@ class PlanMarkings:
             self.allowed[arcs[~wanted]] = False
 
     def policy_gaps(self) -> Iterator[Finding]:
-        """Markings that ask for a decision and find no row of the policy: of a strict plan with any
-        enabled immediate transition, of others with a choice between two."""
+        """Markings that need a decision but match no row of the policy. A strict plan needs one
+        whenever an immediate transition is enabled, other plans only if two or more are."""
         need = 1 if self.plan.strict else 2
         for p, leaving in self._decision_places():
             states = self._deciding(leaving, need)
@@ -127,7 +127,7 @@ class PlanMarkings:
 
     def undecided_choices(self) -> Iterator[Finding]:
         """Markings in which neither the policy nor a positive weight decides, so that a robot waits
-        for good."""
+        indefinitely."""
         if self.plan.strict:
             return
         weights = [t.weight for t in self.net.transitions]
@@ -150,7 +150,8 @@ class PlanMarkings:
                 yield p, leaving
 
     def _deciding(self, leaving: List[int], need: int) -> Any:
-        """States of a run, not over, in which at least ``need`` of ``leaving`` are enabled."""
+        """States of an unfinished run in which at least ``need`` of the transitions ``leaving`` are
+        enabled."""
         arcs = np.isin(self.space.transitions, leaving)
         enabled = np.bincount(self._sources[arcs], minlength=len(self.space))
         return np.flatnonzero((enabled >= need) & self._ways_with_losses.reached & ~self._over)
@@ -158,8 +159,8 @@ class PlanMarkings:
     # -- dead markings -----------------------------------------------------------------------------
 
     def dead(self, *, after_losses: bool) -> Iterator[Finding]:
-        """Markings in which nothing goes on although some robot is not at an end: of the whole
-        team, or (with ``after_losses``) only where robots were lost on the way."""
+        """Markings in which nothing can happen although some robot has not reached an end: those of
+        the whole team, or (with ``after_losses``) those reachable only after losing robots."""
         moving = np.zeros(len(self.space), dtype=bool)
         moving[self._sources[self.allowed & ~self._is_loss]] = True
         ends = terminal_places(self.plan)
@@ -195,24 +196,24 @@ class PlanMarkings:
         )
 
     def never_fire(self) -> List[str]:
-        """Transitions that no reachable marking of the whole team fires."""
+        """Transitions that never fire in any reachable marking of the whole team."""
         fired = np.zeros(len(self.net.transitions), dtype=bool)
         fired[self.space.transitions[self.allowed & self._ways.reached[self._sources]]] = True
         return [t.name for t, seen in zip(self.net.transitions[: self._own], fired) if not seen]
 
     def bounds(self) -> Dict[str, int]:
-        """The most tokens that each place holds in any marking visited."""
+        """The most tokens that each place holds in any visited marking."""
         return {
             place.name: int(self.space.column(p).max()) for p, place in enumerate(self.net.places)
         }
 
     def timeless_traps(self, timeless: List[int]) -> Iterator[Finding]:
-        """Markings from which the ``timeless`` transitions can fire without end."""
+        """Markings from which no firing sequence of the ``timeless`` transitions ever ends."""
         arcs = np.isin(self.space.transitions, timeless) & self.allowed
         arcs &= self._ways_with_losses.reached[self._sources]
         alive = np.zeros(len(self.space), dtype=bool)
         alive[self._sources[arcs]] = True
-        # Take away, again and again, the states from which a firing leads to where none goes on.
+        # Repeatedly remove the states from which some firing leads to a state with none left.
         backward = adjacency(len(self.space), self.space.targets[arcs], self._sources[arcs])
         frontier = np.flatnonzero(~alive)
         while len(frontier):
@@ -224,7 +225,7 @@ class PlanMarkings:
     # -- helpers -----------------------------------------------------------------------------------
 
     def full_markings(self, states: Any) -> Any:
-        """Markings in the place order of the plan's net; places left out are 0."""
+        """Markings in the place order of the plan's net; omitted places are 0."""
         full = np.zeros((len(states), len(self.plan.net.places)), dtype=np.int64)
         full[:, [self._number[p] for p in range(len(self.net.places))]] = self.space.markings(
             states
@@ -232,7 +233,7 @@ class PlanMarkings:
         return full
 
     def original(self, p: int) -> int:
-        """The number in the plan's net of place number ``p`` of the net explored."""
+        """The number, in the plan's net, of place number ``p`` of the explored net."""
         return self._number[p]
 
     def _findings(self, states: Any, place: Optional[int] = None) -> Iterator[Finding]:
@@ -250,7 +251,7 @@ class PlanMarkings:
 
 
 class _Answers:
-    """What the policy answers, asked once for each combination of the counts that it looks at."""
+    """The answers of the policy, computed once per combination of the counts that it reads."""
 
     def __init__(self, markings: PlanMarkings, table: PolicyTable, plan: Plan) -> None:
         self._markings = markings
@@ -260,7 +261,8 @@ class _Answers:
         self._known: Dict[Tuple[Tuple[int, ...], int], Tuple[Optional[Distribution], bool]] = {}
 
     def chosen(self, p: int, t: int, states: Any) -> Any:
-        """In which of ``states`` a robot in place ``p`` may choose transition ``t``."""
+        """Boolean array: the ``states`` in which a robot in place ``p`` may choose transition
+        ``t``."""
         weighty = self._markings.net.transitions[t].weight > 0
 
         def verdict(distribution: Optional[Distribution], matched: bool) -> bool:
@@ -271,7 +273,8 @@ class _Answers:
         return self._per_state(p, states, verdict)
 
     def silent(self, p: int, states: Any) -> Any:
-        """In which of ``states`` no row of the policy matches, for a robot in place ``p``."""
+        """Boolean array: the ``states`` in which no row of the policy matches for a robot in place
+        ``p``."""
         return self._per_state(
             p, states, lambda distribution, matched: distribution is None and not matched
         )
@@ -301,7 +304,8 @@ class _Answers:
 
 
 def _distinct_rows(rows: Any) -> Tuple[Any, Any]:
-    """Numbers of the first of each kind of row, and for each row the number of its kind."""
+    """The index of the first of each distinct row, and for each row the number of its distinct
+    row."""
     spans = [int(n) + 1 for n in rows.max(axis=0)]
     if math.prod(spans) < 2**62:
         keys = np.zeros(len(rows), dtype=np.int64)
@@ -314,11 +318,10 @@ def _distinct_rows(rows: Any) -> Tuple[Any, Any]:
 
 
 def _with_end(net: Net, plan: Plan) -> Net:
-    """The net without the firings after ``until``: what a run that is over would count is not
+    """The net without the firings after ``until``, so that the counts of a finished run are not
     explored.
 
-    An inhibitor arc to every transition says so, for each count that is enough for ``until`` by
-    itself.
+    For each count that alone satisfies ``until``, every transition gets an inhibitor arc.
     """
     if not plan.until:
         return net
@@ -329,7 +332,7 @@ def _with_end(net: Net, plan: Plan) -> Net:
 
 
 def _with_losses(net: Net, plan: Plan, left_out: set[str]) -> Net:
-    """The net with a transition for every action place in which a robot can be lost."""
+    """The net with one more transition for every action place in which a robot can be lost."""
     places: List[Place] = list(net.places)
     transitions: List[Transition] = list(net.transitions)
     arcs: List[Arc] = list(net.arcs)

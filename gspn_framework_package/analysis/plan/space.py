@@ -5,12 +5,12 @@ The rules are those of the execution (``docs/semantics.md``), with three simplif
 it a chain:
 
 * robots take no time in a place with immediate outputs, even where an action runs there;
-* of several robots that could fire at once, each is as likely to go first (a run takes the one done
-  first);
-* exponential transitions that only take resources, events of the environment, fire at their rates.
+* if several robots could fire at once, each is equally likely to fire first (in a run, the one that
+  finished first does);
+* exponential transitions that only take resources (events of the environment) fire at their rates.
 
 A robot draws once per marking and keeps its choice: if its choice is not enabled, it waits until
-the marking changes. So a marking can occur twice: *asking*, without time, and *waiting*.
+the marking changes. So a marking can occur as two states: *asking*, in zero time, and *waiting*.
 """
 
 from __future__ import annotations
@@ -38,28 +38,29 @@ from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.model.plan import Plan
 
 PLAN_STATE_LIMIT = 200_000
-"""States that the exploration of a plan may find when nothing else is said."""
+"""Default limit on the states of a plan's exploration."""
 
 _STATE_BYTES, _ARC_BYTES = 400, 100
-"""What a state takes beside its counts while it is explored, and an arc."""
+"""Memory of a state during the exploration, besides its counts, and of an arc."""
 
 WAITING = "(waits)"
-"""What a firing sequence says where robots drew transitions that are not enabled, and wait."""
+"""Entry of a firing sequence at which robots wait, having drawn transitions that are not
+enabled."""
 
 
 class Branch(NamedTuple):
-    """One way in which a marking without time is left: ``transition`` (None: the robots wait in it)
-    with ``probability``."""
+    """One way to leave a vanishing marking: ``transition`` (None: the robots wait in it) with
+    ``probability``."""
 
     transition: Optional[int]
     probability: float
 
 
 class PlanRules:
-    """What happens in a marking of a plan, by its policy and weights.
+    """What happens in a marking of a plan under its policy and weights.
 
-    :ivar net: the plan's net without the counters that nothing reads (``counters``), robots with a
-      server each.
+    :ivar net: the plan's net without the counters that nothing reads (``counters``), with one
+      server per robot.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -100,8 +101,8 @@ class PlanRules:
         ]
 
     def outcomes(self, marking: Marking) -> List[Branch]:
-        """What happens at once: an empty list when nothing does, so that time passes; with a chance
-        that the robots wait, the last outcome says so."""
+        """What happens in zero time. The list is empty if nothing does, so that time passes. If the
+        robots may wait, that is the last outcome."""
         net = self.net
         enabled = [t for t in self._immediate if net.is_enabled(marking, t)]
         if not enabled:
@@ -126,11 +127,12 @@ class PlanRules:
         weights = [(t, transitions[t].weight) for t in candidates if transitions[t].priority == top]
         total = sum(weight for _, weight in weights)
         if total == 0:
-            return [Branch(weights[0][0], 1.0)]  # as in the token game: file order
+            return [Branch(weights[0][0], 1.0)]  # file order, as in the token game
         return [Branch(t, weight / total) for t, weight in weights if weight]
 
     def _draw(self, marking: Marking, p: int, ready: set[int]) -> List[Tuple[int, float]]:
-        """What a robot in place ``p`` draws from: pairs (transition, probability)."""
+        """The distribution from which a robot in place ``p`` draws: pairs (transition,
+        probability)."""
         full = self._start
         for q, count in zip(self._full, marking):
             full[q] = count
@@ -149,9 +151,12 @@ class PlanRules:
         return [(t, v / total) for t, v in choices if v] if total else []
 
     def _first_of(self, draws: Sequence[Tuple[int, Dict[int, float]]]) -> List[Branch]:
-        """Which transition fires first when every robot has drawn: ``draws`` has, for each place,
-        the number of robots there and what each of them may have drawn that is enabled. High
-        priority goes first; among equals every order of the robots is as likely."""
+        """Which transition fires first when every robot has drawn. Higher priority takes
+        precedence; within a priority every order of the robots is equally likely.
+
+        :param draws: for each place, the number of robots there and the enabled transitions that
+            each of them may have drawn (transition -> probability).
+        """
         priority = {t: self.net.transitions[t].priority for _, draw in draws for t in draw}
         chance: Dict[int, float] = {}
         for level in sorted(set(priority.values()), reverse=True):
@@ -174,11 +179,13 @@ class PlanRules:
 
 
 def _goes_first(groups: Sequence[Tuple[int, float, float]], mine: int) -> float:
-    """The chance that one robot of group ``mine``, whose draw is enabled, goes before all others
-    whose draw is enabled: the mean of 1 / (1 + number of those), and 0 if one drew a higher
+    """The probability that one robot of group ``mine``, whose draw is enabled, fires before all
+    others whose draw is enabled: the mean of 1 / (1 + number of those), and 0 if one drew a higher
     priority.
-    Groups are (robots, probability of an enabled draw of this priority, probability of no enabled
-    draw of this or a higher one)."""
+
+    :param groups: (robots, probability of an enabled draw of this priority, probability of no
+        enabled draw of this or a higher one).
+    """
     polynomial = np.ones(1)  # coefficients by the number of robots with an enabled draw
     for i, (robots, enabled, idle) in enumerate(groups):
         for _ in range(robots - (i == mine)):
@@ -187,8 +194,8 @@ def _goes_first(groups: Sequence[Tuple[int, float, float]], mine: int) -> float:
 
 
 def plan_net(plan: Plan, left_out: Sequence[str] = ()) -> Net:
-    """The net of a plan for analysis: without the places ``left_out``, and with as many servers as
-    robots for the exponential transitions that leave action places."""
+    """The net of a plan for analysis: without the places ``left_out``. The exponential transitions
+    that leave action places get as many servers as there are robots."""
     net = plan.net.without_places(left_out)
     acts = {p for p, place in enumerate(net.places) if place.name not in plan.resource_places}
     transitions = [
@@ -199,9 +206,10 @@ def plan_net(plan: Plan, left_out: Sequence[str] = ()) -> Net:
 
 
 class PlanSpace(StateSpace):
-    """The markings that a plan reaches under its policy, and how; made by :func:`explore_plan`.
+    """The markings that a plan reaches under its policy, and the firings between them; made by
+    :func:`explore_plan`.
 
-    :ivar counters: places that are only written, which were left out.
+    :ivar counters: the omitted places, which are only written.
     """
 
     def __init__(
@@ -215,7 +223,7 @@ class PlanSpace(StateSpace):
     ) -> None:
         widths = [max(int(n).bit_length(), 1) for n in markings.max(axis=0)]
         packing = Packing(rules.net, widths)
-        order = np.arange(len(rules.net.transitions) + 1)  # the last: the robots wait
+        order = np.arange(len(rules.net.transitions) + 1)  # the last one: the robots wait
         store = PackedStore(packing, packing.pack_all(markings))
         super().__init__(
             rules.net, store, graph, order, untimed=False, engine="plan", shortage=shortage
@@ -226,7 +234,7 @@ class PlanSpace(StateSpace):
 
     @property
     def is_vanishing(self) -> Any:
-        """Boolean array: the robots move on without time."""
+        """Boolean array: the robots move on in zero time."""
         return self._vanishing
 
     def transition_name(self, transition: int) -> str:
@@ -238,7 +246,10 @@ class PlanSpace(StateSpace):
         )
 
     def rated(self) -> RatedGraph:
-        """The graph with rates and probabilities. :raises LimitError: it is not complete."""
+        """The graph with rates and probabilities.
+
+        :raises LimitError: it is not complete.
+        """
         self.require_complete("its Markov chain")
         return RatedGraph(
             self.net,
@@ -263,10 +274,12 @@ def explore_plan(
     """Find the markings that a plan reaches under its policy.
 
     :param plan: a validated plan.
-    :param limit: stop soon after this many states are known; the result then is not ``complete``.
-    :param memory: stop when it takes more than so many bytes.
-    :param seconds: stop after so long.
-    :raises CancelledError: ``cancel`` said so.
+    :param limit: stop soon after this many states are known; the result is then not ``complete``.
+    :param progress: receives the number of states at intervals.
+    :param cancel: called at intervals; returns whether to stop.
+    :param memory: stop when the exploration takes more than this many bytes.
+    :param seconds: stop after this time (s).
+    :raises CancelledError: ``cancel`` returned true.
     """
     room = Allowance(memory, time.monotonic() + seconds)
     shortage = ("--limit", "")

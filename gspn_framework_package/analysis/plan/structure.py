@@ -1,4 +1,4 @@
-"""What the structure of a plan's net alone can say, in milliseconds: no marking is visited."""
+"""What the structure of a plan's net shows, in milliseconds, without visiting any marking."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from gspn_framework_package.model.plan import Plan
 
 
 class RobotFlow(NamedTuple):
-    """How many robots a transition takes from action places and puts into them."""
+    """The number of robots that a transition takes from action places and puts into them."""
 
     taken: int
     put: int
 
 
 def robot_flows(plan: Plan) -> List[RobotFlow]:
-    """The robot flow of every transition (thesis 4.3.5: the resource places removed)."""
+    """The robot flow of every transition (thesis 4.3.5: with the resource places removed)."""
     net = plan.net
     acts = [p.name not in plan.resource_places for p in net.places]
     return [
@@ -30,8 +30,8 @@ def robot_flows(plan: Plan) -> List[RobotFlow]:
 
 
 def only_written(plan: Plan) -> Tuple[str, ...]:
-    """Resource places that nothing reads: no transition, no inhibitor arc, no capacity, no cell of
-    the policy, not ``until``. They count, and cannot change what happens."""
+    """Resource places that nothing reads: no transition, inhibitor arc, capacity, policy cell or
+    ``until`` condition. They only count, and cannot affect the behaviour."""
     net = plan.net
     inhibiting = {p for arcs in net.inhibitors for p, _ in arcs}
     read: Set[str] = set()
@@ -61,8 +61,7 @@ def terminal_places(plan: Plan) -> Set[int]:
 
 
 def always_leavable(net: Net, place: int) -> bool:
-    """Whether some transition is enabled by one token in ``place`` whatever the rest of the marking
-    is."""
+    """Whether one token in ``place`` enables some transition whatever the rest of the marking."""
     return any(fires_alone(net, t, place) for t in net.consumers[place])
 
 
@@ -76,8 +75,8 @@ def fires_alone(net: Net, t: int, place: int) -> bool:
 
 
 def timeless_transitions(plan: Plan) -> List[int]:
-    """Numbers of the immediate transitions that can follow another one without an action between:
-    those that take no robot, or take robots only from places where some robot has nothing to do."""
+    """Numbers of the immediate transitions that can follow another one with no action in between:
+    those that take no robot, or take robots only from places where some robot has no action."""
     net = plan.net
     idle = {
         net.place_number(name)
@@ -95,7 +94,7 @@ def timeless_transitions(plan: Plan) -> List[int]:
 
 def find_cycle(net: Net, transitions: List[int]) -> List[str]:
     """A cycle of places and transitions among ``transitions``, by name, or an empty list. A
-    transition without input places counts as one: it never stops."""
+    transition without input places counts as a cycle, since it can always fire."""
     chosen = set(transitions)
     for t in transitions:
         if not net.inputs[t]:
@@ -111,7 +110,7 @@ def find_cycle(net: Net, transitions: List[int]) -> List[str]:
     }
     finished: Set[int] = set()
     for start in leaving:
-        # places under way, with the transition that led to each
+        # the places on the current path, with the transition that led to each
         way: List[Tuple[int, str]] = [(start, "")]
         left = [list(leaving[start])] if start not in finished else []
         while left:
@@ -133,7 +132,7 @@ def find_cycle(net: Net, transitions: List[int]) -> List[str]:
 
 
 class PolicyCover:
-    """What the rows of a policy alone say, without looking at markings."""
+    """What the rows of a policy decide on their own, without looking at markings."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
@@ -158,18 +157,19 @@ class PolicyCover:
         return self._any or self._by_own_count(place, range(len(self._plan.policy.rows)))
 
     def speaks(self, place: int) -> bool:
-        """Whether, in every marking with a robot in ``place``, some row matches and speaks of
-        it."""
+        """Whether, in every marking with a robot in ``place``, some row matches and decides for
+        ``place``."""
         return self._by_own_count(place, self._spoken.get(place, []))
 
     def never_speaks(self, place: int) -> bool:
-        """Whether no row speaks of ``place`` although some row always matches: robots there wait
-        for good."""
+        """Whether no row decides for ``place`` although some row always matches: robots there wait
+        indefinitely."""
         return place not in self._spoken and self.matches(place)
 
     def always_moves(self, place: int) -> bool:
         """Whether the policy moves a robot out of ``place`` in every marking, whatever the others
-        do: it always speaks of it, and chooses only transitions that one robot alone can fire."""
+        do: it always decides for ``place``, and chooses only transitions that one robot alone can
+        fire."""
         net = self._plan.net
         chosen = {
             net.transition_number(name)
@@ -182,8 +182,8 @@ class PolicyCover:
         )
 
     def _by_own_count(self, place: int, rows: Iterable[int]) -> bool:
-        """Whether these rows match every marking with a robot in ``place`` by looking at no other
-        place."""
+        """Whether these rows match every marking with a robot in ``place`` without reading any
+        other place."""
         name = self._plan.net.places[place].name
         counts: Set[int] = set()
         for number in rows:

@@ -1,7 +1,7 @@
 """The check before any robot moves ("preflight"; thesis 4.3.5 and ``docs/semantics.md``).
 
-Structure decides first, in milliseconds; markings are visited only for the questions that it leaves
-open, up to a limit, and whatever is still open then is reported as not decided.
+The structure is checked first, in milliseconds. Markings are visited only for the questions that it
+leaves open, up to a limit; questions still open after that are reported as not decided.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.model.plan import Plan
 
 MARKING_LIMIT = 200_000
-"""Markings that the check may visit when nothing else is said."""
+"""Default limit on the markings that the check visits."""
 
 __all__ = ["MARKING_LIMIT", "ServerProbe", "check"]
 
@@ -33,14 +33,14 @@ def check(
 ) -> PreflightReport:
     """Check a plan before it runs.
 
-    :param limit: markings to visit at most.
-    :param server_probe: see :data:`ServerProbe`; without it no server is asked for.
-    :param standalone: for agents, which a net may create and destroy, instead of robots.
-    :param progress: receives the number of markings now and then.
-    :param cancel: called now and then; returns whether to stop.
-    :raises PlanError: not a plan: a name that does not exist, a rule that makes no sense.
-    :raises PolicyError: the same of its policy.
-    :raises CancelledError: ``cancel`` said so.
+    :param limit: most markings to visit.
+    :param server_probe: see :data:`ServerProbe`; without it the servers are not checked.
+    :param standalone: the tokens are agents, which a net may create and destroy, not robots.
+    :param progress: receives the number of markings at intervals.
+    :param cancel: called at intervals; returns whether to stop.
+    :raises PlanError: the plan is invalid: a name does not exist, or a rule makes no sense.
+    :raises PolicyError: the policy is invalid in the same way.
+    :raises CancelledError: ``cancel`` returned true.
     """
     start = time.perf_counter()
     plan.validate()

@@ -1,4 +1,4 @@
-"""The part of the check that visits markings, for the questions that structure left open."""
+"""The part of the check that visits markings, for the questions that the structure left open."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.model.errors import LimitError
 
 TREE_NODES = 5_000
-"""Nodes of the coverability tree that shows which places grow."""
+"""Most nodes of the coverability tree that shows which places grow."""
 
 
 class MarkingChecks:
-    """Adds what the reachable markings say to a checklist.
+    """Adds the findings from the reachable markings to a checklist.
 
-    :param structure: what structure said, and left open.
-    :param limit: on the markings to visit.
-    :ivar markings: those that were visited, if any.
+    :param structure: the structural checks, with the questions that they left open.
+    :param limit: most markings to visit.
+    :ivar markings: the visited markings, if any.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class MarkingChecks:
         self._list = checklist
 
     def look_at_markings(self) -> None:
-        """Visit markings if there is an open question, and answer it."""
+        """Visit markings if a question is open, and answer it."""
         if not self._structure.open:
             return
         losses = (
@@ -198,8 +198,8 @@ class MarkingChecks:
         )
 
     def _growing(self) -> List[str]:
-        """The places that can hold any number of tokens, if a coverability tree of some size shows
-        it."""
+        """The places that can hold any number of tokens, as far as a coverability tree of limited
+        size shows them."""
         try:
             tree = CoverabilityTree(
                 self.net.without_places(self._structure.written),
@@ -264,8 +264,8 @@ class MarkingChecks:
             self._undecided(markings, "policy", "whether the policy covers every marking")
 
     def _kinds(self, findings: Iterable[Finding]) -> List[Finding]:
-        """The findings, the first of those that differ only in counters that ``until`` alone
-        reads."""
+        """The findings, with only the first of those that differ only in counters that nothing but
+        ``until`` reads."""
         counters = set(only_written(replace(self.plan, until=None)))
         kinds: Dict[Any, Finding] = {}
         for finding in findings:

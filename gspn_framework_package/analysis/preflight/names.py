@@ -10,12 +10,12 @@ from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, 
 from gspn_framework_package.model.plan import Action, Plan
 
 ServerProbe = Callable[[str, str, Action], Optional[str]]
-"""Asked for (robot, place, action) whether the action's server answers: None if so, else the
-fault."""
+"""Called with (robot, place, action) to check whether the action's server answers; returns None if
+it does, otherwise the fault."""
 
 
 class NameChecks:
-    """Adds what the names and maps of ``plan`` say to a checklist."""
+    """Adds the findings from the names and maps of ``plan`` to a checklist."""
 
     def __init__(self, plan: Plan, checklist: Checklist) -> None:
         self.plan = plan
@@ -118,7 +118,8 @@ class NameChecks:
             )
 
     def _look_at_idle_places(self) -> None:
-        """With no action nobody says which of several exponential transitions a robot asks for."""
+        """Warn of places without an action that have several exponential outputs and no other:
+        nothing decides which of them a robot requests."""
         for name in self.plan.action_places:
             leaving = [
                 self.net.transitions[t] for t in self.net.consumers[self.net.place_number(name)]
@@ -158,7 +159,7 @@ class NameChecks:
         return bool(leaving) and not any(self.net.transitions[t].timed for t in leaving)
 
     def look_at_servers(self, probe: ServerProbe) -> None:
-        """Ask for every action's server."""
+        """Check the server of every action."""
         asked: Dict[str, Optional[str]] = {}
         for robot in self.plan.robots:
             for place in self.plan.action_places:

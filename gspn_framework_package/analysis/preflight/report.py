@@ -1,5 +1,4 @@
-"""The report of the check before any robot moves: items for people, and the same as JSON for
-programs."""
+"""The report of the check before any robot moves: items as text, and the same as JSON."""
 
 from __future__ import annotations
 
@@ -14,13 +13,13 @@ class Severity(enum.Enum):
     OK = "ok"
     """Nothing to do."""
     WARNING = "warning"
-    """The plan may run; somebody should look."""
+    """The plan may run, but somebody should look at it."""
     REFUSED = "refused"
     """The plan must not run."""
 
 
 class CheckItem(NamedTuple):
-    """One question and its answer: ``check`` names the question, ``text`` is for people,
+    """One question and its answer: ``check`` names the question, ``text`` is for people and
     ``details`` for programs (plain JSON values)."""
 
     check: str
@@ -32,9 +31,9 @@ class CheckItem(NamedTuple):
 class PreflightReport(NamedTuple):
     """The answers of :func:`gspn_framework_package.analysis.preflight.check`.
 
-    :ivar states: how many markings were visited; 0 when structure decided everything.
+    :ivar states: how many markings were visited; 0 if the structure decided everything.
     :ivar complete: whether those were all.
-    :ivar seconds: how long the check took.
+    :ivar seconds: duration of the check (s).
     """
 
     plan: str
@@ -50,7 +49,7 @@ class PreflightReport(NamedTuple):
 
     @property
     def exit_code(self) -> int:
-        """0: may run (perhaps with warnings); 1: refused."""
+        """0: the plan may run (perhaps with warnings); 1: it is refused."""
         return int(self.refused)
 
     def of(self, check: str) -> Tuple[CheckItem, ...]:
@@ -93,12 +92,12 @@ class PreflightReport(NamedTuple):
 
 
 LISTED = 10
-"""Findings of one kind, and names in one sentence, that a report lists; it always gives their
-number."""
+"""Most findings of one kind, and most names in one sentence, that a report lists; it always gives
+their total number."""
 
 
 class Checklist:
-    """A report in the making."""
+    """A report under construction."""
 
     def __init__(self) -> None:
         self.items: List[CheckItem] = []
@@ -108,7 +107,11 @@ class Checklist:
         self.items.append(CheckItem(check, severity, text, details))
 
     def tell_bounds(self, bounds: Dict[str, int], how: str) -> None:
-        """Add that these resource places are bounded; ``how`` that is known."""
+        """Report that these resource places are bounded.
+
+        :param bounds: place -> most tokens.
+        :param how: how this was decided.
+        """
         listed = ", ".join("%s %d" % item for item in itertools.islice(bounds.items(), LISTED))
         self.add(
             "resource_bounds",
@@ -120,7 +123,7 @@ class Checklist:
 
 
 def names(listed: Iterable[str]) -> str:
-    """Names for a sentence, not too many."""
+    """Names for a sentence, abbreviated if there are many."""
     everyone = list(listed)
     more = ", ... (%d in all)" % len(everyone) if len(everyone) > LISTED else ""
     return ", ".join(everyone[:LISTED]) + more

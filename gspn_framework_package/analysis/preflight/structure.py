@@ -1,4 +1,5 @@
-"""The part of the check that structure decides, in milliseconds; the markings decide the rest."""
+"""The part of the check that the structure decides, in milliseconds; the markings decide the
+rest."""
 
 from __future__ import annotations
 
@@ -19,14 +20,14 @@ from gspn_framework_package.model.plan import Plan
 
 
 class StructureChecks:
-    """Adds what the structure of ``plan`` says to a checklist.
+    """Adds the findings from the structure of ``plan`` to a checklist.
 
     :ivar open: the questions that only markings can decide.
     :ivar unbalanced: numbers of the transitions that would create or destroy robots.
-    :ivar timeless: numbers of the immediate transitions that may follow each other without time.
-    :ivar cycle: a cycle of these, by names; empty without one.
+    :ivar timeless: numbers of the immediate transitions that may follow each other in zero time.
+    :ivar cycle: a cycle of these, by names; empty if there is none.
     :ivar written: the counters that nothing reads.
-    :ivar resource_bounds: of the other resource places, as far as known.
+    :ivar resource_bounds: the bounds of the other resource places, as far as known.
     """
 
     def __init__(self, plan: Plan, checklist: Checklist, standalone: bool) -> None:
@@ -43,7 +44,7 @@ class StructureChecks:
         self._cover = PolicyCover(plan)
 
     def look_at_structure(self) -> None:
-        """Answer what structure can answer, and note what is open."""
+        """Answer what the structure can answer, and record what is open."""
         self._look_at_flows()
         self._look_at_cycles()
         self._look_at_servers_of_transitions()
@@ -122,7 +123,7 @@ class StructureChecks:
             for i, t in enumerate(self.net.transitions)
             if t.timed and t.servers is not None and any(p in acts for p, _ in self.net.inputs[i])
         ]
-        # one server is also what a file means that says nothing of servers
+        # one server is also the default of a file that does not specify servers
         for single, severity, what in (
             (False, Severity.WARNING, "the file gives a limited number of servers"),
             (True, Severity.OK, "one server in the file, or none said"),
@@ -182,7 +183,7 @@ class StructureChecks:
             )
 
     def _always_moves(self, p: int) -> bool:
-        """Whether a robot in place number ``p`` can go on whatever the others do."""
+        """Whether a robot in place number ``p`` can continue whatever the others do."""
         if not always_leavable(self.net, p):
             return False
         leaving = [self.net.transitions[t] for t in self.net.consumers[p]]
