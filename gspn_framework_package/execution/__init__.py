@@ -1,2 +1,2 @@
-"""Execution: the token game, the event log, agreement, and the standalone executor. No ROS in
-here."""
+"""Execution: the token game, the event log, agreement, and the standalone executor. Nothing here
+imports ROS."""

@@ -1,27 +1,28 @@
-"""Actions that are Python functions: how they are written, found and called. No ROS.
+"""Actions that are Python functions: how they are written, found and called, without ROS.
 
-An action is what happens in an action place: a plain function, or a class with callable instances.
-It declares what it needs by the names of its parameters, all of them optional:
+An action is what a robot does in an action place: a plain function, or a class with callable
+instances. The names of its parameters, all of them optional, declare what it needs:
 
 ``place``
     name of the place it runs for.
 ``robot``
     name of the robot (standalone: of the agent) that runs it.
 ``feedback``
-    called with one or several whole numbers, reports progress (by custom: seconds so far).
+    call it with one or several whole numbers to report progress (by convention, the seconds so
+    far).
 ``is_cancelled``
-    called without arguments, returns whether the action should end; ``is_cancelled.wait(s)`` sleeps
-    for ``s`` seconds, or until the action should end.
+    call it without arguments to learn whether the action should end; ``is_cancelled.wait(s)``
+    sleeps for ``s`` seconds, or until the action should end.
 ``id``
-    number of the robot: the one that its name ends with (standalone, agents are called by their
-    numbers, from 1); a name without a number is given as it is. Functions that were written for the
+    number of the robot, which is the number at the end of its name (in standalone execution, agents
+    are numbered from 1); if the name has no number, the name itself. Functions written for the
     thesis take it.
 ``visit``, ``attempt``
-    number of the robot's visit (it grows at each move) and of the attempt within it: above 1, an
-    earlier attempt failed or was cut off by a crash.
+    number of the robot's visit (it grows with each move) and of the attempt within that visit; if
+    it is above 1, an earlier attempt failed or was interrupted by a crash.
 
-Any other parameter is a setting: the plan gives its value, under ``settings``, to the function or
-to the ``__init__`` of the class. So a class with settings is a kind of action of its own::
+Any other parameter is a setting: the plan passes its value, under ``settings``, to the function or
+to the ``__init__`` of the class. A class with settings thus defines a new kind of action::
 
     class Wait:
         def __init__(self, seconds):
@@ -32,11 +33,11 @@ to the ``__init__`` of the class. So a class with settings is a kind of action o
 
     {"function": "actions.Wait", "settings": {"seconds": 3}}
 
-It returns the name of the transition to fire, or nothing, "" or "None" to let the policy decide
-(thesis Algorithm 1). Any exception means that it failed; :class:`ActionFailed` says so without a
-traceback in the log. A class is instantiated once for each robot (its ``__init__`` may ask for
-``robot``) and for each different choice of settings. For example, in ``actions.py`` of a plan's
-folder, named ``actions.count`` in the plan::
+An action returns the name of the transition to fire, or None, "" or "None" to let the policy decide
+(thesis Algorithm 1). Any exception means that the action failed; :class:`ActionFailed` reports the
+failure without the name of an exception. A class is instantiated once for each robot (its
+``__init__`` may ask for ``robot``) and for each different choice of settings. For example, this is
+``actions.py`` in a plan's folder; the plan refers to the function as ``actions.count``::
 
     from gspn_framework_package.execution.actions import action
 
@@ -48,8 +49,8 @@ folder, named ``actions.count`` in the plan::
                 return None
         return "T_counted"
 
-The decorator is not needed; it checks the parameters of a function without settings where it is
-written.
+The decorator is optional; it checks the parameters of a function without settings when its module
+is imported.
 """
 
 from __future__ import annotations
@@ -87,16 +88,16 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 class ActionFailed(Exception):  # noqa: N818  # what it says, not a fault of the program
-    """Raised by an action that did not succeed; the operator sees its text."""
+    """An action raises this when it does not succeed; the operator sees its text."""
 
 
 TEXT_LIMIT = 500
-"""Characters of what an action says, of its failure or as its result, that are kept."""
+"""The text of an action's failure or result is cut to this many characters."""
 
 
 def error_text(error: BaseException) -> str:
-    """What a user's exception says (which may raise itself), on one line of at most
-    :data:`TEXT_LIMIT` characters."""
+    """The text of a user's exception, on one line of at most :data:`TEXT_LIMIT` characters; an
+    exception that cannot be converted to text is harmless."""
     try:
         return shorten(str(error), TEXT_LIMIT)
     except Exception as another:
@@ -104,7 +105,7 @@ def error_text(error: BaseException) -> str:
 
 
 class Cancellation:
-    """Tells an action whether somebody wants it to end."""
+    """Lets an action check whether it should end."""
 
     def __init__(self) -> None:
         self._event = threading.Event()
@@ -114,21 +115,21 @@ class Cancellation:
         return self._event.is_set()
 
     def wait(self, seconds: Optional[float] = None) -> bool:
-        """Sleep for ``seconds`` (None: without limit), but only until the action should end;
-        returns whether it should."""
+        """Sleep for ``seconds`` (None: without limit), or until the action should end; returns
+        whether it should."""
         return self._event.wait(seconds)
 
     def cancel(self) -> None:
-        """Have the action end."""
+        """Ask the action to end."""
         self._event.set()
 
 
 def no_feedback(*progress: Any) -> None:
-    """The ``feedback`` of an action to which nobody listens."""
+    """A ``feedback`` that discards the progress."""
 
 
 class ActionContext(NamedTuple):
-    """What an action may ask for by name."""
+    """The values that an action may ask for by parameter name."""
 
     place: str
     robot: str
@@ -139,13 +140,13 @@ class ActionContext(NamedTuple):
 
     @property
     def id(self) -> Union[int, str]:
-        """The number that the robot's name ends with, or its name where it ends with none."""
+        """The number at the end of the robot's name, or the name itself if there is none."""
         number = re.search(r"[0-9]{1,18}$", self.robot)
         return int(number.group()) if number else self.robot
 
 
 PARAMETERS = ActionContext._fields + ("id",)
-"""The names of what an action may ask for."""
+"""The parameter names by which an action may ask for values."""
 
 
 NO_SETTINGS: Mapping[str, Any] = {}
@@ -156,9 +157,9 @@ class PythonAction:
 
     :param function: the function, or the class.
     :param name: its name in the plan, for messages.
-    :param settings: what the plan gives it, by the names of its parameters.
-    :raises PlanError: it cannot be called, asks for something that there is not, or has no
-        parameter for a setting.
+    :param settings: the settings in the plan, by parameter name.
+    :raises PlanError: it cannot be called, has a parameter that is neither known nor a setting, or
+        lacks a parameter for a setting.
     """
 
     def __init__(
@@ -196,10 +197,10 @@ class PythonAction:
             self._lock = threading.Lock()
 
     def __call__(self, context: ActionContext) -> str:
-        """Run the action; the transition that it names, "" for "the policy decides".
+        """Run the action; returns the transition that it names, or "" to let the policy decide.
 
-        Whatever it raises is passed on. A result that is no text is returned as its ``repr``, which
-        names no transition: the token game reports it as a bad result.
+        Its exceptions propagate. A result that is not a string is returned as its ``repr`` (at most
+        200 characters), which the token game reports as a bad result since it names no transition.
         """
         if self._class is None:
             result = self._function(**_pick(context, self._names), **self._settings)
@@ -220,9 +221,9 @@ class PythonAction:
 
 
 def action(function: _Function) -> _Function:
-    """Decorator: this function (or class) is an action; checks its parameters at once.
+    """Decorator that marks a function (or class) as an action and checks its parameters at once.
 
-    :raises PlanError: it asks for something that there is not.
+    :raises PlanError: it has a required parameter that is not one of :data:`PARAMETERS`.
     """
     PythonAction(function, getattr(function, "__qualname__", repr(function)))
     return function
@@ -231,12 +232,14 @@ def action(function: _Function) -> _Function:
 def load_action(
     folder: Optional[str], name: str, settings: Mapping[str, Any] = NO_SETTINGS
 ) -> PythonAction:
-    """The action ``module.function`` of a plan.
+    """Load the action ``module.function`` of a plan.
 
-    :param folder: the plan's folder, in which ``module.py`` is looked for (``package.module`` in
-        its subfolder); a module that is not there is imported as any other.
-    :param settings: what the plan gives it, by the names of its parameters.
-    :raises PlanError: no such module or function, or it is not an action; what importing it raised.
+    :param folder: the plan's folder, which is searched for ``module.py`` (its subfolder for
+        ``package.module``); a module that is not there is imported normally.
+    :param name: ``module.function``.
+    :param settings: the settings in the plan, by parameter name.
+    :raises PlanError: the module or function does not exist, importing the module failed, or the
+        function is not an action.
     """
     element = "action '%s'" % name
     module_name, dot, function_name = name.rpartition(".")
@@ -269,7 +272,8 @@ def load_action(
 
 
 def load_actions(plan: Plan, robot: str) -> Dict[str, PythonAction]:
-    """The Python actions of a robot, by place; places with another action, or none, are left out.
+    """Load the Python actions of a robot, by place; places with another action or none are left
+    out.
 
     :raises PlanError: see :func:`load_action`.
     """
@@ -286,10 +290,11 @@ def load_actions(plan: Plan, robot: str) -> Dict[str, PythonAction]:
 
 
 def missing_function(folder: Optional[str], name: str) -> Optional[str]:
-    """What is missing for the action ``module.function``, as far as the source shows without
-    running it; None if nothing is, or if the source does not show it.
+    """What is missing for the action ``module.function``, judging by the source without running it;
+    None if nothing is missing or the source does not show it.
 
     :param folder: the plan's folder.
+    :param name: ``module.function``.
     """
     module, _, function = name.rpartition(".")
     path = os.path.join(os.path.abspath(folder), *module.split(".")) if folder else ""
@@ -316,7 +321,7 @@ def missing_function(folder: Optional[str], name: str) -> Optional[str]:
     while waiting:
         node = waiting.pop()
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
-            defined.add(node.name)  # what is inside is not the module's
+            defined.add(node.name)  # names inside it do not belong to the module
         elif isinstance(node, (ast.Import, ast.ImportFrom)):
             defined |= {alias.asname or alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
@@ -357,12 +362,12 @@ def _load_module(folder: Optional[str], name: str, element: str) -> ModuleType:
 
 
 _plan_folders: set[str] = set()
-"""Folders of plans that are on ``sys.path`` because their modules may import each other."""
+"""Plan folders that were put on ``sys.path``, because their modules may import each other."""
 
 
 def _is_installed(name: str) -> bool:
-    """Whether Python has the module, or the package it is in, not counting what belongs to another
-    plan."""
+    """Whether Python can find the module, or the package it is in, outside the folders of other
+    plans."""
     try:
         spec = importlib.util.find_spec(name.split(".")[0])
     except (ImportError, ValueError):
@@ -377,14 +382,14 @@ def _is_installed(name: str) -> bool:
 
 
 def _load_file(folder: str, file: str, element: str) -> ModuleType:
-    # A name of its own: two plans may both have an actions.py, even in one process.
+    # The name is unique: two plans may both have an actions.py, even in one process.
     digest = hashlib.sha256(os.path.realpath(file).encode()).hexdigest()[:12]
     name = "gspn_plan_%s_%s" % (digest, os.path.splitext(os.path.basename(file))[0])
     if name in sys.modules:
         return sys.modules[name]
     folder = os.path.abspath(folder)
     if folder not in sys.path:
-        sys.path.append(folder)  # its modules may import each other; they hide none of Python's own
+        sys.path.append(folder)  # its modules may import each other, but hide none of Python's own
         _plan_folders.add(folder)
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None and spec.loader is not None
@@ -422,7 +427,7 @@ def _parameters(
     settings: Mapping[str, Any] = NO_SETTINGS,
     bound: bool = False,
 ) -> FrozenSet[str]:
-    """The names of the context that ``function`` asks for, beside its settings."""
+    """The :data:`PARAMETERS` that ``function`` asks for, apart from its settings."""
     try:
         parameters = list(inspect.signature(function).parameters.values())[1 if bound else 0 :]
     except (TypeError, ValueError):  # built in, without a signature

@@ -1,4 +1,4 @@
-"""The randomness of a run: a hash of the log position, so that every replica draws the same."""
+"""The random numbers of a run: hashes of the log position, so that every replica draws the same."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ T = TypeVar("T")
 
 
 def uniform(seed: int, slot: int, index: int, who: str) -> float:
-    """A number in [0, 1): the first 53 bits of SHA-256 over seed, log slot, index in the slot, and
-    who draws."""
+    """A number in [0, 1): the first 53 bits of the SHA-256 of the seed, the log slot, the index in
+    the slot, and the name of the robot that draws."""
     digest = hashlib.sha256(("%d|%d|%d|%s" % (seed, slot, index, who)).encode()).digest()
     return (int.from_bytes(digest[:7], "big") >> 3) / (1 << 53)
 
 
 def choose(choices: Sequence[Tuple[T, float]], number: float) -> T:
-    """The choice that ``number`` in [0, 1) falls on; the weights (>= 0, one above 0) need not sum
-    to 1."""
+    """The choice that ``number`` in [0, 1) selects.
+
+    :param choices: choices with their weights (>= 0, at least one > 0), which need not sum to 1.
+    """
     target = number * sum(weight for _, weight in choices)
     for choice, weight in choices:
         target -= weight
@@ -27,7 +29,7 @@ def choose(choices: Sequence[Tuple[T, float]], number: float) -> T:
 
 
 def sample(items: Sequence[T], count: int, seed: int, slot: int, index: int, who: str) -> List[T]:
-    """``count`` of the items, drawn without replacement."""
+    """Draw ``count`` of the items without replacement; see :func:`uniform`."""
     left = list(items)
     drawn = []
     for k in range(count):

@@ -1,5 +1,5 @@
-"""Which transitions are enabled, kept up to date from marking to marking at the cost of what
-changed."""
+"""The set of enabled transitions, updated incrementally: the cost depends only on what changed in
+the marking."""
 
 from __future__ import annotations
 
@@ -9,20 +9,23 @@ from gspn_framework_package.model.net import Marking, Net
 
 
 class Change(NamedTuple):
-    """Transitions (indices, ascending) that became enabled, and that ceased to be."""
+    """The transitions (indices, ascending) that became enabled, and those that became disabled."""
 
     added: Tuple[int, ...]
     removed: Tuple[int, ...]
 
 
 class EnabledSet:
-    """The enabled transitions of a net in a marking that moves on.
+    """The enabled transitions of a net in a changing marking.
 
-    Agrees with :meth:`Net.enabled` in every marking (a test holds the two together), but asks
-    :meth:`Net.is_enabled` only about the transitions that touch a place whose count changed.
+    It agrees with :meth:`Net.enabled` in every marking (a test compares the two), but calls
+    :meth:`Net.is_enabled` only for the transitions that touch a place whose count changed.
 
+    :param net: the net.
+    :param marking: the marking to start from.
     :param by_priority: immediate transitions take precedence over exponential ones, and only the
-        immediate ones of the highest priority count as enabled; without it, all with concession.
+        immediate ones of the highest priority count as enabled. If false, all transitions with
+        concession count as enabled.
     """
 
     def __init__(self, net: Net, marking: Sequence[int], *, by_priority: bool = True) -> None:
@@ -44,7 +47,7 @@ class EnabledSet:
         """The enabled transitions, by index."""
 
     def move_to(self, marking: Sequence[int]) -> Change:
-        """Take over another marking; returns what that changed."""
+        """Move to another marking; returns what changed."""
         old, new = self.marking, tuple(marking)
         self.marking = new
         asked: Set[int] = set()
@@ -54,7 +57,8 @@ class EnabledSet:
         return self._refresh(asked)
 
     def fire(self, t: int) -> Change:
-        """Fire transition ``t``. :raises NotEnabledError: it has no concession."""
+        """Fire transition ``t`` (index); returns what changed. :raises NotEnabledError: it has no
+        concession."""
         self.marking = self.net.fire(self.marking, t)
         asked: Set[int] = set()
         for p, _ in self.net.effect(t):

@@ -1,6 +1,6 @@
-"""The environment, simulated: exponential transitions that move no robot fire at their rates.
+"""The simulated environment: exponential transitions that move no robot fire at their rates.
 
-Only for plans with ``environment: simulate``; otherwise the operator fires them.
+This applies only to plans with ``environment: simulate``; otherwise the operator fires them.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from gspn_framework_package.execution.token_game import TokenGame
 
 
 class Environment:
-    """Tells when the environment fires next.
+    """Draws when the environment fires next.
 
-    Waiting times are memoryless, so that the time is drawn anew whenever the marking changed.
+    Waiting times are memoryless, so the time is drawn again whenever the marking has changed.
 
     :param game: the rules.
-    :param source: its random numbers.
+    :param source: the random number generator.
     """
 
     def __init__(self, game: TokenGame, source: random.Random) -> None:
@@ -30,7 +30,7 @@ class Environment:
         self._choices: List[Tuple[str, float]] = []
 
     def next_time(self, state: TeamState, now: float) -> Optional[float]:
-        """When the environment fires next (seconds, on the clock of ``now``); None: not at all."""
+        """When the environment fires next (seconds, on the clock of ``now``); None if never."""
         if not self._game.plan.simulate_environment or state.paused or state.ended is not None:
             self._version = None
             return None
@@ -47,7 +47,8 @@ class Environment:
         return self._time
 
     def due(self, state: TeamState, now: float) -> Optional[str]:
-        """The transition that fires now, if any; the next one is drawn afterwards."""
+        """The transition that is due at ``now``, None if none is; the next time is then drawn
+        anew."""
         time = self.next_time(state, now)
         if time is None or now < time:
             return None

@@ -1,42 +1,42 @@
-"""The event log of a run: one file of JSON lines that is the write-ahead log, the event log and the
-history at once.
+"""The event log of a run: one file of JSON lines that serves as write-ahead log, event log and
+history.
 
-The first line is the *header*: format and version, run, robot, the id of this very log, and the
-plan, self-contained, so that a run can be replayed and verified from the log alone. Every other
-line is a *record*: a JSON object with its ``kind`` beside its fields, the wall clock (``wall``,
-seconds since 1970) and a monotonic clock (``mono``, seconds, comparable between the processes of
-one host). Kinds:
+The first line is the *header*: format and version, run, robot, the id of this log, and the complete
+plan, so that a run can be replayed and verified from the log alone. Every other line is a *record*:
+a JSON object with its ``kind``, its fields, the wall clock (``wall``, seconds since 1970) and a
+monotonic clock (``mono``, seconds, comparable between the processes of one host). Kinds:
 
 ==============  ====================================================================================
-``slot``        a slot of the agreed log: ``slot``, ``entries``, ``origins`` (who put each in:
-                robot, incarnation, sequence number; empty in a local log), the ``firings`` that
-                followed, ``hash`` (of the chain), ``ballot`` where a team agreed on it
+``slot``        a slot of the agreed log: ``slot``, ``entries``, ``origins`` (the robot that put
+                each in, its incarnation and a sequence number; empty in a local log), the
+                ``firings`` that followed, ``hash`` (of the chain), ``ballot`` if a team agreed on
+                it
 ``snapshot``    the state after slot ``slot``, taken over from a peer or kept as a starting point:
                 ``state``, ``seen`` (origin -> newest entry), ``logs`` (robot -> the log with which
                 it was let in), ``cast_out`` (robot -> slot of its eviction by force), ``hash``
-``reset``       earlier records no longer count (``why``); the log is learnt from the others, and
-                has the id ``log`` from here on
+``reset``       earlier records no longer count (``why``); the robot learns the log from the others,
+                and its log has the id ``log`` from here on
 ``active``      this replica takes part from now on
-``life``        the node started: ``incarnation``; ``joining`` where it was not in the first team;
-                ``host`` as in the header, ``fsync``: whether the log is written through to the disk
+``life``        the node started: ``incarnation``; ``joining`` if it was not in the first team;
+                ``host`` as in the header; ``fsync``: whether the log is synced to the disk
 ``promised``    acceptor: no ballot below ``ballot`` will be accepted in ``slot`` or later
 ``accepted``    acceptor: accepted ``batch`` under ``ballot`` in ``slot``
-``invoked``     a proposal: what this robot wants in the log: ``entry``, ``origin``
+``invoked``     a proposal of this robot for the log: ``entry``, ``origin``
 ``void``        an ``invoked`` proposal can no longer take effect (``why``)
-``private``     partial synchronisation: a move that this robot made on its own: ``entry``,
-                ``origin``, ``firing``
-``goal``        the goal of an action goes out: ``place``, ``incarnation``, ``visit``, ``attempt``
+``private``     partial synchronisation: a local transition of this robot: ``entry``, ``origin``,
+                ``firing``
+``goal``        the goal of an action is sent: ``place``, ``incarnation``, ``visit``, ``attempt``
 ``cancel``      the goals of visits up to ``visit`` are void
 ``peer``        first contact with a robot: ``robot``, ``log`` (the id of its log)
 ``forced``      the operator asserts that these ``robots`` (robot -> incarnation) are off
 ``ended``       the run is over: ``reason``, ``finished``
 ==============  ====================================================================================
 
-``kill -9`` may cut the last line: nothing that depends on it has left the process, so a reader
-drops it, and a writer that resumes the file removes it first.
+``kill -9`` may truncate the last line. Nothing that depends on that line has left the process, so a
+reader drops it, and a writer that resumes the file first removes it.
 
-The last field of every line, ``sum``, is a running hash over all lines before it and the line
-itself, which reveals a line that was changed, dropped or inserted. (Logs of version 1 have none.)
+The last field of every line, ``sum``, is a running hash of this line and all lines before it. It
+reveals a line that was changed, dropped or inserted. (Logs of version 1 have none.)
 """
 
 from __future__ import annotations
@@ -70,13 +70,15 @@ def header(
 ) -> Record:
     """The first line of a log.
 
+    :param plan: the plan, which the header carries whole.
     :param run: name of the run.
-    :param robot: whose log it is ("" for a standalone run).
-    :param log_id: unlike that of any other log, e.g. a random hex string: it distinguishes a robot
-        that comes back with its memory from one that lost it.
-    :param agents: standalone execution, where transitions may create and destroy tokens.
-    :param host: the host and boot that the monotonic clock belongs to (the writer fills it in):
-        times of different ones are not compared.
+    :param robot: the robot that keeps the log ("" for a standalone run).
+    :param log_id: unique to this log, e.g. a random hex string. It distinguishes a robot that comes
+        back with its log from one that lost it.
+    :param agents: whether this is a standalone run, where transitions may create and destroy
+        tokens.
+    :param host: the host and boot that the monotonic clock belongs to (the writer fills it in).
+        Times of different hosts or boots are not compared.
     """
     return {
         "kind": "header",
@@ -100,21 +102,21 @@ def first_hash(plan: Plan) -> str:
 def next_hash(
     previous: str, entries: Sequence[Record], origins: Sequence[Any], firings: Sequence[Record]
 ) -> str:
-    """The next link of the hash chain: over the link before, and a slot's entries, their origins
-    and the firings that followed, all as they stand in the log."""
+    """The next link of the hash chain: a hash of the previous link and of a slot's entries, their
+    origins and the firings that followed, in their JSON form in the log."""
     text = json.dumps([previous, entries, origins, firings], sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 class EventLogWriter:
-    """Appends records to a log; every record has reached the operating system when
-    :meth:`append` returns, so that it outlives the process.
+    """Appends records to a log. When :meth:`append` returns, every record has reached the operating
+    system, so it survives the process.
 
-    :param path: the file; its folder is made. An existing file is resumed: a partial last line is
-        removed, and the header must be of the same run, robot and plan.
+    :param path: the file; its folder is made if necessary. An existing file is resumed: a partial
+        last line is removed, and the header must be of the same run, robot and plan.
     :param first: the header for a new file (see :func:`header`).
-    :param fsync: wait until durable records are on the disk, so that they also outlive the power
-        supply.
+    :param fsync: wait until durable records are on the disk, so that they also survive a power
+        failure.
     :raises LogError: the file belongs to another run, robot or plan, or cannot be written.
     """
 
@@ -148,10 +150,11 @@ class EventLogWriter:
                 raise
 
     def append(self, *records: Record, durable: bool = True) -> None:
-        """Write the records, each with the time of now.
+        """Write the records, each with the current time.
 
-        :param durable: where the log is written through, wait until the disk has them, and all
-            before them.
+        :param durable: if the log is synced (``fsync``), wait until these and all earlier records
+            are on the disk.
+        :raises LogError: the file cannot be written.
         """
         clocks = {"wall": round(time.time(), 6), "mono": round(time.monotonic(), 6)}
         data = "".join(self._line({**r, **clocks}) for r in records).encode()
@@ -177,8 +180,10 @@ class EventLogWriter:
 
 
 def line_of(record: Record, previous: str) -> Tuple[str, str]:
-    """The line of a record, and the running hash after it; ``previous``: the one before it ("" at
-    first)."""
+    """The line of a record, and the running hash after it.
+
+    :param previous: the running hash before it ("" for the first line).
+    """
     text = json.dumps(record, separators=(",", ":"))
     chain = next_sum(previous, text.encode())
     return '%s,"sum":"%s"}\n' % (text[:-1], chain), chain
@@ -187,7 +192,8 @@ def line_of(record: Record, previous: str) -> Tuple[str, str]:
 def next_sum(previous: str, line: bytes) -> str:
     """The running hash of a log after a line.
 
-    :param line: without its ``sum``.
+    :param previous: the running hash before the line ("" for the first line).
+    :param line: the line without its ``sum``.
     """
     return hashlib.sha256(previous.encode() + line).hexdigest()[:16]
 
@@ -196,7 +202,7 @@ _SUM = re.compile(rb',"sum":"([0-9a-f]{16})"}\n?$')
 
 
 def _without_sum(line: bytes) -> Tuple[bytes, str]:
-    """A line without its running hash, and that."""
+    """A line without its running hash, and that hash ("" if the line has none)."""
     found = _SUM.search(line)
     if found is None:
         return line, ""
@@ -204,7 +210,7 @@ def _without_sum(line: bytes) -> Tuple[bytes, str]:
 
 
 def _last_sum(path: str) -> str:
-    """The running hash of the last line. :raises LogError: it has none."""
+    """The running hash of the last line. :raises LogError: the line has none."""
     with open(path, "rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - 64))
@@ -215,7 +221,7 @@ def _last_sum(path: str) -> str:
 
 
 def _sync_folder(path: str) -> None:
-    """Make the name of a new file outlive the power supply."""
+    """Sync the file's folder, so that the name of a new file survives a power failure."""
     folder = os.open(os.path.dirname(os.path.abspath(path)), os.O_RDONLY)
     try:
         os.fsync(folder)
@@ -224,14 +230,15 @@ def _sync_folder(path: str) -> None:
 
 
 def end_is_there(event_log: EventLog) -> bool:
-    """Whether the end of a log is certainly there, whatever happened to the machine: the log was
-    synced to the disk, or the machine has not been restarted since its last node began."""
+    """Whether the log certainly has all records that were written to it, whatever happened to the
+    machine: it was synced to the disk, or the machine has not restarted since its last node
+    started."""
     newest = next((r for r in reversed(event_log.records) if r["kind"] == "life"), event_log.header)
     return bool(newest.get("fsync")) or newest.get("host", event_log.header.get("host")) == _host()
 
 
 def _host() -> str:
-    """Which monotonic clock this is: that of one boot of one machine."""
+    """An id of this machine's current boot, to which the monotonic clock belongs."""
     try:
         with open("/proc/sys/kernel/random/boot_id", encoding="ascii") as file:
             return file.read().strip()
@@ -240,8 +247,8 @@ def _host() -> str:
 
 
 def _repair(path: str) -> Optional[Record]:
-    """The header of the file, None if there is no file or no whole line in it; a last line that was
-    cut is removed."""
+    """Remove a truncated last line; returns the header, or None if there is no file or it has no
+    complete line."""
     if not os.path.exists(path):
         return None
     with open(path, "rb+") as file:
@@ -267,8 +274,8 @@ class EventLog:
     """A log that was read.
 
     :ivar header: its first line.
-    :ivar records: all others, in order.
-    :ivar cut: whether a cut last line was dropped.
+    :ivar records: all other lines, in order.
+    :ivar cut: whether a truncated last line was dropped.
     """
 
     def __init__(
@@ -287,7 +294,8 @@ class EventLog:
 
     @property
     def plan(self) -> Plan:
-        """The plan that the log carries. :raises LogError: it is not one, or not of that hash."""
+        """The plan in the header. :raises LogError: it is invalid, or its hash differs from the
+        recorded one."""
         if self._plan is None:
             try:
                 plan = plan_from_json(self.header["plan"])
@@ -302,18 +310,18 @@ class EventLog:
 
     @property
     def robot(self) -> str:
-        """Whose log it is."""
+        """The robot that kept the log; "" for a standalone run."""
         return str(self.header["robot"])
 
 
 def read_log(path: str, size: Optional[int] = None) -> EventLog:
     """Read a log.
 
-    A last line that was cut is dropped (``EventLog.cut``).
+    A truncated last line is dropped (``EventLog.cut``).
 
-    :param size: read that many bytes only: logs that are still being written are read as they were
+    :param size: read only that many bytes, to read logs that are still being written as they were
         at one moment.
-    :raises LogError: it cannot be read, is not a log of a version that is known, or has a line that
+    :raises LogError: the file cannot be read, is not a log of a known version, or has a line that
         is not a record; the message says which.
     """
     records: List[Record] = []
@@ -341,18 +349,20 @@ def read_log(path: str, size: Optional[int] = None) -> EventLog:
 
 
 LONGEST_LINE = 64_000_000
-"""Bytes; a longer one is not taken for a record."""
+"""Bytes; a longer line is not accepted as a record."""
 
 
 class LogFile:
-    """A log that is read line by line, when it is needed.
+    """A log that is read line by line, on demand.
 
-    :param path: the file. :raises LogError: it cannot be read, or is not a log of a version that is
-      known.
-    :ivar header: its first line. :ivar plan: the plan that it carries. :ivar begin: the byte that
-      the records begin at.
-    :ivar size: of the file, when it was opened. :ivar cut: whether a last line that was cut has
-      been met.
+    :param path: the file.
+    :raises LogError: it cannot be read, or is not a log of a known version.
+
+    :ivar header: the first line.
+    :ivar plan: the plan in the header.
+    :ivar begin: the byte offset of the first record.
+    :ivar size: the size of the file in bytes when it was opened.
+    :ivar cut: whether a truncated last line has been met.
     """
 
     def __init__(self, path: str) -> None:
@@ -366,20 +376,22 @@ class LogFile:
         self.plan = EventLog(path, self.header, []).plan
 
     def open(self) -> BinaryIO:
-        """The file, to be read. :raises LogError: it cannot be."""
+        """Open the file for reading. :raises LogError: it cannot be read."""
         try:
             return open(self.path, "rb")
         except OSError as error:
             raise LogError("cannot be read (%s)" % error.strerror, file=self.path) from None
 
     def records(self, file: BinaryIO, offset: int, number: int) -> Iterator[Tuple[Record, int]]:
-        """The records from byte ``offset`` on, which is where line ``number`` begins, and the
-        length of each.
+        """Yield the records from byte ``offset`` on, each with the length of its line in bytes.
 
-        Of a log that is still being written those are read that were there when it was opened. A
-        last line that was cut is left out, and noted in ``cut``.
+        If the log is still being written, only records that were there when it was opened are read.
+        A truncated last line is left out and noted in ``cut``.
 
-        :raises LogError: a line is no record, or the file cannot be read any more.
+        :param file: the file, from :meth:`open`.
+        :param offset: the byte at which line ``number`` begins.
+        :param number: the number of that line, for messages (the header is line 1).
+        :raises LogError: a line is not a record, or the file can no longer be read.
         """
         try:
             file.seek(offset)
@@ -408,7 +420,7 @@ class DamagedLogError(LogError):
 
 
 def _follow(chain: str, line: bytes, path: str, number: int) -> str:
-    """The running hash after a line. :raises DamagedLogError: the line says another one."""
+    """The running hash after a line. :raises DamagedLogError: the line records a different one."""
     text, told = _without_sum(line)
     chain = next_sum(chain, text)
     if told != chain:
@@ -454,9 +466,10 @@ def _header(line: bytes, path: str) -> Record:
 
 
 class Replayed(NamedTuple):
-    """A replayed slot of a log; ``state`` is after it, and the next one changes it.
+    """A replayed slot of a log. ``state`` is the state after it; replaying the next slot changes it
+    in place.
 
-    ``entries`` is empty and ``snapshot`` true where the log took over a snapshot instead.
+    If the log took over a snapshot instead, ``snapshot`` is true and ``entries`` is empty.
     """
 
     slot: int
@@ -468,10 +481,10 @@ class Replayed(NamedTuple):
 
 
 class Replayer:
-    """Reduces the slots of a log again with the token game, record by record.
+    """Replays the slots of a log with the token game, record by record.
 
     :param game: the rules of the plan.
-    :param state: where to start; the state before the run by default.
+    :param state: the state to start from; by default, the state before the run.
     """
 
     def __init__(self, game: TokenGame, state: Optional[TeamState] = None) -> None:
@@ -479,14 +492,15 @@ class Replayer:
         self.state = state if state is not None else game.new_state()
 
     def take(self, record: Record) -> Optional[Replayed]:
-        """What the next record of the log changed; None if nothing.
+        """Replay the next record of the log.
 
+        :returns: what it changed; None if it holds no slot or new snapshot.
         :raises LogError: a slot is missing, does not hold entries, or leads to other firings than
           those it recorded.
         :raises KeyError: or TypeError, the record is damaged.
         """
         if record["kind"] == "snapshot":
-            # one kept as a starting point adds nothing
+            # a snapshot that was kept as a starting point changes nothing
             if record["slot"] != self.state.next_slot - 1:
                 self.state = TeamState.from_json(record["state"], self._game.net)
                 return Replayed(record["slot"], (), [], self.state, record, True)
@@ -498,10 +512,10 @@ class Replayer:
 
 
 def replay(event_log: EventLog) -> Iterator[Replayed]:
-    """Reduce the slots of a log again, one by one, with the token game.
+    """Replay the slots of a log, one by one, with the token game.
 
-    :raises LogError: a slot is missing, does not hold entries, or leads to other firings than those
-        it recorded.
+    :raises LogError: a record is damaged; or a slot is missing, does not hold entries, or leads to
+        other firings than those it recorded.
     """
     plan = event_log.plan
     replayer = Replayer(TokenGame(plan, agents=bool(event_log.header.get("agents"))))

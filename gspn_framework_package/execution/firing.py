@@ -9,9 +9,8 @@ from gspn_framework_package.model.net import Marking, Net
 
 
 class Move(NamedTuple):
-    """A token with an identity moves: ``source`` None for one that was created, ``target`` None for
-    one that was destroyed (Void, thesis 4.1.2); ``visit`` is the number of the visit that
-    begins."""
+    """A robot's token moves from ``source`` (None if it was created) to ``target`` (None if it was
+    destroyed, Void in thesis 4.1.2); ``visit`` is the number of the visit that begins."""
 
     robot: str
     source: Optional[str]
@@ -20,11 +19,11 @@ class Move(NamedTuple):
 
 
 class Firing(NamedTuple):
-    """A transition fired, at position (``slot``, ``index``) of the log.
+    """A transition fired at position (``slot``, ``index``) of the log.
 
-    ``robot`` is the one whose request it was ("" if none asked), with its ``visit`` and
-    ``incarnation``; ``moves`` lists all robots that moved, ``marking`` is the result, ``drawn`` the
-    position at which the policy chose this transition (None if it did not).
+    ``robot`` requested it ("" if no robot did), in its ``visit`` and ``incarnation``. ``moves``
+    lists all robots that moved, and ``marking`` is the marking afterwards. ``drawn`` is the log
+    position (slot, index) of the random draw that chose this transition (None if there was none).
     """
 
     slot: int
@@ -51,22 +50,21 @@ class StartAction(NamedTuple):
 
 
 class CancelAction(NamedTuple):
-    """Whatever ``robot`` is doing for visits up to ``visit`` is void: cancel it."""
+    """Cancel the actions of ``robot`` for visits up to ``visit``."""
 
     robot: str
     visit: int
 
 
 class Fault(NamedTuple):
-    """Something went wrong that a person should know; ``robot`` "" where it concerns no robot."""
+    """A fault that a person should know about; ``robot`` is "" if it concerns no robot."""
 
     robot: str
     message: str
 
 
 class Ended(NamedTuple):
-    """The run is over; ``finished`` distinguishes a run that came to its own end from one that was
-    stopped."""
+    """The run is over: it ran to completion (``finished``), or was stopped or failed."""
 
     reason: str
     finished: bool
@@ -76,7 +74,7 @@ Command = Union[StartAction, CancelAction, Fault, Ended]
 
 
 def firing_to_json(firing: Firing, net: Net) -> Dict[str, Any]:
-    """The firing as a JSON object, the marking by place names without the empty places."""
+    """The firing as a JSON object; its marking maps place names to counts, without empty places."""
     data = firing._asdict()
     data["marking"] = net.named(firing.marking, zeros=False)
     data["moves"] = [list(m) for m in firing.moves]
@@ -85,7 +83,7 @@ def firing_to_json(firing: Firing, net: Net) -> Dict[str, Any]:
 
 
 def firing_from_json(data: Dict[str, Any], net: Net) -> Firing:
-    """The firing of a JSON object. :raises LogError: not one."""
+    """The firing in a JSON object. :raises LogError: it is not a firing of this net."""
     try:
         fields = {key: data[key] for key in Firing._fields}
         fields["marking"] = net.marking(data["marking"])

@@ -1,8 +1,8 @@
-"""The log so far and its result: the state of the team and the end of the hash chain.
+"""The result of the log so far: the state of the team and the end of the hash chain.
 
 A *ledger* turns batches of entries into ``slot`` records (see
-:mod:`~gspn_framework_package.execution.event_log`) and goes on from records. The standalone
-executor's recorder and each replica of a team keep one.
+:mod:`~gspn_framework_package.execution.event_log`), and can continue from a ``snapshot`` record.
+The standalone executor and each replica of a team keep one.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from gspn_framework_package.model.errors import LogError
 
 class Origin(NamedTuple):
     """Who put an entry into the log: a robot, its incarnation, a sequence number, and the
-    (shortened) id of the log in which it counts.
+    (shortened) id of the log in which that number is counted.
 
-    For each robot, only an entry newer than all before has an effect, so duplicates are harmless.
-    Two lives of a robot that lost its log may claim the same incarnation; the first to get into
-    the agreed log has it.
+    For each robot, an entry has an effect only if it is newer than all before, so duplicates are
+    harmless. Two lives of a robot that lost its log may claim the same incarnation; it belongs to
+    the first that gets into the agreed log.
     """
 
     robot: str
@@ -34,8 +34,8 @@ class Origin(NamedTuple):
 
 
 class Item(NamedTuple):
-    """An entry and its origin, on the way into the log; ``private``: a ``Done`` of partial
-    synchronisation whose move was made already."""
+    """An entry and its origin, on the way into the log. ``private`` marks a ``Done`` of partial
+    synchronisation whose local transition has already fired."""
 
     entry: log_entries.Entry
     origin: Origin
@@ -47,7 +47,7 @@ class Item(NamedTuple):
 
     @classmethod
     def from_json(cls, data: Any) -> Item:
-        """The item of a JSON value. :raises LogError: not one."""
+        """The item in a JSON value. :raises LogError: it is not an item."""
         try:
             entry, (robot, incarnation, number, log_id), private = data
             if type(incarnation) is not int or type(number) is not int:
@@ -69,12 +69,12 @@ class Item(NamedTuple):
 class Ledger:
     """The state after a prefix of the log.
 
-    :param game: the rules; shared between ledgers.
+    :param game: the rules; ledgers may share them.
 
     :ivar state: the team after ``length`` slots; changed in place.
     :ivar hash: the end of the hash chain.
     :ivar seen: robot -> (incarnation, number, log) of its newest entry in the log.
-    :ivar logs: robot -> id of the log with which it was let in last; empty for robots of the first
+    :ivar logs: robot -> id of the log with which it was last let in; it has no robots of the first
         team that never joined again.
     :ivar cast_out: robot -> slot of its last eviction by force.
     """
@@ -93,8 +93,7 @@ class Ledger:
         return self.state.next_slot
 
     def is_news(self, origin: Origin) -> bool:
-        """Whether an entry of that origin would have an effect (an entry without a robot has
-        one)."""
+        """Whether an entry of this origin is newer than all entries of that robot in the log."""
         known = self.seen.get(origin.robot)
         if known is None or origin.incarnation > known[0]:
             return True
@@ -104,8 +103,12 @@ class Ledger:
     def append(
         self, items: Sequence[Item], ballot: Optional[Sequence[Any]] = None
     ) -> Tuple[Record, Step]:
-        """Put a batch into the next slot; returns the ``slot`` record, and what it changed.
-        Repeated items are left out."""
+        """Put a batch into the next slot, without repeated items.
+
+        :param items: the batch.
+        :param ballot: the ballot under which a team agreed on it.
+        :returns: the ``slot`` record, and what it changed.
+        """
         fresh: List[Item] = []
         for item in items:
             if self.is_news(item.origin):
@@ -121,7 +124,7 @@ class Ledger:
         return record, step
 
     def _note_membership(self, entry: log_entries.Entry) -> None:
-        """Remember whose log counts, and who was cast out."""
+        """Record the log with which a robot was let in, or the slot in which it was cast out."""
         if isinstance(entry, log_entries.Join):
             robot = self.state.robots.get(entry.robot)
             if entry.robot in self.state.witnesses or (
@@ -145,7 +148,7 @@ class Ledger:
     def record(
         self, slot: int, entries: Sequence[log_entries.Entry], origins: List[Any], step: Step
     ) -> Record:
-        """The ``slot`` record of a step that was made already; the chain goes on with it."""
+        """The ``slot`` record of a step that was already made; extends the hash chain."""
         written = [log_entries.to_json(e) for e in entries]
         firings = [firing_to_json(f, self.game.net) for f in step.firings]
         self.hash = next_hash(self.hash, written, origins, firings)
@@ -173,9 +176,9 @@ class Ledger:
         }
 
     def restore(self, record: Record) -> None:
-        """Take over a ``snapshot`` record; an invalid one changes nothing.
+        """Take over the state of a ``snapshot`` record; an invalid one changes nothing.
 
-        :raises LogError: not one, or not of this plan.
+        :raises LogError: it is not a snapshot, or not of this plan.
         """
         try:
             state = TeamState.from_json(record["state"], self.game.net)

@@ -1,8 +1,8 @@
-"""Entries of the event log: the outside facts from which a whole run follows.
+"""Entries of the event log: the external events that determine a whole run.
 
-An entry is a value; ``to_json`` and ``from_json`` turn it into a JSON object and back. The field
-``visit`` grows by one at each move of a robot, so a stale or repeated ``Done`` can be recognised
-and has no effect.
+An entry is a value; ``to_json`` and ``from_json`` convert it to a JSON object and back. The field
+``visit`` grows by one with each move of a robot, so a stale or repeated ``Done`` is recognised and
+has no effect.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from gspn_framework_package.model.errors import LogError
 
 
 class Start(NamedTuple):
-    """The run begins with this team: ``roster`` holds (robot, place, incarnation), ``witnesses``
-    vote but have no token."""
+    """The run begins with this team: ``roster`` holds (robot, place, incarnation); ``witnesses``
+    vote but have no token. ``plan`` is the hash of the plan."""
 
     roster: Tuple[Tuple[str, str, int], ...]
     seed: int
@@ -23,8 +23,8 @@ class Start(NamedTuple):
 
 
 class Done(NamedTuple):
-    """A robot finished the action of its visit. ``result``: a transition, or "" for "the policy
-    decides"."""
+    """A robot finished the action of its visit. ``result`` names a transition, or is "" to let the
+    policy decide."""
 
     robot: str
     incarnation: int
@@ -63,17 +63,18 @@ class Retry(NamedTuple):
 
 
 class Fire(NamedTuple):
-    """The environment (or the operator in its name) fires a transition that moves no robot."""
+    """The environment (or the operator on its behalf) fires a transition that moves no robot."""
 
     transition: str
 
 
 class Join(NamedTuple):
-    """A robot joins, or comes back with a higher incarnation. ``place`` counts for one that was
-    never here; one that was lost or had left returns to its last place with the next visit; one
-    that only restarted keeps place and visit, and its action is started again as the next
-    attempt. ``log`` is the id of the log that it now keeps. A
-    witness that lost its log joins again too, for its vote."""
+    """A robot joins, or comes back with a higher incarnation.
+
+    A new robot starts in ``place``. A robot that was lost or had left returns to its last place
+    with the next visit. A robot that only restarted keeps its place and visit, and its action
+    starts again as the next attempt. ``log`` is the id of the log that it now keeps. A witness that
+    lost its log also joins again, to regain its vote."""
 
     robot: str
     incarnation: int
@@ -82,16 +83,16 @@ class Join(NamedTuple):
 
 
 class Leave(NamedTuple):
-    """A robot leaves the team voluntarily, and takes its token along. The last member of a team
-    stays."""
+    """A robot leaves the team voluntarily and takes its token with it. The last member of a team
+    cannot leave."""
 
     robot: str
 
 
 class Evict(NamedTuple):
-    """A robot counts as lost; its token goes to the account of the lost. ``forced``: the
-    operator asserted that it is off, and its vote was not asked for. The last member of a team
-    stays."""
+    """A robot is declared lost; its token goes to the account of the lost. ``forced`` means that
+    the operator asserted that it is off, so its vote was not required. The last member of a team
+    cannot be evicted."""
 
     robot: str
     incarnation: int
@@ -106,14 +107,13 @@ class SetPlace(NamedTuple):
 
 
 class Pause(NamedTuple):
-    """Nothing fires (``robot`` "" means the team), or the robot joins no firing, until
-    ``Resume``."""
+    """Until ``Resume``, the robot joins no firing; if ``robot`` is "" (the team), nothing fires."""
 
     robot: str = ""
 
 
 class Resume(NamedTuple):
-    """Ends a ``Pause`` of the team ("") or of a robot."""
+    """The ``Pause`` of a robot, or of the team (""), ends."""
 
     robot: str = ""
 
@@ -128,7 +128,7 @@ Entry = Union[Start, Done, Failed, Retry, Fire, Join, Leave, Evict, SetPlace, Pa
 
 
 def _plain_types(kind: type) -> Dict[str, type]:
-    """The types of an entry's fields; a roster is looked at by itself."""
+    """The types of an entry's plain fields; rosters and witnesses are checked separately."""
     plain: Dict[str, type] = {"str": str, "int": int, "bool": bool}
     named = {name: getattr(t, "__forward_arg__", t) for name, t in kind.__annotations__.items()}
     return {name: plain[t] for name, t in named.items() if t in plain}
@@ -153,12 +153,12 @@ _TYPES = {kind: _plain_types(kind) for kind in _KINDS.values()}
 
 
 def to_json(entry: Entry) -> Dict[str, Any]:
-    """The entry as a JSON object: its kind under ``entry``, beside its fields."""
+    """The entry as a JSON object: its kind under ``entry``, and its fields."""
     return {"entry": _NAMES[type(entry)], **entry._asdict()}
 
 
 def from_json(data: Any) -> Entry:
-    """The entry of a JSON object. :raises LogError: not one."""
+    """The entry in a JSON object. :raises LogError: it is not an entry."""
     try:
         kind = _KINDS[data["entry"]]
         fields = {key: value for key, value in data.items() if key != "entry"}

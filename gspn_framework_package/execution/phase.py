@@ -1,8 +1,8 @@
-"""What a robot or an agent is up to: the one vocabulary for it.
+"""The one vocabulary for the phase that a robot or an agent is in.
 
-The log gives each robot one (:attr:`RobotState.phase`). People and programs are told one that also
-takes account of a pause, of the end of the run and of what is not in the log yet
-(:func:`.team_state.told_phase`). The members of :class:`Phase` are a table: the name of each phase
+The log gives each robot a phase (:attr:`RobotState.phase`). The phase reported to people and
+programs also takes into account a pause, the end of the run and what is not in the log yet
+(:func:`.team_state.told_phase`). The members of :class:`Phase` form a table: the name of each phase
 in logs, on ROS, in the thesis and on the page, and flags for what follows from it. Nothing else in
 the package compares these names.
 """
@@ -14,38 +14,38 @@ from typing import Any, Dict, NamedTuple
 
 
 class Told(NamedTuple):
-    """How a phase is told, and what follows from it."""
+    """How a phase is reported, and what follows from it."""
 
     state: str
-    """On ROS: ``GetState``, ``activity``, the command ``status`` (thesis 4.3.3)."""
+    """Its name on ROS: in ``GetState``, ``activity`` and the command ``status`` (thesis 4.3.3)."""
     agent: str
-    """Of an agent that is a thread (thesis 4.1.2, Figure 4.5)."""
+    """Its name for an agent that is a thread (thesis 4.1.2, Figure 4.5)."""
     word: str
-    """To people, on the page."""
+    """The word that people read on the page."""
     tone: str
     """How the page marks it: "good", "warn", "bad" or ""."""
     acts: bool = False
-    """Whether an action of it runs, or is about to."""
+    """Whether the robot's action runs, or is about to start."""
     waits: bool = False
-    """Whether it has ended its action and waits for a transition, or for the operator's leave."""
+    """Whether the robot has ended its action and waits for a transition, or is paused."""
     gone: bool = False
-    """Whether its token is no longer in the net."""
+    """Whether the robot's token is no longer in the net."""
     failed: bool = False
-    """Whether its action failed for good, and can be tried again."""
+    """Whether the robot's action failed for good; the operator can have it tried again."""
     needs_operator: bool = False
-    """Whether it does not go on by itself."""
+    """Whether the robot cannot go on without the operator."""
     at_rest: bool = False
-    """Whether it has come to its own end: nothing can be ordered of it."""
+    """Whether the robot is finished or stopped, so that it takes no orders."""
     outlasts: bool = False
-    """Whether this is still told of it when the run is over."""
+    """Whether this phase is still reported when the run is over."""
     shown: bool = True
-    """Whether the net shows it, in its place."""
+    """Whether the drawing of the net shows the robot in its place."""
 
 
 class Phase(enum.Enum):
-    """The value is what logs and the page's JSON call it.
+    """The phase of a robot or an agent; the value is its name in logs and in the page's JSON.
 
-    The log knows DOING, DONE, FAILED, INACTIVE, LOST and LEFT. The others are only told.
+    The log contains DOING, DONE, FAILED, INACTIVE, LOST and LEFT. The others are only reported.
     """
 
     told: Told
@@ -56,22 +56,22 @@ class Phase(enum.Enum):
         phase = object.__new__(cls)
         phase._value_ = value
         phase.told = told
-        phase.gone = told.gone  # asked so often that one look-up less counts
+        phase.gone = told.gone  # read so often that one look-up less matters
         return phase
 
     UNHEARD = "", Told("", "", "not heard yet", "")
-    """Nothing has been heard of what it does."""
+    """Nothing has been heard from the robot yet."""
     FREE = "free", Told("Doing", "Free", "acts", "good", acts=True)
     """It has come to a new place and is about to start."""
     DOING = "doing", Told("Doing", "Occupied", "acts", "good", acts=True)
     """Its action runs."""
     DONE = "done", Told("Done", "Done", "waits", "warn", waits=True)
-    """Its action is over. In the log: it asks for a transition. Told of a robot: what it asks for
-    is not in the log yet."""
+    """Its action is over. In the log, this means that it asks for a transition; when reported, that
+    its request is not in the log yet."""
     WAITING = "waiting", Told("Waiting", "Waiting", "waits", "warn", waits=True)
     """It asks for a transition that did not fire at once."""
     PAUSED = "paused", Told("Paused", "Waiting", "paused", "warn", waits=True)
-    """The operator paused it, or the team: it joins no firing."""
+    """The operator paused it or the team; it joins no firing."""
     FAILED = (
         "failed",
         Told("Failed", "Failed", "failed", "bad", failed=True, needs_operator=True, outlasts=True),
@@ -87,18 +87,18 @@ class Phase(enum.Enum):
     )
     """It was evicted; its token is in the account of the lost."""
     LEFT = "left", Told("Left", "Void", "has left", "", gone=True, outlasts=True, shown=False)
-    """It left the team of its own will."""
+    """It left the team voluntarily."""
     VOID = "void", Told("Left", "Void", "has ended", "", gone=True, outlasts=True, shown=False)
-    """An agent that a transition destroyed: it consumed more than it produced."""
+    """An agent destroyed by a transition that consumed more agents than it produced."""
 
     @classmethod
     def of_state(cls, state: str) -> Phase:
-        """The phase that ROS calls so; UNHEARD where none is."""
+        """The phase with this name on ROS; UNHEARD if there is none."""
         return _BY_STATE.get(state, cls.UNHEARD)
 
     @classmethod
     def of_log(cls, value: str) -> Phase:
-        """The phase that a log calls so. :raises ValueError: none that a log knows."""
+        """The phase with this name in logs. :raises ValueError: logs contain no such phase."""
         phase = cls.of_value(value)
         if phase not in _IN_LOGS:
             raise ValueError("a robot cannot be '%s'" % value)
@@ -106,13 +106,13 @@ class Phase(enum.Enum):
 
     @classmethod
     def of_value(cls, value: str) -> Phase:
-        """The phase of that value; UNHEARD where there is none."""
+        """The phase with this value; UNHEARD if there is none."""
         return _BY_VALUE.get(value, cls.UNHEARD)
 
     @property
     def logged(self) -> Phase:
-        """What the log says of a robot that is told to be in this phase; UNHEARD where that cannot
-        be known from it."""
+        """The phase in the log of a robot that is reported to be in this phase; UNHEARD if it
+        cannot be inferred."""
         return _LOGGED.get(self, self)
 
 
@@ -130,8 +130,8 @@ ENTERED = Phase.DOING
 
 
 def phases_to_json() -> Dict[str, Any]:
-    """For the page, as a JSON object: how each phase is told, by its value, and the phases that the
-    page names itself."""
+    """The phases as a JSON object for the page: ``table``, how each phase is reported, by its
+    value, and ``named``, the phases that the page refers to by name."""
     left_out = ("state", "agent")
     return {
         "table": {

@@ -1,4 +1,4 @@
-"""The rules of a plan, made ready for the token game, and the questions that they answer."""
+"""The rules of a plan, prepared for the token game, and queries on them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class Rules:
     """The rules of one plan.
 
     :param plan: a validated plan.
-    :param agents: standalone execution, where transitions may create and destroy agents (thesis
-        4.1.2).
+    :param agents: whether this is standalone execution, where transitions may create and destroy
+        agents (thesis 4.1.2).
     """
 
     def __init__(self, plan: Plan, *, agents: bool = False) -> None:
@@ -56,7 +56,7 @@ class Rules:
     # -- questions ---------------------------------------------------------------------------------
 
     def may_fire(self, state: TeamState, t: int) -> bool:
-        """Whether ``t`` can fire now: enabled in the marking, with enough robots that are done and
+        """Whether ``t`` can fire now: it is enabled in the marking, and enough robots are done and
         free for it."""
         if not self.net.is_enabled(state.marking, t):
             return False
@@ -67,11 +67,11 @@ class Rules:
         )
 
     def free_robots(self, state: TeamState, p: int, t: int) -> List[RobotState]:
-        """The robots that are done in place ``p`` and free for ``t``, the one done first first.
+        """The robots that are done in place ``p`` and free for ``t``, in order of completion.
 
-        One that named a transition is free for that one only: what an action found out is not
-        overridden by a partner. One that lets the policy decide is free for every immediate
-        transition.
+        A robot that named a transition is free for that transition only, so a partner cannot
+        override the result of its action. A robot that lets the policy decide is free for every
+        immediate transition.
         """
         robots = [state.robots[name] for name in state.done_in.get(p, ())]
         return [r for r in robots if self._is_free(r, t)]
@@ -90,7 +90,8 @@ class Rules:
         return False
 
     def why_waiting(self, state: TeamState, robot: RobotState) -> str:
-        """Why a robot that is done does not move, for people; "" when it is not waiting."""
+        """The reason, for people to read, why a robot that is done or has failed does not move; ""
+        if it is not waiting."""
         if robot.phase is Phase.FAILED:
             return "its action failed (%s); waits for the operator" % robot.why
         if robot.phase is not Phase.DONE:

@@ -17,7 +17,7 @@ from gspn_framework_package.model.net import Marking, Net
 
 
 class Choice(NamedTuple):
-    """A transition (index) that may fire next, with its probability."""
+    """A transition (index) that may fire next, and its probability."""
 
     transition: int
     probability: float
@@ -33,11 +33,12 @@ class SimulatedFiring(NamedTuple):
 class Simulator:
     """Plays the token game of a net.
 
-    :param marking: where to start, the initial marking by default.
-    :param source: the random numbers; give one with a seed to repeat a simulation.
-    :param probabilities: transition (index) -> relative firing probability (>= 0) that a user set
-        in place of its rate or weight. It changes who fires, not how long that takes.
-    :raises NetError: a probability that is not a number of at least 0.
+    :param net: the net.
+    :param marking: where to start; the initial marking by default.
+    :param source: the random number generator; pass a seeded one to repeat a simulation.
+    :param probabilities: transition (index) -> relative firing probability (>= 0) that replaces its
+        rate or weight. It changes which transition fires, not how long that takes.
+    :raises NetError: a probability is not a finite number of at least 0.
 
     >>> from gspn_framework_package.model.builder import NetBuilder
     >>> net = NetBuilder().place("a", 1).place("b").immediate("t", inputs="a", outputs="b").build()
@@ -57,13 +58,13 @@ class Simulator:
         self.random = source or random.Random()
         self.enabled = EnabledSet(net, net.initial_marking if marking is None else marking)
         self.change = Change((), ())
-        """What the last move changed in the enabled transitions."""
+        """How the last move changed the set of enabled transitions."""
         self.probabilities: Mapping[int, float] = {}
         self.set_probabilities(probabilities or {})
 
     @property
     def marking(self) -> Marking:
-        """The present marking."""
+        """The current marking."""
         return self.enabled.marking
 
     def set_probabilities(self, probabilities: Mapping[int, float]) -> None:
@@ -77,13 +78,13 @@ class Simulator:
         self.probabilities = dict(probabilities)
 
     def choices(self) -> List[Choice]:
-        """The transitions that may fire next, and how probable each is; empty in a dead
+        """The transitions that may fire next, each with its probability; empty in a dead
         marking."""
         weighted, total = self._weighted()
         return [Choice(t, weight / total) for t, weight in weighted if weight > 0]
 
     def next_firing(self) -> Optional[SimulatedFiring]:
-        """Draw what fires next, without firing it; None when nothing can."""
+        """Draw the next firing without firing it; None when nothing can fire."""
         weighted, total = self._weighted()
         if total <= 0:
             return None
@@ -99,31 +100,30 @@ class Simulator:
         return SimulatedFiring(chosen, self._delay(chosen))
 
     def step(self) -> Optional[SimulatedFiring]:
-        """One step: draw a firing and fire it; None, and no change, when nothing can fire."""
+        """Draw a firing and fire it; None, with the marking unchanged, when nothing can fire."""
         firing = self.next_firing()
         if firing is not None:
             self.change = self.enabled.fire(firing.transition)
         return firing
 
     def fire(self, t: int) -> SimulatedFiring:
-        """Fire a chosen transition (index).
+        """Fire a chosen transition (index), even one of lower priority than another enabled one.
 
-        :raises NotEnabledError: the marking does not enable it (an immediate transition of lower
-            priority may be chosen).
+        :raises NotEnabledError: the marking does not enable it.
         """
         delay = self._delay(t) if t in self.enabled.now else 0.0
         self.change = self.enabled.fire(t)
         return SimulatedFiring(t, delay)
 
     def move_to(self, marking: Sequence[int]) -> None:
-        """Go to another marking: reset, step back, clear."""
+        """Go to another marking, to reset, step back or clear."""
         self.change = self.enabled.move_to(marking)
 
     def _weighted(self) -> Tuple[List[Tuple[int, float]], float]:
         enabled = sorted(self.enabled.now)
         weighted = [(t, self._weight(t)) for t in enabled]
         total = _sum(weight for _, weight in weighted)
-        if math.isinf(total):  # only their relation matters
+        if math.isinf(total):  # only the ratios matter
             top = max(weight for _, weight in weighted)
             weighted = [
                 (t, weight / top if math.isfinite(top) else float(weight == top))
@@ -131,7 +131,7 @@ class Simulator:
             ]
             total = _sum(weight for _, weight in weighted)
         if total <= 0 and not any(t in self.probabilities for t in enabled):
-            # only choices that a policy would make (weight 0): each is as good as the other
+            # only choices that a policy would make (weight 0): all equally probable
             weighted = [(t, 1.0) for t in enabled]
             total = float(len(enabled))
         return weighted, total
@@ -143,7 +143,8 @@ class Simulator:
         return self.net.effective_rate(self.marking, t) if transition.timed else transition.weight
 
     def _delay(self, t: int) -> float:
-        """Seconds until the race ends that ``t`` is in; 0 for an immediate transition."""
+        """Draw the seconds until ``t`` wins the race of the enabled transitions; 0 for an immediate
+        transition."""
         if not self.net.transitions[t].timed:
             return 0.0
         total = _sum(self.net.effective_rate(self.marking, u) for u in self.enabled.now)
@@ -151,7 +152,7 @@ class Simulator:
 
 
 def _sum(values: Iterable[float]) -> float:
-    """Their sum, infinite where it is beyond what a float holds."""
+    """Their sum; infinite if it exceeds the range of a float."""
     try:
         return math.fsum(values)
     except OverflowError:

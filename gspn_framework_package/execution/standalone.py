@@ -1,9 +1,9 @@
-"""Standalone execution: a plan runs without ROS, its agents are threads (thesis 4.1).
+"""Standalone execution: a plan runs without ROS, and its agents are threads (thesis 4.1).
 
-The executor is one thread with one queue. Actions run on threads of their own, made on demand, and
-only put their results into the queue; the executor turns them into entries of a local log, and the
-token game determines what follows. Listeners are notified of what an agent is up to (thesis 4.1.2,
-Figure 4.5); the log alone determines the state.
+The executor is one thread with one queue. Actions run on their own threads, made on demand, which
+only put results into the queue. The executor turns the results into entries of a local log, and the
+token game determines what follows. Listeners are notified of the phases of the agents (thesis
+4.1.2, Figure 4.5); the log alone determines the state.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ from gspn_framework_package.model.plan import Plan, ServerAction
 
 
 class Listener:
-    """Receives the events of a run; override what is of interest. The methods are called on the
-    executor's thread and should return soon."""
+    """Receives the events of a run; override the methods you need. Unless noted otherwise, they are
+    called on the executor's thread and should return quickly."""
 
     def on_step(
         self,
@@ -55,20 +55,20 @@ class Listener:
         firings: Sequence[Firing],
         state: TeamState,
     ) -> None:
-        """The entries of log slot ``slot`` were reduced, and led to the firings and the state."""
+        """The entries of log slot ``slot`` were reduced and led to these firings and this state."""
 
     def on_phase(self, agent: str, phase: Phase) -> None:
-        """What an agent is up to has changed: FREE, DOING (Occupied), DONE, WAITING, FAILED,
-        INACTIVE, and at its end VOID, LEFT or LOST."""
+        """An agent entered a phase: FREE, DOING (Occupied), DONE, WAITING, FAILED, INACTIVE, or at
+        its end VOID, LEFT or LOST."""
 
     def on_feedback(self, agent: str, visit: int, progress: Tuple[Any, ...]) -> None:
         """The action of an agent reports its progress (called on the action's thread)."""
 
     def on_fault(self, agent: str, message: str) -> None:
-        """Something went wrong that a person should know; ``agent`` "" where it concerns none."""
+        """A fault occurred that a person should know about; ``agent`` is "" if it concerns none."""
 
     def on_end(self, reason: str, finished: bool) -> None:
-        """The run is over: it came to its own end (``finished``), or was stopped."""
+        """The run is over: it ran to completion (``finished``), or was stopped or failed."""
 
     def on_broken(self, reason: str) -> None:
         """The run is over because the executor itself, its log or a listener failed."""
@@ -77,7 +77,7 @@ class Listener:
 
 
 class _Attempt(NamedTuple):
-    """An attempt at an action: which it is, and how to cancel it."""
+    """An attempt at an action, with the means to cancel it."""
 
     visit: int
     attempt: int
@@ -85,7 +85,7 @@ class _Attempt(NamedTuple):
 
 
 _Message = Callable[[], List[log_entries.Entry]]
-"""Run on the executor's thread; the entries that follow."""
+"""Called on the executor's thread; returns the entries that follow."""
 
 
 class StandaloneExecutor:
@@ -93,14 +93,15 @@ class StandaloneExecutor:
 
     :param plan: a validated plan whose actions are Python functions (or null).
     :param listener: notified of what happens.
-    :param event_log: where the run is recorded (its creator writes the header).
-    :param time_source: monotonic seconds.
-    :param firing_limit: the run is stopped at the event that brings the firings to this number; if
-        that event causes several, which belong together, there are more.
+    :param event_log: the log that records the run; its creator writes the header.
+    :param time_source: returns monotonic seconds.
+    :param firing_limit: the run stops after the event that brings the number of firings to this
+        limit. An event may cause several firings, which belong together, so the limit may be
+        exceeded.
     :raises PlanError: a place is bound to an action server; a function is missing or broken.
 
-    ``start`` returns at once; ``wait`` waits for the end; ``stop`` ends the run at any time, and
-    does not wait for functions that never return.
+    ``start`` returns at once; ``wait`` waits for the end; ``stop`` ends the run at any time,
+    without waiting for functions that never return.
     """
 
     def __init__(
@@ -117,7 +118,7 @@ class StandaloneExecutor:
         self.game = TokenGame(plan, agents=True)
         self._ledger = Ledger(self.game)
         self.state = self._ledger.state
-        """Changed on the executor's thread only; others use :meth:`status`."""
+        """Only the executor's thread may use it; other threads call :meth:`status`."""
         self.result: Optional[Ended] = None
         """How the run ended; None while it goes on."""
         self._listener = listener or Listener()
@@ -139,13 +140,13 @@ class StandaloneExecutor:
     # -- for other threads -------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Start the run. :raises UsageError: it was started before."""
+        """Start the run. :raises UsageError: it was already started."""
         if self._thread.ident is not None:
             raise UsageError("this run was started before", hint="make a new executor")
         self._thread.start()
 
     def record_to(self, event_log: EventLogWriter) -> None:
-        """Record the run there. To be called before :meth:`start`."""
+        """Record the run in this log. Call it before :meth:`start`."""
         self._event_log = event_log
 
     def stop(self, reason: str = "stopped by the operator") -> None:
@@ -153,18 +154,19 @@ class StandaloneExecutor:
         self.order(log_entries.Stop(reason))
 
     def order(self, entry: log_entries.Entry) -> None:
-        """An order of the operator: Pause, Resume, Retry, SetPlace, Fire, Leave, Stop."""
+        """Queue an order of the operator: Pause, Resume, Retry, SetPlace, Fire, Leave or Stop."""
         self._queue.put(lambda: [entry])
 
     @property
     def over(self) -> bool:
-        """Whether nothing will happen any more: the run ended or failed."""
+        """Whether the run has ended or failed, so that nothing more will happen."""
         return self._over.is_set()
 
     def wait(self, timeout: Optional[float] = None) -> Optional[Ended]:
-        """Wait for the end, at most ``timeout`` seconds; how it ended, None if it did not.
+        """Wait for the end, at most ``timeout`` seconds; returns how the run ended, None if it has
+        not.
 
-        :raises ExecutionError: the executor itself failed, or its log or a listener did.
+        :raises ExecutionError: the executor itself, its log or a listener failed.
         """
         if self._thread.ident is not None:
             self._thread.join(timeout)
@@ -173,8 +175,9 @@ class StandaloneExecutor:
         return self.result
 
     def status(self) -> Dict[str, Any]:
-        """The run as a JSON object: ``marking`` and, for each agent, its place, state, visit, how
-        long it has been in that state (``seconds``), and why it waits."""
+        """The run as a JSON object: ``marking``; ``agents``, each with its name, place, state,
+        visit, the ``seconds`` that it has been in that state, and why it waits; ``slots``, the
+        number of log slots; and ``ended``, the reason why the run ended (None while it goes on)."""
         with self._lock:
             now = self._clock()
             agents = []
@@ -204,7 +207,7 @@ class StandaloneExecutor:
             self._reduce([self.game.start_entry()])
             while self.result is None:
                 self._reduce(self._next_entries())
-        # reported by wait() and to the listener: a thread has nobody else to report to
+        # wait() and the listener report it: a thread has no caller that it could raise to
         except BaseException as error:
             self._crash = error
         finally:
@@ -212,7 +215,7 @@ class StandaloneExecutor:
             for attempt in self._running.values():
                 attempt.cancellation.cancel()
             if self._crash is not None:
-                with contextlib.suppress(Exception):  # it may be the listener that broke
+                with contextlib.suppress(Exception):  # the listener itself may have failed
                     self._listener.on_broken(_broke_off(self._crash))
 
     def _next_entries(self) -> List[log_entries.Entry]:
@@ -245,7 +248,7 @@ class StandaloneExecutor:
         with self._lock:
             slot = self._ledger.length
             step = self.game.reduce(self.state, slot, entries)
-        if self._event_log is not None:  # before anything that follows from it leaves the process
+        if self._event_log is not None:  # before any of its effects leaves the process
             self._record(self._ledger.record(slot, entries, [], step))
         self._tell_phases(step)
         self._listener.on_step(slot, entries, step.firings, self.state)
@@ -278,7 +281,7 @@ class StandaloneExecutor:
         for name in self.state.waiting:
             self._set_phase(name, Phase.WAITING)
         for robot in self.state.robots.values():
-            if robot.phase not in (Phase.DOING, Phase.DONE):  # of those more is known
+            if robot.phase not in (Phase.DOING, Phase.DONE):  # these were already set above
                 self._set_phase(robot.name, robot.phase)
 
     def _set_phase(self, name: str, phase: Phase) -> None:
@@ -326,13 +329,13 @@ class StandaloneExecutor:
         self._set_phase(command.robot, Phase.DOING)
         try:
             self._pool.submit(lambda: self._execute(command, attempt))
-        except RuntimeError as error:  # the system gives no more threads
+        except RuntimeError as error:  # the system cannot create another thread
             entry = self._failed(command, "aborted", "the action cannot be started: %s" % error)
             self._queue.put(lambda: self._finished(command, attempt, entry))
         return []
 
     def _execute(self, command: StartAction, attempt: _Attempt) -> None:
-        """On a thread of the pool: run the function, and put the outcome into the queue."""
+        """Run the function and put the outcome into the queue (on a thread of the pool)."""
 
         def feedback(*progress: Any) -> None:
             self._listener.on_feedback(command.robot, command.visit, progress)
@@ -352,7 +355,7 @@ class StandaloneExecutor:
             entry = log_entries.Done(command.robot, command.incarnation, command.visit, result)
         except ActionFailed as error:
             entry = self._failed(command, "aborted", error_text(error))
-        except BaseException as error:  # whatever a user's function raises, SystemExit too
+        except BaseException as error:  # anything a user's function raises, even SystemExit
             entry = self._failed(
                 command, "aborted", "%s: %s" % (type(error).__name__, error_text(error))
             )
@@ -395,8 +398,8 @@ def _broke_off(error: BaseException) -> str:
 
 
 def _load_functions(plan: Plan) -> Dict[str, Dict[str, Callable[[ActionContext], str]]]:
-    """The functions by agent and place; "" stands for the agents without actions of their own, and
-    for those that will be created."""
+    """The functions by agent and place; "" stands for agents without their own actions, and for
+    agents that will be created."""
     for place, action in plan.bindings():
         if isinstance(action, ServerAction):
             raise PlanError(

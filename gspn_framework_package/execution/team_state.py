@@ -1,8 +1,8 @@
-"""The state of a team according to the log: the marking, and for each robot its place, its visit
-and what it is up to.
+"""The state of a team according to the log: the marking, and for each robot its place, visit and
+phase.
 
-A :class:`TeamState` is changed only by the token game. It can be written as JSON and read back (a
-*snapshot*), which gives a state that goes on exactly as the first one would.
+Only the token game changes a :class:`TeamState`. It can be written as JSON and read back (a
+*snapshot*); the copy goes on exactly as the original would.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ POLICY = -1
 
 
 class Draw(NamedTuple):
-    """A choice that a robot holds to: ``transition`` drawn at log position (``slot``, ``index``),
-    for the marking of that ``version``, among ``candidates``."""
+    """A choice that a robot keeps: ``transition`` was drawn from ``candidates`` at log position
+    (``slot``, ``index``), for the marking with this ``version``."""
 
     version: int
     candidates: Tuple[int, ...]
@@ -42,21 +42,22 @@ class RobotState:
     request: int = POLICY
     """What a DONE robot asks for: a transition, or POLICY."""
     order: int = 0
-    """Position of its ``Done`` among all: the one done first moves first."""
+    """Position of its ``Done`` among all: robots move in order of completion."""
     failures: int = 0
     """Failed attempts since the last retry by the operator."""
     paused: bool = False
     drawn: Optional[Draw] = None
     why: str = ""
-    """Why it failed, or why the policy gives it nothing to do."""
+    """Why its action failed, or why the policy gives it nothing to do."""
 
 
 @dataclass
 class TeamState:
     """The state of a run after a prefix of its log.
 
-    ``waiting`` holds the robots that are DONE in the order of their ``Done``, ``done_in`` the same
-    for each place; both follow from ``robots``.
+    ``waiting`` holds the robots that are DONE, in order of completion; ``done_in`` holds the same
+    for each place. Both follow from ``robots``. ``version`` counts the changes of the marking,
+    ``orders`` the ``Done`` entries that had an effect, and ``created`` numbers new agents.
     """
 
     marking: Tuple[int, ...]
@@ -71,14 +72,15 @@ class TeamState:
     ended: Optional[str] = None
     """Why the run is over; None while it goes on."""
     finished: bool = False
-    """Whether it came to its own end; false where it was stopped, or something broke."""
+    """Whether the run completed; false if it was stopped or ended by a fault."""
     fault: bool = False
-    """Whether it ended because something broke."""
+    """Whether the run ended because of a fault."""
     waiting: Dict[str, None] = field(default_factory=dict)
     done_in: Dict[int, Dict[str, None]] = field(default_factory=dict)
 
     def members(self) -> List[str]:
-        """Who votes: the robots that are neither lost nor have left, and the witnesses."""
+        """The names of the voters: the robots that are neither lost nor have left, and the
+        witnesses."""
         return [r.name for r in self.robots.values() if not r.phase.gone] + list(self.witnesses)
 
     def active(self) -> List[RobotState]:
@@ -86,14 +88,14 @@ class TeamState:
         return [r for r in self.robots.values() if not r.phase.gone]
 
     def add_waiting(self, robot: RobotState) -> None:
-        """Note that ``robot`` is DONE, after all that are."""
+        """Mark ``robot`` as DONE, behind all that already are."""
         self.orders += 1
         robot.order = self.orders
         robot.phase = Phase.DONE
         self._index(robot)
 
     def remove_waiting(self, robot: RobotState) -> None:
-        """Forget that ``robot`` is DONE, if it was; whatever it held to is forgotten too."""
+        """Remove ``robot`` from those that are DONE, if it is one, and forget its draw."""
         robot.drawn = None
         if self.waiting.pop(robot.name, 0) is None:
             names = self.done_in[robot.place]
@@ -106,7 +108,7 @@ class TeamState:
         self.done_in.setdefault(robot.place, {})[robot.name] = None
 
     def set_marking(self, marking: Tuple[int, ...]) -> None:
-        """Take over a new marking; choices made for the old one no longer hold."""
+        """Set a new marking; draws made for the old one no longer hold."""
         if marking != self.marking:
             self.marking = marking
             self.version += 1
@@ -114,7 +116,7 @@ class TeamState:
     # -- snapshots ---------------------------------------------------------------------------------
 
     def to_json(self, net: Net) -> Dict[str, Any]:
-        """The state as a JSON object, with names for indices."""
+        """The state as a JSON object, with names in place of indices."""
         return {
             "marking": net.named(self.marking, zeros=False),
             "robots": [_robot_to_json(r, net) for r in self.robots.values()],
@@ -125,7 +127,7 @@ class TeamState:
 
     @classmethod
     def from_json(cls, data: Dict[str, Any], net: Net) -> TeamState:
-        """The state of a JSON object. :raises LogError: not one, or not of this net."""
+        """The state in a JSON object. :raises LogError: it is not a state, or not of this net."""
         try:
             state = cls(
                 net.marking(data["marking"]),
@@ -146,7 +148,7 @@ class TeamState:
             raise LogError("not a snapshot of this plan (%s)" % error) from None
 
     def _check(self) -> None:
-        """:raises ValueError: fields of another type, or that contradict each other."""
+        """:raises ValueError: fields have the wrong type, or contradict each other."""
         numbers = [
             self.seed,
             self.next_slot,
@@ -178,8 +180,9 @@ class TeamState:
 
 
 def told_phase(state: TeamState, robot: Optional[RobotState]) -> Phase:
-    """What is told of a robot of a team: that it is lost, has left or failed before all else, then
-    the end of the run, then a pause. One that the team does not know (yet) is told as lost."""
+    """The phase that is reported for a robot of a team. LOST, LEFT and FAILED take precedence, then
+    the end of the run, then a pause. A robot that the team does not know (yet) is reported as
+    LOST."""
     if robot is None:
         return Phase.LOST
     phase = robot.phase

@@ -1,8 +1,8 @@
 """The token game: log entries in, firings and commands out. Pure and deterministic.
 
-Everything that runs, shows or replays a plan goes through :class:`TokenGame`: the standalone
-executor, each robot's node, the page, the recorder. The same entries always give the same state.
-The rules themselves are in ``rules``, what fires when in ``turn``; this module applies the entries
+Everything that runs, shows or replays a plan uses :class:`TokenGame`: the standalone executor, each
+robot's node, the page and the recorder. The same entries always lead to the same state. ``rules``
+holds the rules themselves, and ``turn`` determines what fires when; this module applies the entries
 of the log.
 """
 
@@ -35,17 +35,16 @@ class TokenGame(Rules):
         return TeamState(marking)
 
     def start_entry(self, plan_hash: Optional[str] = None) -> log_entries.Start:
-        """The ``Start`` of the plan's own robots, each in its initial place, incarnation 0."""
+        """The ``Start`` of the plan's own robots, each in its initial place with incarnation 0."""
         roster = tuple((r.name, r.place, 0) for r in self.plan.robots)
         return log_entries.Start(
             roster, self.plan.seed, plan_hash or self.plan.hash(), self.plan.witness
         )
 
     def reduce(self, state: TeamState, slot: int, batch: Iterable[log_entries.Entry]) -> Step:
-        """Apply the entries of log slot ``slot`` to ``state``, which is changed, and settle after
-        each.
+        """Apply the entries of log slot ``slot`` to ``state`` in place, and settle after each.
 
-        Entries that are stale (an old visit or incarnation, a robot that is gone) change nothing.
+        Stale entries (an old visit or incarnation, a robot that is gone) change nothing.
         """
         turn = _Reducer(self, state, slot)
         for entry in batch:
@@ -57,7 +56,7 @@ class TokenGame(Rules):
 
 
 class _Reducer(Turn):
-    """Applies entries."""
+    """Applies log entries to the state."""
 
     def apply(self, entry: log_entries.Entry) -> None:
         if isinstance(entry, log_entries.Start):
@@ -97,7 +96,7 @@ class _Reducer(Turn):
             self._enter(robot)
 
     def _current(self, name: str, incarnation: int, visit: int) -> Optional[RobotState]:
-        """The robot, if it is still busy with that very visit."""
+        """The robot, if its action of exactly that visit still runs; None otherwise."""
         robot = self.state.robots.get(name)
         if robot is None or robot.phase is not Phase.DOING:
             return None
@@ -167,7 +166,7 @@ class _Reducer(Turn):
         if isinstance(entry, log_entries.Evict) and entry.incarnation != robot.incarnation:
             return
         if self.state.members() == [robot.name] and not self.rules.agents:
-            # else nobody could let anybody in again
+            # otherwise nobody would be left to let a robot in
             self._fault(robot, "stays: it is the last one of the team")
             return
         self._cancel(robot)
@@ -205,7 +204,7 @@ class _Reducer(Turn):
                 robot.drawn = None
 
     def _needs(self, robot: RobotState, place: int) -> bool:
-        """Whether the request of ``robot`` needs one more robot in ``place``."""
+        """Whether the request of ``robot`` lacks a robot in ``place``."""
         t = (
             robot.request
             if robot.request != POLICY

@@ -1,5 +1,4 @@
-"""One turn of the token game: robots that finish, transitions that fire, until nothing is
-enabled."""
+"""One turn of the token game: robots finish and transitions fire until nothing is enabled."""
 
 from __future__ import annotations
 
@@ -21,7 +20,7 @@ from gspn_framework_package.execution.team_state import POLICY, Draw, RobotState
 from gspn_framework_package.model.plan import FailureKind
 
 FIRINGS_PER_ENTRY = 10_000
-"""More firings than this after one entry count as a timeless cycle, and are cut off."""
+"""This many firings after one entry are taken for a timeless cycle, and the run ends."""
 
 ASKS_POLICY = ("", "None", None)
 """Results of an action that let the policy decide (thesis Algorithm 1)."""
@@ -30,9 +29,10 @@ ASKS_POLICY = ("", "None", None)
 class Turn:
     """The state while one log slot is reduced, the position in the log, and the output so far.
 
-    After each entry (``docs/semantics.md``): first the immediate transitions with only resource
-    inputs, by priority and weight; then the robots that are done, in order of completion, where
-    higher priority takes precedence; again from the start until nothing is enabled.
+    After each entry (``docs/semantics.md``), immediate transitions with only resource inputs fire
+    first, by priority and weight. Then come the requests of robots that are done, in order of
+    completion; higher priority takes precedence. After each firing this starts again, until
+    nothing is enabled.
     """
 
     def __init__(self, rules: Rules, state: TeamState, slot: int) -> None:
@@ -115,8 +115,8 @@ class Turn:
         return True
 
     def _policy_choice(self, robot: RobotState) -> Optional[int]:
-        """The policy's choice for ``robot``, which keeps a draw until the marking or its
-        candidates change."""
+        """The policy's choice for ``robot``, None if there is none. A robot keeps its draw until
+        the marking or the candidates change."""
         leaving = self.rules.immediate[robot.place]
         distribution = self.rules.policy.distribution(self.state.marking, robot.place)
         if distribution is not None:
@@ -155,7 +155,7 @@ class Turn:
         return robot.drawn.transition if robot.drawn else None
 
     def _of_top_priority(self, choices: Sequence[Tuple[int, float]]) -> Sequence[Tuple[int, float]]:
-        """The choices without those that have lower priority than an enabled one."""
+        """The choices except those whose priority is lower than that of an enabled choice."""
         priorities = {self.net.transitions[t].priority for t, _ in choices}
         if len(priorities) < 2:
             return choices
@@ -227,8 +227,8 @@ class Turn:
             self._enter(robot)
 
     def _bind(self, t: int, requester: Optional[RobotState]) -> List[RobotState]:
-        """The robots that ``t`` takes, place by place in the order of the arcs; the one that asked
-        is among them."""
+        """The robots that ``t`` moves, place by place in the order of its arcs, including the one
+        that requested it."""
         movers: List[RobotState] = []
         for p, weight in self.net.inputs[t]:
             if not self.rules.is_resource[p]:
@@ -239,7 +239,8 @@ class Turn:
         return movers
 
     def _targets(self, t: int, movers: List[RobotState]) -> List[Optional[int]]:
-        """Where each mover goes (None: nowhere, it becomes Void), then where new agents appear."""
+        """The target place of each mover (None: it is destroyed and becomes Void), followed by the
+        places where new agents appear."""
         slots = [
             p
             for p, weight in self.net.outputs[t]
@@ -334,8 +335,8 @@ class Turn:
         self.state.set_marking(tuple(marking))
 
     def _enter(self, robot: RobotState) -> None:
-        """A visit begins: the action of the place starts, or the robot is done at once where there
-        is none."""
+        """Begin a visit: start the action of the place; if it has none, the robot is done at
+        once."""
         robot.attempt = 1
         robot.failures = 0
         robot.why = ""

@@ -1,4 +1,4 @@
-"""Threads made on demand, for actions that run for as long as they like."""
+"""Threads made on demand, for actions that may run for any length of time."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ Task = Callable[[], None]
 
 
 class WorkerPool:
-    """Runs tasks, each at once: on an idle thread, or on a new one (thesis 7.2.1).
+    """Runs each task immediately, on an idle thread or a new one (thesis 7.2.1).
 
-    Its threads are daemons, since a function that never returns must not keep the process from
-    ending (those of ``concurrent.futures`` do). An idle thread ends after ``idle_seconds``.
+    Its threads are daemons, so a function that never returns does not keep the process from
+    exiting (with ``concurrent.futures`` it would). An idle thread ends after ``idle_seconds``.
     A task must not raise.
     """
 
@@ -26,7 +26,7 @@ class WorkerPool:
         self._made = 0
 
     def submit(self, task: Task) -> None:
-        """Run ``task`` now, on a thread of its own."""
+        """Run ``task`` now, on its own thread."""
         with self._lock:
             if self._idle > 0:
                 self._idle -= 1
@@ -52,5 +52,5 @@ class WorkerPool:
             if self._idle > 0:
                 self._idle -= 1
                 return None
-        # every idle thread is spoken for, this one too: its task is on the way
+        # every idle thread is reserved, including this one: its task is about to arrive
         return self._tasks.get()
