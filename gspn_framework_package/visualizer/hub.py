@@ -1,9 +1,9 @@
-"""The hub of one open net: takes events from one source, and gives them to any number of viewers.
+"""The hub of one open net: takes events from one source and passes them to any number of viewers.
 
-Viewers have a cursor each and the hub has no queue for any of them: a bounded ring of the recent
-events serves all. A viewer whose cursor has fallen out of the ring, or that comes from another
-*epoch* (another run, another server process), gets a whole snapshot. So a stalled viewer costs
-nothing, and every viewer learns of its gaps.
+Each viewer has a cursor. The hub keeps no queue per viewer: one bounded ring of recent events
+serves all. A viewer whose cursor has fallen out of the ring, or belongs to another *epoch* (another
+run, another server process), gets a complete snapshot. So a stalled viewer costs nothing, and no
+viewer misses events without noticing.
 """
 
 from __future__ import annotations
@@ -19,20 +19,19 @@ from typing import Any, Deque, Dict, List, NamedTuple, Optional, Tuple
 from gspn_framework_package.visualizer.board import Board, Event
 
 RING = 20_000
-"""Events kept: what viewers can catch up on, and how far back the scrubber reaches in a live
-run."""
+"""Number of events kept: how far viewers can catch up, and how far back the scrubber reaches in a
+live run."""
 
 NEWS = 1000
-"""Most events in one message to a viewer: one that has stalled holds a message of that size, and no
-more."""
+"""Largest number of events in one message to a viewer, which bounds what a stalled viewer holds."""
 
 KEYFRAME = 500
-"""A board is kept every so many events, so that any moment in the ring is found at once."""
+"""Number of events between two kept boards, which make any moment in the ring quick to find."""
 
 
 class Cursor(NamedTuple):
-    """Where a viewer is: it has seen the events of ``epoch`` up to number ``n``, and the latest
-    values up to ``latest``."""
+    """The position of a viewer: it has seen the events of ``epoch`` up to number ``n``, and the
+    latest values up to number ``latest``."""
 
     epoch: str
     n: int
@@ -40,7 +39,7 @@ class Cursor(NamedTuple):
 
     @classmethod
     def parse(cls, text: Optional[str]) -> Optional[Cursor]:
-        """The cursor written as ``epoch:n`` or ``epoch:n:latest``; None for anything else."""
+        """Read a cursor written as ``epoch:n`` or ``epoch:n:latest``; None for anything else."""
         parts = (text or "").split(":")
         if len(parts) in (2, 3) and all(re.fullmatch("[0-9]{1,17}", p) for p in parts[1:]):
             return cls(parts[0], int(parts[1]), int(parts[2]) if len(parts) == 3 else 0)
@@ -51,14 +50,14 @@ class Cursor(NamedTuple):
 
 
 class News(NamedTuple):
-    """What a viewer lacks, as JSON text, and its new cursor."""
+    """The data that a viewer is missing, as JSON text, and its new cursor."""
 
     text: str
     cursor: Cursor
 
 
 class KeptEvents:
-    """Events that are kept somewhere else than in the ring, and are there whole."""
+    """A complete history of events, kept outside the ring."""
 
     def board_at(self, n: int) -> Board:
         """The board after event ``n``."""
@@ -70,10 +69,10 @@ class KeptEvents:
 
 
 class Hub:
-    """See the module. All methods may be called from any thread.
+    """The hub of one open net; see the module. All methods may be called from any thread.
 
-    :param mode: what the page calls what it shows: SIMULATE, LIVE or REPLAY.
-    :param board: the state at the beginning; the hub owns it from now on.
+    :param mode: the page's name for what it shows: SIMULATE, LIVE or REPLAY.
+    :param board: the initial state; the hub owns it from now on.
     :param ring: how many events are kept.
     """
 
@@ -81,9 +80,9 @@ class Hub:
         self._condition = threading.Condition()
         self._ring_size = ring
         self.closed: Optional[str] = None
-        """Why nothing will come any more; None while something may."""
+        """Why no more events will come; None while the hub is open."""
         self.viewers = 0
-        """How many streams follow it."""
+        """Number of streams that follow the hub."""
         self.restart(mode, board)
 
     def restart(
@@ -94,12 +93,14 @@ class Hub:
         ring: Optional[int] = None,
         history: Optional[KeptEvents] = None,
     ) -> None:
-        """Begin a new epoch: another run, or another mode. Everybody gets a snapshot.
+        """Begin a new epoch: another run, or another mode. Every viewer gets a snapshot.
 
-        :param info: what else the page should know of this run (its clock, its length, its name).
-        :param ring: another number of events to keep.
-        :param history: where the events are looked up. Viewers then get the number of events,
-            rather than each event.
+        :param mode: as for the hub.
+        :param board: the initial state; the hub owns it from now on.
+        :param info: further facts about this run for the page (its clock, its length, its name).
+        :param ring: a new number of events to keep; None: as before.
+        :param history: where events are looked up. Viewers then get the number of events instead
+            of each event.
         """
         with self._condition:
             self._history = history
@@ -141,14 +142,14 @@ class Hub:
             self._condition.notify_all()
 
     def advance(self, board: Board) -> None:
-        """The history reaches as far as ``board`` now, which the hub owns from now on."""
+        """Note that the history now reaches up to ``board``, which the hub owns from now on."""
         with self._condition:
             self._board = board
             self._condition.notify_all()
 
     def set_latest(self, key: str, value: Any) -> None:
-        """Tell the latest value of something that has no history: feedback of an action, the robots
-        in the room."""
+        """Publish the latest value of something without a history: feedback of an action, the
+        robots in the room."""
         text = json.dumps(value, separators=(",", ":"))
         with self._condition:
             known = self._latest.get(key)
@@ -158,29 +159,29 @@ class Hub:
                 self._condition.notify_all()
 
     def change_info(self, **info: Any) -> None:
-        """Change what the page knows of this run; published as a latest value."""
-        # one step: nobody sees the change before it counts as news, nor half of two changes
+        """Change the facts about this run; they are published as a latest value."""
+        # atomic: no viewer sees the change before it counts as news, nor half of two changes
         with self._condition:
             self.info.update(info)
             self.set_latest("info", self.info)
 
     def came(self, change: int = 1) -> None:
-        """A stream begins to follow, or (-1) has ended."""
+        """Count a stream that begins to follow, or (-1) that has ended."""
         with self._condition:
             self.viewers += change
 
     # -- the viewers' side -------------------------------------------------------------------------
 
     def wait(self, cursor: Optional[Cursor], timeout: float) -> bool:
-        """Wait until there is something that ``cursor`` lacks; False when there is not, after
-        ``timeout`` seconds."""
+        """Wait until there is something newer than ``cursor``, or the hub is closed; return False
+        if neither happens within ``timeout`` seconds."""
         with self._condition:
             return self._condition.wait_for(
                 lambda: self.closed is not None or self._has_news(cursor), timeout
             )
 
     def close(self, why: str = "it was closed") -> None:
-        """Nothing will come any more: wake all that wait."""
+        """Close the hub, for the reason ``why``, and wake all waiting viewers."""
         with self._condition:
             self.closed = self.closed or why
             self._condition.notify_all()
@@ -194,8 +195,8 @@ class Hub:
         )
 
     def news(self, cursor: Optional[Cursor]) -> News:
-        """What ``cursor`` lacks: events if they are all still there (the first :data:`NEWS` of
-        them, and the word that there are ``more``), a snapshot otherwise."""
+        """Everything newer than ``cursor``: events if the ring still holds all of them (the first
+        :data:`NEWS`, marked ``more`` if there are further ones), a snapshot otherwise."""
         with self._condition:
             now = Cursor(self.epoch, self._board.n, self._latest_number)
             fresh = (
@@ -235,18 +236,18 @@ class Hub:
         }
 
     def board(self) -> Board:
-        """A copy of the present board."""
+        """A copy of the current board."""
         with self._condition:
             return self._board.copy()
 
     def status(self) -> Dict[str, Any]:
-        """The status of the present board."""
+        """The status of the current board."""
         with self._condition:
             return dict(self._board.status)
 
     def board_at(self, n: int) -> Board:
-        """The board after event ``n``; the nearest there is, where ``n`` has left the ring or has
-        not come yet."""
+        """The board after event ``n``, or the nearest one available if ``n`` has left the ring or
+        lies in the future."""
         history = self._history
         if history is not None:
             return history.board_at(n)
@@ -264,8 +265,8 @@ class Hub:
         return board
 
     def events(self, after: int, to: int, limit: int = 5000) -> List[Event]:
-        """The events numbered above ``after`` and up to ``to``, as far as the ring has them, at
-        most the last ``limit``."""
+        """The events numbered above ``after`` and up to ``to`` that are available, at most the last
+        ``limit``."""
         history = self._history
         with self._condition:
             to = min(to, self._board.n)

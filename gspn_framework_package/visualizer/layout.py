@@ -1,8 +1,8 @@
-"""Where the nodes of a net are drawn, and how its arcs run.
+"""The layout of a net: the positions of its nodes and the routes of its arcs.
 
-Positions in the file are used when every node has one. Otherwise Graphviz lays the net out: ``dot``
-in layers, with a deadline; ``sfdp`` where that takes too long; a grid when all else fails, and
-where there are no arcs. A layout is computed once for a net and kept by its hash.
+Positions in the file are used if every node has one. Otherwise Graphviz lays the net out: ``dot``
+in layers, with a deadline; ``sfdp`` if that takes too long. A grid is used if both fail, and if
+there are no arcs. A layout is computed once for a net and cached by its hash.
 """
 
 from __future__ import annotations
@@ -23,38 +23,38 @@ PLACE_RADIUS = 20.0
 """Radius of a place, in the units of the drawing (CSS pixels at zoom 1)."""
 
 NEAREST = 68.0
-"""Positions from a file are stretched, or drawn together, until the two nearest nodes are as far
-from each other as this."""
+"""Positions from a file are scaled until the two nearest nodes are this far apart."""
 
 LABEL_HEIGHT = 16.0
 LABEL_CHARACTERS = 22
 CHARACTER_WIDTH = 6.4
 
 DEADLINE = 8.0
-"""Seconds that Graphviz may take."""
+"""Deadline of Graphviz, in seconds."""
 
 DOT_NODES = 2500
 """Nets with more nodes are not laid out in layers, which would take too long."""
 
 SCREEN = (1000.0, 620.0)
-"""Room for the net on a usual screen, in pixels."""
+"""Space for the net on a typical screen, in pixels."""
 
 LEGIBLE = 0.35
-"""A layout that fits on the screen at this zoom is taken; otherwise the next engine is tried too,
-and its layout is taken if it comes out :data:`MUCH_LARGER`."""
+"""A layout that fits on the screen at this zoom is used. Otherwise the next engine is tried too,
+and its layout is used if its zoom is more than :data:`MUCH_LARGER` times as large."""
 
 MUCH_LARGER = 1.5
 
 ROUTED_NODES = 400
-"""Arcs are routed around nodes in nets up to this size; in larger ones they are straight."""
+"""In nets of up to this many nodes, arcs are routed around nodes; in larger ones they are
+straight."""
 
 _KEPT = 32
 
 
 class Layout(NamedTuple):
     """``positions``: node name -> centre. ``routes``: arc number -> control points of its Bezier
-    curves from centre to centre (1 + 3k points); arcs without one are straight. ``engine``: what
-    made it."""
+    curves from centre to centre (1 + 3k points); arcs without a route are straight. ``engine``:
+    the origin of the layout (a Graphviz engine, ``file``, ``grid`` or ``empty``)."""
 
     positions: Dict[str, Point]
     routes: Dict[int, List[Point]]
@@ -66,8 +66,8 @@ _lock = threading.Lock()
 
 
 def net_hash(net: Net) -> str:
-    """Hex digest of what decides how a net looks: its nodes, arcs and positions, not its
-    tokens."""
+    """Hex digest of everything that affects the layout of a net: its nodes, arcs and positions, but
+    not its tokens."""
     essence: List[object] = [
         [[p.name, p.position] for p in net.places],
         [[t.name, t.timed, t.position] for t in net.transitions],
@@ -77,10 +77,10 @@ def net_hash(net: Net) -> str:
 
 
 def lay_out(net: Net, *, anew: bool = False, deadline: float = DEADLINE) -> Layout:
-    """The layout of a net.
+    """Return the layout of a net.
 
-    :param anew: do not use the positions of the file.
-    :param deadline: seconds that each attempt of Graphviz may take.
+    :param anew: ignore the positions of the file.
+    :param deadline: deadline of each Graphviz run, in seconds.
     """
     key = (net_hash(net), anew)
     with _lock:
@@ -106,7 +106,7 @@ def _compute(net: Net, anew: bool, deadline: float) -> Layout:
             routed = _graphviz(net, "neato", deadline / 4, given)
             routes = routed.routes if routed is not None else {}
         return Layout(given, routes, "file")
-    if not net.arcs:  # Graphviz would put them all in one line
+    if not net.arcs:  # Graphviz would put all nodes in one line
         return Layout(_grid(net), {}, "grid")
     best: Optional[Layout] = None
     for engine in ("dot", "sfdp"):
@@ -121,7 +121,7 @@ def _compute(net: Net, anew: bool, deadline: float) -> Layout:
 
 
 def _zoom(layout: Layout) -> float:
-    """The zoom at which the whole net fits on a screen."""
+    """The zoom at which the whole net fits on the screen."""
     xs = [x for x, _ in layout.positions.values()]
     ys = [y for _, y in layout.positions.values()]
     return min(SCREEN[0] / (max(xs) - min(xs) + 120), SCREEN[1] / (max(ys) - min(ys) + 120))
@@ -132,8 +132,8 @@ def _names(net: Net) -> List[str]:
 
 
 def _positions_of_file(net: Net) -> Optional[Dict[str, Point]]:
-    """The positions of the file, to the scale of the symbols; None when they are not all there, or
-    not all different."""
+    """The positions of the file, scaled to the symbols; None if some are missing, or if not all are
+    different."""
     nodes: List[Union[Place, Transition]] = [*net.places, *net.transitions]
     points = {node.name: node.position for node in nodes if node.position is not None}
     if len(points) < len(nodes):
@@ -146,7 +146,7 @@ def _positions_of_file(net: Net) -> Optional[Dict[str, Point]]:
 
 
 def _nearest_distance(points: List[Point]) -> float:
-    """Distance of the two nearest points, by a sweep over x."""
+    """Distance between the two nearest points, by a sweep over x."""
     best = math.inf
     points = sorted(points)
     for i, (x, y) in enumerate(points):
@@ -165,7 +165,7 @@ def label_width(name: str) -> float:
 def _graphviz(
     net: Net, engine: str, deadline: float, fixed: Optional[Dict[str, Point]] = None
 ) -> Optional[Layout]:
-    """The layout that Graphviz makes, or None when it does not within ``deadline`` seconds."""
+    """The layout by Graphviz, or None if it fails or takes longer than ``deadline`` seconds."""
     names = _names(net)
     number = {name: i for i, name in enumerate(names)}
     routed = engine == "dot" and len(names) <= ROUTED_NODES or fixed is not None
@@ -244,7 +244,7 @@ def _dot_text(
 
 
 def _grid(net: Net) -> Dict[str, Point]:
-    """Nodes side by side in the order in which arcs lead from one to the next."""
+    """A grid of the nodes, in the order in which arcs lead from one to the next."""
     neighbours: Dict[str, List[str]] = {name: [] for name in _names(net)}
     for arc in net.arcs:
         neighbours[arc.source].append(arc.target)

@@ -1,5 +1,5 @@
-"""What one server offers: a folder of nets, plans and logs, or one thing that it was started
-for."""
+"""The content of one server: a folder of nets, plans and logs, or the one session that it was
+started for."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ FILE_KEY = "file-"
 
 
 class Project:
-    """See the module.
+    """The content of one server; see the module.
 
-    :param folder: the served folder, None for a server that only shows ``session``.
-    :param start_execution: how an executable plan is executed.
-    :param first: path (in the folder) of what the page opens with.
-    :param runs: the folder that runs are recorded in, where runs that were cut off are looked for.
+    :param folder: the served folder, None for a server that only shows one session.
+    :param start_execution: starts the execution of an executable plan.
+    :param first: path (in the folder) of the document that the page shows first.
+    :param runs: the folder of the recorded runs, which is searched for runs that were cut off.
     """
 
     def __init__(
@@ -47,12 +47,12 @@ class Project:
         self._cut = cut_runs(runs) if runs is not None else []
 
     def show(self, session: Session) -> None:
-        """Open with this session."""
+        """Make the page open with this session."""
         self._first = self.sessions.get_or_open(session.key, lambda: session).key
 
     def to_json(self) -> Dict[str, Any]:
-        """What the opening screen shows; ``server`` distinguishes one start of a server from
-        another, ``cut`` lists the runs that were cut off when an earlier one died."""
+        """The content of the opening screen. ``server`` distinguishes one start of a server from
+        another; ``cut`` lists the runs that were cut off when an earlier server died."""
         entries = self._folder.entries() if self._folder is not None else []
         return {
             "server": self._server,
@@ -68,11 +68,11 @@ class Project:
         }
 
     def _log_name(self, log: str) -> Optional[str]:
-        """A log as a path in the folder; None where it lies elsewhere."""
+        """A log as a path in the folder; None if it is outside the folder."""
         return self._folder.inside(log) if self._folder is not None else None
 
     def open(self, path: str, room: bool = True) -> Session:
-        """The session of a file of the folder, one for each file however its path is written.
+        """The session of a file of the folder; one per file, however its path is written.
 
         :param room: see :meth:`~gspn_framework_package.visualizer.session.Sessions.get_or_open`.
         :raises GspnError: it cannot be opened.
@@ -85,15 +85,18 @@ class Project:
         return session
 
     def session(self, key: str, room: bool = False) -> Session:
-        """The session of a key; a file's is opened again where it is not open any more (the server
-        was restarted)."""
+        """The session of a key; that of a file is reopened if it is closed (the server was
+        restarted).
+
+        :raises GspnError: no session has that key, or its file cannot be opened.
+        """
         if key.startswith(FILE_KEY) and self._folder is not None:
             known = self.sessions.known(key)
             return known or self.open(key[len(FILE_KEY) :], room)
         return self.sessions.get(key)
 
     def told(self, text: str) -> str:
-        """A message without the folders of this machine, which are no viewer's business."""
+        """A message without this machine's folders, which viewers need not know."""
         for folder in (self._folder.root if self._folder is not None else None, self._runs):
             if folder is not None and len(folder) > 1:
                 text = text.replace(folder.rstrip(os.sep) + os.sep, "").replace(
@@ -115,7 +118,7 @@ class Project:
         return execution
 
     def _take_note(self, which: Callable[[CutRun], bool]) -> None:
-        """Somebody looks at a run that was cut off, or starts its plan again."""
+        """Forget the cut-off runs that an operator now opens, or whose plan is started again."""
         for run in [run for run in self._cut if which(run)]:
             run.forget()
             self._cut = [r for r in self._cut if r is not run]
@@ -129,5 +132,5 @@ class Project:
         return Session(FILE_KEY + path, replay.document(path), replay, reopens=True)
 
     def close(self) -> None:
-        """End everything."""
+        """Close all sessions."""
         self.sessions.close()

@@ -1,5 +1,5 @@
-"""Why a transition cannot fire, by the rules of the token game: the page works out none of it
-itself."""
+"""Reasons why a transition cannot fire, according to the rules of the token game; the page leaves
+this to the server."""
 
 from __future__ import annotations
 
@@ -12,24 +12,25 @@ from gspn_framework_package.visualizer.board import Board
 from gspn_framework_package.visualizer.session import Session
 
 NAMED = 4
-"""Transitions that go first are named up to this number."""
+"""Largest number of transitions named as taking precedence."""
 
 
 def reasons_in(session: Session, transition: str, at: Optional[int] = None) -> Dict[str, Any]:
-    """What keeps a transition of an open net from firing.
+    """The reasons why a transition of an open net cannot fire.
 
+    :param session: the open net.
     :param transition: its name.
-    :param at: number of the event after which it is asked about; None for now.
-    :returns: ``transition``, whether it is ``enabled``, the ``reasons`` as texts (of an enabled
-        one: which robots it still waits for), and ``at``: the number of the event after which this
-        holds.
+    :param at: number of the event after which to look; None for now.
+    :returns: ``transition``, whether it is ``enabled``, the ``reasons`` as texts (for an enabled
+        one: the robots that it still waits for), and ``at``: the number of the event after which
+        this holds.
     :raises NetError: the net has no transition of that name.
     """
     net, plan, hub = session.document.net, session.document.plan, session.hub
     t = net.transition_number(transition)
     board = hub.board() if at is None else hub.board_at(at)
     reasons = net.why_disabled(board.marking, t)
-    # in a run actions take time, and priorities do not count
+    # in a run, actions take time and priorities do not matter
     if not reasons and hub.mode == "SIMULATE":
         reasons = _who_goes_first(net, board, t)
     enabled = not reasons
@@ -53,7 +54,7 @@ def _who_goes_first(net: Net, board: Board, t: int) -> List[str]:
 
 
 def _robots_awaited(net: Net, plan: Plan, board: Board, t: int) -> List[str]:
-    """Robots that have to be done with their actions before ``t`` fires."""
+    """The robots that must finish their actions before ``t`` fires."""
     awaited = []
     for p, weight in net.inputs[t]:
         if net.places[p].name in plan.resource_places:

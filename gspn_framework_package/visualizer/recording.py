@@ -1,9 +1,9 @@
-"""An event log as a history that is looked up in the file: of a long run only an index is kept in
+"""An event log as a history that is looked up in the file: only an index of a long run is kept in
 memory.
 
-The log is read once from its beginning to its end. At every so many of its lines the state of the
-run is kept, a few kilobytes, and where in the file that was. The events between two such *marks*
-are made again from the file when somebody asks for them.
+The log is read once from beginning to end. At regular intervals, the state of the run (a few
+kilobytes) and its position in the file are stored as a *mark*. The events between two marks are
+recreated from the file on request.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from gspn_framework_package.visualizer.hub import KeptEvents
 from gspn_framework_package.visualizer.team_events import TeamEvents
 
 LINES_BETWEEN = 250
-"""Lines between two marks, at first."""
+"""Initial number of lines between two marks."""
 
 MARKS = 2048
-"""Marks that are kept; in a longer log half of them go, and the others are as many lines apart
-again."""
+"""Largest number of marks. When there are more, every second one is dropped, and the interval
+doubles."""
 
 AT_HAND = 20_000
-"""Most events of the stretches between two marks that are kept, since they were asked for last."""
+"""Largest number of events in the cache of the stretches that were requested last."""
 
 
 class Mark(NamedTuple):
-    """``n`` events came before the line ``line`` of the file, which begins at byte ``offset``;
-    ``packed`` is what there was then."""
+    """``n`` events precede line ``line`` of the file, which begins at byte ``offset``; ``packed``
+    is the state at that point."""
 
     n: int
     line: int
@@ -47,8 +47,8 @@ class Mark(NamedTuple):
 
 
 class _Clock:
-    """Seconds since the run began, according to its log: by the host's monotonic clock, or the wall
-    clock over a restart of the host. They never run backwards."""
+    """Seconds since the run began, according to its log: by the host's monotonic clock, or by the
+    wall clock across a restart of the host. They never decrease."""
 
     def __init__(
         self, t: float = 0.0, mono: Optional[float] = None, wall: Optional[float] = None
@@ -74,9 +74,9 @@ def _number(value: object) -> Optional[float]:
 
 
 class _Reader:
-    """Goes through the lines of a log from some mark on, and makes events of them.
+    """Reads the lines of a log from a mark on, and turns them into events.
 
-    :ivar board: after the events so far.
+    :ivar board: the board after the events so far.
     """
 
     def __init__(self, file: LogFile, mark: Optional[Mark] = None) -> None:
@@ -102,7 +102,7 @@ class _Reader:
         return Board.from_json(json.loads(zlib.decompress(mark.packed))["board"])
 
     def mark(self) -> Mark:
-        """What it takes to go on from here."""
+        """A mark from which reading can continue here."""
         kept = {
             "board": self.board.to_json(),
             "events": self._events.to_json(),
@@ -113,9 +113,9 @@ class _Reader:
         return Mark(self.board.n, self.line, self.offset, packed)
 
     def lines(self, file: BinaryIO) -> Iterator[List[Event]]:
-        """The events of each further line, numbered and applied to the board.
+        """Yield the events of each further line, numbered and applied to the board.
 
-        :raises LogError: a line cannot be followed; the message says which.
+        :raises LogError: a line cannot be followed; the message gives its number.
         """
         for record, length in self._file.records(file, self.offset, self.line):
             events = self._step(record)
@@ -149,7 +149,8 @@ class _Reader:
 
 
 class Recording(KeptEvents):
-    """See the module. All methods may be called from any thread; :meth:`read` from one.
+    """An event log as a history; see the module. All methods may be called from any thread, except
+    :meth:`read`, which only one may call.
 
     :param file: the log.
     """
@@ -171,10 +172,10 @@ class Recording(KeptEvents):
         return _Reader(self._file).board
 
     def read(self) -> Iterator[Tuple[Board, float]]:
-        """Go through the log: now and then the board as far as it has been read, and the share of
-        the file that has.
+        """Read the log. From time to time, yield the board so far and the share of the file read
+        (0 to 1).
 
-        What is wrong with the log becomes a note at its end.
+        An error in the log becomes a note at its end.
         """
         reader = _Reader(self._file)
         size = max(1, self._file.size)
@@ -182,7 +183,7 @@ class Recording(KeptEvents):
             with self._file.open() as file:
                 for _ in reader.lines(file):
                     while self._looking:
-                        time.sleep(0.005)  # let viewers go first
+                        time.sleep(0.005)  # viewers take precedence
                     if reader.line - self._marks[-1].line >= self._between:
                         self._keep(reader.mark())
                         yield reader.board.copy(), min(1.0, reader.offset / size)
@@ -211,7 +212,7 @@ class Recording(KeptEvents):
                 self._stretches.clear()
 
     def _append(self, reader: _Reader, level: str, text: str) -> None:
-        """A note behind all events of the file."""
+        """Add a note after all events of the file."""
         t = round(reader.board.t, 4)
         event = {
             "k": "note",
@@ -227,7 +228,7 @@ class Recording(KeptEvents):
     # -- looking up --------------------------------------------------------------------------------
 
     def board_at(self, n: int) -> Board:
-        """The board after event ``n``, as far as the log has been read."""
+        """The board after event ``n``, or after the last one read."""
         with self._lock:
             n = max(0, min(n, self._known))
             at = bisect_right([mark.n for mark in self._marks], n) - 1
@@ -242,7 +243,7 @@ class Recording(KeptEvents):
         return board
 
     def events(self, after: int, to: int) -> List[Event]:
-        """The events numbered above ``after`` and up to ``to``, as far as the log has been read."""
+        """The events numbered above ``after`` and up to ``to`` that have been read."""
         with self._lock:
             to = min(to, self._known)
         found: List[Event] = []
@@ -257,10 +258,10 @@ class Recording(KeptEvents):
         return found
 
     def _stretch(self, n: int) -> Tuple[Board, List[Event]]:
-        """The stretch between two marks that event ``n`` is in: the board before it, and its
+        """The stretch between two marks that contains event ``n``: the board before it, and its
         events.
 
-        :raises LogError: the file is not what it was when it was read.
+        :raises LogError: the file has changed since it was read.
         """
         with self._lock:
             # the last mark before event n: several may lie between the same two events
@@ -290,7 +291,7 @@ class Recording(KeptEvents):
                         events += new
                         if reader.board.n >= last:
                             break
-                # of which the last event tells, where it was so when the log was read
+                # if the log had this error when it was first read, its last event reports it
                 except LogError:
                     pass
             events += [event for event in self._last if event["n"] == reader.board.n + 1]

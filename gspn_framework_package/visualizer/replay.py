@@ -1,4 +1,4 @@
-"""REPLAY: a recorded run, played by the token game again."""
+"""REPLAY: plays a recorded run again, by the token game."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.recording import Recording
 
 TELL = 0.25
-"""Seconds between two words on how far the log has been read."""
+"""Seconds between two reports on the progress of reading the log."""
 
 
 class Replay(Activity):
-    """A recorded run. A separate thread reads it, and the page can look at what has been
-    read.
+    """A recorded run. A separate thread reads its log; the page can show the part read so far.
 
     :param file: the log.
     """
@@ -32,15 +31,15 @@ class Replay(Activity):
 
     @classmethod
     def of_file(cls, path: str) -> Replay:
-        """The replay of an event log. :raises LogError: it is not one."""
+        """The replay of an event log. :raises LogError: the file is not one."""
         return cls(LogFile(path))
 
     def document(self, title: str) -> Document:
-        """The plan that was run, to be shown."""
+        """The plan of the recorded run, for display."""
         return Document(title, self._file.plan.net, self._file.plan)
 
     def begin(self, hub: Hub) -> None:
-        """Read the log; the hub looks it up from now on."""
+        """Start reading the log, which becomes the history of the hub."""
         header = self._file.header
         who = "run %s" % header["run"]
         if header["robot"]:
@@ -66,5 +65,5 @@ class Replay(Activity):
                 told = now
                 hub.advance(board)
                 hub.change_info(loading=share < 1.0, progress=round(share, 3))
-            time.sleep(0)  # viewers go first
+            time.sleep(0)  # viewers take precedence
         hub.change_info(loading=False, progress=1.0)

@@ -1,13 +1,14 @@
 """The node ``visualizer``: the page for a team on ROS.
 
-Private parameters: ``plan`` (file or folder), ``robots`` (size of the team that begins; 0: as in
-the plan), ``run`` (name of the run; "" takes the first that is heard), ``host``, ``port``,
-``names`` (further names of this machine, with commas), ``token``, ``viewer_token``, ``token_file``,
+Private parameters: ``plan`` (file or folder), ``robots`` (initial size of the team; 0: as in the
+plan), ``run`` (name of the run; "" takes the first one heard), ``host``, ``port``, ``names``
+(further names of this machine, separated by commas), ``token``, ``viewer_token``, ``token_file``,
 ``viewers``.
 
-Whoever can reach the master can read parameters: the tokens are taken off it once they have been
-read, and do not go to /rosout. ``token_file`` (its first line is the operator's token, its second
-the viewers') keeps them off it.
+Any machine that reaches the master can read its parameters. The node therefore deletes the tokens
+from the parameter server once it has read them, and does not log them to /rosout. With
+``token_file`` (the operator's token in the first line, the viewers' in the second) they are never
+on the parameter server.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from gspn_framework_package.visualizer.session import Session
 
 
 def main() -> int:
-    """Serve the page until shutdown; rospy in this thread, the web server in others."""
+    """Serve the page until shutdown: rospy in this thread, the web server in others."""
     rospy.init_node("visualizer")
     try:
         server = _server()
@@ -39,7 +40,7 @@ def main() -> int:
         return error.exit_code
     server.start()
     rospy.loginfo("the page is at %s", server.address)
-    # on the terminal, and not in /rosout: it may hold a token
+    # print it and do not log it to /rosout: it may contain a token
     for role, address in server.invitations.items():
         print("The page is at %s (%s)" % (address, role), flush=True)
     rospy.spin()
@@ -72,7 +73,7 @@ def _server() -> WebServer:
 
 
 def _tokens() -> Tuple[Optional[str], Optional[str]]:
-    """The operator's token and the viewers'."""
+    """The operator's and the viewers' token."""
     path = _parameter("token_file", "")
     given = [_secret("token"), _secret("viewer_token")]
     if not path:
@@ -83,7 +84,7 @@ def _tokens() -> Tuple[Optional[str], Optional[str]]:
 
 
 def _secret(name: str) -> Optional[str]:
-    """A parameter that is taken off the parameter server when it is read."""
+    """Read a parameter and delete it from the parameter server."""
     value = _parameter(name, "")
     if rospy.has_param("~" + name):
         rospy.delete_param("~" + name)
@@ -91,7 +92,7 @@ def _secret(name: str) -> Optional[str]:
 
 
 def _title(path: str) -> str:
-    """The end of a path: enough for a viewer, who need not know this machine's folders."""
+    """The last part of a path, since viewers need not know this machine's folders."""
     return os.path.join(*os.path.abspath(path).split(os.sep)[-2:])
 
 

@@ -1,7 +1,7 @@
-"""LIVE on ROS: a page that watches a team, and is no robot of it.
+"""LIVE on ROS: a page that watches a team without being one of its robots.
 
-One thread with one queue does the work; ROS callbacks only put messages into it, and so does a
-second thread that asks the team where it is, since an answer may take its time.
+One thread with one queue does the work. ROS callbacks only put messages into the queue. So does a
+second thread, which asks the team for its state, since an answer may take a while.
 """
 
 from __future__ import annotations
@@ -42,41 +42,41 @@ from gspn_framework_package.visualizer.hub import Hub
 ACTIVITY = "/activity"
 
 LOOK_AROUND = 2.0
-"""Seconds between two looks for robots, and between two questions for the state of the team."""
+"""Seconds between two searches for robots, and between two requests for the team's state."""
 
 ANSWER_TIME = 1.5
-"""Seconds that a robot has to say where the team is."""
+"""Seconds within which a robot must report the team's state."""
 
 ORDER_TIME = 6.0
-"""Seconds that an order may take; a robot gives it 5 s to find its place in the log."""
+"""Time limit of an order in seconds; a robot allows 5 s for its entry into the log."""
 
 SILENT = 3
-"""Questions without any answer, after which the run is taken to be over."""
+"""Number of unanswered requests after which the run is considered over."""
 
 UNHEARD = 3
-"""Answers in a row by which the team has moved without a firing that was heard, after which the
-page warns of it."""
+"""Number of consecutive answers that show progress of the team without any received firing, after
+which the page warns the viewer."""
 
 Order = Tuple[str, str, str]
-"""An order for the team: the command, the robot and the argument of the Command service."""
+"""An order to the team: the command, the robot and the argument of the Command service."""
 
 Answer = Tuple[str, Dict[str, Any]]
-"""The namespace of a robot, and the status that it answered."""
+"""The namespace of a robot, and the status in its answer."""
 
 
 class RosWatch(Activity):
     """Watches a team that runs ``plan``.
 
-    Subscribes to ``/fired_transitions`` (gspn_framework_package/FiredTransition), to every
-    ``NAMESPACE/activity`` (std_msgs/String) there is, to ``/world/room`` and ``/world/state``
-    (std_msgs/String). Calls ``NAMESPACE/command`` (gspn_framework_package/Command): ``status`` now
-    and then, and what the page orders. Nobody waits for it.
+    Subscribes to ``/fired_transitions`` (gspn_framework_package/FiredTransition), to every existing
+    ``NAMESPACE/activity`` (std_msgs/String), to ``/world/room`` and ``/world/state``
+    (std_msgs/String). Calls ``NAMESPACE/command`` (gspn_framework_package/Command) for ``status``
+    at intervals, and for the orders of the page. No robot waits for the page.
 
-    Other teams may run on the same master: only robots of the plan and the run that is shown are
-    listed, followed and given orders, and every order names the run.
+    Other teams may run on the same master. Only robots of the plan and run shown are listed,
+    followed and given orders, and every order names the run.
 
-    :param plan: the plan, with the robots that began.
-    :param run: the run that is shown; "" takes the first run of this plan that is heard.
+    :param plan: the plan, with its initial robots.
+    :param run: the run to show; "" takes the first run of this plan that is heard.
     """
 
     mode = "LIVE"
@@ -89,7 +89,7 @@ class RosWatch(Activity):
         self._run = run
         self._queue: queue.SimpleQueue[Tuple[str, Any]] = queue.SimpleQueue()
         self._topics: Set[str] = set()
-        # namespace -> robot; replaced, never changed: three threads read them
+        # namespace -> robot; replaced as a whole, never modified: three threads read it
         self._names: Dict[str, str] = {}
         self._strangers: FrozenSet[str] = frozenset()
         self._follower = FiredFollower(plan)
@@ -120,7 +120,7 @@ class RosWatch(Activity):
         }
 
     def begin(self, hub: Hub) -> None:
-        """Subscribe, and ask the team where it is."""
+        """Subscribe, and start asking the team for its state."""
         self._hub = hub
         self._feedback = Feedback(hub)
         self._status = {
@@ -168,13 +168,13 @@ class RosWatch(Activity):
             try:
                 getattr(self, "_on_" + what)(message)
                 self._hub.publish(*self._follower.retry(time.monotonic()))
-            except Exception as error:  # the page goes on; the operator hears of it
+            except Exception as error:  # logged; the page continues
                 rospy.logerr_throttle(5.0, "the page: %s: %s" % (type(error).__name__, error))
             if self._follower.lost_track:
                 self._ask_now.set()
 
     def _on_nothing(self, message: None) -> None:
-        """Time went by."""
+        """Handle the absence of messages."""
 
     def _on_fired(self, message: FiredTransition) -> None:
         if not self._run and message.plan == self._hash:
@@ -184,8 +184,8 @@ class RosWatch(Activity):
             self._hub.publish(*self._follower.take(message, time.monotonic()))
 
     def _is_shown(self, plan: str, run: str) -> bool:
-        """Whether what was heard belongs to the plan and the run that the page shows; publishes a
-        note for the first of another."""
+        """Whether a message belongs to the plan and run that the page shows. The first message of
+        another run produces a note."""
         if (plan, run) == (self._hash, self._run):
             return True
         if (plan, run) not in self._others:
@@ -203,7 +203,7 @@ class RosWatch(Activity):
         return False
 
     def _show_run(self, run: str) -> None:
-        """No run was chosen: show this one. What its robots published before is shown now."""
+        """Show this run, since none was chosen, with the activity its robots published earlier."""
         self._run = run
         self._set_status(run=run)
         early, self._early = self._early, {}
@@ -214,7 +214,7 @@ class RosWatch(Activity):
         namespace, message = told
         activity = json.loads(message.data)
         name = str(activity["robot"])
-        if not self._run:  # this may be what was left of a run that is over
+        if not self._run:  # it may be left over from a run that has ended
             self._early[namespace] = message
             return
         if not self._is_shown(str(activity["plan"]), str(activity["run"])):
@@ -222,13 +222,13 @@ class RosWatch(Activity):
             self._strangers |= {namespace}
             return
         self._is_ours(namespace, name)
-        if activity["ended"]:  # the robots soon leave: nobody may be there to be asked
+        if activity["ended"]:  # the robots leave soon; later, none may answer
             self._show_end(activity)
         phase = Phase.of_state(str(activity.get("state", "")))
         waits = str(activity.get("waits_for", ""))
         self._show_robot(
             name,
-            # one that has halted, too, does not go on by itself
+            # a halted robot does not continue by itself either
             phase=(Phase.FAILED if activity["needs_operator"] and not phase.gone else phase.logged),
             paused=phase is Phase.PAUSED,
             visit=activity.get("visit"),
@@ -262,8 +262,8 @@ class RosWatch(Activity):
         self._hub.set_latest("world", json.loads(message.data))
 
     def _on_obeyed(self, order: Order) -> None:
-        """An order is in the team's log: the page soon shows its effect. After a stop the
-        robots leave, and there may be nobody left to ask."""
+        """Handle an order that is in the team's log: ask soon for its effect. A stop is shown at
+        once: the robots leave, and there may be none left to ask."""
         command, _, argument = order
         if command == "stop":
             self._set_status(running=False, ended=argument, stalled="")
@@ -272,7 +272,7 @@ class RosWatch(Activity):
     # -- asking the team ---------------------------------------------------------------------------
 
     def _ask_around(self) -> None:
-        """On the asking thread: find the robots, and ask them where the team is."""
+        """Find the robots and ask them for the team's state, on the asking thread."""
         while not self._stop.is_set() and not rospy.is_shutdown():
             lost_track = self._follower.lost_track
             self._ask_now.clear()
@@ -315,7 +315,7 @@ class RosWatch(Activity):
         team, before = self._team_seen(newest, answers), self._before
         self._before = team
         self._note_deafness(team, before)
-        # Behind what the team said a while ago, too: news that are under way are no loss.
+        # Behind the previous answer, too: firings still in transit are not lost.
         behind = self._follower.is_behind(team) and (
             before is None or self._follower.is_behind(before)
         )
@@ -328,8 +328,8 @@ class RosWatch(Activity):
         self._show_status(newest)
 
     def _note_deafness(self, team: TeamSeen, before: Optional[TeamSeen]) -> None:
-        """Warn, once, where the team goes on and none of its firings is heard: the topic may have
-        another name here."""
+        """Warn once if the team makes progress but none of its firings is received: the topic may
+        have another name here."""
         if self._heard:
             self._unheard = 0
         elif before is not None and team.marking != before.marking:
@@ -347,18 +347,18 @@ class RosWatch(Activity):
         self._heard = False
 
     def _askable(self) -> List[str]:
-        """Whom to ask: in full synchronisation one robot knows all, in partial each knows
-        itself."""
+        """The robots to ask: one in full synchronisation, where each knows the whole team; all in
+        partial synchronisation, where each only knows itself."""
         names, strangers = self._names, self._strangers
         namespaces = sorted(self._topics - strangers)
         if self._follower.full and self._before is not None and not self._silent:
             there = [n for n in sorted(names) if names[n] not in self._follower.gone] or namespaces
-            self._turn += 1  # another one each time: one that died would not answer
+            self._turn += 1  # in turn: a dead robot would not answer
             return [there[self._turn % len(there)]] if there else []
         return namespaces
 
     def _ask(self, namespaces: List[str]) -> List[Answer]:
-        """What the robots say of the team; those that do not answer in time say nothing."""
+        """The robots' answers about the team, without those that come too late."""
         answers: queue.SimpleQueue[Tuple[str, CommandResponse]] = queue.SimpleQueue()
         request = CommandRequest(command="status", run=self._run)
         asked = [self._call(n, request, self._asking, answers) for n in namespaces]
@@ -367,14 +367,14 @@ class RosWatch(Activity):
         try:
             for _ in range(sum(asked)):
                 namespace, response = answers.get(timeout=max(0.0, give_up - time.monotonic()))
-                if response.success:  # else: it is in another run
+                if response.success:  # otherwise it is in another run
                     found += self._read_answer(namespace, response.message)
         except queue.Empty:
             pass
         return found
 
     def _read_answer(self, namespace: str, message: str) -> List[Answer]:
-        """What a robot said of the team; nothing where that cannot be read."""
+        """A robot's answer about the team; an empty list if it cannot be read."""
         status = read_status(message)
         if status is not None:
             return [(namespace, status)]
@@ -393,8 +393,10 @@ class RosWatch(Activity):
         calls: ServiceCalls,
         answers: queue.SimpleQueue[Tuple[str, CommandResponse]],
     ) -> bool:
-        """Call a robot's ``command`` service; whether an answer may come. :raises OSError: no
-        master answers."""
+        """Call a robot's ``command`` service; return whether an answer may come.
+
+        :raises OSError: no master answers.
+        """
         name = rospy.names.ns_join(namespace, "command")
         master: Any = master_proxy(ANSWER_TIME)
         code, _, uri = master.lookupService(rospy.get_name(), name)
@@ -433,8 +435,8 @@ class RosWatch(Activity):
         for robot in status["robots"]:
             phase = Phase.of_state(robot["state"]).logged
             was = Phase.of_value(self._shown.get(robot["robot"], {}).get("phase", ""))
-            silent = robot["robot"] not in self._names.values()  # publishes nothing itself
-            if silent or phase.gone or was.gone:  # a robot that is gone does not report it itself
+            silent = robot["robot"] not in self._names.values()  # does not publish
+            if silent or phase.gone or was.gone:  # a robot that left cannot report it
                 self._show_robot(robot["robot"], phase=phase, why=robot["waits_for"])
         phases = [Phase.of_state(r["state"]) for r in status["robots"]]
         acting = [p for p in phases if not (p.gone or p.told.at_rest)]
@@ -490,8 +492,10 @@ class RosWatch(Activity):
         return "fire", "", name
 
     def _order(self, order: Order) -> Dict[str, Any]:
-        """Give an order to the first robot of the run that answers. :raises RefusedError: it was
-        not carried out."""
+        """Send an order to the robots of the run in turn, until one answers.
+
+        :raises RefusedError: the order was not carried out.
+        """
         command, robot, argument = order
         request = CommandRequest(command, robot, argument, self._run)
         for namespace in self._first_to_order(command, robot):
@@ -515,8 +519,8 @@ class RosWatch(Activity):
         )
 
     def _first_to_order(self, command: str, robot: str) -> List[str]:
-        """The namespaces of the run's robots, in the order in which they are to be tried: first the
-        one that is meant (last, where it is to be cast out), and those that are gone at the end."""
+        """The namespaces of the run's robots, in the order to try them: first the robot concerned
+        (last, if the order is to cast it out), and at the end those that are gone."""
         names, gone = self._names, self._follower.gone
         own_last = command == "evict"
         return sorted(names, key=lambda n: (names[n] in gone, (names[n] == robot) == own_last, n))

@@ -1,8 +1,8 @@
-"""Marks of the runs that go on in a folder, so that a server that was started again knows which
-were cut off.
+"""Marks of the active runs in a folder, by which a restarted server recognises runs that were cut
+off.
 
-A mark is a hidden file beside the event log, locked for as long as its process lives. A run that
-ends takes its mark away; a mark that nobody holds is of a run whose server died.
+A mark is a hidden file next to the event log, locked as long as its process lives. A run that ends
+removes its mark; an unlocked mark belongs to a run whose server died.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ ENDING = ".running"
 
 
 class CutRun(NamedTuple):
-    """A run that was cut off: ``path`` of its plan in the served folder, its event ``log`` (whole
-    path), how many ``events`` (records) that holds, and the file of its ``mark``."""
+    """A run that was cut off: the ``path`` of its plan in the served folder, its event ``log``
+    (absolute path), the number of ``events`` (records) in it, and the file of its ``mark``."""
 
     path: str
     log: str
@@ -28,7 +28,7 @@ class CutRun(NamedTuple):
     mark: str
 
     def forget(self) -> None:
-        """Somebody has taken note of it."""
+        """Remove the mark: an operator has taken note of the run."""
         with contextlib.suppress(OSError):
             os.remove(self.mark)
 
@@ -54,17 +54,17 @@ class RunMark:
             raise LogError("cannot be written (%s)" % error.strerror, file=self._path) from None
 
     def remove(self) -> None:
-        """The run is over."""
+        """Remove the mark: the run is over."""
         with contextlib.suppress(OSError):
             os.remove(self._path)
         file, self._file = getattr(self, "_file", None), None
         if file is not None:
-            with contextlib.suppress(OSError):  # what could not be written is not missed
+            with contextlib.suppress(OSError):  # the file is no longer needed
                 file.close()
 
 
 def cut_runs(folder: str) -> List[CutRun]:
-    """The runs recorded in ``folder`` whose server died, the oldest first."""
+    """The runs recorded in ``folder`` whose server died, oldest first."""
     found = []
     try:
         names = sorted(n for n in os.listdir(folder) if n.startswith(".") and n.endswith(ENDING))
@@ -78,7 +78,7 @@ def cut_runs(folder: str) -> List[CutRun]:
 
 
 def _cut_run(folder: str, mark: str) -> Optional[CutRun]:
-    """The run of a mark; None where it goes on, or the mark says nothing."""
+    """The run of a mark; None if it is still active, or if the mark cannot be read."""
     try:
         descriptor = os.open(mark, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
         with open(descriptor, encoding="utf-8") as file:
@@ -91,7 +91,7 @@ def _cut_run(folder: str, mark: str) -> Optional[CutRun]:
 
 
 def _records(log: str) -> int:
-    """Whole lines after the header."""
+    """Number of complete lines after the header."""
     lines = 0
     with open(log, "rb") as file:
         for block in iter(lambda: file.read(1 << 20), b""):

@@ -1,5 +1,5 @@
-"""The fixed part of the picture as a JSON object: nodes, arcs, positions, what a plan says of
-them."""
+"""The fixed part of the picture as a JSON object: nodes, arcs, positions, and their attributes in
+the plan."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gspn_framework_package.visualizer.layout import Layout, lay_out, net_hash
 
 
 def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
-    """The scene of a net, and of the plan it belongs to."""
+    """The scene of a net, with the attributes from its plan."""
     layout = lay_out(net)
     return {
         "name": (plan.name if plan is not None else net.name) or "net",
@@ -45,7 +45,7 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
 
 
 def layout_to_json(net: Net, layout: Layout) -> Dict[str, Any]:
-    """The layout, with centres in the order of places and transitions, and routes by arc."""
+    """The layout: centres in the order of places and transitions, and routes by arc."""
     return {
         "engine": layout.engine,
         "places": [_rounded(layout.positions[p.name]) for p in net.places],
@@ -77,8 +77,8 @@ def _kind(place: str, plan: Optional[Plan]) -> str:
 
 
 def _is_environment(net: Net, plan: Plan, t: int) -> bool:
-    """Whether the environment, or the operator in its name, may fire transition ``t``: it takes no
-    robot."""
+    """Whether the environment, or the operator on its behalf, may fire transition ``t``: it takes
+    no robot."""
     return all(net.places[p].name in plan.resource_places for p, _ in net.inputs[t])
 
 

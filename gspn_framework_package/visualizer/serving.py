@@ -1,4 +1,4 @@
-"""The web server around the application: waitress, in its own thread or in the caller's."""
+"""The web server that runs the application: waitress, in a thread or in the caller's."""
 
 from __future__ import annotations
 
@@ -25,23 +25,24 @@ DEFAULT_PORT = 8090
 THREADS_BESIDE_VIEWERS = 8
 
 OUTPUT_BYTES = 1_000_000
-"""What is buffered at most for a viewer that does not read, before its thread is held."""
+"""Bytes buffered for a viewer that does not read, before its thread blocks."""
 
 LAST_REQUESTS = 2.0
-"""Seconds that requests under way are given to end when the server stops."""
+"""Seconds that pending requests have to finish when the server stops."""
 
 
 class WebServer:
     """A page at an address.
 
     :param project: what it shows; closed with the server.
-    :param host: the address to listen on; other than loopback only on the operator's word.
-    :param port: 0 for any free one.
-    :param names: further names that browsers may call this machine by.
+    :param host: the address to listen on; anything but loopback only if the operator asks for it.
+    :param port: the port; 0 for any free one.
+    :param names: further host names that browsers may use for this machine.
     :param token: see :class:`~gspn_framework_package.visualizer.guard.Guard`.
     :param viewer_token: the token of those who may only look.
     :param viewers: how many streams are served at once.
-    :raises InputError: the address cannot be listened on, or a token is too short.
+    :raises InputError: it cannot listen on the address.
+    :raises UsageError: a token is too short, or both are the same.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class WebServer:
 
     @property
     def address(self) -> str:
-        """Where the page is."""
+        """The address of the page."""
         if is_loopback(self.host):
             name = "[%s]" % self.host if ":" in self.host else self.host
         else:
@@ -95,8 +96,8 @@ class WebServer:
 
     @property
     def invitations(self) -> Dict[str, str]:
-        """The address for each role, with the token it asks for: for the terminal of who started
-        the server, and for nothing that others read."""
+        """The address for each role, including its token: only for the operator's terminal, and
+        never for anything that others can read."""
         tokens = {OPERATOR: self.guard.token, VIEWER: self.guard.viewer_token}
         if self.guard.token is None:
             return {OPERATOR: self.address}
@@ -118,7 +119,7 @@ class WebServer:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop serving, and end what the project runs."""
+        """Stop serving, and close the project."""
         if self._stopped:
             return
         self._stopped = True
@@ -127,10 +128,10 @@ class WebServer:
         self._app.extensions["gspn_jobs"].close()
         self.project.close()  # which wakes the streams
         streams.wait(1.0)
-        # Waitress knows only the end of a process. A thread of its own that outlives a request
-        # writes to the pipe that wakes the server's thread, by the number of the file: were the
-        # pipe closed before, the byte would go to whatever file has the number since. So: no more
-        # requests, then the end of all threads, then the pipe.
+        # Waitress only expects to stop with its process. One of its threads that finishes late
+        # writes to the pipe that wakes the server's thread, by file descriptor: if the pipe were
+        # closed by then, the byte would go to whatever file has that number now. So: no more
+        # requests, then end all threads, then close the pipe.
         self._do(self._hang_up)
         self._server.task_dispatcher.shutdown(cancel_pending=False, timeout=LAST_REQUESTS)
         if not self._server.task_dispatcher.threads:
@@ -141,8 +142,8 @@ class WebServer:
                 self._server.close()
 
     def _do(self, action: Callable[[], None]) -> None:
-        """Do something with the sockets, on the thread that watches them: from another they must
-        not be closed. It may be done before this has returned, or later."""
+        """Run ``action``, which works on the sockets, on the thread that watches them: no other may
+        close them. It may run before or after this method returns."""
         if self._thread is None:
             action()
         else:
@@ -154,17 +155,17 @@ class WebServer:
             channel.handle_close()
 
     def _watch_nothing(self) -> None:
-        """Which ends the thread."""
-        self._hang_up()  # who came in the meantime
+        """Stop watching all sockets, which ends the thread."""
+        self._hang_up()  # peers that connected meanwhile
         self._server.del_channel()
         self._server.trigger.del_channel()
 
 
 def _one_address(host: str) -> str:
-    """The first address of a name, IPv4 before IPv6: ``localhost`` is both, and a server has one
-    port at one address.
+    """The first address of a name, IPv4 before IPv6: ``localhost`` has both, and a server listens
+    at one address and one port.
 
-    :raises OSError: nobody knows the name.
+    :raises OSError: the name cannot be resolved.
     """
     found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     return str(min(found)[4][0])

@@ -16,7 +16,7 @@ from gspn_framework_package.visualizer.scene import layout_to_json, scene_to_jso
 from gspn_framework_package.visualizer.simulation import OfflineSimulation
 
 SESSIONS = 24
-"""How many nets are open at once; for another one, that is closed which is missed least."""
+"""Largest number of nets open at once; a further one closes the least needed."""
 
 ActivityMaker = Callable[[Document], Activity]
 
@@ -26,10 +26,10 @@ class Session:
 
     :param key: its name in addresses.
     :param document: the net.
-    :param activity: what goes on at first; the simulation by default.
-    :param start_execution: makes the execution of an executable plan; None where plans cannot be
+    :param activity: the initial activity; the simulation by default.
+    :param start_execution: makes the execution of an executable plan; None if plans cannot be
         executed (a page that watches a ROS team).
-    :param reopens: it comes from a file, and can be opened again.
+    :param reopens: it comes from a file and can be reopened.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class Session:
         self.hub = Hub("", Board(len(document.net.transitions), document.net.initial_marking))
         self.reopens = reopens
         self.touched = False
-        """Whether anybody gave it a command."""
+        """Whether it has received a command."""
         self._lock = threading.RLock()
         self._layout = threading.Lock()
         self._starting = False
@@ -61,7 +61,7 @@ class Session:
         return self.document.executable and self._start_execution is not None
 
     def to_json(self) -> Dict[str, Any]:
-        """What the page needs to know once."""
+        """The facts that the page loads once."""
         return {
             "id": self.key,
             "title": self.document.title,
@@ -72,13 +72,12 @@ class Session:
         }
 
     def command(self, name: str, fields: Fields) -> Dict[str, Any]:
-        """Do what the page asks: start and stop of an execution, and what the activity offers.
+        """Execute a command of the page: start or end an execution, or a command of the activity.
 
-        An order for a run names it in the field ``run``: one that another run has taken the place
-        of gets no orders. What takes long (a layout, the check before a start) holds nobody else's
-        commands.
+        An order for a run names it in the field ``run``; it is refused if another run has replaced
+        that run. Long operations (a layout, the check before a start) do not block other commands.
 
-        :raises GspnError: it cannot be done, and why.
+        :raises GspnError: the command cannot be executed; the message gives the reason.
         """
         meant = text_field(fields, "run", "")
         if name == "layout":
@@ -152,8 +151,8 @@ class Session:
 
     @property
     def loss(self) -> Optional[int]:
-        """How much is lost if it is closed, from 0 (nothing: it is an unchanged file) to 3
-        (somebody looks at it); None if it must not be closed, because it runs."""
+        """How much would be lost by closing it, from 0 (nothing: it is an unchanged file) to 3 (it
+        was changed, and a viewer is watching); None if it must not be closed because it runs."""
         with self._lock:
             if self._starting or self._is_running():
                 return None
@@ -161,7 +160,7 @@ class Session:
         return 2 * int(self.hub.viewers > 0) + int(worked_on)
 
     def close(self, why: str = "the server ends") -> None:
-        """End whatever runs, and notify the viewers."""
+        """End the activity, and notify the viewers."""
         with self._lock:
             self.activity.end()
         self.hub.close(why)
@@ -176,7 +175,7 @@ class Sessions:
         self._sessions: OrderedDict[str, Session] = OrderedDict()
 
     def get(self, key: str) -> Session:
-        """The session of that key. :raises InputError: there is none (any more)."""
+        """The session of that key. :raises InputError: no open session has it."""
         with self._lock:
             if key not in self._sessions:
                 raise InputError("this net is not open (any more)", element=key[:80])
@@ -184,17 +183,17 @@ class Sessions:
             return self._sessions[key]
 
     def known(self, key: str) -> Optional[Session]:
-        """The session of that key, None where there is none."""
+        """The session of that key, None if there is none."""
         with self._lock:
             if key in self._sessions:
                 self._sessions.move_to_end(key)
             return self._sessions.get(key)
 
     def get_or_open(self, key: str, make: Callable[[], Session], room: bool = True) -> Session:
-        """The session of that key, made if there is none.
+        """The session of that key, which is made if there is none.
 
-        :param room: where too many are open, close the one that is missed least; otherwise it is
-          refused.
+        :param make: makes the session.
+        :param room: if too many are open, close the least needed one; otherwise refuse.
         :raises RefusedError: there is no room for it.
         """
         with self._lock:
@@ -230,8 +229,8 @@ class Sessions:
             )
 
     def _surplus(self, new: str) -> List[Session]:
-        """Those to be closed for a new one: where least is lost, and of these the one used least
-        recently."""
+        """The sessions to close for a new one: first those with the smallest loss, and of these the
+        least recently used."""
         closed: List[Session] = []
         while len(self._sessions) > self._limit:
             known = [(s.loss, key) for key, s in self._sessions.items() if key != new]
@@ -242,7 +241,7 @@ class Sessions:
         return closed
 
     def close(self) -> None:
-        """Close all."""
+        """Close all sessions."""
         with self._lock:
             sessions = list(self._sessions.values())
             self._sessions.clear()

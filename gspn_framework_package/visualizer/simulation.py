@@ -1,4 +1,4 @@
-"""SIMULATE: the offline token game, with every tool of thesis Figure 5.4, and step back."""
+"""SIMULATE: the offline token game, with every tool of thesis Figure 5.4 and steps back."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from gspn_framework_package.visualizer.board import Board, Event, fire_event, ma
 from gspn_framework_package.visualizer.hub import Hub
 
 STEPS_AT_ONCE = 10_000
-"""Most steps that one command may ask for."""
+"""Largest number of steps in one command."""
 
 STEPS_BACK = 20_000
-"""How many steps can be taken back."""
+"""Number of steps that can be undone."""
 
 
 class _Past(NamedTuple):
-    """``marking`` and ``time`` before ``transition`` fired; -1 for a reset or a clear. ``counts``:
-    how often those transitions that had fired had done so, before a reset."""
+    """``marking`` and ``time`` before ``transition`` (-1: a reset or a clear) fired. ``counts``:
+    the firing counts before a reset, of the transitions that had fired."""
 
     transition: int
     marking: Marking
@@ -40,7 +40,8 @@ class _Past(NamedTuple):
 class OfflineSimulation(Activity):
     """The offline simulation of a net. All viewers share it.
 
-    :param seed: of the random numbers; None for another simulation each time.
+    :param net: the net.
+    :param seed: seed of the random numbers; None for a different simulation each time.
     """
 
     mode = "SIMULATE"
@@ -167,7 +168,7 @@ class OfflineSimulation(Activity):
         self._hub.set_latest("choices", self._choices())
         return {}
 
-    # -- what the page sees ------------------------------------------------------------------------
+    # -- events for the page -----------------------------------------------------------------------
 
     def _whole(self, why: str) -> Event:
         return self._now(mark_event(self._simulator.enabled, why))
@@ -181,5 +182,5 @@ class OfflineSimulation(Activity):
             self._hub.set_latest("choices", self._choices())
 
     def _choices(self) -> List[List[float]]:
-        """Who may fire next, and how probable that is."""
+        """The transitions that may fire next, with their probabilities."""
         return [[c.transition, round(c.probability, 6)] for c in self._simulator.choices()]

@@ -1,4 +1,4 @@
-"""LIVE without ROS: the page executes a plan of the served folder on threads, and records it."""
+"""LIVE without ROS: executes a plan of the served folder on threads, and records the run."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from gspn_framework_package.visualizer.run_marks import RunMark
 from gspn_framework_package.visualizer.team_events import TeamEvents
 
 RUNS = "runs"
-"""The folder, in the served one, that recorded runs are kept in."""
+"""The subfolder of the served folder that holds the recorded runs."""
 
 STOP_SECONDS = 5.0
-"""Seconds that a run may take to react to an order to stop; it is given up then."""
+"""Seconds that a run has to react to an order to stop; after that it is abandoned."""
 
 LAST_SECONDS = 2.0
-"""The same, when the page's server ends."""
+"""The same when the page's server ends."""
 
 
 class StandaloneRun(Activity, Listener):
@@ -42,7 +42,8 @@ class StandaloneRun(Activity, Listener):
 
     :param document: the plan; it is checked first.
     :param runs: folder for the event log, None for no recording.
-    :raises RefusedError: the check refuses the plan. :raises PlanError: it cannot run standalone.
+    :raises RefusedError: the check refuses the plan.
+    :raises PlanError: it cannot run standalone.
     """
 
     mode = "LIVE"
@@ -115,12 +116,12 @@ class StandaloneRun(Activity, Listener):
         }
         if self.path is not None:
             whole = os.path.abspath(self.path).split(os.sep)
-            info["log"] = os.path.join(*whole[-2:])  # a viewer need not know this machine's folders
+            info["log"] = os.path.join(*whole[-2:])  # viewers need not know this machine's folders
         hub.restart(self.mode, self._events.board(running=True, run=self.run), info)
         self._executor.start()
 
     def end(self) -> None:
-        """Stop the run, and wait a moment for its end."""
+        """Stop the run, and wait briefly for its end."""
         self._stop_it("the page was closed", LAST_SECONDS)
 
     def _stop(self, fields: Fields) -> Dict[str, Any]:
@@ -140,8 +141,8 @@ class StandaloneRun(Activity, Listener):
             self._gave_way(text % (reason, seconds))
 
     def _order(self, message: str, entry: Callable[[Fields], log_entries.Entry]) -> Handler:
-        """The handler of a command that becomes an entry of the log; ``message`` says what was
-        done, with the fields of the entry."""
+        """The handler of a command that becomes an entry of the log; ``message`` is the template of
+        the reply, filled in with the fields of the entry."""
 
         def run(fields: Fields) -> Dict[str, Any]:
             if self._told_end:
@@ -164,7 +165,7 @@ class StandaloneRun(Activity, Listener):
         return robot
 
     def _whom(self, fields: Fields) -> str:
-        """The agent that is meant, "" for all."""
+        """The agent that a command is for, "" for all."""
         return self._agent(fields) if fields.get("robot") else ""
 
     def _failed(self, fields: Fields) -> str:
@@ -194,44 +195,44 @@ class StandaloneRun(Activity, Listener):
         firings: Sequence[Firing],
         state: TeamState,
     ) -> None:
-        """On the executor's thread: events for the hub."""
+        """Publish the events of a step, on the executor's thread."""
         if self._told_end:
-            return  # it was given up; the hub is no longer its own
+            return  # it was abandoned and no longer owns the hub
         self._hub.publish(*self._events.step(entries, firings, state))
         for entry in entries:
             if isinstance(entry, (log_entries.Done, log_entries.Failed)):
                 self._feedback.forget(entry.robot)
 
     def on_feedback(self, agent: str, visit: int, progress: Tuple[Any, ...]) -> None:
-        """On the action's thread."""
+        """Take in feedback, on the action's thread."""
         if not self._told_end:
             self._feedback.tell(agent, "feedback: %s" % ", ".join(str(p) for p in progress))
 
     def on_fault(self, agent: str, message: str) -> None:
-        """On the executor's thread."""
+        """Publish a fault, on the executor's thread."""
         if not self._told_end:
             self._hub.publish({"k": "note", "level": "fault", "robot": agent, "text": message})
 
     def on_end(self, reason: str, finished: bool) -> None:
-        """On the executor's thread."""
+        """Publish the end of the run, on the executor's thread."""
         self._ended(reason, finished, self._executor.state.fault)
         self._close_log()
 
     def on_broken(self, reason: str) -> None:
-        """On the executor's thread."""
+        """Publish a failure of the run, on the executor's thread."""
         if self.path is not None:
             reason = reason.replace(self.path, os.path.basename(self.path))
         self._gave_way(reason)
         self._close_log()
 
     def _gave_way(self, reason: str) -> None:
-        """It ends by a fault that nobody has reported yet."""
+        """End the run by a fault that has not been reported yet."""
         if not self._told_end:
             self._hub.publish({"k": "note", "level": "fault", "robot": "", "text": reason})
         self._ended(reason, fault=True)
 
     def _ended(self, reason: str, finished: bool = False, fault: bool = False) -> None:
-        """Tell the end, once."""
+        """Publish the end, once."""
         with self._over:
             if self._told_end:
                 return
@@ -249,7 +250,7 @@ class StandaloneRun(Activity, Listener):
 
 
 def _run_name(plan: Plan) -> str:
-    """After the plan and the time."""
+    """A name made of the plan's name and the time."""
     name = re.sub(r"[^A-Za-z0-9_-]+", "_", plan.name).strip("_") or "plan"
     return "%s-%s" % (name, time.strftime("%Y%m%d-%H%M%S"))
 

@@ -1,4 +1,4 @@
-"""From the log of a team to what the page shows: entries, firings and states become events."""
+"""Turns the log of a team into events for the page, from entries, firings and states."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from gspn_framework_package.visualizer.board import Board, Event, Move, fire_eve
 class TeamEvents:
     """Follows the states of one run.
 
-    A transition counts as enabled here when the marking gives it concession: in a run the robots'
-    actions take time, so that priorities only matter among requests of one moment.
+    A transition counts as enabled here if the marking gives it concession: in a run the robots'
+    actions take time, so priorities only matter among simultaneous requests.
 
     :param game: the rules of the plan.
     """
@@ -31,7 +31,7 @@ class TeamEvents:
         self._status: Dict[str, Any] = {}
 
     def board(self, running: bool, run: str = "") -> Board:
-        """The board before the run of that name begins."""
+        """The board before the run named ``run`` begins."""
         self._status = {
             "run": run,
             "running": running,
@@ -70,13 +70,13 @@ class TeamEvents:
         return events
 
     def status(self, **changes: Any) -> List[Event]:
-        """The event of a changed status; none when nothing changed."""
+        """The event of a changed status; none if nothing changed."""
         changed = {k: v for k, v in changes.items() if self._status.get(k) != v}
         self._status.update(changed)
         return [{"k": "status", "status": changed}] if changed else []
 
     def to_json(self) -> Dict[str, Any]:
-        """What it goes on from, as a JSON object."""
+        """The current state as a JSON object, for :meth:`restore`."""
         return {
             "marking": list(self._enabled.marking),
             "robots": self._robots,
@@ -84,7 +84,7 @@ class TeamEvents:
         }
 
     def restore(self, data: Dict[str, Any]) -> None:
-        """Go on from what :meth:`to_json` gave."""
+        """Continue from a state that :meth:`to_json` returned."""
         self._enabled.move_to(tuple(data["marking"]))
         self._robots = {name: dict(shown) for name, shown in data["robots"].items()}
         self._status = dict(data["status"])
@@ -154,8 +154,7 @@ class TeamEvents:
         )
 
     def _stalled(self, state: TeamState) -> str:
-        """Why nothing can happen any more without somebody from outside; "" while something
-        can."""
+        """Why nothing more can happen without intervention; "" while something can."""
         active = state.active()
         waiting = [r for r in active if r.phase in (Phase.DONE, Phase.FAILED)]
         if state.paused or not waiting or any(r.phase is Phase.DOING for r in active):
@@ -174,7 +173,7 @@ class TeamEvents:
 
 
 def _deed(entry: log_entries.Entry) -> str:
-    """What an entry that changes the marking by itself did, in words; "" for the others."""
+    """A description of an entry that changes the marking by itself; "" for other entries."""
     if isinstance(entry, log_entries.Start):
         return "start"
     if isinstance(entry, log_entries.Join):
