@@ -1,7 +1,7 @@
-"""Drawing with Graphviz: graphs as DOT text, nets as graphs, DOT text as SVG, PNG or PDF.
+"""Drawing with Graphviz: writes graphs as DOT text and renders DOT text as SVG, PNG or PDF.
 
-:class:`Graph` writes correct DOT whatever the names hold; the analysis draws coverability trees and
-    Markov chains with it, :func:`net_graph` draws nets."""
+:class:`Graph` writes correct DOT for any names. The analysis uses it to draw coverability trees and
+Markov chains; :func:`net_graph` uses it to draw nets."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from gspn_framework_package.model.errors import InputError, LimitError, UsageErr
 from gspn_framework_package.model.net import Net, Place, Position, Transition
 
 IMAGE_FORMATS = ("svg", "png", "pdf")
-"""What :func:`render` makes."""
+"""The image formats that :func:`render` supports."""
 
 _MAX_LAYERED = 300
-"""Number of nodes from which on a force-directed layout is used: the layered one takes too long."""
+"""Number of nodes above which the layout is force-directed: the layered one would take too long."""
 
 _MAX_DOTS = 4
-"""Most tokens that are drawn as dots; more are a number."""
+"""Maximum number of tokens drawn as dots; more are shown as a number."""
 
 _ARROW_LENGTH, _DOT_LENGTH = 7.0, 5.6
-"""Lengths of the two heads of arcs, in points, at the size that nets are drawn with."""
+"""Lengths of the two kinds of arc heads, in points, at the size used for nets."""
 
 Attribute = Union[str, int, float]
 
 
 class Graph:
-    """A directed graph in the making, for Graphviz.
+    """A builder of directed graphs for Graphviz.
 
     >>> graph = Graph("g", rankdir="LR")
     >>> graph.node("a", label='say "hi"')
@@ -49,11 +49,11 @@ class Graph:
             self._lines.append("graph%s;" % _attributes(attributes))
 
     def defaults(self, kind: str, **attributes: Attribute) -> None:
-        """Set attributes of every ``node`` or ``edge`` that is added later."""
+        """Set default attributes of each ``node`` or ``edge`` (the ``kind``) added later."""
         self._lines.append("%s%s;" % (kind, _attributes(attributes)))
 
     def node(self, identifier: str, **attributes: Attribute) -> None:
-        """Add a node; labels are taken literally, a line break in them is a line break."""
+        """Add a node; labels are shown literally, with their line breaks."""
         self._lines.append("%s%s;" % (_quote(identifier), _attributes(attributes)))
 
     def edge(self, source: str, target: str, **attributes: Attribute) -> None:
@@ -63,14 +63,14 @@ class Graph:
         )
 
     def text(self) -> str:
-        """The graph in the DOT language."""
+        """Return the graph in the DOT language."""
         body = "".join("  %s\n" % line for line in self._lines)
         return "digraph %s {\n%s}\n" % (_quote(self.name), body)
 
 
 def _quote(text: str) -> str:
-    """A DOT string that shows ``text`` as it is."""
-    flat = text.replace("\0", "").replace("&", "&amp;")  # Graphviz knows the entities of HTML
+    """Return a DOT string that shows ``text`` literally."""
+    flat = text.replace("\0", "").replace("&", "&amp;")  # Graphviz expands HTML entities
     flat = flat.replace("\\", "\\\\").replace('"', '\\"')
     return '"%s"' % "\\n".join(flat.splitlines() or [""])
 
@@ -82,13 +82,14 @@ def _attributes(values: Mapping[str, Attribute]) -> str:
 
 
 def net_graph(net: Net, marking: Optional[Sequence[int]] = None) -> Graph:
-    """A net as a graph: places round with their tokens, immediate transitions black and thin,
-    exponential ones white and thick, inhibitor arcs with a circle at their end; rates, weights,
-    priorities, capacities and arc weights where they are not the usual ones.
+    """Draw a net as a graph. Places are circles with their tokens, immediate transitions are black
+    and thin, exponential ones are white and thick, and inhibitor arcs end in a circle. Rates,
+    weights, priorities, capacities and arc weights are shown where they differ from the default.
+
+    If all nodes of the net have positions, the drawing uses them; otherwise Graphviz lays the net
+    out.
 
     :param marking: the tokens to show, in place order; the initial marking by default.
-
-    A net whose nodes all have positions is drawn with them, any other is laid out by Graphviz.
     """
     nodes = len(net.places) + len(net.transitions)
     positions = _positions(net)
@@ -136,12 +137,12 @@ def net_graph(net: Net, marking: Optional[Sequence[int]] = None) -> Graph:
 
 
 def to_bytes(net: Net) -> bytes:
-    """The net as DOT text."""
+    """Return the net as DOT text."""
     return net_graph(net).text().encode("utf-8")
 
 
 def _positions(net: Net) -> Dict[str, Position]:
-    """Where the nodes are, if every one says so and they are not all in one spot."""
+    """Return the positions of the nodes, if all nodes have one and they are not all the same."""
     found = {p.name: p.position for p in net.places if p.position is not None}
     found.update((t.name, t.position) for t in net.transitions if t.position is not None)
     if len(found) < len(net.places) + len(net.transitions) or len(set(found.values())) < 2:
@@ -157,7 +158,7 @@ def _at(name: str, positions: Mapping[str, Position]) -> Dict[str, Attribute]:
 
 
 def _placed(net: Net, positions: Mapping[str, Position]) -> Optional[Routing]:
-    """Ways of the arcs and spots of the labels; None where Graphviz has to find them."""
+    """Route the arcs and place the labels; None if Graphviz has to do that."""
     looks = [_place_attributes(place, 0) for place in net.places] + [
         _transition_attributes(t) for t in net.transitions
     ]
@@ -220,13 +221,13 @@ def _transition_attributes(transition: Transition) -> Dict[str, Attribute]:
 
 
 def render(text: str, image: str = "svg", timeout: float = 60.0) -> bytes:
-    """The picture of a graph in the DOT language.
+    """Render a graph in the DOT language as a picture.
 
     :param image: one of :data:`IMAGE_FORMATS`.
-    :param timeout: longest time to wait for Graphviz, in seconds.
-    :raises UsageError: another ``image``, or Graphviz is not installed.
+    :param timeout: maximum time for Graphviz, in seconds.
+    :raises UsageError: ``image`` is not supported, or Graphviz is not installed.
     :raises InputError: Graphviz cannot read the text.
-    :raises LimitError: it takes longer than ``timeout``.
+    :raises LimitError: Graphviz takes longer than ``timeout``.
     """
     if image not in IMAGE_FORMATS:
         raise UsageError(

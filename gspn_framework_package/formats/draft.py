@@ -1,8 +1,8 @@
-"""What readers fill while they go through a file, and what makes a net of it.
+"""The draft that a reader fills while it goes through a file, and that then becomes a net.
 
-The rules that all formats share are here, once: elements are named by their name, or by their id
-if names are empty or shared; arcs find their ends by id, or else by name; errors are reported with
-their line."""
+It implements the rules that all formats share: an element is called by its name, or by its id if
+the name is empty or not unique; an arc refers to its ends by id, or else by name; errors have a
+line number."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from gspn_framework_package.model.errors import ExpressionError, GspnError, NetE
 from gspn_framework_package.model.expression import evaluate, shorten, whole
 from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
 
-_MAX_DIGITS = 300  # of a whole number that is taken exactly; longer ones are no number of tokens
+_MAX_DIGITS = 300  # digits of a whole number that is read exactly; longer ones are not token counts
 
 NO_CONSTANTS: Mapping[str, float] = {}
 
 
 class ReadOptions(NamedTuple):
-    """How to read a net: what a reader assumes where tools differ, and settings from outside.
+    """How to read a net: what the reader assumes where tools differ, and the user's settings.
 
-    :ivar format: name of the file's format, when the content should not decide.
-    :ivar net: name of the net to take from a file of several.
+    :ivar format: name of the file's format; None to recognise it by its content.
+    :ivar net: name of the net to read from a file that has several.
     :ivar constants: values of constants; they take precedence over those of the file.
-    :ivar infinite_servers: whether an exponential transition whose file does not say how many
-        servers it has has infinitely many; None takes the default of the format (PNPRO: infinitely
+    :ivar infinite_servers: whether an exponential transition has infinitely many servers if the
+        file does not give their number; None uses the default of the format (PNPRO: infinitely
         many, others: one).
-    :ivar missing_weight: weight of an immediate transition whose file gives none: 1, or 0 for
-        "controllable", as robotics users read it.
+    :ivar missing_weight: weight of an immediate transition if the file does not give one: 1, or 0
+        for "controllable", as is usual in robotics.
     """
 
     format: Optional[str] = None
@@ -37,17 +37,18 @@ class ReadOptions(NamedTuple):
     missing_weight: float = 1.0
 
     def servers(self, format_default: Optional[int]) -> Optional[int]:
-        """Number of servers (None: infinitely many) of a transition whose file does not say."""
+        """Return the number of servers (None: infinitely many) for a transition if the file does
+        not give it."""
         if self.infinite_servers is None:
             return format_default
         return None if self.infinite_servers else 1
 
 
 def one_line(text: Optional[str]) -> str:
-    """A name or id without line breaks and the space around it."""
+    """Return a name or id without line breaks and surrounding space."""
     if not text:
         return ""
-    if text.isprintable():  # no character in it breaks a line
+    if text.isprintable():  # no character breaks the line
         return text.strip()
     return " ".join(part.strip() for part in text.splitlines()).strip()
 
@@ -69,9 +70,9 @@ class _ArcLine(NamedTuple):
 
 
 class NetDraft:
-    """A net in the making.
+    """A net under construction.
 
-    :param file: where it comes from, for messages.
+    :param file: the file that it comes from, for messages.
     :param constants: values that its expressions may use.
     """
 
@@ -87,7 +88,7 @@ class NetDraft:
     # -- filling ---------------------------------------------------------------------------------
 
     def note(self, text: str) -> None:
-        """Remember something that the user should know, once."""
+        """Add a note for the user; a repeated note is kept once."""
         if text not in self.notes:
             self.notes.append(text)
 
@@ -98,7 +99,7 @@ class NetDraft:
         line: Optional[int] = None,
         hint: Optional[str] = None,
     ) -> NoReturn:
-        """Raise a NetError that happened in this file."""
+        """Raise a NetError that names this file."""
         raise NetError(message, file=self.file, line=line, element=element, hint=hint)
 
     def add_place(
@@ -110,7 +111,7 @@ class NetDraft:
         position: Optional[Position] = None,
         line: Optional[int] = None,
     ) -> None:
-        """Add a place; of ``identifier`` and ``name`` one may be missing."""
+        """Add a place; either ``identifier`` or ``name`` may be missing."""
         identifier, name = one_line(identifier), one_line(name)
         self._add(identifier, name, Place(name or identifier, tokens, capacity, position), line)
 
@@ -123,7 +124,7 @@ class NetDraft:
         position: Optional[Position] = None,
         line: Optional[int] = None,
     ) -> None:
-        """Add an immediate transition."""
+        """Add an immediate transition; either ``identifier`` or ``name`` may be missing."""
         identifier, name = one_line(identifier), one_line(name)
         item = Transition(name or identifier, False, 1.0, weight, priority, 1, position)
         self._add(identifier, name, item, line)
@@ -137,7 +138,7 @@ class NetDraft:
         position: Optional[Position] = None,
         line: Optional[int] = None,
     ) -> None:
-        """Add an exponential transition (``servers`` None: infinitely many)."""
+        """Add an exponential transition (``rate`` in 1/s; ``servers`` None: infinitely many)."""
         identifier, name = one_line(identifier), one_line(name)
         item = Transition(name or identifier, True, rate, 1.0, 1, servers, position)
         self._add(identifier, name, item, line)
@@ -151,7 +152,7 @@ class NetDraft:
         inhibitor: bool = False,
         line: Optional[int] = None,
     ) -> None:
-        """Add an arc; its ends are ids or names, and may come later in the file."""
+        """Add an arc; its ends are ids or names of nodes, which may come later in the file."""
         source, target = one_line(source), one_line(target)
         if not source or not target:
             element = "arc '%s'" % shorten(identifier) if identifier else "arc"
@@ -181,9 +182,10 @@ class NetDraft:
     # -- numbers ---------------------------------------------------------------------------------
 
     def number(self, text: str, what: str, element: str, line: Optional[int]) -> float:
-        """The value of a number or an expression over the constants.
+        """Return the value of a number, or of an expression over the constants.
 
-        :param what: what the number is, for the message: ``rate``.
+        :param what: what the number means, for the message: ``rate``.
+        :raises NetError: the value cannot be computed.
         """
         try:
             return evaluate(text, self.constants)
@@ -194,7 +196,11 @@ class NetDraft:
             self.fail("its %s cannot be computed: %s" % (what, error.message), element, line, hint)
 
     def count(self, text: str, what: str, element: str, line: Optional[int]) -> int:
-        """The value of a whole number or an expression with a whole result; it may be negative."""
+        """Return the value of a whole number, or of an expression with a whole result; it may be
+        negative.
+
+        :raises NetError: the value cannot be computed, or is not whole.
+        """
         if text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS:
             return int(text)
         value = whole(self.number(text, what, element, line))
@@ -205,9 +211,9 @@ class NetDraft:
     # -- the net ---------------------------------------------------------------------------------
 
     def net(self, name: str) -> Net:
-        """The net that was drafted.
+        """Return the finished net.
 
-        :raises NetError: it is not well formed; the message has the file and the line.
+        :raises NetError: the net is not well formed; the message has the file and the line.
         """
         names = self._names()
         by_name: Dict[str, str] = {n.name: i for i, n in self._nodes.items() if n.name}
@@ -242,7 +248,7 @@ class NetDraft:
             raise error.located(file=self.file, line=line) from None
 
     def _lines(self, names: Mapping[str, str], arcs: Sequence[Arc]) -> Dict[str, Optional[int]]:
-        """The line of each element, under the name that the net's own checks call it."""
+        """Return the line of each element, by the name that it has in the errors of ``Net``."""
         lines: Dict[str, Optional[int]] = {}
         for identifier, node in self._nodes.items():
             kind = "place" if isinstance(node.item, Place) else "transition"
@@ -253,7 +259,8 @@ class NetDraft:
         return lines
 
     def _names(self) -> Dict[str, str]:
-        """The name of each id: its own, or the id where that is empty or not its own alone."""
+        """Return the name for each id: the element's name, or the id if that is empty or not
+        unique."""
         names = {i: n.name or i for i, n in self._nodes.items()}
         bearers: Dict[str, List[str]] = {}
         for identifier, name in names.items():
@@ -284,7 +291,7 @@ class NetDraft:
 
 
 def capacity_losses(net: Net) -> List[str]:
-    """The note for the user when a writer expresses capacities by inhibitor arcs."""
+    """Return the note for the user if a writer turns capacities of this net into inhibitor arcs."""
     if any(place.capacity is not None for place in net.places):
         return ["capacities are written as inhibitor arcs, which say the same"]
     return []

@@ -1,4 +1,4 @@
-"""Where the example plans are that come with the package."""
+"""The location of the example plans that come with the package."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from gspn_framework_package.model.errors import UsageError
 
 
 def plans_folder() -> str:
-    """The folder of the example plans: beside this package in a checkout, in its share folder once
-    it is installed.
+    """Return the folder of the example plans: beside this package in a checkout, or in its share
+    folder once it is installed.
 
     :raises UsageError: there is none.
     """
@@ -20,7 +20,7 @@ def plans_folder() -> str:
 
         share = rospkg.RosPack().get_path("gspn_framework_package")
         candidates.append(os.path.join(share, "plans"))
-    except Exception:  # no ROS, or a ROS that does not know the package: there is the checkout
+    except Exception:  # no ROS, or a ROS that does not know the package: look in the checkout
         pass
     for candidate in candidates:
         if os.path.isdir(candidate):

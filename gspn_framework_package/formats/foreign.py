@@ -1,4 +1,4 @@
-"""Files that are often given for a net and are not read: each with what to do instead."""
+"""Kinds of files that users often mistake for a readable net, with advice on what to do instead."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from gspn_framework_package.model.errors import InputError
 
 
 class Foreign(NamedTuple):
-    """A kind of file that is recognised in order to be refused.
+    """A kind of file that is recognised only to refuse it with a helpful message.
 
     :ivar recognises: whether a file is of this kind.
     :ivar message: what the file is.
     :ivar hint: what to do instead.
-    :ivar element: the element to name the line of, in an XML file.
+    :ivar element: finds the element whose line the error names, in an XML file.
     """
 
     recognises: Callable[[NetFile], bool]
@@ -52,7 +52,7 @@ FOREIGN: Tuple[Foreign, ...] = (
 
 
 def refuse_foreign(file: NetFile) -> None:
-    """:raises InputError: the file is of a known kind that is not read."""
+    """Refuse a file of a known foreign kind. :raises InputError: the file is of such a kind."""
     for kind in FOREIGN:
         if kind.recognises(file):
             element = kind.element(file.root) if file.is_xml else None

@@ -1,4 +1,4 @@
-"""A file format of nets, as the registry knows it: each format module ends with its own record.
+"""The record of a net file format in the registry; each format module ends with its own record.
 
 To add a format, write a module with a :class:`Format` called ``FORMAT`` and add the module to the
 table in :mod:`~gspn_framework_package.formats.registry`; from outside the package, call
@@ -20,18 +20,18 @@ from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.net import Net
 
 Bounds = Mapping[str, int]
-"""Place -> the most tokens it can hold, where that is known."""
+"""Place -> the maximum number of tokens it can hold, where that is known."""
 
 NetAndNotes = Tuple[Net, List[str]]
-"""What a reader returns: the net, and notes on what it had to assume or left out."""
+"""The result of a reader: the net, and notes on what it had to assume or left out."""
 
 
 class NetFile:
-    """The content of a file, parsed or decoded when a reader first asks for it.
+    """The content of a file, which is parsed or decoded when a reader first needs it.
 
     :ivar data: the bytes of the file.
     :ivar path: its name, for messages.
-    :param hint: what to say of a file that is neither XML nor text.
+    :param hint: the hint for a file that is neither XML nor text.
     """
 
     def __init__(self, data: bytes, path: str, hint: str = "") -> None:
@@ -61,12 +61,12 @@ class NetFile:
 
     @cached_property
     def is_xml(self) -> bool:
-        """Whether the content is meant as XML."""
+        """Whether the content looks like XML."""
         return is_xml(self.data)
 
 
 def is_xml(data: bytes) -> bool:
-    """Whether a file with this content is meant as XML."""
+    """Whether this content looks like XML."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return True
     if data.startswith(codecs.BOM_UTF8):
@@ -76,11 +76,11 @@ def is_xml(data: bytes) -> bool:
 
 @dataclass(frozen=True)
 class XmlReader:
-    """How an XML format is recognised and read.
+    """How to recognise and read an XML format.
 
     :ivar read: reads the net under a root element: (root, path of the file, options).
-    :ivar roots: the root elements that the format has.
-    :ivar recognises: whether a document with one of these roots is in this format; needed where
+    :ivar roots: the possible root elements of the format.
+    :ivar recognises: whether a document with one of these roots is in this format; needed if
         formats share a root element.
     """
 
@@ -106,10 +106,10 @@ class XmlReader:
 
 @dataclass(frozen=True)
 class TextReader:
-    """How a text format is recognised and read.
+    """How to recognise and read a text format.
 
     :ivar read: reads the net in a text: (text, path of the file, options).
-    :ivar recognises: whether a text is in this format, by how it begins.
+    :ivar recognises: whether a text is in this format, judged by its beginning.
     """
 
     read: Callable[[str, Optional[str], ReadOptions], NetAndNotes]
@@ -128,13 +128,13 @@ class TextReader:
 class Format:
     """A file format.
 
-    :ivar name: what it is called in ``--to`` and ``--from``.
-    :ivar title: what it is called in sentences.
-    :ivar extensions: how its files end; the first is the usual one.
-    :ivar to_bytes: the writer. It takes a net, and :data:`Bounds` too where ``takes_bounds``.
-    :ivar reader: how it is recognised and read; None where it is only written.
-    :ivar losses: what writing a net leaves out or says in other words, in sentences.
-    :ivar takes_bounds: whether the writer wants to know the most tokens that places hold.
+    :ivar name: its name in ``--to`` and ``--from``.
+    :ivar title: its name in sentences.
+    :ivar extensions: the extensions of its files; the first is the usual one.
+    :ivar to_bytes: the writer. It takes a net, and also :data:`Bounds` if ``takes_bounds``.
+    :ivar reader: how to recognise and read it; None if it can only be written.
+    :ivar losses: returns what the writer leaves out of a net or rewrites, in sentences.
+    :ivar takes_bounds: whether the writer needs upper bounds on the tokens of places.
     """
 
     name: str

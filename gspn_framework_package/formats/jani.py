@@ -1,12 +1,12 @@
 """JANI, the language of probabilistic model checkers (jani-spec.org): write.
 
-A net becomes a Markov automaton, a net without immediate transitions a Markov chain, with one
-integer variable for each place. Properties in CSL or LTL then go to Storm (``storm --jani net.jani
---prop ...``) or any other tool that reads JANI. Everything in a net is said: weights of immediate
-transitions that are enabled together are normalised, priorities, inhibitor arcs, capacities and
-servers are in the guards and rates. A transition of weight 0 is a nondeterministic choice, as it is
-in the model. Exponential transitions are guarded against markings that enable immediate ones, so
-that the result does not depend on whether the tool assumes maximal progress."""
+A net becomes a Markov automaton, or a Markov chain if it has no immediate transitions, with one
+integer variable per place. Storm (``storm --jani net.jani --prop ...``) and any other tool that
+reads JANI can then check properties in CSL or LTL. Nothing in a net is lost: the weights of
+immediate transitions that are enabled together are normalised, and guards and rates express
+priorities, inhibitor arcs, capacities and servers. A transition of weight 0 is a nondeterministic
+choice, as in the model. The guards of exponential transitions exclude markings that enable
+immediate ones, so the result does not depend on whether the tool assumes maximal progress."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _Term = Any  # a JANI expression: a number, a name, or a dictionary with "op"
 
 
 def to_bytes(net: Net, bounds: Mapping[str, int] = {}) -> bytes:
-    """The net as a JANI document.
+    """Return the net as a JANI document.
 
-    :param bounds: the most tokens that places can hold, where known; symbolic engines need it.
+    :param bounds: the maximum number of tokens of places, where known; symbolic engines need it.
     """
     document = _Writer(net, bounds).document()
     return (json.dumps(document, indent=1, ensure_ascii=False) + "\n").encode("utf-8")
@@ -42,8 +42,8 @@ class _Writer:
         names = [p.name for p in net.places]
         self.names = list(identifiers(names)[0].values())
         self.levels = priority_levels(net)
-        # Storm 1.9 to 2.0 takes a variable that no edge assigns for 0: such places are assigned to
-        # themselves.
+        # Storm 1.9 to 2.0 assumes 0 for a variable that no edge assigns, so such places are
+        # assigned to themselves.
         changed = {p for t in range(len(net.transitions)) for p, _ in net.effect(t)}
         self.unchanged = [p for p in range(len(net.places)) if p not in changed]
         self.enabled = [self._enabled(t) for t in range(len(net.transitions))]
@@ -85,7 +85,7 @@ class _Writer:
     def _edges(self) -> List[Dict[str, Any]]:
         net = self.net
         edges = []
-        higher: List[_Term] = []  # what is enabled on the levels above
+        higher: List[_Term] = []  # enabling conditions of the levels above
         for level in self.levels:
             weighted = [t for t in level if net.transitions[t].weight > 0]
             if weighted:
@@ -107,8 +107,8 @@ class _Writer:
         return edges
 
     def _exponential_groups(self) -> List[List[int]]:
-        """The exponential transitions, those of the same effect together: Storm 1.9 to 2.0 forgets
-        all but one of several Markovian edges of an automaton that lead to the same state."""
+        """Group the exponential transitions by effect: if several Markovian edges of an automaton
+        lead to the same state, Storm 1.9 to 2.0 ignores all but one of them."""
         groups: Dict[Any, List[int]] = {}
         for t, transition in enumerate(self.net.transitions):
             if transition.timed:
@@ -116,7 +116,7 @@ class _Writer:
         return list(groups.values())
 
     def _weighted(self, level: Sequence[int], higher: Sequence[_Term]) -> Dict[str, Any]:
-        """One edge for the transitions of one priority: which of them, their weights decide."""
+        """Return one edge for the transitions of one priority; their weights decide which fires."""
         names = ", ".join(self.net.transitions[t].name for t in level)
         guard = _all([_any([self.enabled[t] for t in level])] + _none(higher))
         if len(level) == 1:
@@ -174,7 +174,7 @@ def _edge(comment: str, guard: _Term, destinations: List[Dict[str, Any]]) -> Dic
 
 
 def _choice(condition: _Term, value: _Term) -> _Term:
-    """``value`` where ``condition`` holds, else 0."""
+    """Return the term for ``value`` if ``condition`` holds, else 0."""
     return {"op": "ite", "if": condition, "then": value, "else": 0}
 
 

@@ -1,4 +1,4 @@
-"""JSON files, with errors that name file and line."""
+"""Reading of JSON files, with errors that name file and line."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.model.errors import InputError
 
 Step = Union[str, int]
-"""One step from an element to one in it: a key or an index."""
+"""A step from an element to one inside it: a key or an index."""
 
 _TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\],:]|[^\s{}\[\],:"]+')
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
 
 class JsonDocument(NamedTuple):
-    """A JSON text and what it holds: the ``data``, and the ``text`` for the lines of its
-    elements."""
+    """A JSON document: its parsed ``data``, and its ``text`` to find the lines of elements."""
 
     data: Any
     text: str
 
     def line(self, path: Sequence[Step]) -> Optional[int]:
-        """The line of the element at ``path`` (keys and indices); of a member, that of its key."""
+        """Return the line of the element at ``path`` (keys and indices); for a member of an object
+        this is the line of its key."""
         wanted = [str(step) for step in path]
-        # of each open bracket: whether an object; the key or index there
+        # for each open bracket: whether it is an object; the current key or index
         inside: List[List[Any]] = []
         for match in _TOKEN.finditer(self.text):
             word = match.group()
@@ -52,15 +52,15 @@ class JsonDocument(NamedTuple):
 
 
 def read_json(path: str) -> Any:
-    """The content of a JSON file: see :func:`read_document`."""
+    """Return the content of a JSON file; see :func:`read_document`."""
     return read_document(path).data
 
 
 def read_document(path: str) -> JsonDocument:
     """Read a JSON file (UTF-8, with or without a byte order mark).
 
-    :raises InputError: it cannot be read, is not JSON, an object has one key twice, or it holds a
-        number or a character that nobody could write down again: NaN, 1e999, half a surrogate pair.
+    :raises InputError: the file cannot be read, is not JSON, has an object with a duplicate key, or
+        has a number or character that cannot be written back: NaN, 1e999, half a surrogate pair.
     """
     raw = read_bytes(path)
     try:
@@ -108,11 +108,11 @@ def read_document(path: str) -> JsonDocument:
 
 
 class _DoubleKeyError(ValueError):
-    """Carries the key."""
+    """Carries the duplicate key."""
 
 
 class _NumberError(ValueError):
-    """Carries the number, as written."""
+    """Carries the rejected number, as written."""
 
 
 def _without_doubles(pairs: List[Tuple[str, Any]]) -> Dict[str, Any]:
@@ -135,6 +135,6 @@ def _finite(word: str) -> float:
 
 
 def _whole(word: str) -> int:
-    if len(word) > 300:  # no float, and no number of anything
+    if len(word) > 300:  # far too large for any count
         raise _NumberError(word)
     return int(word)

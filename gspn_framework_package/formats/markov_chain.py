@@ -1,6 +1,6 @@
-"""A Markov chain that was computed, state by state, for model checkers: PRISM's explicit files, and
-the DRN format of Storm. This is how a plan under its policy, or a net whose vanishing markings were
-eliminated, goes to them."""
+"""Export of a computed Markov chain, state by state, to model checkers: PRISM's explicit files, and
+the DRN format of Storm. A plan under its policy, or a net whose vanishing markings were eliminated,
+reaches them in this form."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from gspn_framework_package.model.errors import NetError
 
 
 class ExplicitChain(NamedTuple):
-    """A continuous-time Markov chain written out.
+    """A continuous-time Markov chain with explicit states.
 
     :ivar places: names of the places, in the order of the states' counts.
     :ivar states: the markings, by number.
-    :ivar rates: triples (from state, to state, rate in 1/s), no two of one pair.
+    :ivar rates: triples (from state, to state, rate in 1/s), at most one per pair of states.
     :ivar initial: number of the initial state.
-    :ivar labels: label -> numbers of the states that have it; ``init`` and ``deadlock`` come by
-      themselves.
+    :ivar labels: label -> numbers of the states that have it; ``init`` and ``deadlock`` are added
+      automatically.
     """
 
     places: Sequence[str]
@@ -28,9 +28,9 @@ class ExplicitChain(NamedTuple):
     labels: Mapping[str, Sequence[int]] = {}
 
     def all_labels(self) -> Dict[str, Sequence[int]]:
-        """The labels, with ``init`` and ``deadlock``.
+        """Return the labels, including ``init`` and ``deadlock``.
 
-        :raises NetError: one of the labels has a name that model checkers cannot take.
+        :raises NetError: a label has a name that model checkers do not accept.
         """
         busy = {source for source, _, _ in self.rates}
         dead = [number for number in range(len(self.states)) if number not in busy]
@@ -44,7 +44,8 @@ class ExplicitChain(NamedTuple):
 
 
 def prism_files(chain: ExplicitChain) -> Dict[str, bytes]:
-    """The chain as PRISM's explicit files: ``prism -importmodel chain.all -ctmc`` reads them.
+    """Return the chain as PRISM's explicit files: ``prism -importmodel chain.all -ctmc`` reads
+    them.
 
     :returns: extension (``sta``, ``tra``, ``lab``) -> content.
     """
@@ -62,9 +63,9 @@ def prism_files(chain: ExplicitChain) -> Dict[str, bytes]:
 
 
 def drn(chain: ExplicitChain) -> bytes:
-    """The chain as Storm's DRN file: ``storm --explicit-drn chain.drn``. States have no variables
-    there, only labels; the marking of each is a comment. A label that no state has can only be a
-    comment: Storm does not know it."""
+    """Return the chain as Storm's DRN file: ``storm --explicit-drn chain.drn``. States have labels
+    but no variables in this format, so the marking of each is a comment. A label that no state has
+    can also only be a comment, and Storm does not know it."""
     labels = chain.all_labels()
     names = list(labels)
     of_state = _by_state(chain, list(labels.values()))
@@ -84,7 +85,7 @@ def drn(chain: ExplicitChain) -> bytes:
     lines += ["// no state has the label %s" % name for name in names if not labels[name]]
     for number, (marking, targets) in enumerate(zip(chain.states, moves)):
         counts = ["%s=%d" % (" ".join(p.split()), n) for p, n in zip(chain.places, marking) if n]
-        targets = targets or [(number, 1.0)]  # a deadlock stays where it is
+        targets = targets or [(number, 1.0)]  # a deadlock loops on itself
         shown = "".join(" " + names[label] for label in of_state[number])
         lines.append("// %s" % ", ".join(counts))
         lines.append("state %d !%r%s" % (number, sum(rate for _, rate in targets), shown))

@@ -1,4 +1,4 @@
-"""A net as a JSON object, as plans and event logs hold it inline."""
+"""Nets as JSON objects, the form in which plans and event logs contain them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gspn_framework_package.model.net import Arc, Net, Place, Position, Transiti
 
 
 def net_to_json(net: Net) -> Dict[str, Any]:
-    """The net as a JSON object; what has its default value is left out."""
+    """Return the net as a JSON object; default values are left out."""
     return {
         "name": net.name,
         "places": [_place(p) for p in net.places],
@@ -19,9 +19,9 @@ def net_to_json(net: Net) -> Dict[str, Any]:
 
 
 def net_from_json(data: Dict[str, Any]) -> Net:
-    """The net of a JSON object that fits the schema.
+    """Return the net of a JSON object that fits the schema.
 
-    :raises NetError: see Net; or a transition has a key that means nothing for its kind.
+    :raises NetError: see Net; or a transition has a key that does not apply to its kind.
     """
     for transition in data["transitions"]:
         _check_kind(transition)
@@ -48,7 +48,8 @@ def net_from_json(data: Dict[str, Any]) -> Net:
 
 
 def _check_kind(transition: Dict[str, Any]) -> None:
-    """An immediate transition with a rate is most likely an exponential one without ``timed``."""
+    """Refuse keys that do not apply: an immediate transition with a rate most likely lacks
+    ``timed``."""
     timed = transition.get("timed", False)
     for key in ("weight", "priority") if timed else ("rate", "servers"):
         if key in transition:

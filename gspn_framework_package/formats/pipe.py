@@ -1,7 +1,7 @@
 """PIPE XML, the "xml language" of the thesis (2.x to 5): read and write.
 
-Elements are named by ``name/value``, arcs join ids. What the generations of the tool write
-differently, and how it is read:
+Elements are named by ``name/value``; arcs refer to ids. The generations of the tool differ in what
+they write, which is read as follows:
 
 ==================  ================================================================================
 marking, weight     ``1`` (2.x), ``Default,1`` (3 on), ``Default,0,Red,1`` (coloured: refused when
@@ -78,7 +78,7 @@ _ROOT = known("version", free="net name toolspecific")
 def from_xml(
     root: etree._Element, file: Optional[str], options: ReadOptions
 ) -> Tuple[Net, List[str]]:
-    """The net in a parsed document, and notes."""
+    """Read the net in a parsed document, with notes."""
     nets = [root] if tag(root) == "net" else all_of(root, "net")
     element = choose_net(nets, options.net, file)
     if tag(root) == "pnml":
@@ -98,7 +98,7 @@ def _net_name(net: etree._Element) -> str:
 
 
 class _Reader:
-    """Goes once through a net element."""
+    """Reads a net element in one pass."""
 
     def __init__(self, net: etree._Element, file: Optional[str], options: ReadOptions) -> None:
         self.net = net
@@ -226,7 +226,7 @@ class _Reader:
         )
 
     def _tokens(self, text: Optional[str], default: int, what: str, name: str, line: int) -> int:
-        """The number in ``1`` or ``Default,1`` or ``Default,0,Red,1``."""
+        """Return the number in ``1`` or ``Default,1`` or ``Default,0,Red,1``."""
         if not text:
             return default
         if text.isdigit():
@@ -267,7 +267,8 @@ class _Reader:
 
 
 def _classes(text: str) -> Optional[Sequence[Tuple[str, str]]]:
-    """The pairs (class, number) of ``Default,1,Red,0``; None when the text is a plain number."""
+    """Return the pairs (class, number) of ``Default,1,Red,0``; None if the text is a plain
+    number."""
     for separator in (",", "@"):
         parts = [p.strip() for p in text.split(separator)]
         if len(parts) >= 2 and len(parts) % 2 == 0 and all(_is_class(p) for p in parts[::2]):
@@ -285,9 +286,9 @@ def _is_class(text: str) -> bool:
 
 
 def to_bytes(net: Net) -> bytes:
-    """The net as a document that PIPE 2.5 to 5 and readers of the thesis's xml understand.
+    """Return the net as a document that PIPE 2.5 to 5 and readers of the thesis's xml understand.
 
-    :raises NetError: it has something that the format cannot say.
+    :raises NetError: the net has something that the format cannot express.
     """
     root = etree.Element("pnml")
     element = etree.SubElement(root, "net", type=NET_TYPE)

@@ -1,4 +1,4 @@
-"""Plan files: our own form, and the two input forms of the thesis, recognised by their keys."""
+"""Plan files: the package's own form and the two input forms of the thesis, told apart by keys."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy
 
 PLAN_FILE = "plan.json"
-"""The file that a plan's folder is known by."""
+"""The name of the plan's file in a plan's folder."""
 
 
 def read_plan(path: str) -> Plan:
@@ -31,9 +31,8 @@ def read_plan(path: str) -> Plan:
 
     :param path: a plan file, an input file of the thesis (4.1.3, 4.3.6), or a folder with a
         ``plan.json``.
-    :returns: the validated plan; ``Plan.notes`` holds what a person should know about how it was
-        read.
-    :raises GspnError: with file, line and element; nothing is half-loaded.
+    :returns: the validated plan; ``Plan.notes`` has notes for the user on how it was read.
+    :raises GspnError: the plan cannot be read; the error has file, line and element.
     """
     try:
         return _read(*_open(path))
@@ -53,15 +52,15 @@ def _read(path: str, document: JsonDocument) -> Plan:
 
 
 def _refuse_net(path: str) -> None:
-    """Name a net that was given in place of a plan. :raises GspnError: it is one, or XML that
-    cannot be read."""
+    """Report a net that was given in place of a plan. :raises GspnError: the file is a net, or XML
+    that cannot be read."""
     if not os.path.isfile(path):
         return
     try:
         read_net(path)
     except GspnError:
         if is_xml(read_bytes(path)):
-            raise  # the error in the net says more than that it is not JSON
+            raise  # the error in the net says more than "not JSON"
         return
     raise UsageError(
         "this is a net, not a plan", file=path, hint="gspn analyse says what a net can do"
@@ -69,7 +68,7 @@ def _refuse_net(path: str) -> None:
 
 
 def _open(path: str) -> Tuple[str, JsonDocument]:
-    """The file of a plan, and the JSON object in it. :raises PlanError: there is none."""
+    """Return the file of a plan, and the JSON object in it. :raises PlanError: there is none."""
     path = os.fspath(path)
     if os.path.isdir(path):
         folder, path = path, os.path.join(path, PLAN_FILE)
@@ -88,8 +87,8 @@ def _open(path: str) -> Tuple[str, JsonDocument]:
 
 
 class NetOrPlan(NamedTuple):
-    """What can be simulated and analysed: a ``net``, and the ``plan`` where it is the net of one;
-    ``notes`` for people on how it was read."""
+    """A subject of simulation and analysis: a ``net``, the ``plan`` if the net is part of one, and
+    ``notes`` for the user on how it was read."""
 
     net: Net
     plan: Optional[Plan]
@@ -99,16 +98,16 @@ class NetOrPlan(NamedTuple):
 def read_net_or_plan(
     path: str, options: ReadOptions = AS_THE_FILE_SAYS, *, net_will_do: bool = False
 ) -> NetOrPlan:
-    """Read a plan, as :func:`read_plan`, or a net, as
-    :func:`~gspn_framework_package.formats.registry.read_net`. A folder and a JSON file are taken
-    for a plan, unless the options name a format. An input file of the thesis that maps no place to
-    an action is taken for its net (5.3).
+    """Read a plan, like :func:`read_plan`, or a net, like
+    :func:`~gspn_framework_package.formats.registry.read_net`. A folder or a JSON file is read as a
+    plan, unless the options name a format. From an input file of the thesis that maps no place to
+    an action, only the net is read (5.3).
 
     :param options: how to read a net.
-    :param net_will_do: take an input file of the thesis for its net also where the rest of it makes
-        no plan; a note says why.
-    :raises UsageError: a plan, and options that it says itself.
-    :raises GspnError: it cannot be read.
+    :param net_will_do: read only the net of an input file of the thesis also if the rest of it is
+        not a plan; a note says why.
+    :raises UsageError: the options set something that the plan itself determines.
+    :raises GspnError: the plan or net cannot be read.
     """
     if options.format is None and is_plan(path):
         if options != AS_THE_FILE_SAYS:
@@ -128,7 +127,7 @@ def _whole_plan(path: str) -> NetOrPlan:
 
 
 def _net_of_thesis(path: str, net_will_do: bool) -> Optional[NetOrPlan]:
-    """The net of an input file of the thesis that is to be taken for a net; None where it is a
+    """Return the net of an input file of the thesis that is to be read as a net; None if it is a
     plan."""
     path, document = _open(path)
     if not thesis_input.is_thesis_input(document.data):
@@ -153,7 +152,7 @@ def _net_of_thesis(path: str, net_will_do: bool) -> Optional[NetOrPlan]:
 
 
 def is_plan(path: str) -> bool:
-    """Whether ``path`` looks like a plan rather than like a net: a folder, or a JSON file."""
+    """Whether ``path`` looks like a plan rather than a net: a folder or a JSON file."""
     return os.path.isdir(path) or os.fspath(path).lower().endswith(".json")
 
 
@@ -175,7 +174,8 @@ def _own_form(document: JsonDocument, path: str) -> Plan:
 
 
 def _line(document: JsonDocument, element: str) -> Optional[int]:
-    """The line of an element of a plan, as errors call it: ``transition 't'``, ``until``."""
+    """Return the line of an element of a plan, named as in errors: ``transition 't'``,
+    ``until``."""
     found = re.match(r"(place|transition) '(.*)'$", element)
     net = document.data["net"]
     if found is None:
@@ -199,7 +199,7 @@ def _net(data: Any, folder: str) -> Tuple[Optional[Net], List[str]]:
 
 
 def read_policy(path: str) -> Policy:
-    """Read a policy file. :raises GspnError: not one."""
+    """Read a policy file. :raises GspnError: the file is not a policy."""
     try:
         document = read_document(path)
         check_schema(document.data, "policy", file=path, document=document)

@@ -1,4 +1,4 @@
-"""A plan as a JSON object that fits ``plan.schema.json``, to and from the model."""
+"""Conversion between the model of a plan and a JSON object that fits ``plan.schema.json``."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from gspn_framework_package.model.plan import (
 from gspn_framework_package.model.policy import Policy
 
 EXEC_GSPN = "gspn_framework_package/ExecGSPNAction"
-"""The type of the action servers of the thesis, and of ours."""
+"""The action type of the thesis's action servers, and of those of this package."""
 
 _SCHEMA_FILE = os.path.join(os.path.dirname(__file__), "plan.schema.json")
 
 
 def schema() -> Dict[str, Any]:
-    """The JSON Schema of plans (draft 7), which ships with the package."""
+    """Return the JSON Schema of plans (draft 7), which ships with the package."""
     with open(_SCHEMA_FILE, encoding="utf-8") as file:
         loaded: Dict[str, Any] = json.load(file)
     return loaded
@@ -52,8 +52,8 @@ def check_schema(
 ) -> None:
     """Check ``data`` against the schema of plans, or against one of its definitions.
 
-    :param document: where it was read from, for the line of what does not fit.
-    :raises PlanError: with the path of the element that does not fit.
+    :param document: the document with ``data``, to report the line of an element that does not fit.
+    :raises PlanError: an element does not fit; the error has its path.
     """
     whole = schema()
     part = whole
@@ -75,9 +75,9 @@ def check_schema(
 
 
 def _most_telling(errors: List[Any]) -> Any:
-    """Of what does not fit, the outermost. Where none of several forms fits, that of the form which
-    fits best, if there is one. (``best_match`` of jsonschema chooses otherwise in each of its
-    versions.)"""
+    """Choose the outermost error; if none of several forms fits, choose the error of the form that
+    fits best, if there is one. (``best_match`` of jsonschema chooses differently in each version.)
+    """
 
     def depth(error: Any) -> Tuple[int, bool]:
         return len(error.path), error.validator in ("anyOf", "oneOf")
@@ -93,7 +93,7 @@ def _most_telling(errors: List[Any]) -> Any:
 
 
 def _unknown_key(error: Any) -> List[str]:
-    """The first key that should not be there, where that is the fault."""
+    """Return a list with the first unknown key, if an unknown key is the error."""
     if error.validator != "additionalProperties" or not isinstance(error.instance, Mapping):
         return []
     return [key for key in error.instance if key not in error.schema.get("properties", {})][:1]
@@ -111,7 +111,7 @@ def _hint(error: Any) -> Optional[str]:
 
 
 def server_name(place: str) -> str:
-    """The name of the action server of a place: the place's own, as far as ROS allows it."""
+    """Return the name of a place's action server: the name of the place, as far as ROS allows."""
     name = re.sub(r"[^A-Za-z0-9_]+", "_", place).strip("_")
     return name if name[:1].isalpha() else "place_" + name
 
@@ -124,14 +124,14 @@ def plan_from_json(
     file: Optional[str] = None,
     folder: Optional[str] = None,
 ) -> Plan:
-    """The plan of a JSON object.
+    """Return the plan of a JSON object.
 
     :param data: the object; it is checked against the schema.
-    :param net: the net, where ``data`` only names its file.
-    :param policy: the policy, where ``data`` only names its file.
-    :param file: where it comes from, for messages and for ``Plan.file``.
-    :param folder: the folder that the functions are in.
-    :raises PlanError: it does not fit the schema, or names what does not exist.
+    :param net: the net, if ``data`` only names its file.
+    :param policy: the policy, if ``data`` only names its file.
+    :param file: the file that it comes from, for messages and for ``Plan.file``.
+    :param folder: the folder with the functions.
+    :raises PlanError: the object does not fit the schema, or names something that does not exist.
     """
     check_schema(data, file=file)
     if net is None:
@@ -178,15 +178,19 @@ def plan_from_json(
 
 
 def policy_from_json(data: Dict[str, Any]) -> Policy:
-    """The policy of a JSON object that fits the schema. :raises PolicyError: see Policy."""
+    """Return the policy of a JSON object that fits the schema. :raises PolicyError: see Policy."""
     return Policy.from_table(data["places"], ((r["marking"], r["choose"]) for r in data["rows"]))
 
 
 def deal_robots(
     net: Net, resources: Any, order: Optional[List[str]] = None, prefix: str = "robot_"
 ) -> Any:
-    """Robots for a plan that names none: one for each token of the initial marking, numbered place
-    by place in the order given (that of the net where none is), resource places left out."""
+    """Create the robots of a plan that names none: one per token of the initial marking, except for
+    tokens of resource places. They are numbered place by place: first the places in ``order``, then
+    the others in the order of the net.
+
+    :raises PlanError: there are more robots than a team can have.
+    """
     places = list(order or ())
     places += [p.name for p in net.places if p.name not in set(places)]
     total = sum(net.place(p).tokens for p in places if p not in resources)
@@ -240,8 +244,8 @@ def _lost_rule(text: str) -> LostRule:
 
 
 def plan_to_json(plan: Plan) -> Dict[str, Any]:
-    """The plan as one self-contained JSON object, net and policy inline: ``plan_from_json`` gives a
-    plan of the same hash. Its functions are named, not contained."""
+    """Return the plan as one JSON object with net and policy inline; ``plan_from_json`` makes a
+    plan with the same hash from it. The object names the functions but does not contain them."""
     data: Dict[str, Any] = {
         "plan": plan.name,
         "net": net_to_json(plan.net),
@@ -288,7 +292,7 @@ def plan_to_json(plan: Plan) -> Dict[str, Any]:
 
 
 def plan_to_short_json(plan: Plan) -> Dict[str, Any]:
-    """As :func:`plan_to_json`, for people: without what is the default anyway."""
+    """As :func:`plan_to_json`, but without default values, for people to read."""
     data = plan_to_json(plan)
     default = plan_to_json(Plan(plan.net))
     short = {
