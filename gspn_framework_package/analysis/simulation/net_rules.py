@@ -1,5 +1,5 @@
-"""What happens in a marking of a net, one marking at a time: for simulation, where not all of them
-are visited."""
+"""What happens in a marking of a net, one marking at a time, for simulation, which does not visit
+all of them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class NetRules:
         self._until = until
 
     def is_over(self, marking: Marking) -> bool:
-        """Whether the condition holds that ends it all."""
+        """Whether the condition that ends the run holds."""
         if self._until is None:
             return False
         labels = {"deadlock": not self.net.enabled(marking)} if self._until.labels else {}
@@ -38,7 +38,7 @@ class NetRules:
     def outcomes(self, marking: Marking) -> List[Branch]:
         """The enabled immediate transitions of the highest priority, with their probabilities.
 
-        :raises RefusedError: a choice that no weight decides.
+        :raises RefusedError: no weight decides a choice.
         """
         transitions = self.net.transitions
         enabled = [t for t in self.net.enabled(marking) if not transitions[t].timed]

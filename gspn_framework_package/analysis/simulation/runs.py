@@ -1,7 +1,7 @@
 """Discrete-event simulation of a net, or of a plan under its policy, with confidence intervals.
 
-Many independent replications advance in step: one round draws the next event of each of them.
-Markings are worked out once, when a replication first comes there, so that a round is a handful of
+Many independent replications advance in step: one round draws the next event of each of them. Each
+marking is evaluated once, when a replication first reaches it, so that a round takes only a few
 array operations.
 
 >>> from gspn_framework_package.model.builder import NetBuilder
@@ -31,10 +31,10 @@ from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.model.plan import Plan
 
 REMEMBERED = 500_000
-"""Markings that are cached before the cache is cleared."""
+"""Most markings in the cache before it is cleared."""
 
 TIMELESS_FIRINGS = 10_000
-"""More firings than this without time between them are taken for a cycle without time."""
+"""More consecutive firings in zero time than this are treated as a timeless cycle."""
 
 _WAIT = -1  # the transition of an arc on which robots only wait
 
@@ -51,16 +51,16 @@ class Estimate(NamedTuple):
 
 
 class Simulation(NamedTuple):
-    """What the replications say.
+    """The results of the replications.
 
-    :ivar mean_tokens: place -> tokens on average over time.
+    :ivar mean_tokens: place -> time-averaged number of tokens.
     :ivar throughput: transition -> firings per second.
     :ivar token_distribution: place -> number of tokens -> share of time.
     :ivar end_time: when a replication ended (s): at the condition, or at ``time``.
-    :ivar reached: share of the replications that came to the condition; None without one.
-    :ivar time_to_condition: of those that came there, when (s); None without a condition, or when
+    :ivar reached: share of the replications that reached the condition; None without one.
+    :ivar time_to_condition: when (s) those replications reached it; None without a condition, or if
       none did.
-    :ivar events: firings in all.
+    :ivar events: total number of firings.
     """
 
     time: float
@@ -107,15 +107,15 @@ def simulate(
 
     :param subject: a net, or a validated plan, which then follows its policy.
     :param time: length of a run (s).
-    :param replications: how many runs.
+    :param replications: number of runs.
     :param seed: the same seed gives the same result.
-    :param warmup: time (s) at the start of each run that means leave out.
-    :param until: a condition that ends a run; of a net, ``deadlock`` may be part of it.
+    :param warmup: time (s) at the start of each run that the means exclude.
+    :param until: a condition that ends a run; for a net, it may contain ``deadlock``.
     :param confidence: level of the confidence intervals.
-    :raises UsageError: numbers that make no sense; neither ``time`` nor a condition.
-    :raises ExpressionError: the condition cannot be read.
-    :raises RefusedError: a choice that nobody decides; a cycle without time.
-    :raises CancelledError: ``cancel`` said so.
+    :raises UsageError: a number makes no sense, or neither ``time`` nor a condition is given.
+    :raises ExpressionError: the condition cannot be parsed.
+    :raises RefusedError: nothing decides a choice, or there is a timeless cycle.
+    :raises CancelledError: ``cancel`` returned true.
     """
     _check_numbers(subject, time, replications, warmup, until, confidence)
     plan = subject if isinstance(subject, Plan) else None
@@ -165,23 +165,24 @@ def _check_numbers(
 
 
 class _Graph:
-    """The markings that the runs came to so far, as arrays; states are numbered as they are met."""
+    """The markings that the runs have reached so far, as arrays; states are numbered in order of
+    discovery."""
 
     def __init__(self, rules: Union[PlanRules, NetRules]) -> None:
         self.rules = rules
         self.forget()
 
     def forget(self) -> None:
-        """Start again with nothing known."""
+        """Forget all states."""
         places = len(self.rules.net.places)
         self._index: Dict[Tuple[Marking, bool], int] = {}
         self._keys: List[Tuple[Marking, bool]] = []
         capacity, width = 64, 4
         self.markings = np.zeros((capacity, places), dtype=np.int64)
         self.exit = np.zeros(capacity)
-        """Rate of leaving; infinite where no time is spent, 0 where it is not left."""
+        """Exit rate (1/s) of each state; infinite for vanishing states, 0 for absorbing ones."""
         self.over = np.zeros(capacity, dtype=bool)
-        self.steps = np.full((capacity, width), 2.0)  # cumulative probabilities, then beyond 1
+        self.steps = np.full((capacity, width), 2.0)  # cumulative probabilities, padded with 2
         self.targets = np.full((capacity, width), -1, dtype=np.int64)
         self.transitions = np.full((capacity, width), _WAIT, dtype=np.int64)
 
@@ -193,7 +194,7 @@ class _Graph:
         return self._keys[state]
 
     def number(self, marking: Marking, waiting: bool) -> int:
-        """The number of a state, worked out if it is new."""
+        """The number of a state, which is evaluated if it is new."""
         key = marking, waiting
         known = self._index.get(key)
         if known is not None:
@@ -207,7 +208,7 @@ class _Graph:
         return number
 
     def target(self, state: int, arc: int) -> int:
-        """Where an arc leads, worked out if it was never gone."""
+        """Where an arc leads, which is evaluated on first use."""
         if self.targets[state, arc] < 0:
             marking, _ = self._keys[state]
             t = int(self.transitions[state, arc])
@@ -256,7 +257,7 @@ class _Graph:
 
 
 class _Runs:
-    """All replications on their way."""
+    """The state of all replications."""
 
     def __init__(
         self, graph: _Graph, count: int, time: float, warmup: float, random: np.random.Generator
@@ -274,7 +275,7 @@ class _Runs:
         self.events = 0
 
     def go(self, watch: Watch) -> None:
-        """Run them all to their ends."""
+        """Run all replications to their ends."""
         graph = self.graph
         state = np.full(self.count, graph.number(graph.rules.net.initial_marking, False))
         timeless = np.zeros(self.count, dtype=np.int64)
@@ -349,7 +350,7 @@ class _Runs:
                 share[count] = share.get(count, 0.0) + seconds
 
     def _forget(self, state: Any, active: Any) -> Any:
-        """Forget all states but those that the runs are in."""
+        """Forget all states except the current ones; returns their new numbers."""
         keys = {int(s): self.graph.key(int(s)) for s in np.unique(state[active])}
         self.graph.forget()
         fresh = {old: self.graph.number(*key) for old, key in keys.items()}
@@ -397,7 +398,7 @@ def _estimate(samples: Any, confidence: float) -> Estimate:
 
 
 def _ratio(amounts: Any, seconds: Any, confidence: float) -> Estimate:
-    """Amount per second: the ratio estimator, since runs that end at a condition differ in
+    """Amount per second, by the ratio estimator, since runs that end at a condition differ in
     length."""
     whole = float(seconds.sum())
     if whole <= 0:

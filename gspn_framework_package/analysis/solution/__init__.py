@@ -1,1 +1,1 @@
-"""What is computed of a Markov chain: steady state, transient, first passage, measures."""
+"""Solutions of a Markov chain: steady state, transient, first passage, measures."""

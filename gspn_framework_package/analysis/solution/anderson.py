@@ -1,8 +1,8 @@
 """Anderson acceleration of a fixed-point iteration ``x = G(x)``.
 
 Instead of going to ``G(x)``, the next point is the combination of the last few ``G(x)`` whose
-changes ``G(x) - x`` cancel out best (Anderson 1965). For a linear ``G`` that is GMRES in other
-words (Walker and Ni 2011), with no need of the matrix of ``G``.
+changes ``G(x) - x`` cancel out best (Anderson 1965). For a linear ``G`` this is equivalent to GMRES
+(Walker and Ni 2011), and does not need the matrix of ``G``.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import numpy as np
 from gspn_framework_package.analysis.arrays import Floats
 
 DEPTH = 5
-"""Earlier steps that are combined."""
+"""Number of earlier steps that are combined."""
 
 _DEPENDENT = 1e-12
-"""Changes whose directions are as dependent as this count as one: separating them would only
-amplify rounding."""
+"""Changes whose directions are this close to linear dependence count as one, since separating them
+would only amplify rounding."""
 
 
 class Anderson:
-    """The memory of one iteration; ``next`` is called with every point and what ``G`` makes of it.
+    """The memory of one iteration; ``next`` is called with every point and its image under ``G``.
 
     >>> turn = np.array([[0.0, -0.9], [0.9, 0.0]])  # by itself it would take 260 steps to 1e-12
     >>> point, accelerated = np.array([1.0, 0.0]), Anderson(2)
@@ -40,10 +40,10 @@ class Anderson:
         self._last: Optional[Tuple[Floats, Floats]] = None
 
     def next(self, point: Floats, image: Floats) -> Floats:
-        """The point to go on from.
+        """The point to continue from.
 
         :param point: float array.
-        :param image: ``G`` of it: another array, which is kept and must not be changed.
+        :param image: ``G(point)``: a separate array, which is kept and must not be changed.
         """
         change = image - point
         last, self._last = self._last, (change, image)
@@ -63,5 +63,5 @@ class Anderson:
         return result
 
     def forget(self) -> None:
-        """Start again: the next point has nothing to do with those before."""
+        """Start again: the next point is unrelated to the earlier ones."""
         self._count, self._last = 0, None

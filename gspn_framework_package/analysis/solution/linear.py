@@ -1,8 +1,8 @@
-"""The linear systems of Markov chains, ``x = (b + M x) / d``, and who solves them.
+"""The linear systems of Markov chains, ``x = (b + M x) / d``, and their solvers.
 
-Small systems go to a sparse LU decomposition, large ones to Gauss-Seidel sweeps (compiled by numba
-where it is there, else a triangular solve per sweep), which Anderson acceleration puts to better
-use. Nobody is believed: the residual of the answer decides.
+Small systems are solved by sparse LU decomposition, large ones by Gauss-Seidel sweeps (compiled by
+numba if it is installed, otherwise one triangular solve per sweep) with Anderson acceleration. An
+answer is accepted by its residual, whatever the method.
 """
 
 from __future__ import annotations
@@ -21,49 +21,54 @@ from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
 
 TOLERANCE = 1e-12
-"""Residual at which sweeps stop."""
+"""Residual at which the sweeps stop."""
 
 ACCEPTED = 1e-9
-"""Residual above which a steady state is not given."""
+"""A steady state with a larger residual is rejected."""
 
 ACCEPTED_TIMES = 1e-4
-"""Residual above which mean times and the like are not given. It is a bound of their relative
-error, which is far less as a rule; only where a time is 10^11 times a sojourn does rounding alone
-come near."""
+"""Mean times and similar solutions with a larger residual are rejected. The residual bounds their
+relative error, which is usually far smaller; rounding alone comes close only if a time is 10^11
+times a sojourn."""
 
 DIRECT_SIZE = 2_000
-"""Up to this many unknowns LU goes first."""
+"""Up to this many unknowns, LU is tried first."""
 
 FALLBACK_SIZE = 50_000
-"""Up to this many unknowns LU is tried where the sweeps fail."""
+"""Up to this many unknowns, LU is tried if the sweeps fail."""
 
 MAX_SWEEPS = 20_000
 
 _REFINEMENTS = 2
-"""How often the answer of a decomposition is refined by its residual."""
+"""Number of iterative refinements of an LU solution."""
 
 _STRIDE = 2
-"""Sweeps between two accelerations, which cost about as much as one sweep."""
+"""Sweeps between two accelerations; an acceleration costs about as much as one sweep."""
 
 _CHECKED = 8
-"""The residual is computed after at most this many strides, and sooner where the changes have
-become small."""
+"""The residual is computed after at most this many strides, and sooner once the changes are
+small."""
 
 _ROUNDING = 1e-14
 """Imbalance, relative to the largest term, that rounding alone may cause."""
 
 _WORTH_LOADING = 1_000_000
-"""Entries of a matrix from which on compiled sweeps save more time than it takes to load numba,
-half a second."""
+"""Matrix entries above which compiled sweeps save more than the half second it takes to load
+numba."""
 
 _PATIENCE = 100
-"""Strides without a residual half as large after which an answer that is acceptable is taken: the
-rest is rounding."""
+"""If the residual has not halved in this many strides, an acceptable answer is taken: the rest is
+rounding."""
 
 
 class Solution(NamedTuple):
-    """``values``; ``residual``: see :func:`residual`; ``method``: ``LU`` or ``Gauss-Seidel``;
-    ``sweeps``: how many were done."""
+    """The solution of a linear system.
+
+    :ivar values: float array: the unknowns.
+    :ivar residual: see :func:`residual`.
+    :ivar method: ``LU`` or ``Gauss-Seidel``.
+    :ivar sweeps: number of sweeps done.
+    """
 
     values: Floats
     residual: float
@@ -83,16 +88,17 @@ def solve(
 ) -> Solution:
     """Solve ``diagonal * x = rhs + matrix @ x``.
 
-    :param matrix: sparse, non-negative, nothing on its diagonal.
-    :param diagonal: float array, above 0.
+    :param matrix: sparse, non-negative, with an empty diagonal.
+    :param diagonal: float array, all positive.
     :param rhs: float array; None for 0: then ``x`` is the solution that sums to 1.
     :param order: the order in which to sweep, as positions of unknowns; None: as they are numbered.
-    :param backward: sweep from the last unknown to the first: better where information flows
-      against the order.
-    :param start: a first guess.
-    :raises LimitError: no method came to a residual of :data:`ACCEPTED`, or :data:`ACCEPTED_TIMES`
+    :param backward: sweep from the last unknown to the first: better if information flows against
+      the order.
+    :param watch: receives progress, and may stop the sweeps.
+    :param start: initial guess.
+    :raises LimitError: no method reached a residual of :data:`ACCEPTED`, or :data:`ACCEPTED_TIMES`
       with a ``rhs``.
-    :raises CancelledError: the watch said so.
+    :raises CancelledError: the watch cancelled the work.
     """
     matrix = sparse.csr_matrix(matrix)
     size = len(diagonal)
@@ -116,11 +122,11 @@ def solve(
 
 def residual(matrix: Matrix, diagonal: Floats, rhs: Optional[Floats], values: Floats) -> float:
     """The largest imbalance of an equation, relative to the largest term ``d x``, or to the largest
-    of ``rhs``.
+    entry of ``rhs``.
 
     With a ``rhs`` of ones (mean times) the latter bounds the relative error of every unknown: the
-    inverse of the system has no negative entry, so the error is at most the imbalance times what a
-    ``rhs`` of ones gives.
+    inverse of the system has no negative entry, so the error is at most the imbalance times the
+    solution for a ``rhs`` of ones.
     """
     terms = diagonal * values
     scale = float(np.abs(terms if rhs is None else rhs).max(initial=0.0))
@@ -136,7 +142,7 @@ def _better(first: Optional[Solution], second: Solution) -> Solution:
 
 
 def _direct(matrix: Matrix, diagonal: Floats, rhs: Optional[Floats]) -> Solution:
-    """Sparse LU; of the homogeneous system one unknown is set to 1 and its equation left out."""
+    """Sparse LU; for the homogeneous system, one unknown is set to 1 and its equation dropped."""
     size = len(diagonal)
     if rhs is None and size == 1:
         return Solution(np.ones(1), 0.0, "LU")
@@ -155,7 +161,7 @@ def _direct(matrix: Matrix, diagonal: Floats, rhs: Optional[Floats]) -> Solution
                 values = factor.solve(np.asarray(rhs, dtype=np.float64))
                 for _ in range(_REFINEMENTS):
                     values += factor.solve(rhs - diagonal * values + matrix @ values)
-    except (RuntimeError, MemoryError):  # singular, or it does not fit
+    except (RuntimeError, MemoryError):  # singular, or out of memory
         return Solution(np.full(size, np.nan), float("inf"), "LU")
     return Solution(values, residual(matrix, diagonal, rhs, values), "LU")
 
@@ -211,7 +217,7 @@ def _swept(
         for _ in range(_STRIDE):
             image = sweep(image)
         unchecked += 1
-        # What the sweeps changed shows, at no cost, when computing the residual is worth it.
+        # The change made by the sweeps shows, at no cost, when to compute the residual.
         largest = float((diagonal * image).max())
         changed = float(np.abs(diagonal * (image - values)).max())
         tolerance = TOLERANCE
@@ -265,8 +271,8 @@ def _scipy_sweeper(
     own = sparse.diags(diagonal, format="csr")
     lower, upper = sparse.tril(matrix, -1, format="csr"), sparse.triu(matrix, 1, format="csr")
     solved, known = (own - upper, lower) if backward else (own - lower, upper)
-    # With the natural order and no pivoting the decomposition of a triangular matrix is that
-    # matrix.
+    # With the natural order and no pivoting, the LU decomposition of a triangular matrix is the
+    # matrix itself.
     factor = linalg.splu(
         solved.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     )

@@ -1,4 +1,4 @@
-"""Numbers for people: what a distribution over markings means for places and transitions (thesis
+"""Performance measures: what a distribution over markings means for places and transitions (thesis
 2.4)."""
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from gspn_framework_package.model.errors import UsageError
 
 
 class Measures:
-    """Measures of a net under a distribution, stationary or at some time.
+    """Measures of a net under a distribution, either stationary or at a given time.
 
     :param chain: the Markov chain.
     :param distribution: float array over its states.
@@ -55,7 +55,10 @@ class Measures:
         return {place.name: counts for place, counts in zip(self.graph.net.places, found)}
 
     def probability(self, holds: Booleans) -> float:
-        """Probability of a condition. :param holds: boolean array over the states of the graph."""
+        """Probability of a condition.
+
+        :param holds: boolean array over the states of the graph.
+        """
         return float(self.distribution[holds[self.chain.states]].sum())
 
     @property
@@ -84,9 +87,9 @@ class Measures:
 
     @property
     def mean_waiting_time(self) -> Dict[str, float]:
-        """Mean time (s) that a token stays in each place, by Little's law: mean tokens over their
-        rate of arrival. Infinite where tokens stay and none arrives; not a number where there never
-        are any."""
+        """Mean time (s) that a token stays in each place, by Little's law: mean tokens divided by
+        their arrival rate. It is infinite if tokens stay and none arrives, and not a number if
+        there never are any."""
         net, throughput = self.graph.net, self.throughput
         arrivals = {place.name: 0.0 for place in net.places}
         for t, transition in enumerate(net.transitions):
@@ -115,7 +118,7 @@ class Measures:
         :param rates: place -> reward per token and second; or a function from markings (int array,
             one row a state) to rewards per second (float array).
         :param impulses: transition -> reward for each firing.
-        :raises UsageError: a name that the net does not have.
+        :raises UsageError: the net has no place or transition of that name.
         """
         total = 0.0
         net = self.graph.net

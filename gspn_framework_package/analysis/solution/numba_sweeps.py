@@ -1,4 +1,4 @@
-"""Gauss-Seidel sweeps compiled by numba; the import fails where numba is not installed."""
+"""Gauss-Seidel sweeps compiled by numba; the import fails if numba is not installed."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ def sweep(
     values: Floats,
     backward: bool,
 ) -> None:
-    """One sweep of ``values = (constant + matrix @ values) * share``, in place; the matrix in CSR
-    form."""
+    """One sweep of ``values = (constant + matrix @ values) * share``, in place; the matrix is in
+    CSR form."""
     size = len(values)
     for i in range(size):
         row = size - 1 - i if backward else i

@@ -1,9 +1,9 @@
-"""In what order Gauss-Seidel sweeps take the states of a chain.
+"""The order in which Gauss-Seidel sweeps visit the states of a chain.
 
-A sweep carries probability along a whole way of states in one go, as long as the way follows the
-order; what goes against the order waits for the next sweep. So the order in which the least
-probability goes backward is the best one. The orders to choose from are that of discovery, and
-those by markings, place after place.
+A sweep carries probability along a whole path of states at once, as long as the path follows the
+order; probability that flows against the order waits for the next sweep. So the best order has the
+least backward flow. The candidates are the order of discovery, and those that sort the markings
+place by place.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from gspn_framework_package.analysis.chain.markov_chain import Chain
 from gspn_framework_package.analysis.graph import flat_ranges
 
 _SAMPLE = 1_000
-"""States whose arcs are looked at."""
+"""Number of states whose arcs are sampled."""
 
 _PLACES = 2_000
-"""Places up to which the markings are looked at: with more, the states stay in the order of
+"""With more places than this, the markings are not considered and the states keep the order of
 discovery."""
 
 _WORTH = 0.7
-"""Another order is worth the sorting when it leaves less than this share of what goes backward."""
+"""Another order is worth sorting for if it leaves less than this share of the backward flow."""
 
 
 def sweep_order(chain: Chain, states: Indices) -> Optional[Indices]:
-    """The order in which to sweep: positions in ``states``; None for the order that they have.
+    """The order in which to sweep, as positions in ``states``; None for the order they are in.
 
     :param states: int array: states of the chain, ascending.
     """
@@ -65,8 +65,8 @@ def sweep_order(chain: Chain, states: Indices) -> Optional[Indices]:
 
 
 def _sort_keys(chain: Chain, states: Indices, reverse: bool = False) -> List[Indices]:
-    """The markings as few integers each: the last one decides first, and in it the last place (or
-    the first)."""
+    """The markings as sort keys of a few integers each: the last key is the most significant, and
+    in it the last place (or the first, with ``reverse``)."""
     keys: List[Indices] = []
     room = 0
     places = range(len(chain.graph.net.places))

@@ -1,17 +1,18 @@
-"""When does the net come to a condition? Mean time, probability ever, probability within a time.
+"""First passage to a condition: the mean time, the probability that it ever holds, and the
+probability that it does within a given time.
 
-States in which the condition holds are not left any more, vanishing ones included: a condition that
-holds for no time at all has held. Let G be these states, ``q(i, j)`` the rate from state i to state
+The states in which the condition holds are made absorbing, vanishing ones included: a condition
+that holds for zero time has held. Let G be these states, ``q(i, j)`` the rate from state i to state
 j, ``e(i)`` the sum of the rates out of i, and ``p0`` the initial distribution. The probability
-``h(i)`` to reach G from i at all, and the mean time ``m(i)`` until then where G is certain to be
-reached, are the least non-negative solutions of::
+``h(i)`` of ever reaching G from i and, if G is certain to be reached, the mean time ``m(i)`` until
+then, are the least non-negative solutions of::
 
     e(i) * h(i) = sum over j in G of q(i, j) + sum over j not in G of q(i, j) * h(j)
     e(i) * m(i) = 1 + sum over j not in G of q(i, j) * m(j)
 
 for each i not in G, with ``h = 1`` and ``m = 0`` in G. The answers are the means of ``h`` and ``m``
-over ``p0``; where G may be missed, the mean time is infinite. The probability to be there within a
-time t is that of G at t, in the chain that does not leave G (see
+over ``p0``; if G may be missed, the mean time is infinite. The probability of reaching G within a
+time t is the probability of G at t in the chain with G absorbing (see
 :mod:`~gspn_framework_package.analysis.solution.transient`). See J. R. Norris, *Markov Chains*
 (Cambridge University Press, 1997), section 3.3.
 """
@@ -34,12 +35,12 @@ from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 
 
 class Passage(NamedTuple):
-    """How a net comes to a condition for the first time.
+    """The first time that a condition holds.
 
-    :ivar probability: that it ever does.
-    :ivar mean_time: mean time (s) until then; infinite when it may never come.
-    :ivar within: probability to come there within each of the times asked for.
-    :ivar residual: of the worst linear system behind it.
+    :ivar probability: the probability that it ever holds.
+    :ivar mean_time: mean time (s) until then; infinite if it may never hold.
+    :ivar within: the probability that it holds within each of the requested times.
+    :ivar residual: the largest residual of the linear systems behind the answer.
     """
 
     probability: float
@@ -57,12 +58,12 @@ def first_passage(
     cancel: Optional[Cancel] = None,
     seconds: float = math.inf,
 ) -> Passage:
-    """The first time that a condition holds, from the initial marking on.
+    """The first time that a condition holds, starting from the initial marking.
 
     :param graph: the graph with rates.
     :param goal: boolean array: the states of ``graph`` in which the condition holds.
-    :param times: ask for the probability to be there within each of these (s).
-    :param seconds: longest time that each part of the work may take.
+    :param times: times (s) for which to compute the probability that the condition has held.
+    :param seconds: longest time (s) that each part of the work may take.
     :raises LimitError: a linear system was not solved to an acceptable residual, or not in time.
     :raises RefusedError: there is a timeless trap.
     """

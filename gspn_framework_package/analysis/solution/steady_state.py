@@ -1,15 +1,15 @@
 """The steady state of a Markov chain.
 
 The recurrent classes are found first; each has its own stationary distribution, and a probability
-to end up in it. Let ``q(i, j)`` be the rate from state i to state j, ``e(i)`` the sum of the rates
-out of i, and ``p0`` the initial distribution. The stationary distribution ``pi`` of a class C
-balances what enters and leaves each state::
+that the chain ends up in it. Let ``q(i, j)`` be the rate from state i to state j, ``e(i)`` the sum
+of the rates out of i, and ``p0`` the initial distribution. The stationary distribution ``pi`` of a
+class C balances the flow into and out of each state::
 
     e(j) * pi(j) = sum over i in C of pi(i) * q(i, j)        for each j in C
     sum over j in C of pi(j) = 1
 
 With several classes, let T be the transient states and ``tau(j)`` the mean total time in j. Then
-the probability to end up in C is ``P(C)``::
+the probability ``P(C)`` of ending up in C is given by::
 
     e(j) * tau(j) = p0(j) + sum over i in T of tau(i) * q(i, j)        for each j in T
     P(C) = sum over j in C of (p0(j) + sum over i in T of tau(i) * q(i, j))
@@ -17,9 +17,8 @@ the probability to end up in C is ``P(C)``::
 and the long-run share of time in a state j of C is ``P(C) * pi(j)``. See W. J. Stewart,
 *Introduction to the Numerical Solution of Markov Chains* (Princeton University Press, 1994), and
 for the absorption J. G. Kemeny and J. L. Snell, *Finite Markov Chains* (Van Nostrand, 1960),
-chapter 3.
-The chain of the tangible markings of a GSPN is that of M. Ajmone Marsan et al., *Modelling with
-Generalized Stochastic Petri Nets* (Wiley, 1995).
+chapter 3. The chain of the tangible markings of a GSPN is defined as in M. Ajmone Marsan et al.,
+*Modelling with Generalized Stochastic Petri Nets* (Wiley, 1995).
 """
 
 from __future__ import annotations
@@ -44,10 +43,11 @@ class SteadyState(NamedTuple):
 
     :ivar chain: the chain.
     :ivar distribution: float array over its states: the long-run share of time in each.
-    :ivar components: the recurrent classes by their first state, each with the probability to end
-      up in it.
-    :ivar residual: of the worst of the linear systems behind it, relative to its largest term.
-    :ivar method: how the largest of them was solved.
+    :ivar components: the recurrent classes, ordered by their first state, each with the probability
+      of ending up in it.
+    :ivar residual: the largest residual of the linear systems behind it, relative to the largest
+      term of the system.
+    :ivar method: how the largest of these systems was solved.
     """
 
     chain: Chain
@@ -57,12 +57,13 @@ class SteadyState(NamedTuple):
     method: str
 
     def likeliest(self, number: int) -> List[Component]:
-        """The recurrent classes that one most probably ends up in, the most probable first."""
+        """The ``number`` recurrent classes in which the chain most probably ends up, the most
+        probable first."""
         return sorted(self.components, key=lambda c: (-c.probability, int(c.states[0])))[:number]
 
 
 TOGETHER = 2_000
-"""Recurrent classes of up to so many states are dealt with together, where there are several."""
+"""If there are several recurrent classes, those of up to this many states are solved together."""
 
 
 def steady_state(
@@ -72,12 +73,11 @@ def steady_state(
     cancel: Optional[Cancel] = None,
     seconds: float = math.inf,
 ) -> SteadyState:
-    """The steady state.
+    """The steady state of a chain.
 
-    :param seconds: longest time.
-    :raises LimitError: a linear system was not solved to an acceptable residual, or the time was
-      over.
-    :raises CancelledError: ``cancel`` said so.
+    :param seconds: longest time (s) that the work may take.
+    :raises LimitError: a linear system was not solved to an acceptable residual, or not in time.
+    :raises CancelledError: ``cancel`` returned true.
     """
     watch = Watch(progress, cancel, seconds=seconds)
     classes = chain.bottom_components()
@@ -112,9 +112,9 @@ def _stationary_in_each(chain: Chain, classes: List[Indices], watch: Watch) -> I
 
 
 def _stationary_together(chain: Chain, classes: List[Indices]) -> List[Solution]:
-    """The stationary distributions over small recurrent classes, by one decomposition: nothing
-    leads from one to another, so each is a block of it, with its own first state as the measure of
-    the others."""
+    """The stationary distributions over small recurrent classes, by one decomposition. No arc leads
+    from one class to another, so each is a block of the matrix, solved relative to its first
+    state."""
     order = np.concatenate(classes)
     ends = np.cumsum([len(states) for states in classes])
     begins = ends - [len(states) for states in classes]
@@ -128,7 +128,7 @@ def _stationary_together(chain: Chain, classes: List[Indices]) -> List[Solution]
     try:
         factor = linalg.splu(system)
         values[unknown] = np.maximum(factor.solve(inflow[unknown] @ given.astype(np.float64)), 0.0)
-    except (RuntimeError, MemoryError):  # singular, or it does not fit
+    except (RuntimeError, MemoryError):  # singular, or out of memory
         return []
     values /= np.repeat(np.add.reduceat(values, begins), ends - begins)
     terms = exits * values
@@ -141,8 +141,8 @@ def _stationary_together(chain: Chain, classes: List[Indices]) -> List[Solution]
 
 
 def _part(matrix: Matrix, states: Indices, size: int) -> Matrix:
-    """The rows and columns ``states`` of a square sparse matrix (CSR) in which they are only joined
-    to each other."""
+    """The rows and columns ``states`` of a square sparse matrix (CSR) in which these states are
+    connected only to each other."""
     number = np.full(size, -1, dtype=matrix.indices.dtype)
     number[states] = np.arange(len(states))
     begin, end = matrix.indptr[states], matrix.indptr[states + 1]
@@ -167,7 +167,7 @@ def stationary(chain: Chain, states: Indices, watch: Optional[Watch] = None) -> 
 
 
 def _absorption(chain: Chain, classes: List[Indices], watch: Watch) -> Solution:
-    """The probability to end up in each class."""
+    """The probability of ending up in each class."""
     if len(classes) == 1:
         return Solution(np.ones(1), 0.0, "LU")
     transient = np.ones(len(chain), dtype=bool)

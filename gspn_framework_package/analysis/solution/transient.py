@@ -1,4 +1,4 @@
-"""How a Markov chain evolves: distributions at given times, by uniformisation.
+"""Transient solution of a Markov chain: distributions at given times, by uniformisation.
 
 Let Q be the generator (``Q(i, j)`` the rate from state i to state j, and each row sums to 0),
 ``p0`` the initial distribution, and ``c`` a clock rate of at least the largest ``-Q(i, i)``. The
@@ -7,8 +7,8 @@ chain seen at the ticks of a Poisson clock of rate ``c`` has the transition matr
     P = I + Q / c
     p(t) = p0 * exp(Q * t) = sum over k >= 0 of exp(-c * t) * (c * t)**k / k! * p0 * P**k
 
-All terms are non-negative, so that nothing cancels; the terms that are left out have a weight of
-less than :data:`ERROR`. See A. Jensen, "Markoff chains as an aid in the study of Markoff
+All terms are non-negative, so that nothing cancels; the omitted terms have a total weight of less
+than :data:`ERROR`. See A. Jensen, "Markoff chains as an aid in the study of Markoff
 processes", *Skandinavisk Aktuarietidskrift* 36 (1953), and W. J. Stewart, *Introduction to the
 Numerical Solution of Markov Chains* (Princeton University Press, 1994), chapter 8.
 
@@ -31,11 +31,11 @@ from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import UsageError
 
 ERROR = 1e-12
-"""Probability that the sums over the Poisson distribution may leave out."""
+"""Probability that the sums over the Poisson distribution may omit."""
 
 
 class Transient(NamedTuple):
-    """The chain at one time: ``time`` (s), ``distribution`` (float array over the states of the
+    """The chain at one ``time`` (s): its ``distribution`` (float array over the states of the
     chain)."""
 
     time: float
@@ -46,7 +46,7 @@ class Evolution:
     """Steps a chain through time.
 
     :param chain: the chain.
-    :param initial: another distribution to start from.
+    :param initial: the distribution to start from, if not that of the chain.
     """
 
     def __init__(
@@ -63,9 +63,9 @@ class Evolution:
         self._moves: Optional[Matrix] = None
 
     def advance(self, duration: float) -> Floats:
-        """Let ``duration`` seconds pass; the distribution then.
+        """Let ``duration`` seconds pass; returns the distribution after that.
 
-        :raises UsageError: a duration that is negative or not finite.
+        :raises UsageError: the duration is negative or not finite.
         """
         if not (duration >= 0 and math.isfinite(duration)):
             raise UsageError("a duration of %g s is not possible" % duration)
@@ -76,7 +76,7 @@ class Evolution:
         first, weights = poisson(ticks)
         vector = self.distribution
         result = np.zeros_like(vector)
-        left = 1.0  # of the Poisson weights
+        left = 1.0  # the remaining Poisson weight
         for k in range(first + len(weights)):
             if k >= first:
                 result += weights[k - first] * vector
@@ -87,7 +87,7 @@ class Evolution:
                 change = float(np.abs(following - vector).sum())
                 if change * (first + len(weights) - k) < ERROR:
                     vector = following
-                    break  # it does not change any more
+                    break  # it no longer changes
             vector = following
         result += max(left, 0.0) * vector
         self.distribution = result / result.sum()
@@ -108,12 +108,12 @@ def transient(
     cancel: Optional[Cancel] = None,
     seconds: float = math.inf,
 ) -> List[Transient]:
-    """The distributions at ``times`` (s), in their order.
+    """The distributions at ``times`` (s), in the order of ``times``.
 
-    :param seconds: longest time that the work may take.
+    :param seconds: longest time (s) that the work may take.
     :raises LimitError: it took longer.
-    :raises UsageError: a time that is negative or not finite.
-    :raises CancelledError: ``cancel`` said so.
+    :raises UsageError: a time is negative or not finite.
+    :raises CancelledError: ``cancel`` returned true.
     """
     asked = list(times)
     evolution = Evolution(chain, watch=Watch(progress, cancel, seconds=seconds))
@@ -135,8 +135,8 @@ def time_to_steady_state(
     """The time (s), to about 1 %, from which on the distribution stays within ``tolerance`` of the
     steady state (half the sum of absolute differences, the total variation distance).
 
-    :param seconds: longest time that the work may take.
-    :raises LimitError: the steady state was not found, or it took longer.
+    :param seconds: longest time (s) that the work may take.
+    :raises LimitError: the steady state was not found, or the work took longer.
     """
     if not 0 < tolerance < 1:
         raise UsageError(
@@ -152,7 +152,7 @@ def time_to_steady_state(
 
     if away(chain.initial) <= tolerance:
         return 0.0
-    # The distance never grows, so it can be bracketed by doubling and then halved down to.
+    # The distance never grows, so the time can be bracketed by doubling, then found by bisection.
     low, step = Evolution(chain, watch=watch), 1.0 / max(float(chain.exit_rates.max()), 1e-300)
     while True:
         high = Evolution(chain, low.distribution, watch=watch)

@@ -1,4 +1,4 @@
-"""What the structure of a net alone says: invariants, siphons, traps, classes, conflicts."""
+"""Structural properties of a net: invariants, siphons, traps, classes, conflicts."""
 
 from gspn_framework_package.analysis.structure.net_structure import (
     NetClasses,

@@ -1,10 +1,9 @@
-"""P-invariants and T-invariants: the minimal non-negative ones (semiflows), and what follows from
-them.
+"""Minimal non-negative P-invariants and T-invariants (semiflows), and the bounds that they imply.
 
-The algorithm is that of Farkas with the support test of Colom and Silva (1991). Before it come the
-columns that one row alone can cancel, or two rows with each other: they ask for no test and make no
-more rows, and in most large nets they are nearly all. There can be exponentially many minimal
-invariants; the work stops at a limit and says so.
+The algorithm is that of Farkas with the support test of Colom and Silva (1991). Before it, the
+elimination handles the columns that one row alone can cancel, or two rows with each other: they
+need no test and create no additional rows, and in most large nets they are nearly all columns.
+There can be exponentially many minimal invariants; the search stops at a limit and reports it.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Marking, Net
 
 Semiflow = Tuple[Tuple[int, int], ...]
-"""Pairs (number of a place or transition, weight), by number."""
+"""Pairs (number of a place or transition, weight), sorted by number."""
 
 
 _ROWS = "steps of invariants"
@@ -29,11 +28,12 @@ _ALL = 1 << 62
 
 
 class Invariant(NamedTuple):
-    """A weighted sum over places (or transitions) that firing (or a cycle) leaves as it is.
+    """A P-invariant (a weighted sum over places that no firing changes) or a T-invariant (firing
+    counts that lead back to the same marking).
 
-    :ivar weights: name -> positive whole number; the names that are left out have weight 0.
-    :ivar value: of a P-invariant, the sum in the initial marking, which all reachable markings
-        share; None of a T-invariant.
+    :ivar weights: name -> positive integer; all other names have weight 0.
+    :ivar value: for a P-invariant, its sum in the initial marking, and so in all reachable ones;
+        None for a T-invariant.
     """
 
     weights: Dict[str, int]
@@ -61,7 +61,7 @@ def place_invariants(
 def transition_invariants(
     net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
 ) -> List[Invariant]:
-    """The minimal-support T-invariants: how often each transition fires on a way back to the same
+    """The minimal-support T-invariants: how often each transition fires on a path back to the same
     marking.
 
     :raises LimitError: the search took more than ``limit`` steps.
@@ -77,13 +77,13 @@ def transition_invariants(
 def transition_surpluses(
     net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
 ) -> List[Dict[str, int]]:
-    """The minimal firing counts (transition -> times) that lose no token, and may win some.
+    """The minimal firing counts (transition -> times) that lose no token, and may gain some.
 
     :raises LimitError: the search took more than ``limit`` steps.
     """
     names = [t.name for t in net.transitions]
     columns: List[Dict[int, int]] = [dict(net.effect(t)) for t in range(len(names))]
-    columns += [{p: -1} for p in range(len(net.places))]  # what a place wins is thrown away
+    columns += [{p: -1} for p in range(len(net.places))]  # what a place gains is discarded
     rows = _semiflows(columns, Effort(limit, watch))
     return [{names[t]: w for t, w in row if t < len(names)} for row in rows]
 
@@ -91,8 +91,8 @@ def transition_surpluses(
 def invariant_bounds(
     net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
 ) -> Tuple[Optional[int], ...]:
-    """For each place the bound that the P-invariants and its capacity give, or None. When there are
-    too many invariants the capacities alone speak."""
+    """For each place the bound from the P-invariants and its capacity, or None. If there are too
+    many invariants, only the capacities are used."""
     try:
         rows = _place_semiflows(net, Effort(limit, watch))
     except LimitError:
@@ -114,13 +114,15 @@ def bounds_of(
 
 
 def uncovered_place(net: Net) -> Optional[str]:
-    """A place that is in no P-invariant, where that shows at once (None says nothing)."""
+    """A place that is in no P-invariant, if that is evident without a search; None proves
+    nothing."""
     lost = _Elimination(_place_columns(net), Effort(_ALL)).lost
     return net.places[min(lost)].name if lost else None
 
 
 def uncovered_transition(net: Net) -> Optional[str]:
-    """A transition that is in no T-invariant, where that shows at once (None says nothing)."""
+    """A transition that is in no T-invariant, if that is evident without a search; None proves
+    nothing."""
     lost = _Elimination(
         [dict(net.effect(t)) for t in range(len(net.transitions))], Effort(_ALL)
     ).lost
@@ -168,8 +170,8 @@ def _gcd_all(values: Iterable[int]) -> int:
 
 
 class _Atom:
-    """A positive combination of columns that share no item with any other: ``weights`` of the
-    columns, and the ``residual`` that is not yet cancelled."""
+    """A positive combination of columns that no other atom uses: the ``weights`` of the columns,
+    and the ``residual`` that is not yet cancelled."""
 
     __slots__ = ("weights", "residual")
 
@@ -190,19 +192,19 @@ class _Atom:
 class _Elimination:
     """Cancels what can be cancelled without a choice.
 
-    An index that all columns change one way loses those columns; one that a single column raises
-    and a single one lowers joins the two. The smaller column is merged into the larger one, so a
-    ring costs no more than its arcs.
+    If all columns change an index in the same direction, they are dropped; if a single column
+    raises it and a single one lowers it, the two are merged. The smaller column is merged into the
+    larger one, so a ring costs no more than its arcs.
 
     :ivar rows: what remains.
-    :ivar lost: the numbers of columns that are in no combination that gives zero.
+    :ivar lost: the numbers of the columns that are in no combination that gives zero.
     """
 
     def __init__(self, columns: Sequence[Dict[int, int]], effort: Effort) -> None:
         self.lost: Set[int] = set()
         self._effort = effort
         self._atoms: Dict[int, _Atom] = {i: _Atom(i, column) for i, column in enumerate(columns)}
-        # index -> atoms that lower it, that raise it
+        # index -> (atoms that lower it, atoms that raise it)
         self._at: Dict[int, Tuple[Set[int], Set[int]]] = {}
         for number, atom in self._atoms.items():
             for index, value in atom.residual.items():
@@ -219,7 +221,7 @@ class _Elimination:
         self._effort.spend(1, _ROWS)
         lowering, raising = self._at[index]
         if not lowering or not raising:
-            # going through a set that was large takes as long when it is empty
+            # iterating over a set that was once large takes as long when it is empty
             if lowering or raising:
                 for number in list(lowering or raising):
                     self._drop(number)
@@ -269,12 +271,12 @@ class _Row(NamedTuple):
 
 def _combined(residuals: Sequence[Dict[int, int]], effort: Effort) -> List[Dict[int, int]]:
     """The minimal-support non-negative integer combinations of ``residuals`` that give zero."""
-    effort.spend(len(residuals) ** 2 >> 10, _ROWS)  # for the bits of their supports
+    effort.spend(len(residuals) ** 2 >> 10, _ROWS)  # building the bit sets of their supports
     rows: Dict[int, _Row] = {
         i: _Row(1 << i, {i: 1}, dict(column)) for i, column in enumerate(residuals)
     }
     at: Dict[int, Tuple[Set[int], Set[int]]] = {}
-    by_lowest: Dict[int, Dict[int, int]] = {}  # lowest item of a support -> row -> that support
+    by_lowest: Dict[int, Dict[int, int]] = {}  # lowest bit of a support -> row -> support
     for number, row in rows.items():
         by_lowest[row.support] = {number: row.support}
         for index, value in row.residual.items():
@@ -285,7 +287,7 @@ def _combined(residuals: Sequence[Dict[int, int]], effort: Effort) -> List[Dict[
     while heap:
         cost, index = heapq.heappop(heap)
         if index not in at or cost != _cost(at[index]):
-            continue  # it has changed since, and stands in the heap again
+            continue  # stale: its cost has changed, and it is in the heap again
         negative, positive = at.pop(index)
         effort.spend(len(positive) * len(negative) + 1, _ROWS, "%d candidates" % len(rows))
         fresh: List[_Row] = []
@@ -305,8 +307,8 @@ def _combined(residuals: Sequence[Dict[int, int]], effort: Effort) -> List[Dict[
                 if i != index:
                     at[i][value > 0].discard(number)
                     changed.add(i)
-        # The rows that stay were minimal before, and the fresh ones are sums of rows: only those
-        # can be too large.
+        # The remaining rows were already minimal, and the new ones are sums of rows: only the new
+        # ones can be non-minimal.
         for row in sorted(fresh, key=lambda r: bin(r.support).count("1")):
             if _holds_another(row.support, by_lowest, effort):
                 continue
@@ -322,13 +324,13 @@ def _combined(residuals: Sequence[Dict[int, int]], effort: Effort) -> List[Dict[
 
 
 def _cost(signs: Tuple[Set[int], Set[int]]) -> int:
-    """How many rows more there are when an index is cancelled."""
+    """How many more rows there are after cancelling an index."""
     lowering, raising = len(signs[0]), len(signs[1])
     return lowering * raising - lowering - raising
 
 
 def _holds_another(support: int, by_lowest: Dict[int, Dict[int, int]], effort: Effort) -> bool:
-    """Whether the support of a row that is there is part of ``support``."""
+    """Whether ``support`` contains the support of an existing row."""
     rest = support
     while rest:
         lowest = rest & -rest

@@ -1,4 +1,4 @@
-"""What the structure of a net alone says: invariants, siphons, traps, classes, conflicts.
+"""Structural properties of a net: invariants, siphons, traps, classes, conflicts.
 
 >>> from gspn_framework_package.model.builder import NetBuilder
 >>> net = (NetBuilder().place("idle", tokens=1).place("busy")
@@ -38,10 +38,10 @@ from gspn_framework_package.model.net import Net
 
 
 class NetClasses(NamedTuple):
-    """The classes a net belongs to.
+    """The classes that a net belongs to.
 
     :ivar ordinary: all arc weights are 1.
-    :ivar pure: no transition takes from and puts into one place.
+    :ivar pure: no transition takes from and puts into the same place.
     :ivar state_machine: ordinary; every transition has one input and one output place.
     :ivar marked_graph: ordinary; every place has one input and one output transition.
     :ivar free_choice: ordinary; a place with several output transitions is the only input of each.
@@ -49,7 +49,7 @@ class NetClasses(NamedTuple):
       places.
     :ivar asymmetric_choice: ordinary; of two places that share an output transition, one has all
         the output transitions of the other.
-    :ivar inhibitors: it has inhibitor arcs (which the other classes do not look at).
+    :ivar inhibitors: it has inhibitor arcs (which the other classes ignore).
     """
 
     ordinary: bool
@@ -90,9 +90,11 @@ def classify(net: Net) -> NetClasses:
 def _neighbours(
     before: Sequence[FrozenSet[int]], leaving: Sequence[FrozenSet[int]]
 ) -> Set[Tuple[int, int]]:
-    """Pairs of places that share an output transition, the one with fewer of them first: as many as
-    tell whether of any two places that do, one has all that the other has. Each is there once: a
-    place may have 50,000 of them."""
+    """Pairs of places that share an output transition, the one with fewer output transitions first.
+
+    These pairs suffice to decide whether, of any two places that share one, one has all the output
+    transitions of the other. Each pair occurs once: a place may have 50,000 output transitions.
+    """
     found: Set[Tuple[int, int]] = set()
     for places in before:
         if len(places) > 1:
@@ -103,8 +105,8 @@ def _neighbours(
 
 def conflict_sets(net: Net) -> List[Tuple[str, ...]]:
     """The extended structural conflict sets (Ajmone Marsan et al. 1995): groups of transitions of
-    one kind and priority that can take tokens from each other or inhibit each other, directly or
-    through others. Transitions without a conflict are left out."""
+    the same kind and priority that can take tokens from each other or inhibit each other, directly
+    or through others. Transitions without a conflict are omitted."""
     groups: Dict[Tuple[bool, int], List[int]] = {}
     for t, transition in enumerate(net.transitions):
         groups.setdefault(
@@ -142,17 +144,17 @@ def conflict_sets(net: Net) -> List[Tuple[str, ...]]:
 
 
 class Structure:
-    """Structural properties of a net, each computed when it is asked for first.
+    """Structural properties of a net, each computed on first use.
 
-    Every property raises LimitError where the search it needs would go beyond its limit.
+    Every property raises LimitError if its search exceeds the limit.
     """
 
     def __init__(
         self, net: Net, *, limit: int = STRUCTURE_LIMIT, watch: Optional[Callable[[], Watch]] = None
     ) -> None:
-        """:param limit: elementary steps of each search at most.
-        :param watch: makes the watch of a search, which receives progress and says whether to
-          stop."""
+        """:param limit: most elementary steps of each search.
+        :param watch: creates the watch of a search, which receives progress and may stop the
+          search."""
         self.net = net
         self._limit = limit
         self._watch = watch or Watch
@@ -193,13 +195,13 @@ class Structure:
 
     @cached_property
     def unmarked_siphon(self) -> Tuple[str, ...]:
-        """The places of the largest siphon without a token: none of them ever gets one."""
+        """The places of the largest siphon that holds no token: none of them ever gets one."""
         empty = [place.name for place in self.net.places if not place.tokens]
         return largest_siphon(self.net, empty)
 
     @cached_property
     def classes(self) -> NetClasses:
-        """The classes it belongs to."""
+        """The classes that the net belongs to."""
         return classify(self.net)
 
     @cached_property
@@ -209,8 +211,8 @@ class Structure:
 
     @property
     def conservative(self) -> bool:
-        """Whether a weighted sum over *all* places stays the same: every place is in a P-invariant
-        (then the net is bounded)."""
+        """Whether some weighted sum over *all* places is constant, that is, every place is in a
+        P-invariant (then the net is bounded)."""
         try:
             covered = {name for i in self.place_invariants for name in i.weights}
         except LimitError:
@@ -223,7 +225,7 @@ class Structure:
 
     @property
     def strictly_conservative(self) -> bool:
-        """Whether every firing keeps the number of tokens."""
+        """Whether every firing preserves the number of tokens."""
         return all(
             sum(c for _, c in self.net.effect(t)) == 0 for t in range(len(self.net.transitions))
         )
@@ -243,8 +245,8 @@ class Structure:
 
     @property
     def repetitive(self) -> bool:
-        """Whether some marking allows every transition to fire infinitely often: there are firing
-        counts, all above 0, that lose no token."""
+        """Whether some marking allows every transition to fire infinitely often, that is, there are
+        firing counts, all above 0, that lose no token."""
         if all(change >= 0 for change in self._change_of_all):
             return True
         try:
@@ -258,7 +260,7 @@ class Structure:
 
     @property
     def _change_of_all(self) -> List[int]:
-        """What every place wins when each transition fires once."""
+        """What every place gains when each transition fires once."""
         change = [0] * len(self.net.places)
         for t in range(len(self.net.transitions)):
             for p, by in self.net.effect(t):
@@ -266,7 +268,7 @@ class Structure:
         return change
 
     def _search(self, key: str, search: Callable[[Net, int, Watch], Any]) -> Any:
-        """What a search finds; where it went beyond its limit, the same error each time."""
+        """The result of a search; if it exceeded its limit, the same error is raised each time."""
         if key not in self._known:
             try:
                 self._known[key] = search(self.net, self._limit, self._watch())

@@ -1,15 +1,15 @@
-"""Siphons and traps: sets of places that stay empty once they are, or marked once they are.
+"""Siphons, sets of places that stay empty once empty, and traps, which stay marked once marked.
 
 A *siphon* is a set of places such that every transition that puts a token into it also takes one
 out of it; a *trap* is the same with the directions exchanged. The minimal ones are listed by
-branching on the places of one already found, each branch without one of its places. What a minimal
-set holds hangs together in both directions (every place of it is fed, through others of it, by
-every other), so each strongly connected part of the net is searched by itself. There can be
-exponentially many; the work stops at a limit and says so. Inhibitor arcs play no part.
+branching on the places of one already found: each branch excludes one of its places. A minimal set
+is strongly connected (every place of it is fed, through others of it, by every other), so each
+strongly connected part of the net is searched on its own. There can be exponentially many minimal
+sets; the search stops at a limit and reports it. Inhibitor arcs are ignored.
 
-What asks for no list is decided without one: the largest siphon or trap inside a set of places, and
-whether every siphon holds a marked trap (:func:`unguarded_siphon`), for which only the siphons are
-looked at that avoid the marked traps found so far.
+Two questions are decided without a list: the largest siphon or trap inside a set of places, and
+whether every siphon holds a marked trap (:func:`unguarded_siphon`). The latter examines only the
+siphons that avoid the marked traps found so far.
 """
 
 from __future__ import annotations
@@ -37,15 +37,20 @@ class PlaceSet(NamedTuple):
 def minimal_siphons(
     net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
 ) -> List[PlaceSet]:
-    """The minimal siphons, by size. :raises LimitError: the search took more than ``limit``
-    steps."""
+    """The minimal siphons, by size.
+
+    :raises LimitError: the search took more than ``limit`` steps.
+    """
     return _listed(net, _siphon_rules(net), Effort(limit, watch))
 
 
 def minimal_traps(
     net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
 ) -> List[PlaceSet]:
-    """The minimal traps, by size. :raises LimitError: the search took more than ``limit`` steps."""
+    """The minimal traps, by size.
+
+    :raises LimitError: the search took more than ``limit`` steps.
+    """
     return _listed(net, _trap_rules(net), Effort(limit, watch))
 
 
@@ -62,10 +67,10 @@ def unguarded_siphon(
     *,
     minimal: Optional[Sequence[PlaceSet]] = None,
 ) -> Optional[PlaceSet]:
-    """A siphon that holds no marked trap; None where every siphon holds one (Commoner's condition,
-    with which an ordinary net without priorities, inhibitor arcs and capacities has no deadlock).
+    """A siphon that holds no marked trap; None if every siphon holds one (Commoner's condition,
+    under which an ordinary net without priorities, inhibitor arcs and capacities has no deadlock).
 
-    :param minimal: the minimal siphons, where they are known: then nothing is searched for.
+    :param minimal: the minimal siphons, if known: then no search is needed.
     :raises LimitError: the search took more than ``limit`` steps.
     """
     effort = Effort(limit, watch)
@@ -93,7 +98,7 @@ def unguarded_siphon(
             return _named(net, [_shrunk(inside)])[0]
         guard = _marked_part(trap, marked)
         needed = set(required)
-        for p in sorted(guard - required):  # a siphon without that trap lacks one of its places
+        for p in sorted(guard - required):  # a siphon not holding that trap lacks one of its places
             if p in needed:
                 continue
             waiting.append((inside, p, frozenset(needed)))
@@ -105,7 +110,7 @@ def unguarded_siphon(
 
 def _marked_part(trap: _Inside, marked: Set[int]) -> Set[int]:
     """A smaller marked trap inside a marked trap."""
-    for p in sorted(trap.places & marked):  # one that holds this mark, and what that asks for
+    for p in sorted(trap.places & marked):  # the set that this mark demands
         needed, possible, closed = trap.demand({p})
         if possible and closed:
             return needed
@@ -119,9 +124,14 @@ def _marked_part(trap: _Inside, marked: Set[int]) -> Set[int]:
 
 
 class _Rules(NamedTuple):
-    """Who asks for what: every transition of ``feeding[p]`` (numbers of transitions) must take from
-    the set that has place ``p``; transition ``t`` takes from ``taking[t]`` (numbers of places), and
-    feeds ``fed[t]``; ``asking`` has for each place the transitions that take from it."""
+    """The arcs in terms of siphons; for traps, the directions are exchanged.
+
+    :ivar feeding: for each place the transitions (numbers) that put tokens into it: each of them
+        must take from every set that has the place.
+    :ivar taking: for each transition the places (numbers) that it takes from.
+    :ivar fed: for each transition the places that it puts tokens into.
+    :ivar asking: for each place the transitions that take from it.
+    """
 
     feeding: Sequence[Sequence[int]]
     taking: Sequence[Sequence[int]]
@@ -142,8 +152,7 @@ def _sets(arcs: Sequence[Sequence[Tuple[int, int]]]) -> List[Tuple[int, ...]]:
 
 
 class _Inside:
-    """The largest siphon (trap) inside a set of places, and how it changes when a place leaves that
-    set.
+    """The largest siphon (trap) inside a set of places, updated when a place leaves that set.
 
     :ivar places: the numbers of its places.
     """
@@ -153,29 +162,29 @@ class _Inside:
     ) -> None:
         self.rules = rules
         self.places = places
-        # for each transition, how many of the places that it takes from are in ``places``
+        # transition -> how many of the places that it takes from are in ``places``
         self._left = left
         self._effort = effort
 
     @classmethod
     def of(cls, rules: _Rules, places: Iterable[int], effort: Effort) -> _Inside:
-        """The largest inside ``places``."""
+        """The largest one inside ``places``."""
         chosen = set(places)
         asking, feeding = rules.asking, rules.feeding
         left = Counter(chain.from_iterable([asking[p] for p in chosen]))
         effort.spend(len(chosen) + len(left), _PLACES)
         found = cls(rules, chosen, left, effort)
-        # map and not a comprehension: this is asked of every place of every part of the net
+        # map, not a comprehension, for speed: this runs for every place of every part of the net
         found._settle([p for p in chosen if not all(map(left.__contains__, feeding[p]))])
         return found
 
     def copy(self) -> _Inside:
-        """The same, to be changed by itself."""
+        """An independent copy."""
         self._effort.spend(1 + (len(self.places) + len(self._left)) // 16, _PLACES)
         return _Inside(self.rules, set(self.places), dict(self._left), self._effort)
 
     def remove(self, place: int) -> None:
-        """Without ``place``."""
+        """Remove ``place``, and the places that can then no longer belong to it."""
         if place in self.places:
             self._settle([place])
 
@@ -193,8 +202,11 @@ class _Inside:
                     leaving.extend(q for q in rules.fed[t] if q in places)
 
     def demand(self, required: Iterable[int]) -> Tuple[Set[int], bool, bool]:
-        """What a set inside this one must have that has ``required``: those places; whether such a
-        set is possible; whether the demanded places are one by themselves."""
+        """What a siphon (trap) inside this one must contain if it contains ``required``.
+
+        :returns: the places it must contain; whether such a set is possible; whether these places
+            already form one.
+        """
         needed = set(required)
         fresh = list(needed)
         open_transitions: Set[int] = set()
@@ -223,7 +235,7 @@ class _Inside:
         return needed, True, True
 
     def parts(self) -> List[Set[int]]:
-        """The strongly connected parts of it: every minimal set lies in one of them."""
+        """Its strongly connected parts: every minimal set lies in one of them."""
         if len(self.places) <= 1:
             return [set(self.places)]
         chosen = sorted(self.places)
@@ -232,7 +244,7 @@ class _Inside:
         targets: List[int] = []
         transitions = sorted({t for p in chosen for t in self.rules.feeding[p]})
         count = len(chosen)
-        # through a node for the transition: as few arcs as in the net
+        # with a node for each transition, there are no more arcs than in the net
         for row, t in enumerate(transitions):
             for q in self.rules.taking[t]:
                 if q in number:
@@ -258,9 +270,9 @@ _PLACES = "steps of siphons and traps"
 
 
 class _Found:
-    """The minimal sets that are known.
+    """The minimal sets found so far.
 
-    :ivar sets: they.
+    :ivar sets: these sets, as place numbers.
     """
 
     def __init__(self) -> None:
@@ -268,13 +280,12 @@ class _Found:
         self._first: Set[int] = set()  # the lowest place of each
 
     def add(self, places: FrozenSet[int]) -> None:
-        """One more."""
+        """Add a minimal set."""
         self.sets.add(places)
         self._first.add(min(places))
 
     def within(self, places: Set[int]) -> List[FrozenSet[int]]:
-        """Those inside a set of places. Where a net falls into thousands of parts, as a rule there
-        is none."""
+        """The sets found inside a set of places: usually none in a net of thousands of parts."""
         if self._first.isdisjoint(places):
             return []
         return [s for s in self.sets if s <= places]
@@ -318,8 +329,8 @@ def _branch(
     found: _Found,
     waiting: List[Tuple[_Inside, int, FrozenSet[int]]],
 ) -> None:
-    """Look for the minimal sets that are inside a strongly connected one and hold all of
-    ``required``: put one into ``found``, and what may hold others into ``waiting``."""
+    """Search a strongly connected set for the minimal sets that contain all of ``required``: add
+    one to ``found``, and the branches that may contain others to ``waiting``."""
     needed, possible, closed = inside.demand(required)
     if not possible:
         return
@@ -332,7 +343,7 @@ def _branch(
             pivot = _shrunk(inside)
             found.add(pivot)
         for p in sorted(pivot - needed):
-            if p in needed:  # by now the others ask for it
+            if p in needed:  # by now the other places demand it
                 continue
             waiting.append((inside, p, frozenset(needed)))
             needed, possible, closed = inside.demand(needed | {p})
@@ -340,14 +351,14 @@ def _branch(
                 return
             if closed:
                 break
-    # what has all of them is that set, or larger
+    # every set that contains all of them is that set, or larger
     if closed and needed and frozenset(needed) not in found.sets:
         found.add(_shrunk(_Inside.of(inside.rules, needed, effort)))
 
 
 def _shrunk(inside: _Inside) -> FrozenSet[int]:
-    """A minimal set inside ``inside``, which is not empty."""
-    needed: Set[int] = set()  # what every set inside has
+    """A minimal set inside ``inside``, which must not be empty."""
+    needed: Set[int] = set()  # what every set inside contains
     for p in sorted(inside.places):
         if p in needed or p not in inside.places:
             continue
