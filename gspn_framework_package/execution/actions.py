@@ -35,8 +35,8 @@ to the ``__init__`` of the class. A class with settings thus defines a new kind 
 
 An action returns the name of the transition to fire, or None, "" or "None" to let the policy decide
 (thesis Algorithm 1). Any exception means that the action failed; :class:`ActionFailed` reports the
-failure without the name of an exception. A class is instantiated once for each robot (its
-``__init__`` may ask for ``robot``) and for each different choice of settings. For example, this is
+failure without logging a traceback. A class is instantiated once for each robot (its ``__init__``
+may ask for ``robot``) and for each different choice of settings. For example, this is
 ``actions.py`` in a plan's folder; the plan refers to the function as ``actions.count``::
 
     from gspn_framework_package.execution.actions import action

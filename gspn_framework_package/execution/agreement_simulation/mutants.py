@@ -1,6 +1,6 @@
-"""Seeded faults in the protocol, the token game and the host, to see that they are caught.
+"""Deliberate faults in the protocol, the token game and the host, to confirm that they are caught.
 
-A simulation and a checker that find nothing prove nothing until they find a planted fault. Each
+A simulation and a checker that find no fault prove nothing unless they find planted ones. Each
 mutant breaks one rule on purpose; :func:`hunt` runs schedules until one fails.
 """
 
@@ -52,8 +52,9 @@ from gspn_framework_package.model.net import Net
 
 
 class Mutant(NamedTuple):
-    """A fault: ``part`` it is in (protocol, token game, host), what it does, how to put it in, and
-    the mode it shows in (None: either)."""
+    """A deliberate fault: the ``part`` of the program that it is in, a ``text`` that describes it,
+    ``apply``, which patches it in, and whether it shows in ``partial`` synchronisation or full
+    (None: in both)."""
 
     name: str
     part: str
@@ -61,14 +62,14 @@ class Mutant(NamedTuple):
     apply: Callable[[], ContextManager[Any]]
     partial: Optional[bool] = None
     robots: int = 3
-    """How many robots most of the teams have."""
+    """The number of robots in most of the teams."""
     kinds: Sequence[str] = ("",)
-    """Kinds of schedules in which it shows."""
+    """The kinds of schedules in which it shows."""
 
 
 class Caught(NamedTuple):
-    """The outcome of a hunt: after how many schedules (None: not caught), in which, and the
-    message."""
+    """The outcome of a hunt: the number of schedules until the mutant was caught (None: not
+    caught), the schedule that caught it, and the message."""
 
     schedules: Optional[int]
     schedule: str
@@ -78,7 +79,12 @@ class Caught(NamedTuple):
 def hunt(
     mutant: Mutant, limit: int, first_seed: int = 0, sizes: Sequence[int] = (2, 3, 5)
 ) -> Caught:
-    """Run schedules with the mutant until one fails, ``limit`` at most; mostly teams of three."""
+    """Run schedules with the mutant until one fails.
+
+    :param limit: the maximum number of schedules.
+    :param first_seed: the seed of the first one; each further seed is one higher.
+    :param sizes: team sizes to draw from, besides the mutant's own, which counts twice.
+    """
     with mutant.apply():
         for i in range(limit):
             seed = first_seed + i
@@ -90,7 +96,7 @@ def hunt(
                 run_schedule(schedule)
             except ViolationError as error:
                 return Caught(i + 1, str(schedule), str(error))
-            except Exception as error:  # a mutant may well break the program itself: caught too
+            except Exception as error:  # a mutant may crash the program itself: also caught
                 return Caught(i + 1, str(schedule), "%s: %s" % (type(error).__name__, error))
     return Caught(None, "", "not caught in %d schedules" % limit)
 
@@ -343,7 +349,7 @@ def _acts_before_joining() -> ContextManager[Any]:
 
 
 def _wrong_results() -> ContextManager[Any]:
-    """The host mixes results up: that of the visit before is given for the present one."""
+    """The host mixes up results: it reports the previous visit's result for the current one."""
     last: Dict[str, str] = {}
 
     def make(original: Any) -> Any:
@@ -481,7 +487,7 @@ def _off_for_ever() -> ContextManager[Any]:
 
 
 def _any_of_those_left() -> ContextManager[Any]:
-    """As it was: those who are left decide by a quorum of their own."""
+    """As in a former version, the remaining members decide by their own quorum."""
 
     def may_decide(self: Electorate, voters: Any) -> bool:
         off = self.asserted_off()
@@ -658,7 +664,7 @@ def _takes_its_former_incarnation() -> ContextManager[Any]:
 
 
 def _pulls_without_looking() -> ContextManager[Any]:
-    """Slots that it learns are taken over whatever they stand on."""
+    """A replica takes over slots without checking that they follow from its own log."""
 
     def make(original: Any) -> Any:
         def on_learn(self: Replication, message: Any, body: Any) -> None:

@@ -1,4 +1,4 @@
-"""Small plans that between them use every rule of the token game, for simulated teams."""
+"""Small plans for simulated teams that together use every rule of the token game."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _plan(
 
 
 def _tour() -> Tuple[Plan, Sequence[str]]:
-    """Private places in a ring, and a decision that the policy makes."""
+    """Private places in a ring, and a decision by the policy."""
     builder = (
         NetBuilder("tour")
         .place("A")
@@ -61,7 +61,7 @@ def _tour() -> Tuple[Plan, Sequence[str]]:
 
 
 def _meet() -> Tuple[Plan, Sequence[str]]:
-    """Two robots meet; one can go on alone; a shared tool; a counter."""
+    """Two robots meet, or one goes on alone; they share a tool; resource tokens count."""
     builder = (
         NetBuilder("meet")
         .place("P1")
@@ -112,8 +112,8 @@ def _tokens() -> Tuple[Plan, Sequence[str]]:
 
 
 def _crowd() -> Tuple[Plan, Sequence[str]]:
-    """Weights, an inhibitor arc, a capacity, priorities, an idle decision place, the environment,
-    and resource transitions that fire by themselves."""
+    """Weights, an inhibitor arc, a capacity, priorities, a decision place without action, the
+    environment, and resource transitions that fire spontaneously."""
     builder = (
         NetBuilder("crowd")
         .place("in")
@@ -151,10 +151,14 @@ _MAKERS: List[Callable[[], Tuple[Plan, Sequence[str]]]] = [_tour, _meet, _tokens
 def make_plan(
     kind: int, robots: int, partial: bool, evict_after: float, fence_after: float, witness: bool
 ) -> Plan:
-    """A plan for a team. The seed of its draws is 0; ``kind`` counts through the small nets.
+    """A plan for a team. The seed of its draws is 0.
 
-    :param robots: how many.
+    :param kind: selects one of the small nets, modulo their number.
+    :param robots: the number of robots.
+    :param partial: whether synchronisation is partial.
     :param evict_after: see :class:`~gspn_framework_package.model.plan.Timing`.
+    :param fence_after: see :class:`~gspn_framework_package.model.plan.Timing`.
+    :param witness: whether the team has a witness.
     """
     plan, start = _MAKERS[kind % len(_MAKERS)]()
     team = [RobotSpec("r%d" % (i + 1), start[i % len(start)]) for i in range(robots)]
@@ -170,8 +174,8 @@ def make_plan(
 
 
 def random_result(plan: Plan, place: str, source: random.Random, *, nonsense: bool = True) -> str:
-    """What an action could come back with in ``place``: the name of a transition that leaves it, or
-    "" where the policy decides; now and then nonsense."""
+    """A possible result of the action in ``place``: the name of a transition that leaves it, or ""
+    to let the policy decide; occasionally nonsense, if ``nonsense`` is true."""
     net = plan.net
     leaving = [net.transitions[t] for t in net.consumers[net.place_number(place)]]
     timed = [t.name for t in leaving if t.timed]

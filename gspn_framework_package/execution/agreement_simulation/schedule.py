@@ -1,5 +1,4 @@
-"""One run of a simulated team under a seed: what it does, what goes wrong, and whether the outcome
-is right."""
+"""Runs a simulated team from a seed, injects faults, and checks whether the outcome is right."""
 
 from __future__ import annotations
 
@@ -25,10 +24,10 @@ from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.plan import Plan
 
 FAULTS_END = 0.6
-"""Seconds of simulated time with faults."""
+"""Seconds of simulated time in which faults are injected."""
 
 BOUND = 6.0
-"""Seconds after the last fault within which everything must be agreed on."""
+"""Seconds after the last fault within which the team must agree on everything."""
 
 
 KINDS = {
@@ -50,7 +49,7 @@ KINDS = {
     "late": "a robot is evicted by force before it ever started",
     "archive": "logs are lost, and snapshots taken every few slots; long runs",
 }
-"""What goes wrong in a schedule."""
+"""The kinds of schedules, each with the faults that it injects."""
 
 
 MOST_FAULTS = {
@@ -63,15 +62,16 @@ MOST_FAULTS = {
     "leave": 0,
     "late": 3,
 }
-"""How many faults are injected at most; seven where nothing is said."""
+"""The maximum number of injected faults by kind of schedule; seven for all other kinds."""
 
 
 FORGETFUL = ("amnesia", "archive")
-"""Kinds of schedules in which logs are lost most of all."""
+"""Kinds of schedules in which lost logs are the most frequent fault."""
 
 
 class Schedule(NamedTuple):
-    """What to run: ``seed`` decides everything else. ``kind``: one of :data:`KINDS`."""
+    """What to run: the team's size and synchronisation, the ``kind`` of faults (one of
+    :data:`KINDS`), and the ``seed``, which determines everything else."""
 
     seed: int
     robots: int
@@ -84,15 +84,16 @@ class Schedule(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Schedule:
-        """The schedule of a text like ``17:3:full`` or ``17:3:full:power``."""
+        """Parse a schedule like ``17:3:full`` or ``17:3:full:power``."""
         seed, robots, mode, *kind = text.split(":")
         return cls(int(seed), int(robots), mode == "partial", *kind)
 
 
 class ScheduleResult(NamedTuple):
-    """What came of it: sizes, the faults that were injected, and the ``logs`` for the checker.
+    """The result of a run: sizes, the injected faults, and the ``logs`` for the checker.
 
-    ``blocked``: the team lacks a quorum for good, since a robot whose vote it needs lost its log.
+    ``blocked``: the team permanently lacks a quorum, since robots whose votes it needs lost their
+    logs, or left while cut off.
     """
 
     steps: int
@@ -104,9 +105,9 @@ class ScheduleResult(NamedTuple):
     plan: Plan
     logs: List[Disk]
     given_up: bool = False
-    """An operator gave up what some robots knew."""
+    """Whether an operator gave up what some robots knew."""
     tails_lost: bool = False
-    """Votes are missing in the logs, since they were not written through to the disk."""
+    """Whether votes may be missing from the logs, since they were not synced to the disk."""
 
 
 class _Run:
@@ -172,7 +173,7 @@ class _Run:
         world.at(world.now + low + (high - low) * self.random.random(), what)
 
     def inject(self) -> None:
-        """One fault, drawn at random."""
+        """Inject a random fault."""
         often = self.kind
         if often == "freeze":
             for _ in range(3):
@@ -222,7 +223,7 @@ class _Run:
         node = self.random.choice(up)
         if not self._can_lose(node):
             return
-        # it says something in another life, first
+        # sometimes it first sends messages in another life
         if self.kind == "amnesia" and self.random.random() < 0.5:
             node.crash()
             node.start()
@@ -240,8 +241,8 @@ class _Run:
         self._later(0.01, 0.5, lambda: self._restart(node))
 
     def _can_lose(self, node: SimulatedNode) -> bool:
-        """Whether the others still are a quorum without this robot's vote: otherwise the team
-        would (rightly) block without end."""
+        """Whether the others are still a quorum without this robot's vote; otherwise the team would
+        (rightly) block permanently."""
         ledgers = [n.replica.ledger for n in self.world.alive() if n.replica]
         if not ledgers:
             return False
@@ -315,8 +316,8 @@ class _Run:
             self._count("evict by the operator")
 
     def _force_evict(self) -> None:
-        """The operator asserts that a robot is off: mostly one that is, or that seems to be.
-        Sometimes of several, since one assertion may not be enough."""
+        """The operator asserts that a robot is off, usually one that is or seems to be. Sometimes
+        the operator asserts it of several, since one assertion may not be enough."""
         up = self._up()
         if not up:
             return
@@ -346,7 +347,7 @@ class _Run:
             off = replica.asserted_off() | {victim.name}
             before = self.world.given_up
             if not is_quorum([m for m in members if m not in off], members):
-                # the operator took it on: what only those know does not count
+                # the operator accepts that what only those robots know is lost
                 self.world.given_up = True
             number = "f%d" % next(self.world._count)
             node.give(interface.ForceEvict(number, victim.name))
@@ -362,8 +363,8 @@ class _Run:
             node.start()
 
     def _spare(self) -> None:
-        """A robot gets out of reach; a spare is started under its name, and later the first one
-        comes back into reach."""
+        """A robot goes out of reach and a spare starts under its name; later the first robot comes
+        back into reach."""
         world = self.world
         robots = [n for n in self._up() if n.name not in world.plan.witness and n.key == n.name]
         if len(robots) < 2 or world.spares:
@@ -394,7 +395,7 @@ class _Run:
         self._count("sleep")
 
     def _start_late(self) -> None:
-        """A robot is not switched on until the others know that it is off."""
+        """Start a robot only after the operator has asserted to the others that it is off."""
         nodes = list(self.world.nodes.values())
         late = self.random.choice(nodes)
         start = late.start
@@ -427,7 +428,8 @@ class _Run:
         self._count("join")
 
     def _watch(self) -> None:
-        """Failed actions are retried; robots that left end their process."""
+        """Retry failed actions, and end the processes of robots that have left or were
+        superseded."""
         world = self.world
         for node in list(world.alive()):
             replica = node.replica
@@ -519,7 +521,7 @@ class _Run:
                 )
 
     def _is_blocked(self) -> bool:
-        """Whether a lost log, or robots that left while cut off, keep the team from a quorum."""
+        """Whether lost logs, or robots that left while cut off, deprive the team of a quorum."""
         nodes = self.world.alive()
         best = max((n.replica.ledger for n in nodes if n.replica), key=lambda x: x.length)
         voters = [n.name for n in nodes if n.replica is not None and n.replica.may_vote()]
@@ -543,7 +545,7 @@ class _Run:
 
 
 def check_logs(outcome: ScheduleResult) -> None:
-    """Have the history checker look at the logs of a run.
+    """Check the logs of a run with the history checker.
 
     :raises ViolationError: a rule was broken.
     """
@@ -562,9 +564,10 @@ def run_schedule(
 ) -> ScheduleResult:
     """Run a schedule.
 
+    :param schedule: what to run.
     :param replica_type: the replica, or a mutant of it.
-    :param check: have the history checker look at the logs.
-    :raises ViolationError: something went wrong.
+    :param check: whether to check the logs with the history checker.
+    :raises ViolationError: a rule was broken, or the team did not settle.
     """
     outcome = _Run(schedule, replica_type).run()
     if check:

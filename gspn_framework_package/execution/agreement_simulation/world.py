@@ -18,7 +18,7 @@ from gspn_framework_package.execution.firing import Ended, Fault, StartAction
 from gspn_framework_package.model.plan import Plan, Synchronisation
 
 PACE = Pace(heartbeat=0.15, retry=0.03, takeover=0.06, backoff=0.01)
-"""Times of the protocol in a simulated world, where messages take some milliseconds."""
+"""Times of the protocol (s) in a simulated world, where messages take a few milliseconds."""
 
 
 class Weather(NamedTuple):
@@ -29,7 +29,7 @@ class Weather(NamedTuple):
     loss: float = 0.0
     duplication: float = 0.0
     late: float = 0.0
-    """How often a message takes up to twenty times as long, and is overtaken."""
+    """Probability that a message takes up to twenty times as long, so that others overtake it."""
 
 
 class ViolationError(AssertionError):
@@ -38,17 +38,17 @@ class ViolationError(AssertionError):
 
 @dataclass
 class Disk:
-    """A robot's log, which outlives its process: the header, and the lines after it."""
+    """A robot's log, which survives its process: the header, and the lines after it."""
 
     header: Record
     lines: List[str] = field(default_factory=list)
     synced: int = 0
-    """How many of them outlive the power supply."""
+    """The number of lines that would survive a power failure."""
     votes: Dict[Tuple[str, Tuple[Any, ...]], int] = field(default_factory=dict)
-    """In which line a promise or a vote stands."""
+    """(kind, ballot) of a promise or vote -> the number of its line."""
 
     def records(self) -> List[Record]:
-        """The records, read back."""
+        """The records, parsed from the lines."""
         return list(json.loads("[%s]" % ",".join(self.lines)))
 
 
@@ -65,7 +65,9 @@ def _header(plan: Plan) -> Record:
 class SimulatedNode:
     """A process that hosts a replica.
 
-    :param key: distinguishes it from another process under the same name.
+    :param world: the world it lives in.
+    :param name: the name of its robot or witness.
+    :param key: distinguishes it from another process with the same name.
     """
 
     def __init__(self, world: World, name: str, key: str = "") -> None:
@@ -73,7 +75,7 @@ class SimulatedNode:
         self.name = name
         self.key = key or name
         self.superseded = False
-        """Another process runs under its name, by the operator's mistake; this one is to halt."""
+        """By the operator's mistake, another process runs under its name; this one must halt."""
         self.trusted = True
         self.faults: List[str] = []
         self.disk: Optional[Disk] = None
@@ -83,7 +85,7 @@ class SimulatedNode:
         self.suspended = False
         self.backlog: List[interface.Input] = []
         self.doomed: Optional[int] = None
-        """Crash when that many more effects were carried out."""
+        """Crash before the effect with this number, counted from 1 from now on; None: no crash."""
         self.wake = 0.0
         self._alarm: Optional[Tuple[float, int]] = None
         self.joins = False
@@ -91,14 +93,14 @@ class SimulatedNode:
         self.ended = False
         self.results: Dict[str, interface.OrderResult] = {}
         self.log_id = ""
-        """What its log goes by at present."""
+        """The current id of its log."""
         self.holds = -1
-        """The slot until whose decision its robot has said that it makes no move on its own."""
+        """The robot has promised to fire no local transition until this slot is decided."""
 
     # -- life ------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Start the process, with what is on the disk."""
+        """Start the process with the log that is on its disk."""
         world = self.world
         self.life += 1
         self.suspended = False
@@ -132,7 +134,7 @@ class SimulatedNode:
         self.doomed = None
 
     def lose_power(self) -> None:
-        """The power fails: of what was not written through to the disk an end is lost."""
+        """The power fails; some of the newest records that were not synced to the disk are lost."""
         disk = self.disk
         self.crash()
         if disk is not None:
@@ -141,19 +143,20 @@ class SimulatedNode:
             self.trusted = self.world.fsync
 
     def cut_log(self, lines: int) -> None:
-        """Somebody puts an older copy of the log of a dead process back."""
+        """Replace the log of a dead process with an older copy that lacks the last ``lines``
+        lines."""
         if self.disk is not None:
             del self.disk.lines[max(1, len(self.disk.lines) - lines) :]
             self.disk.synced = min(self.disk.synced, len(self.disk.lines))
 
     def lose_log(self) -> None:
-        """The disk of a dead process is gone."""
+        """A dead process loses its log; it is kept in ``old_disks``."""
         if self.disk is not None:
             self.old_disks.append(self.disk)
         self.disk = None
 
     def give(self, given: interface.Input) -> None:
-        """An input for the process, if there is one."""
+        """Give an input to the process, if it runs; a suspended process gets it when it resumes."""
         if self.replica is None or self.halted:
             return
         if self.suspended:
@@ -170,7 +173,7 @@ class SimulatedNode:
         self.give(interface.Tick())
 
     def carry_out(self, effects: List[interface.Effect]) -> None:
-        """Carry effects out in order; a doomed process dies between two of them."""
+        """Carry out effects in order; a doomed process dies between two of them."""
         assert self.disk is not None
         durable = False
         written: List[Record] = []
@@ -190,7 +193,7 @@ class SimulatedNode:
             if durable and self.world.fsync:
                 self.disk.synced = len(self.disk.lines)
                 durable = False
-            for record in written:  # until here nobody could know of it
+            for record in written:  # nobody could know of them before
                 self.world.on_record(self, record)
             written = []
             if isinstance(effect, (interface.Send, interface.Reply)) and effect.message.get(
@@ -223,7 +226,7 @@ class SimulatedNode:
                 self.world.on_fired(self, effect)
 
     def _wake_at(self, time: float) -> None:
-        """See that there is a Tick at that time; one that is due earlier will look again."""
+        """Schedule a Tick at that time; an alarm that is due earlier reschedules itself."""
         self.wake = time
         if self._alarm is None or self._alarm[1] != self.life or self._alarm[0] > time:
             self._alarm = alarm = (time, self.life)
@@ -256,7 +259,7 @@ class SimulatedNode:
             )
 
     def _check_written(self, message: interface.Message) -> None:
-        """What a robot says that it promised or accepted is in its log, and on the disk."""
+        """Check that a promise or vote that a robot sends is in its log, and synced to the disk."""
         assert self.disk is not None
         if not message.get("vote", True):
             return
@@ -272,9 +275,11 @@ class SimulatedNode:
 class World:
     """The team and everything around it.
 
-    :param plan: what they do; its synchronisation decides how messages travel.
-    :param seed: of everything that is random here.
+    :param plan: the team's plan; its synchronisation determines how messages travel.
+    :param seed: the seed of all random numbers in the world.
+    :param weather: the state of the network.
     :param replica_type: the replica, or a mutant of it.
+    :param action_time: the shortest and longest duration of an action (s).
     """
 
     def __init__(
@@ -295,20 +300,20 @@ class World:
         self.steps = 0
         self.messages = 0
         self.protocol_messages = 0
-        """Messages but ``hello``."""
+        """The number of messages other than ``hello``."""
         self.limits = ProtocolLimits()
         self.pace = PACE
         self.promised: Set[Tuple[str, Tuple[Any, ...]]] = set()
-        """Which log has promised or accepted under which ballot."""
+        """(log id, ballot) of every promise and vote."""
         self._frozen: Set[Tuple[int, Tuple[Any, ...]]] = set()
-        """Attempts (slot, ballot) that asked everybody to hold still."""
+        """Attempts (slot, ballot) that asked everybody to freeze: to fire no local transition."""
         self.fsync = True
-        """Whether what has to outlive the power supply is written through to the disk."""
+        """Whether durable records are synced to the disk."""
         self.given_up = False
-        """An operator gave up what some robots knew: their stories may differ from then on."""
+        """Whether an operator gave up what some robots knew; their logs may then differ."""
         self.acting = True
         self.mishaps = True
-        """Some actions fail, or come back with nonsense."""
+        """Whether some actions fail, or return nonsense."""
         self.blocked: Set[Tuple[str, str]] = set()
         self._heap: List[Tuple[float, int, Callable[[], None]]] = []
         self._count = itertools.count()
@@ -318,7 +323,7 @@ class World:
         self.published: List[Tuple[float, interface.Fired]] = []
         self.spares = 0
         self.away: Set[Tuple[str, str]] = set()
-        """Links of a robot that is out of reach while a spare runs under its name."""
+        """Blocked links of a robot that is out of reach while a spare runs under its name."""
         self._gone: List[Disk] = []
         self.nodes: Dict[str, SimulatedNode] = {}
         for name in [r.name for r in plan.robots] + list(plan.witness):
@@ -327,11 +332,12 @@ class World:
     # -- time ------------------------------------------------------------------------------------
 
     def at(self, time: float, what: Callable[[], None]) -> None:
-        """Do something at that time."""
+        """Call ``what`` at that simulated time (s), or now if it has passed."""
         heapq.heappush(self._heap, (max(time, self.now), next(self._count), what))
 
     def run(self, until: float, stop: Optional[Callable[[], bool]] = None) -> bool:
-        """Let time pass, until then or until ``stop`` holds; whether it did."""
+        """Let time pass until ``until`` (s) or until ``stop`` holds; returns whether ``stop``
+        holds."""
         while self._heap and self._heap[0][0] <= until:
             time, _, what = heapq.heappop(self._heap)
             self.now = time
@@ -345,7 +351,11 @@ class World:
     # -- network ---------------------------------------------------------------------------------
 
     def send(self, sender: str, to: str, message: interface.Message) -> None:
-        """Send a message, as a topic does, or as a call in partial synchronisation."""
+        """Send a message: like a topic, or, in partial synchronisation, like a service call.
+
+        :param sender: the key of the node that sends it.
+        :param to: the name of the receiver; "" for everybody else.
+        """
         if message is not self._last[0]:
             self._last = (message, json.dumps(message))
         text = self._last[1]
@@ -362,7 +372,7 @@ class World:
             self._carry(sender, name, text, request)
 
     def reply(self, sender: str, effect: interface.Reply) -> None:
-        """The reply of a call goes back to who called."""
+        """Send the reply to a call back to its caller."""
         caller, life = self._calls.pop(effect.request_id, ("", 0))
         if not effect.message or caller not in self.nodes or self.nodes[caller].life != life:
             return
@@ -390,11 +400,11 @@ class World:
     # -- actions ---------------------------------------------------------------------------------
 
     def start_action(self, node: SimulatedNode, goal: StartAction) -> None:
-        """An action runs, and ends with something that its place allows."""
+        """Run an action: after a random time it fails, or returns a random result for its place."""
         low, high = self.action_time
         life = node.life
         replica = node.replica
-        # the first action that it ever starts
+        # this is the first action that it ever starts
         if replica is not None and replica.ledger.length == goal.visit == 1:
             ahead = [
                 name
@@ -420,10 +430,10 @@ class World:
 
         self.at(self.now + time, end)
 
-    # -- what is watched while it goes on ----------------------------------------------------------
+    # -- checks during the run ---------------------------------------------------------------------
 
     def on_record(self, node: SimulatedNode, record: Record) -> None:
-        """A record counts: no two replicas may put different things into one slot."""
+        """Check a written record: no two replicas may put different entries into one slot."""
         if record["kind"] == "slot" and not self.given_up:
             known = self._chain.setdefault(record["slot"], record["hash"])
             if known != record["hash"]:
@@ -432,8 +442,8 @@ class World:
                 )
 
     def on_message(self, node: SimulatedNode, message: interface.Message) -> None:
-        """A message goes out: who says that he holds still has to, and who proposes has promises
-        that count."""
+        """Check a message that is sent: a robot that promises to freeze has to, and a proposer
+        relies only on promises that were made and not forgotten."""
         if message["kind"] not in ("prepare", "promise", "accept"):
             return
         slot, ballot = message["slot"], tuple(message["ballot"])
@@ -451,15 +461,15 @@ class World:
                     )
 
     def on_fired(self, node: SimulatedNode, fired: interface.Fired) -> None:
-        """A firing was published."""
+        """Note a firing that is published."""
         if fired.publish:
             self.published.append((self.now, fired))
 
     def on_halted(self, node: SimulatedNode) -> None:
-        """A replica gave up."""
+        """A replica halted: allowed only if two processes run under its name."""
         if node.superseded or sum(n.name == node.name for n in self.nodes.values()) > 1:
             node.superseded = True
-            for other in self.nodes.values():  # it stays, then
+            for other in self.nodes.values():  # the other process under its name may stay
                 other.superseded = other.superseded and (other is node or other.name != node.name)
             return
         raise ViolationError("%s halted: %s" % (node.name, node.halted))
@@ -471,7 +481,7 @@ class World:
     # -- two processes under one name --------------------------------------------------------------
 
     def add_spare(self, first: SimulatedNode) -> SimulatedNode:
-        """A node for a second process under the name of the first, which is to give way to it."""
+        """Add a node for a second process under the name of the first, which must give way."""
         self.spares += 1
         spare = SimulatedNode(self, first.name, "%s-spare%d" % (first.name, self.spares))
         spare.joins = first.joins
@@ -480,12 +490,12 @@ class World:
         return spare
 
     def come_back(self) -> None:
-        """The robot that was out of reach is back."""
+        """Restore the links of the robot that was out of reach."""
         self.blocked -= self.away
         self.away = set()
 
     def remove(self, node: SimulatedNode) -> None:
-        """A node is switched off for good; its logs are kept."""
+        """Switch off a node permanently; its logs are kept."""
         node.crash()
         del self.nodes[node.key]
         self._gone += node.old_disks + ([node.disk] if node.disk is not None else [])
@@ -493,15 +503,15 @@ class World:
     # -- questions -------------------------------------------------------------------------------
 
     def alive(self) -> List[SimulatedNode]:
-        """The nodes with a process."""
+        """The nodes whose process runs (it may be suspended)."""
         return [n for n in self.nodes.values() if n.replica is not None]
 
     def length(self) -> int:
-        """How long the longest log is."""
+        """The length of the longest log, in slots."""
         return max((n.replica.ledger.length for n in self.alive() if n.replica), default=0)
 
     def has_settled(self) -> bool:
-        """Whether all replicas that are up agree and nothing waits to get into the log."""
+        """Whether all running replicas agree, and no proposal is pending."""
         ends = set()
         for node in self.alive():
             replica = node.replica
@@ -510,7 +520,7 @@ class World:
                 return False
             ends.add((replica.ledger.length, replica.ledger.hash))
             if node.superseded:
-                return False  # until it has noticed
+                return False  # it has not noticed yet
             if any(not o.item.private for o in replica.state.own_proposals):
                 return False
             if replica.ledger.state.ended is None and not (
@@ -520,11 +530,11 @@ class World:
         return len(ends) <= 1
 
     def operator(self, order: log_entries.Entry, node: SimulatedNode) -> None:
-        """Give an order to a node."""
+        """Give an operator's order to a node."""
         node.give(interface.Order("o%d" % next(self._count), order))
 
     def logs(self) -> List[Disk]:
-        """All logs that were ever written."""
+        """All logs that were ever written, including lost ones."""
         found = list(self._gone)
         for node in self.nodes.values():
             found += node.old_disks + ([node.disk] if node.disk is not None else [])

@@ -1,7 +1,7 @@
 """The history checker: whether the logs of a run are consistent and valid.
 
-:func:`verify` looks at the logs alone. It checks the ten invariants of ``docs/agreement.md`` and
-the protocol's own rules, with code that shares nothing with what it checks.
+:func:`verify` uses only the logs. It checks the ten invariants of ``docs/agreement.md`` and the
+protocol's own rules, and shares no code with the token game or the protocol.
 """
 
 from __future__ import annotations
@@ -22,16 +22,20 @@ from gspn_framework_package.model.errors import LogError
 
 
 class Violation(NamedTuple):
-    """The first rule that was broken: its number, and what happened."""
+    """The first broken rule: its number (``docs/agreement.md``), and what happened."""
 
     rule: int
     text: str
 
 
 class Verdict(NamedTuple):
-    """What the checker found.
+    """The result of a check.
 
-    :ivar violation: None if all is well.
+    :ivar violation: the first violation; None if there is none.
+    :ivar slots: how many slots of the agreed log were found.
+    :ivar firings: how many firings they hold.
+    :ivar robots: how many robots took part.
+    :ivar logs: how many logs were read.
     :ivar notes: remarks that are not violations.
     """
 
@@ -53,11 +57,13 @@ class Verdict(NamedTuple):
 def verify(logs: Sequence[EventLog], *, settled: bool = False, complete: bool = True) -> Verdict:
     """Check the logs of one run.
 
-    :param logs: of the robots, in any order; of a robot that lost its log, the old one too.
-    :param settled: the team was left alone until nothing was pending, so that a proposal which is
-        not in the log, or an action that was not started, is a violation too (rules 8 and 9).
-    :param complete: all logs of the run are here; otherwise votes cannot be counted.
-    :raises LogError: no logs, or logs of different runs or plans.
+    :param logs: the logs of the robots, in any robot order; include the old log of a robot that
+        lost it, before its newer one.
+    :param settled: whether the team was left alone until nothing was pending. Then a proposal that
+        is not in the log, or an action that was not started, is also a violation (rules 8 and 9).
+    :param complete: whether all logs of the run are here; otherwise votes cannot be counted.
+    :raises LogError: there are no logs, they are of different runs or plans, or a record is
+        damaged.
     """
     if not logs:
         raise LogError("no logs were given")
@@ -148,8 +154,8 @@ class _Check:
             self.notes.append("%d slots were given up by an eviction by force" % len(merged.void))
 
     def _check_presence(self, merged: Merged, replay: SlotCheck) -> None:
-        """The logs of all robots are here that did anything; those that were never switched on have
-        none. Rule 9."""
+        """Check that no log is missing of a robot that did anything; robots that were never
+        switched on have none. Rule 9."""
         here = {log.robot for log in self.logs}
         said = {
             origin[0]

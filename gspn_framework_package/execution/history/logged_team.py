@@ -1,6 +1,7 @@
 """The team according to its log: the net, the marking, the robots, and the effects of entries.
 
-Written apart from the token game, and shares no code with it (see :mod:`.slot_check`).
+This was written independently of the token game and shares no code with it (see
+:mod:`.slot_check`).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from gspn_framework_package.model.plan import FailureKind, LostKind, Plan
 
 
 class Situation(NamedTuple):
-    """Where a robot is after some slot."""
+    """The situation of a robot after some slot."""
 
     place: str
     incarnation: int
@@ -35,9 +36,9 @@ class LoggedRobot:
     attempt: int = 1
     phase: Phase = Phase.DOING
     asks: Optional[str] = None
-    """A transition; None: the policy decides."""
+    """The transition that it asks for; None: the policy decides."""
     may_ask: Optional[str] = None
-    """A transition it asks for instead, if it waited for a robot that was lost."""
+    """A transition that it asks for instead if its draw needed a robot that was lost."""
     order: int = 0
     failures: int = 0
     paused: bool = False
@@ -54,10 +55,10 @@ class LoggedRobot:
 
 
 class LoggedTeam:
-    """The state of a team as far as the entries and firings that were looked at.
+    """The state of a team after the entries and firings checked so far.
 
-    :param plan: the plan that the log carries.
-    :param agents: transitions may create and destroy tokens.
+    :param plan: the plan in the log's header.
+    :param agents: whether transitions may create and destroy agents.
     """
 
     def __init__(self, plan: Plan, agents: bool = False) -> None:
@@ -109,11 +110,11 @@ class LoggedTeam:
     # -- questions ---------------------------------------------------------------------------------
 
     def members(self) -> List[str]:
-        """Who votes in the next slot."""
+        """The names of the voters in the next slot."""
         return [r.name for r in self.robots.values() if r.here] + list(self.witnesses)
 
     def situations(self) -> Dict[str, Situation]:
-        """Where every robot is."""
+        """The situation of every robot, by name."""
         return {
             r.name: Situation(r.place, r.incarnation, r.visit, r.attempt, r.phase)
             for r in self.robots.values()
@@ -156,8 +157,8 @@ class LoggedTeam:
     # -- entries -----------------------------------------------------------------------------------
 
     def _apply(self, entry: log_entries.Entry) -> Optional[str]:
-        """Take an entry; the environment's transition that must fire at once, if it is about
-        one."""
+        """Apply an entry. For a valid ``Fire``, returns the environment's transition that must fire
+        at once."""
         if isinstance(entry, log_entries.Start):
             self._start(entry)
         elif isinstance(entry, log_entries.Done):
@@ -278,7 +279,7 @@ class LoggedTeam:
         if robot is None or not robot.here:
             return
         if self.members() == [robot.name] and not self.agents:
-            return  # the last one of a team stays
+            return  # the last member of a team stays
         if isinstance(entry, log_entries.Leave):
             robot.phase = Phase.LEFT
             self.marking[robot.place] -= 1
@@ -300,7 +301,7 @@ class LoggedTeam:
         elif rule.kind is LostKind.FIRE:
             for other in stuck:
                 if rule.transition in self.leaving[other.place]:
-                    if other.asks is None:  # if its draw was for the robot that is lost
+                    if other.asks is None:  # its draw may have needed the lost robot
                         other.may_ask = rule.transition
                     else:
                         other.asks = rule.transition

@@ -1,4 +1,4 @@
-"""The logs of a run laid side by side: one agreed sequence of slots, or the first place where two
+"""Merges the logs of a run into one agreed sequence of slots, or finds the first slot where two
 logs differ."""
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ COMPARED = ("entries", "origins", "firings", "hash")
 
 
 class Memory(NamedTuple):
-    """Records ``begin`` to ``end`` of a log, between which its robot did not forget what it knew.
-    ``forgotten``: it did afterwards, or lost the log. ``time``: of the last of them (s)."""
+    """Records ``begin`` to ``end`` (exclusive) of log ``number``, a stretch in which its robot
+    forgot nothing. ``forgotten``: whether it reset or lost its log afterwards. ``time``: the time
+    of the newest of these records (s)."""
 
     number: int
     begin: int
@@ -26,6 +27,9 @@ class Memory(NamedTuple):
 
 class Merged:
     """The agreed log.
+
+    :param logs: the logs of one run.
+    :raises BrokenRuleError: a log contradicts the others or itself (rule 1).
 
     :ivar slots: slot -> its record, from the first log that has it.
     :ivar heard: slot -> when the first replica had it (s, monotonic clock of the host).
@@ -43,7 +47,7 @@ class Merged:
         cast_out = {robot for robot, _ in evictions}
         self._last_forced = max((slot for _, slot in evictions), default=-1)
         memories = _memories(logs)
-        # first what is left in the end; of what robots know who were said to be off, the newest
+        # memories kept to the end come first, then robots never cast out, then the newest memories
         memories.sort(
             key=lambda m: (
                 m.forgotten,
@@ -59,9 +63,10 @@ class Merged:
             )
 
     def _add(self, memory: Memory, log: EventLog, may_differ: bool) -> None:
-        """Compare what a robot remembered with what is there; rule 1.
+        """Compare a robot's memory with the slots so far, and add those that are new; rule 1.
 
-        :param may_differ: from a slot on that an eviction by force came after, it may.
+        :param may_differ: whether the memory may differ, starting at a slot no later than the last
+            eviction by force.
         """
         number = memory.number
         length, chain = 0, str(log.header["plan_hash"])
@@ -119,7 +124,7 @@ class Merged:
 
     @staticmethod
     def _check_origins(log: EventLog, record: Record) -> None:
-        """Each entry of an agreed log says who put it in."""
+        """Check that each entry of an agreed log has an origin."""
         entries, origins = record["entries"], record["origins"]
         if log.robot and (len(entries) != len(origins) or any(len(o) != 4 for o in origins)):
             raise BrokenRuleError(
@@ -130,7 +135,7 @@ class Merged:
 
     @property
     def length(self) -> int:
-        """How many slots there are before the first that no log has."""
+        """The number of slots before the first one that no log has."""
         slot = 0
         while slot in self.slots:
             slot += 1
@@ -138,7 +143,7 @@ class Merged:
 
 
 def _memories(logs: Sequence[EventLog]) -> List[Memory]:
-    """What the robots remembered, from one time that they forgot what they knew to the next."""
+    """The memories of the robots: each log, split where it was reset."""
     newest = {log.robot: i for i, log in enumerate(logs)}
     out = []
     for number, log in enumerate(logs):
@@ -154,7 +159,7 @@ def _memories(logs: Sequence[EventLog]) -> List[Memory]:
 
 
 def _evictions_by_force(logs: Sequence[EventLog]) -> Set[Tuple[str, int]]:
-    """The robots that were evicted by force, and the slots of it."""
+    """(robot, slot) of every eviction by force."""
     return {
         (str(e["robot"]), r["slot"])
         for log in logs

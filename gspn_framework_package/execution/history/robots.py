@@ -1,4 +1,4 @@
-"""What each robot did, by its own log: its proposals, its goals and its local transitions, against
+"""Checks each robot's proposals, goals and local transitions, as its own log records them, against
 the agreed log."""
 
 from __future__ import annotations
@@ -17,9 +17,12 @@ Origin = Tuple[str, int, int, str]
 
 
 class LoggedProposals:
-    """Where each entry is in the agreed log, by its origin; rule 4.
+    """The position of each entry in the agreed log, by its origin; rule 4.
 
-    :raises BrokenRuleError: one is there twice, or those of one origin are out of order.
+    :param merged: the agreed log.
+    :param length: the number of slots to look at.
+    :raises BrokenRuleError: an entry is there twice, the entries of a robot are out of order, or a
+        robot begins a visit twice.
     """
 
     def __init__(self, merged: Merged, length: int) -> None:
@@ -51,17 +54,20 @@ class LoggedProposals:
                     moved.add((robot, visit))
 
     def newest_before(self, key: Origin) -> bool:
-        """Whether a newer proposal of the same incarnation is in the log."""
+        """Whether a newer proposal of the same robot, incarnation and log is in the agreed log."""
         return any(k[:2] == key[:2] and k[3] == key[3] and k[2] > key[2] for k in self.where)
 
 
 def check_real_time(
     merged: Merged, proposals: LoggedProposals, invoked: Mapping[Origin, float]
 ) -> None:
-    """What was in the log before another proposal came up is before it in the log; rule 5. Only for
-    logs of one host, whose clocks are one.
+    """Check that every slot known before a proposal was made precedes it in the log; rule 5. Use
+    this only for logs of one host, which share a clock.
 
-    :param invoked: when each (not private) proposal came up.
+    :param merged: the agreed log.
+    :param proposals: the positions of the entries in it.
+    :param invoked: when each proposal (other than local transitions) was made, in s.
+    :raises BrokenRuleError: a proposal precedes a slot that was known before it was made.
     """
     by_time = sorted((time, slot) for slot, time in merged.heard.items())
     times = [time for time, _ in by_time]
@@ -82,13 +88,18 @@ def check_real_time(
 
 
 class RobotCheck:
-    """One log from its own point of view; rules 4, 8 and 10.
+    """Checks one log from its robot's point of view; rules 4, 8 and 10.
 
-    :param situations: for each slot where every robot is after it.
-    :param markings: for each slot the marking after it, without the empty places.
-    :param ended_at: the slot in which the run ended, None if it did not.
-    :param lost: the robot lost this log and kept another one later: local transitions that only it
-        knew may be void.
+    :param log: the log to check.
+    :param merged: the agreed log.
+    :param proposals: the positions of the entries in the agreed log.
+    :param situations: for each slot, the situations of the robots after it.
+    :param markings: for each slot, the marking after it, without empty places.
+    :param number: the index of the log among all logs.
+    :param plan: the plan of the run.
+    :param ended_at: the slot in which the run ended; None if it did not.
+    :param lost: whether the robot lost this log and later kept another one, so that local
+        transitions that only this log knew may be void.
     """
 
     def __init__(
@@ -116,21 +127,21 @@ class RobotCheck:
         self._jumped = False
         self.invoked: Dict[Origin, float] = {}
         self.open: List[Origin] = []
-        """Proposals that never got into the log."""
+        """Proposals that never got into the agreed log."""
         self._length = 0
         self._incarnation = 0
         self._ahead: List[Tuple[Origin, Record, Record]] = []
-        """Local transitions that are not in the log yet: origin, entry, firing."""
+        """Local transitions that are not in the agreed log yet: origin, entry, firing."""
         self._goals: Set[Tuple[int, int, int]] = set()
         self._last_goal: Optional[Tuple[int, int, int]] = None
         self._void: Set[Origin] = set()
 
     def check(self) -> None:
-        """Go through the log. :raises BrokenRuleError: a rule is broken."""
+        """Check the log. :raises BrokenRuleError: a rule is broken."""
         known: Dict[Origin, Record] = {}
         given_up = {i for n, i in self.merged.void if n == self.number}
         if given_up:
-            return  # what it did on its own was given up by the operator
+            return  # the operator gave up what this robot did alone
         for record in self.log.records:
             kind = record["kind"]
             if kind == "slot" or kind == "snapshot":
@@ -164,8 +175,8 @@ class RobotCheck:
             self._fact(origin, record)
 
     def _ruled_out(self, origin: Origin, known: Mapping[Origin, Record]) -> None:
-        """A local transition is void only where the robot was lost or has left, or the run is
-        over."""
+        """Check that a local transition is void only if the robot was lost or has left, or the run
+        is over."""
         record = known.get(origin)
         if record is None or record["kind"] != "private" or self._jumped:
             return
@@ -200,14 +211,15 @@ class RobotCheck:
             self._merged_move(origin, record, where[0])
 
     def _overtaken(self, origin: Origin) -> bool:
-        """Whether a newer one of the same robot made it void."""
+        """Whether a proposal of the same robot that is at least as new got into the log and made
+        this one void."""
         return any(k[0] == origin[0] and k[1:3] >= origin[1:3] for k in self.proposals.where)
 
     # -- local transitions -------------------------------------------------------------------------
 
     def _position(self) -> Optional[Tuple[str, int, int, int, Phase]]:
-        """(place, incarnation, visit, attempt, phase) as this log knew it, local transitions
-        included."""
+        """The robot's (place, incarnation, visit, attempt, phase) as this log knew it, including
+        local transitions; None if the log did not know it."""
         if not 0 < self._length <= len(self.situations):
             return None
         at = self.situations[self._length - 1].get(self.robot)
@@ -242,8 +254,7 @@ class RobotCheck:
         self._ahead.append((origin, entry, firing))
 
     def _known_marking(self, target: str) -> Dict[str, int]:
-        """The marking as this log knew it, with its own local transitions, after one to
-        ``target``."""
+        """The marking as this log knew it after a local transition to ``target``."""
         marking = dict(self.markings[self._length - 1])
         place = self.situations[self._length - 1][self.robot].place
         marking[place] -= 1
@@ -251,7 +262,7 @@ class RobotCheck:
         return {p: n for p, n in marking.items() if n}
 
     def _is_private(self, what: str, place: str, firing: Record) -> None:
-        """The transition takes this robot from its place and touches nothing else."""
+        """Check that the transition moves this robot from its place and touches nothing else."""
         arcs = [a for a in self.plan.net.arcs if firing["transition"] in (a.source, a.target)]
         inputs = [a for a in arcs if a.target == firing["transition"]]
         outputs = [a for a in arcs if a.source == firing["transition"]]
@@ -270,11 +281,12 @@ class RobotCheck:
             )
 
     def _merged_move(self, origin: Origin, record: Record, slot: int) -> None:
-        """A local transition has the same effect in the agreed log as it had."""
+        """Check that a local transition has the same effect in the agreed log as it had for its
+        robot."""
         before = self.situations[slot - 1].get(self.robot) if slot else None
         after = self.situations[slot].get(self.robot)
         if origin in self._void or (before and before.phase.gone) or (after and after.phase.gone):
-            return  # it came into the log after the robot was lost: void
+            return  # void: it got into the log after the robot was lost
         if self._lost:
             return
         mine = record["firing"]
@@ -307,8 +319,8 @@ class RobotCheck:
         self._last_goal = key
 
     def check_goal_at_end(self) -> None:
-        """The robot does what it should, if its log is as long as all others. To be asked of those
-        whose node is up and takes part; rule 8."""
+        """Check that the robot runs the action that it should, if its log has all slots; rule 8.
+        Call this only for robots whose nodes are up and take part."""
         at = self._position()
         if self._length != len(self.situations) or at is None or at[4] is not Phase.DOING:
             return

@@ -1,8 +1,8 @@
-"""A second reading of the rules: whether the firings of a log may have happened, checked on the
-net.
+"""A second implementation of the rules: checks on the net whether the firings of a log are
+possible.
 
-This shares no code with the token game: it does not compute what must happen, but checks whether
-the rules (``docs/semantics.md``) allow what is recorded to have happened.
+It shares no code with the token game: it does not compute what must happen, but checks whether the
+rules (``docs/semantics.md``) allow what the log records.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.errors import LogError
 
 CYCLE = 10_000
-"""More firings after one entry end the run (a cycle without time)."""
+"""This many firings after one entry end the run (a timeless cycle)."""
 
 
 class BrokenRuleError(Exception):
@@ -31,16 +31,16 @@ class BrokenRuleError(Exception):
 
 
 class SlotCheck(LoggedTeam):
-    """Looks at one slot after the other.
+    """Checks the slots of a log in order.
 
-    :param plan: the plan that the log carries.
-    :param agents: transitions may create and destroy tokens.
+    :param plan: the plan in the log's header.
+    :param agents: whether transitions may create and destroy agents.
     """
 
     # -- a slot ------------------------------------------------------------------------------------
 
     def slot(self, record: Record) -> None:
-        """Look at one slot. :raises BrokenRuleError: it breaks a rule."""
+        """Check the next slot. :raises BrokenRuleError: it breaks a rule."""
         slot = record["slot"]
         firings = list(record["firings"])
         at = 0
@@ -75,9 +75,11 @@ class SlotCheck(LoggedTeam):
         self._conserved(slot)
 
     def _settled(self, slot: int, fired: int, following: Optional[Record]) -> None:
-        """Nothing that is due was left out; see whether the run is over.
+        """Check that no firing that was due is missing, and note whether the run is over.
 
-        :param following: the firing that is recorded next, which did not fit here.
+        :param fired: the number of firings after the entry.
+        :param following: the next recorded firing, which was not possible here; None if there is
+            none.
         """
         if self.ended is None:
             if fired >= CYCLE:
@@ -108,7 +110,8 @@ class SlotCheck(LoggedTeam):
                 self.ended = "until"
 
     def _due(self) -> List[str]:
-        """Transitions that should have fired: resources' own, and those that robots named."""
+        """Transitions that should have fired: immediate ones with only resource inputs, and those
+        that robots named."""
         due = [t for t in self.spontaneous if self._has_concession(t)]
         for robot in self._waiting():
             if robot.asks is not None and self._may_fire(robot.asks):
@@ -133,8 +136,8 @@ class SlotCheck(LoggedTeam):
         return firing.get("transition") == direct and not firing.get("robot")
 
     def _why_not(self, firing: Record, direct: Optional[str]) -> str:
-        """Why a firing cannot have happened now; "" if it can. ``direct``: the environment's
-        transition of the entry just before."""
+        """Why a firing is not possible now; "" if it is. ``direct``: the environment's transition
+        that the preceding entry fires."""
         t = firing.get("transition", "")
         if t not in self.kind:
             return "the net has no transition '%s'" % t
@@ -226,8 +229,9 @@ class SlotCheck(LoggedTeam):
         return "" if chosen == t else "the policy's draw is %s" % chosen
 
     def _choices(self, robot: LoggedRobot) -> List[Tuple[str, float]]:
-        """What the policy lets the robot choose from: the best row that matches and speaks of its
-        place, else (no row matches) the weights."""
+        """The choices that the policy gives the robot: those of the most specific matching row with
+        a transition that leaves its place; if no row matches and the plan is not strict, the
+        weights."""
         leaving = [t for t in self.leaving[robot.place] if not self.kind[t].timed]
         columns = self.plan.policy.places
         best: Optional[Tuple[int, int, List[Tuple[str, float]]]] = None
@@ -290,7 +294,7 @@ def _short(marking: Mapping[str, int]) -> str:
 
 
 def _uniform(seed: int, slot: int, index: int, who: str) -> float:
-    """The first 53 bits of SHA-256 over seed, slot, index and robot, as a number in [0, 1)."""
+    """The first 53 bits of the SHA-256 of seed, slot, index and robot, as a number in [0, 1)."""
     text = "|".join([str(seed), str(slot), str(index), who])
     bits = int(hashlib.sha256(text.encode()).hexdigest(), 16) >> (256 - 53)
     return bits / 2.0**53

@@ -1,5 +1,6 @@
-"""The protocol's own rules, as far as the logs show them: promises kept, votes of members only, and
-a quorum for every slot. They find a broken protocol even where luck kept the replicas together."""
+"""Checks the protocol's own rules, as far as the logs show them: acceptors keep their promises,
+only members vote, and a quorum decides every slot. This detects a faulty protocol even if the
+replicas happen to agree."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ Vote = Tuple[Ballot, str]
 """A ballot, and the text of the batch."""
 
 Off = Tuple[str, Optional[int]]
-"""A robot that was asserted to be off, and in which incarnation (None: an old log does not say)."""
+"""A robot that was asserted to be off, and its incarnation (None: an old log does not record
+it)."""
 
 
 def check_votes(
@@ -27,10 +29,11 @@ def check_votes(
 ) -> None:
     """Check the acceptors' records; rule 1.
 
-    :param members: for each slot who votes in it.
-    :param situations: for each slot where every robot is after it.
-    :param complete: no log is missing or lost a part, so that every vote is there.
-    :raises BrokenRuleError: a promise was broken, a vote came from somebody who had none, or a slot
+    :param merged: the agreed log.
+    :param members: for each slot, the names of its voters.
+    :param situations: for each slot, the situations of the robots after it.
+    :param complete: whether every vote is there, because no log is missing or incomplete.
+    :raises BrokenRuleError: an acceptor broke a promise, a robot without a vote voted, or a slot
         was decided without a quorum.
     """
     votes: Dict[int, Dict[str, List[Vote]]] = {}
@@ -68,7 +71,7 @@ def check_votes(
 
 
 def _asserted(log: EventLog) -> Set[Off]:
-    """Which robots were asserted to be off, as this log knew; another may know of other
+    """The robots that were asserted to be off, according to this log; other logs may hold other
     assertions."""
     asserted: Set[Off] = set()
     for record in log.records:
@@ -79,7 +82,7 @@ def _asserted(log: EventLog) -> Set[Off]:
 
 
 def _acceptor(number: int, log: EventLog, merged: Merged) -> List[Tuple[int, int, Vote]]:
-    """The votes of one log, whose promises are kept, as (slot, how often it had forgotten,
+    """Check that one log keeps its promises; returns its votes as (slot, number of resets before,
     vote)."""
     promised: Optional[Ballot] = None
     active = False
@@ -116,8 +119,8 @@ def _ballot(value: Any) -> Ballot:
 
 
 def _given_up(number: int, at: int, log: EventLog, merged: Merged) -> bool:
-    """Whether the operator gave a vote up: the log went its own way before it, and did not start
-    anew."""
+    """Whether the operator gave up a vote: the log diverged from the agreed one before it, without
+    a reset in between."""
     anew = (
         max((i for i in range(at) if log.records[i]["kind"] == "reset"), default=-1)
         if merged.void
@@ -151,7 +154,7 @@ def _quorum(
         return
     proposer = record["ballot"][1]
     if _may_decide({proposer}, members, off):
-        return  # alone: the slot's record is the vote
+        return  # the proposer decides alone: the slot's record is its vote
     chosen = set()
     for ballot in {b for votes in by_robot.values() for b, _ in votes}:
         voters = {
@@ -180,7 +183,7 @@ def _quorum(
 
 
 def _leads_to(batch: str, record: Record) -> bool:
-    """Whether the slot holds what of the batch was new."""
+    """Whether the slot holds the batch, apart from repeated entries."""
     items = json.loads(batch)
     wanted = [[e, o] for e, o in zip(record["entries"], record["origins"])]
     kept = [[entry, origin] for entry, origin, _ in items if origin in record["origins"]]
@@ -188,8 +191,8 @@ def _leads_to(batch: str, record: Record) -> bool:
 
 
 def _may_decide(voters: Set[str], members: Sequence[str], off: Sequence[Set[str]]) -> bool:
-    """A quorum, or all that are left where those who were asserted to be off (to one of the robots)
-    leave none."""
+    """Whether the voters can decide: they are a quorum, or they include all remaining members where
+    the robots asserted to be off (in one of the logs) leave no quorum."""
     if _is_quorum(voters, members):
         return True
     return any(
