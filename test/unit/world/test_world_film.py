@@ -155,7 +155,7 @@ def test_a_film_file_has_all_pictures(kind, tmp_path):
 @pytest.mark.parametrize(
     "words, said",
     [
-        (["film.avi"], "no kind of film"),
+        (["film.avi"], "not a kind of film"),
         (["/no/such/folder/film.gif"], "no such folder"),
         (["pictures", "--size", "huge"], "--size"),
         (["pictures", "--speed", "0"], "argument --speed: '0' is not a number above 0"),

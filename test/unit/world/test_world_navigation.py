@@ -139,8 +139,8 @@ def test_nobody_touches_and_everybody_arrives(scene):
     "where, starts, goal, reason",
     [
         (OPEN, [(-1, 0, 0)], (2, 2), "no way leads there"),
-        (OPEN, [(-1, 0, 0), (1, 0, 0)], (1, 0), "blocked by robots"),
-        (NARROW, [(-2, 0, 0), (0, 0, 0)], (2, 0), "blocked by robots"),
+        (OPEN, [(-1, 0, 0), (1, 0, 0)], (1, 0), "blocked by standing robots"),
+        (NARROW, [(-2, 0, 0), (0, 0, 0)], (2, 0), "blocked by standing robots"),
     ],
 )
 def test_a_goal_that_cannot_be_reached_is_given_up_with_a_reason(where, starts, goal, reason):
@@ -162,7 +162,7 @@ def test_a_gap_beside_a_parked_robot_is_passed_or_the_goal_is_given_up(gap):
     navigator = team.navigators["r0"]
     assert not navigator.active
     if gap < 2 * radius + STANDING_GAP:
-        assert "blocked by robots" in navigator.reason
+        assert "blocked by standing robots" in navigator.reason
     elif gap > 2 * radius + STANDING_GAP + SPARE + RESOLUTION:
         assert navigator.status is NavigationStatus.REACHED
 
