@@ -3,16 +3,18 @@
 Pages may be nested, and reference places and transitions stand for the nodes they refer to. Timing
 is in ``toolspecific tool="StochasticPetriNet" version="0.2"``: ``distributionType`` IMMEDIATE or
 EXPONENTIAL, with ``weight`` and ``priority``, or with the parameter of the distribution. Two tools
-write that parameter with two meanings: pm4py writes the rate, ProM the mean. A file whose net
-carries ProM's own properties (time unit or execution policy) is read as ProM's, any other as
-pm4py's, with a note. A transition without such data is exponential with rate 1, with a note: the
-standard itself knows no time. TINA writes intervals into ``delay``: ``[0,w[`` is like none,
-``[0,0]`` is immediate, others are refused; its test arcs become arcs in both directions.
+disagree on the meaning of that parameter: pm4py writes the rate, ProM the mean. A file whose net
+has ProM's own properties (time unit or execution policy) is read as ProM's, any other as pm4py's,
+with a note. A transition without such data is exponential with rate 1, with a note, because the
+standard itself has no notion of time. TINA writes intervals into ``delay``: ``[0,w[`` means the
+same as no interval, ``[0,0]`` means immediate, and others are refused. TINA's test arcs become arcs
+in both directions.
 
 Elements and attributes that are not listed here are refused: see :mod:`.vocabulary`.
 
-What the standard and those tools have no word for (capacities, numbers of servers, that a parameter
-is a rate) is in ``toolspecific tool="gspn_framework_package"``, which other tools ignore."""
+Data that neither the standard nor those tools can express (capacities, numbers of servers, that a
+parameter is a rate) is in ``toolspecific tool="gspn_framework_package"``, which other tools
+ignore."""
 
 from __future__ import annotations
 
@@ -84,7 +86,7 @@ class _Reference(NamedTuple):
 def from_xml(
     root: etree._Element, file: Optional[str], options: ReadOptions
 ) -> Tuple[Net, List[str]]:
-    """The net in a parsed document, and notes.
+    """Read the net in a parsed document, with notes.
 
     :raises NetError: there is no such net, or it is not a place/transition net.
     """
@@ -97,7 +99,7 @@ def from_xml(
 
 
 class _Reader:
-    """Goes once through a net element and its pages."""
+    """Reads a net element and its pages in one pass."""
 
     def __init__(self, net: etree._Element, file: Optional[str], options: ReadOptions) -> None:
         self.net = net
@@ -184,7 +186,7 @@ class _Reader:
         def fail(
             message: str, element: Optional[str], line: Optional[int], hint: Optional[str]
         ) -> None:
-            # no vocabulary has these labels: where there is one, the check fails
+            # no vocabulary has these labels, so the check fails wherever one occurs
             for node in parent:
                 if tag(node) in _COLOURED_LABELS:
                     self._refuse_colour(node, what)
@@ -193,7 +195,8 @@ class _Reader:
         return vocabulary.check(parent, known_of_it, what, fail)
 
     def _own(self, data: Sequence[etree._Element], what: str, line: int) -> Dict[str, str]:
-        """What this package wrote there, which a newer version may know more of."""
+        """Return the properties that this package wrote; refuse unknown ones, which a newer version
+        may have written."""
         own = dict(_properties(data, OWN))
         for key in own:
             if key not in _OWN_KEYS:
@@ -261,7 +264,8 @@ class _Reader:
         )
 
     def _is_immediate_by_delay(self, delay: etree._Element, what: str) -> bool:
-        """Whether TINA's time interval says "at once"; one that says "any time" is like none."""
+        """Whether TINA's time interval means "at once"; "any time" means the same as no
+        interval."""
         interval = child(delay, "interval")
         if interval is None:
             return False
@@ -305,7 +309,7 @@ class _Reader:
         self.references[identifier] = _Reference(target, line_of(element))
 
     def _resolve(self, end: Optional[str]) -> Optional[str]:
-        """The node that a chain of references leads to."""
+        """Follow a chain of references to the node at its end."""
         seen: Dict[str, None] = {}
         while end is not None and end in self.references:
             if end in seen:
@@ -322,8 +326,7 @@ class _Reader:
     def _arc(self, element: etree._Element) -> None:
         said = {str(key): str(value) for key, value in element.items()}
         if not len(element) and not element.text and _ENDS.issuperset(said):
-            # Most arcs say no more than where they go: there is nothing in them to check or to look
-            # for.
+            # Most arcs have only a source and a target, and nothing inside to check or look for.
             source, target = self._resolve(said.get("source")), self._resolve(said.get("target"))
             self.draft.add_arc(said.get("id"), source, target, 1, False, line_of(element))
             return
@@ -342,12 +345,12 @@ class _Reader:
         identifier = element.get("id")
         source, target = self._resolve(element.get("source")), self._resolve(element.get("target"))
         self.draft.add_arc(identifier, source, target, weight, kind == "inhibitor", line)
-        if kind == "test":  # an arc in both directions enables the same
+        if kind == "test":  # arcs in both directions are equivalent
             self.draft.add_arc(identifier, target, source, weight, False, line)
 
 
 def _text(parts: vocabulary.Children, name: str) -> Optional[str]:
-    """The text of the first label of that name."""
+    """Return the text of the first label of that name."""
     return text_of(parts[name][0], "text") if name in parts else None
 
 
@@ -356,8 +359,8 @@ def _position(parts: vocabulary.Children) -> Optional[Position]:
 
 
 def _properties(nodes: Sequence[etree._Element], tool: str) -> List[Tuple[str, str]]:
-    """The data of a tool in the ``toolspecific`` of an element: properties (``<property
-    key="weight">2</property>``), or attributes."""
+    """Return the data of a tool in the ``toolspecific`` of an element, which may be properties
+    (``<property key="weight">2</property>``) or attributes."""
     found: List[Tuple[str, str]] = []
     for node in nodes:
         if node.get("tool") == tool:
@@ -370,9 +373,9 @@ def _properties(nodes: Sequence[etree._Element], tool: str) -> List[Tuple[str, s
 
 
 def to_bytes(net: Net) -> bytes:
-    """The net as an ISO 15909-2 document of one page, timing as pm4py reads it.
+    """Return the net as an ISO 15909-2 document of one page, with timing as pm4py reads it.
 
-    :raises NetError: a name that XML cannot hold.
+    :raises NetError: a name cannot be written in XML.
     """
     root = etree.Element("pnml", xmlns=NAMESPACE)
     with writing_names(net):

@@ -1,7 +1,7 @@
-"""PIPE, ISO PNML and TAPAAL share the root element ``<pnml>`` and most others: which one it is.
+"""Distinguishes PIPE, ISO PNML and TAPAAL, which share the root element ``<pnml>`` and most others.
 
-PIPE has its numbers in ``value`` elements, ISO PNML in ``text`` elements and nets in pages, TAPAAL
-in attributes of places."""
+PIPE has its numbers in ``value`` elements. ISO PNML has them in ``text`` elements, and its nets
+have pages. TAPAAL has them in attributes of places."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _NUMBERS = ("name", "initialMarking", "inscription", "rate", "timed")
 
 
 class Member(NamedTuple):
-    """Which format a document is in, and the element that shows it, if one does."""
+    """The format of a document, and the element that identifies it, if there is one."""
 
     kind: str
     shown_by: Optional[etree._Element] = None
 
 
 def member(root: etree._Element) -> Member:
-    """The format of a document with the root ``<pnml>``, by the first element that shows it; an
-    empty one by its namespace."""
+    """Return the format of a document with the root ``<pnml>``, judged by the first element that
+    identifies it, or by the namespace if the document is empty."""
     for element in root.iter():
         kind = tag(element)
         parent = element.getparent()

@@ -1,15 +1,15 @@
 """PNPRO, the project files of the GreatSPN editor: read and write.
 
-A project holds several nets; one is chosen by name. Markings, weights, delays and numbers of
-servers are expressions over constants. What the tool means, and we follow: ``delay`` of an
-exponential transition is its *rate*; missing ``delay``, ``weight``, ``priority`` and ``mult`` are
-1; missing ``nservers`` is Infinite. A ``template`` is a constant without a fixed value: it takes
-the value it was last used with, with a note, unless it is given one. Coloured, fluid and
-general-distribution elements, and nets composed of others, are refused.
+A project may have several nets; one is chosen by name. Markings, weights, delays and numbers of
+servers are expressions over constants. The reader follows the conventions of the tool: ``delay`` of
+an exponential transition is its *rate*; missing ``delay``, ``weight``, ``priority`` and ``mult``
+are 1; missing ``nservers`` is Infinite. A ``template`` is a constant without a fixed value: unless
+the user gives one, it takes the value it was last used with, and the reader adds a note. Coloured,
+fluid and general-distribution elements are refused, and so are nets composed of others.
 
-The editor's unit of length is 16 units of our drawings, and it stores upper left corners of boxes
-whose width depends on the kind of the node; places and transitions that are in line in the editor
-are in line here."""
+One unit of length in the editor is 16 units in the drawings of this package. The editor stores the
+upper left corners of boxes whose width depends on the kind of node; the reader converts them so
+that places and transitions aligned in the editor stay aligned."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from gspn_framework_package.model.expression import shorten, tokenize
 from gspn_framework_package.model.net import Net, Position
 
 UNIT = 16.0
-"""Units of our drawings in one unit of the editor; a power of two, so that nothing is rounded."""
+"""Drawing units per unit of the editor; a power of two, so that nothing is rounded."""
 
 _CORNER = {"place": 0.0, "EXP": 0.55, "IMM": 0.85}
 _COMPOSITIONS = ("unfolding", "multinet", "composition", "algebra", "dta")
@@ -58,7 +58,7 @@ _FUNCTIONS = {
     "Exp": "exp",
     "Sqrt": "sqrt",
 }
-"""The functions of the editor that are read, and what they are called here."""
+"""The functions of the editor that can be read -> their names here."""
 
 _NODE = "name x y shown-as magnets rotation superpos-tags"
 _CONSTANT = known("name x y consttype type value domain shown-as last-binding", positions=True)
@@ -84,7 +84,7 @@ _NET = known("name zoom version", {"nodes": _NODES, "edges": _EDGES}, positions=
 def from_xml(
     root: etree._Element, file: Optional[str], options: ReadOptions
 ) -> Tuple[Net, List[str]]:
-    """The net in a parsed document, and notes.
+    """Read the net in a parsed document, with notes.
 
     :raises NetError: there is no such net, or it is not a GSPN.
     """
@@ -117,7 +117,7 @@ def _refuse_composition(root: etree._Element, file: Optional[str], wanted: Optio
 
 
 class _Reader:
-    """Goes once through a net element."""
+    """Reads a net element in one pass."""
 
     def __init__(self, net: etree._Element, file: Optional[str], options: ReadOptions) -> None:
         self.file = file
@@ -184,7 +184,7 @@ class _Reader:
             attribute = "value" if kind == "constant" else "last-binding"
             text = (element.get(attribute) or "").strip()
             if not text:
-                continue  # an error only where it is used
+                continue  # an error only if it is used
             definitions[name] = self._expression(
                 text, "value", name_of(element, kind), line_of(element)
             )
@@ -265,8 +265,8 @@ class _Reader:
         return self.draft.count(self._expression(text, meaning, what, line), meaning, what, line)
 
     def _expression(self, text: str, meaning: str, what: str, line: int) -> str:
-        """An expression in our words: the editor writes ``Max[a, b]``, and ``Fract[a, b]`` for a /
-        b."""
+        """Translate an expression of the editor, which writes ``Max[a, b]``, and ``Fract[a, b]``
+        for a / b."""
         if "[" not in text:
             return text
         try:
@@ -274,7 +274,7 @@ class _Reader:
         except ExpressionError as error:
             self.draft.fail("its %s cannot be computed: %s" % (meaning, error.message), what, line)
         words: List[str] = []
-        # of each open bracket: commas seen, where it is a fraction
+        # for each open bracket: the number of commas seen, if it is a fraction
         fractions: List[Optional[int]] = []
         for token, following in zip(tokens, tokens[1:]):
             if following.text == "[" and token.kind == "name":
@@ -330,7 +330,7 @@ class _Reader:
 
 
 def _what(element: etree._Element) -> str:
-    """What to call the element in a message."""
+    """Return the name of the element for a message."""
     if tag(element) == "arc":
         return "arc from '%s' to '%s'" % (element.get("tail"), element.get("head"))
     return name_of(element, tag(element))
@@ -350,14 +350,14 @@ def _from_editor(where: Optional[Position], kind: str) -> Optional[Position]:
 
 
 def losses(net: Net) -> List[str]:
-    """What the format says in other words, for the user to know."""
+    """Return notes for the user on what the format expresses differently."""
     return capacity_losses(net)
 
 
 def to_bytes(net: Net) -> bytes:
-    """The net as a project file of one net; capacities become inhibitor arcs, which say the same.
+    """Return the net as a project file of one net; capacities become equivalent inhibitor arcs.
 
-    :raises NetError: a name that XML cannot hold.
+    :raises NetError: a name cannot be written in XML.
     """
     net = capacities_as_inhibitors(net)
     root = etree.Element("project", name=net.name or "net", version="121")

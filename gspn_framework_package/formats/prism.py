@@ -1,10 +1,10 @@
 """The language of the PRISM model checker, which Storm reads too: write.
 
-A net becomes a Markov chain with one integer variable for each place and one command for each
-transition, and a reward structure ``throughput_T`` for each transition T, so that
-``R{"throughput_T"}=? [S]`` is its throughput. PRISM knows no immediate transitions: a net that has
-some is refused here and goes out as JANI, or as the chain that is left when its vanishing markings
-have been eliminated (:func:`chain_files`)."""
+A net becomes a Markov chain with one integer variable per place and one command per transition.
+Each transition T also gets a reward structure ``throughput_T``, so that ``R{"throughput_T"}=? [S]``
+is its throughput. PRISM has no immediate transitions, so a net with some is refused. It can be
+written as JANI, or as the chain that remains after its vanishing markings are eliminated
+(:func:`~gspn_framework_package.formats.markov_chain.prism_files`)."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from gspn_framework_package.model.net import Net
 
 
 def to_bytes(net: Net, bounds: Mapping[str, int] = {}) -> bytes:
-    """The net as a PRISM model.
+    """Return the net as a PRISM model.
 
-    :param bounds: the most tokens that places can hold, where known; PRISM's symbolic engines need
-        it.
+    :param bounds: the maximum number of tokens of places, where known; PRISM's symbolic engines
+        need it.
     :raises NetError: the net has immediate transitions.
     """
     immediate = [t.name for t in net.transitions if not t.timed]

@@ -1,4 +1,4 @@
-"""All net formats in one table: which one a file is in, reading it, writing it."""
+"""The table of all net formats, and functions to recognise, read and write net files."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ NO_BOUNDS: Bounds = {}
 AS_THE_FILE_SAYS = ReadOptions()
 
 FORMATS: Dict[str, Format] = {}
-"""Format name -> format, in the order in which they are asked whether a file is theirs."""
+"""Format name -> format, in the order in which the formats are tried on a file."""
 
 
 def register(format: Format) -> None:
-    """Add a format: from then on its files are read and written wherever nets are.
+    """Add a format, so that its files can be used wherever nets are read or written.
 
-    :raises ValueError: another format has its name, or one of its extensions.
+    :raises ValueError: another format has the same name or one of its extensions.
     """
     for other in FORMATS.values():
         shared = set(format.extensions).intersection(other.extensions)
@@ -45,9 +45,9 @@ for _module in (pipe, pnml, pnpro, tina, jani, prism, dot):
 
 
 def read_net(path: PathLike, options: ReadOptions = AS_THE_FILE_SAYS, **fields: Any) -> Net:
-    """The net of a file, in any format that is known; the content decides which one it is.
+    """Read the net of a file in any known format; the content decides which format it is.
 
-    :param options: how to read it.
+    :param options: how to read the net.
     :param fields: fields of the options, by name: ``read_net(path, net="machine")``.
     :raises InputError: the file cannot be read, or is not a net; the message says where and why.
     """
@@ -57,7 +57,7 @@ def read_net(path: PathLike, options: ReadOptions = AS_THE_FILE_SAYS, **fields: 
 def read_net_with_notes(
     path: PathLike, options: ReadOptions = AS_THE_FILE_SAYS, **fields: Any
 ) -> NetAndNotes:
-    """As :func:`read_net`, and notes on what had to be assumed or was left out."""
+    """As :func:`read_net`, but also return notes on what was assumed or left out."""
     options = options._replace(**fields)
     if options.format is not None and format_named(options.format).reader is None:
         raise UsageError(
@@ -72,7 +72,10 @@ def read_net_with_notes(
 
 
 def _check_constants(data: bytes, constants: Mapping[str, float]) -> None:
-    """:raises UsageError: a constant that does not occur in the file (probably a typo)."""
+    """Check that the file uses these constants.
+
+    :raises UsageError: a constant does not occur in the file (probably a typo).
+    """
     for name in constants:
         word = re.escape(name).encode(errors="surrogateescape")
         if b"\0" not in data and not re.search(rb"(?<!\w)%s(?!\w)" % word, data):
@@ -91,7 +94,7 @@ def _read(file: NetFile, options: ReadOptions) -> NetAndNotes:
 
 
 def _recognise(file: NetFile) -> Format:
-    """The format that a file is in, by its content. :raises InputError: none that is read."""
+    """Recognise the format of a file by its content. :raises InputError: no readable format."""
     refuse_foreign(file)
     for format in FORMATS.values():
         if format.reader is not None and format.reader.takes(file):
@@ -113,12 +116,12 @@ def _formats_read() -> str:
 def write_net(
     net: Net, path: PathLike, format: Optional[str] = None, bounds: Bounds = NO_BOUNDS
 ) -> List[str]:
-    """Write a net; the name of the file decides on the format unless one is given.
+    """Write a net; the file's name determines the format unless ``format`` is given.
 
-    :param bounds: the most tokens that places can hold, where known; model checkers want to know.
-    :returns: what the format could not hold, in sentences.
+    :param bounds: the maximum number of tokens of places, where known; for model checkers.
+    :returns: what the format could not express, in sentences.
     :raises UsageError: the format is not known.
-    :raises NetError: the net has something that the format cannot say.
+    :raises NetError: the net has something that the format cannot express.
     :raises InputError: the file cannot be written.
     """
     chosen = format_named(format) if format is not None else format_of_name(path)
@@ -128,18 +131,18 @@ def write_net(
 
 
 def encode_net(net: Net, format: Format, bounds: Bounds = NO_BOUNDS) -> Tuple[bytes, List[str]]:
-    """The content of a file, and what the format could not hold, in sentences.
+    """Return the content of a file, and what the format could not express, in sentences.
 
-    :raises NetError: the net has something that the format cannot say.
+    :raises NetError: the net has something that the format cannot express.
     """
     data = format.to_bytes(net, bounds) if format.takes_bounds else format.to_bytes(net)
     return data, format.losses(net)
 
 
 def format_of_name(path: PathLike) -> Format:
-    """The format that the name of a file stands for.
+    """Return the format that the name of a file implies.
 
-    :raises UsageError: it stands for none.
+    :raises UsageError: the name implies none.
     """
     suffix = Path(path).suffix.lower()
     for entry in FORMATS.values():
@@ -152,7 +155,7 @@ def format_of_name(path: PathLike) -> Format:
 
 
 def format_named(name: str) -> Format:
-    """The format of that name. :raises UsageError: there is none."""
+    """Return the format of that name. :raises UsageError: there is none."""
     try:
         return FORMATS[name.lower()]
     except KeyError:

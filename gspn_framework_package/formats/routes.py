@@ -1,9 +1,8 @@
-"""Where the arcs and labels of a net go, whose nodes have places in the drawing.
+"""Routes arcs and places labels in drawings of nets whose nodes have fixed positions.
 
-Graphviz lays arcs on each other and labels across arcs where the nodes are fixed, so both are put
-here: an arc is straight where it can be, and bends away from nodes and from arcs that run along it;
-a label takes the free spot that is nearest to its node. Lengths are points (1/72 inch), y counts
-upwards.
+With fixed nodes, Graphviz draws arcs on top of each other and labels across arcs, so this module
+places both. An arc is straight if possible, and bends away from nodes and from arcs that run along
+it; a label takes the nearest free spot to its node. Lengths are in points (1/72 inch), y upwards.
 """
 
 from __future__ import annotations
@@ -13,9 +12,9 @@ from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tu
 
 Point = Tuple[float, float]
 
-# distance of the points of an arc that are looked at; closer than that, two arcs run on each other
+# distance between the sampled points of an arc; two arcs that are closer than this overlap
 _STEP = 6.0
-_NEAR = 28.0  # around its ends an arc may meet the others that end there
+_NEAR = 28.0  # this close to its ends, an arc may overlap others that end there
 _BENDS = (0, 14, -14, 28, -28, 45, -45, 65, -65, 90, -90, 120, -120)
 _GAPS = (3.0, 10.0, 20.0, 32.0)
 _DIRECTIONS = [
@@ -26,11 +25,11 @@ _MAX_EXTENT = 20_000.0
 _MAX_LENGTH = 300_000.0
 LINE_HEIGHT = 12.5
 LETTER = 6.4
-"""Mean width of a letter of a node's label; wider than in most fonts, so that none is cut."""
+"""Mean width of a letter in a node's label; wider than in most fonts, so that no label is cut."""
 
 
 class NodeBox(NamedTuple):
-    """A node: its middle, half its width and height, and the lines of its label."""
+    """A node: its centre, half its width and height, whether it is round, and its label."""
 
     x: float
     y: float
@@ -41,7 +40,7 @@ class NodeBox(NamedTuple):
 
 
 class Line(NamedTuple):
-    """An arc between two boxes (by number), with its label and the length of its head."""
+    """An arc between two boxes (by number), with its label and the length of its arrow head."""
 
     source: int
     target: int
@@ -50,8 +49,8 @@ class Line(NamedTuple):
 
 
 class Route(NamedTuple):
-    """The way of an arc: where it starts, two control points, where its head begins and ends; where
-    its label is."""
+    """The route of an arc: its start, two control points, the base and the tip of its head, and the
+    position of its label."""
 
     start: Point
     first: Point
@@ -61,7 +60,7 @@ class Route(NamedTuple):
     label: Optional[Point]
 
     def points(self) -> List[Point]:
-        """Points along it, at most some six points of length apart."""
+        """Return positions along the route, at most about 6 pt apart."""
         corners = (self.start, self.first, self.second, self.base)
         number = max(4, int(sum(map(_distance, corners, corners[1:])) / _STEP) + 1)
         found = []
@@ -73,14 +72,14 @@ class Route(NamedTuple):
 
 
 class Routing(NamedTuple):
-    """The routes, in the order of the lines, and the middle of each box's label."""
+    """The routes, in the order of the lines, and the centre of each box's label."""
 
     routes: List[Route]
     labels: List[Point]
 
 
 def layout(boxes: Sequence[NodeBox], lines: Sequence[Line]) -> Optional[Routing]:
-    """Routes and labels; None where the drawing is too large for this to be quick."""
+    """Route the lines and place the labels; None if the drawing is too large to do this quickly."""
     extent = max((abs(v) for box in boxes for v in box[:2]), default=0.0)
     if extent > _MAX_EXTENT or len(boxes) * len(lines) > 100_000:
         return None
@@ -89,7 +88,7 @@ def layout(boxes: Sequence[NodeBox], lines: Sequence[Line]) -> Optional[Routing]
         return None
     routes: Dict[int, Route] = {}
     taken: Dict[Tuple[int, int], Set[int]] = {}
-    # long ones can go around more easily
+    # shortest first, since long arcs can bend around others more easily
     for number in sorted(range(len(lines)), key=lambda i: lengths[i]):
         routes[number] = _route(boxes, lines, number, routes, taken)
         for x, y in routes[number].points():
@@ -125,7 +124,7 @@ def _size(label: str) -> Tuple[float, float]:
 
 
 def _border(box: NodeBox, towards: Point) -> Point:
-    """Where the way from the middle of the box to a point leaves it."""
+    """Return the point where a straight line from the centre of the box to a point leaves it."""
     dx, dy = towards[0] - box.x, towards[1] - box.y
     length = math.hypot(dx, dy)
     if length < 1e-9:
@@ -161,7 +160,7 @@ def _route(
     routes: Dict[int, Route],
     taken: Dict[Tuple[int, int], Set[int]],
 ) -> Route:
-    """The way with the least to object to, of those there are."""
+    """Return the route with the lowest cost among the possible bends."""
     line = lines[number]
     ends = (boxes[line.source][:2], boxes[line.target][:2])
     others = [box for i, box in enumerate(boxes) if i not in (line.source, line.target)]
@@ -189,7 +188,7 @@ def _route(
                 for other in taken.get((int(x // _STEP), int(y // _STEP)), ()):
                     along[other] = along.get(other, 0) + 1
         for times in along.values():
-            # crossing is one thing, running along it another
+            # crossing another arc costs little, running along it costs more
             cost += 2 if times <= 4 else 2 * times
         cost += sum(60 for middle in beside if _distance(middle, _middle(route)) < 10)
         cost += sum(8 for tip in tips if _distance(tip, route.tip) < 6)
@@ -205,8 +204,8 @@ def _middle(route: Route) -> Point:
 
 
 def _around(box: NodeBox) -> Iterator[Tuple[Point, Point, float]]:
-    """Spots for the label of a box: a point beside it, the way from there, and what speaks against
-    the spot."""
+    """Yield spots for the label of a box: a point beside the box, the direction away from it, and
+    the cost of the spot."""
     for gap in _GAPS:
         for rank, angle in enumerate(_DIRECTIONS):
             way = (math.cos(angle), math.sin(angle))
@@ -215,7 +214,7 @@ def _around(box: NodeBox) -> Iterator[Tuple[Point, Point, float]]:
 
 
 def _along(route: Route) -> Iterator[Tuple[Point, Point, float]]:
-    """Spots for the label of an arc, as :func:`_around`."""
+    """Yield spots for the label of an arc, like :func:`_around`."""
     points = route.points()
     for gap in (3.0, 8.0):
         for part in (0.5, 0.4, 0.6, 0.3, 0.7):
@@ -229,7 +228,7 @@ def _along(route: Route) -> Iterator[Tuple[Point, Point, float]]:
 
 
 class _Spots:
-    """What is drawn already, and how much of it a rectangle would cover."""
+    """Keeps track of what is drawn, to compute how much of it a rectangle would cover."""
 
     _CELL = 30.0
 
@@ -246,8 +245,8 @@ class _Spots:
     def put(
         self, spots: Iterator[Tuple[Point, Point, float]], width: float, height: float
     ) -> Point:
-        """The middle of a label of this size at the best of the spots, which is taken from now
-        on."""
+        """Put a label of this size at the best of the spots, which is then occupied, and return the
+        centre of the label."""
         best, least = (0.0, 0.0), math.inf
         for at, way, cost in spots:
             if cost >= least:

@@ -1,4 +1,4 @@
-"""Files as readers get them and writers leave them: of bounded size, and whole or not at all."""
+"""Reads files of bounded size, and writes files completely or not at all."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import os
 from gspn_framework_package.model.errors import InputError
 
 MAX_BYTES = 90_000_000
-"""Largest file that is read. A net of 100,000 arcs takes 20 to 40 MB in the most verbose format."""
+"""Maximum size of a file to read, in bytes. A net of 100,000 arcs takes 20 to 40 MB in the most
+verbose format."""
 
 
 def read_bytes(path: str, limit: int = MAX_BYTES) -> bytes:
-    """The content of a file.
+    """Return the content of a file.
 
-    :raises InputError: it cannot be read, or is larger than ``limit`` bytes.
+    :raises InputError: the file cannot be read, or is larger than ``limit`` bytes.
     """
     path = os.fspath(path)
     try:
@@ -38,12 +39,12 @@ def _too_large(path: str, limit: int) -> InputError:
 
 
 def write_bytes(path: str, data: bytes) -> None:
-    """Write a file, whole or not at all: a reader never sees half of it.
+    """Write a file atomically: a reader never sees half of it.
 
-    :raises InputError: it cannot be written.
+    :raises InputError: the file cannot be written.
     """
     path = os.fspath(path)
-    if os.path.exists(path) and not os.path.isfile(path):  # a pipe or device has no "whole"
+    if os.path.exists(path) and not os.path.isfile(path):  # a pipe or device cannot be replaced
         _write(path, path, data)
         return
     temporary = "%s.%d.part" % (path, os.getpid())

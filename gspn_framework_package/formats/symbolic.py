@@ -1,4 +1,4 @@
-"""The firing rule of a net as formulas, for model checkers: what JANI and PRISM export share."""
+"""The firing rule of a net as formulas, shared by the JANI and PRISM writers."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _KEYWORDS = """A bool C ceil clock const ctmc deadlock double dtmc E endinit end
     invariant label log ma max mdp min mod module nondeterministic not P Pmax Pmin pomdp popta pow
     probabilistic prob pta R rate rewards Rmax Rmin S smg stochastic system true U W X and or"""
 _RESERVED = frozenset(_KEYWORDS.split())
-"""Words that PRISM or Storm would not take for the name of a variable."""
+"""Words that PRISM or Storm do not accept as the name of a variable."""
 
 
 class PlaceComparison(NamedTuple):
-    """Tokens of place number ``place``, compared by ``operator`` (``>=``, ``<`` or ``<=``) with a
-    number."""
+    """Compares the tokens of place number ``place`` with a number by ``operator`` (``>=``, ``<`` or
+    ``<=``)."""
 
     place: int
     operator: str
@@ -25,8 +25,8 @@ class PlaceComparison(NamedTuple):
 
 
 def identifiers(*groups: Sequence[str]) -> List[Dict[str, str]]:
-    """Names for model checkers, of letters, digits and ``_``, all different: for each group of
-    names a dictionary name -> identifier."""
+    """Make unique identifiers for model checkers, of letters, digits and ``_``; returns a
+    dictionary name -> identifier for each group of names."""
     used: Set[str] = set(_RESERVED)
     return [{name: _identifier(name, used) for name in group} for group in groups]
 
@@ -44,7 +44,8 @@ def _identifier(name: str, used: Set[str]) -> str:
 
 
 def concession(net: Net, t: int) -> List[PlaceComparison]:
-    """What must hold for transition number ``t`` to have concession (``Net.is_enabled``)."""
+    """Return the comparisons that hold if and only if transition number ``t`` has concession
+    (``Net.is_enabled``)."""
     found = [PlaceComparison(p, ">=", weight) for p, weight in net.inputs[t]]
     found += [PlaceComparison(p, "<", weight) for p, weight in net.inhibitors[t]]
     for p, change in net.effect(t):
@@ -55,7 +56,7 @@ def concession(net: Net, t: int) -> List[PlaceComparison]:
 
 
 def priority_levels(net: Net) -> List[List[int]]:
-    """Numbers of the immediate transitions by priority, the highest first."""
+    """Group the numbers of the immediate transitions by priority, highest first."""
     levels: Dict[int, List[int]] = {}
     for t, transition in enumerate(net.transitions):
         if not transition.timed:
@@ -64,10 +65,10 @@ def priority_levels(net: Net) -> List[List[int]]:
 
 
 def upper_bounds(net: Net, bounds: Mapping[str, int]) -> List[Optional[int]]:
-    """The upper bound of the variable of each place: what is given, else the capacity, else None
-    (not known).
+    """Return an upper bound for the variable of each place: the given bound, else the capacity,
+    else None (not known).
 
-    It is never below 1: Storm computes wrong numbers with a variable that has one value only.
+    It is never below 1, because Storm computes wrong numbers if a variable has only one value.
     """
     known = [bounds.get(place.name, place.capacity) for place in net.places]
     return [

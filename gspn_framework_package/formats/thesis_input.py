@@ -1,13 +1,13 @@
-"""The two input forms of the thesis, read as they are (4.1.3 standalone, 4.3.6 ROS).
+"""Reader for the two input forms of the thesis, unmodified (4.1.3 standalone, 4.3.6 ROS).
 
-In files written for the thesis the values are JSON strings that hold Python literals
-(``"{'p1': ['ExecGSPN', 'action_server_1']}"``, ``"('p1','p2')"``, ``"True"``), policy cells are
-numbers, numeric strings or ``'-'``, and paths are absolute to a machine that is gone: what does not
-exist is looked for by its name beside the input file.
+In files written for the thesis, values are JSON strings with Python literals
+(``"{'p1': ['ExecGSPN', 'action_server_1']}"``, ``"('p1','p2')"``, ``"True"``). Policy cells are
+numbers, numeric strings or ``'-'``. Paths are absolute paths of a machine that no longer exists; if
+a path does not exist, the reader looks for the same name beside the input file.
 
-Such files also hold entries that are there for illustration and that the thesis's framework never
-looked at: policy rows that name an exponential transition or one that the net lacks, an action of a
-resource place or of a place that the net lacks. They are left out here, each with a note.
+Such files also have entries for illustration that the thesis's framework ignored: policy rows that
+name an exponential or unknown transition, and actions of resource places or unknown places. The
+reader leaves them out, each with a note.
 """
 
 from __future__ import annotations
@@ -57,20 +57,20 @@ class ThesisNet(NamedTuple):
 
 
 def is_thesis_input(data: Mapping[str, Any]) -> bool:
-    """Whether a JSON object is one of the two forms, judged by the keys that only they have."""
+    """Whether a JSON object has one of the two forms, judged by keys that only they have."""
     return CLIENTS in data or FUNCTIONS in data or "gspn" in data and "net" not in data
 
 
 def has_mapping(data: Mapping[str, Any]) -> bool:
-    """Whether an input file maps any place to an action. Without a map the file stands for its net
-    (5.3: to look at a GSPN, neither a mapping nor a policy is needed)."""
+    """Whether an input file maps any place to an action. A file without such a mapping stands for
+    its net (5.3: viewing a GSPN needs neither a mapping nor a policy)."""
     return any(data.get(key) not in (None, "", "{}", {}, "None") for key in (CLIENTS, FUNCTIONS))
 
 
 def net_from_thesis(data: Mapping[str, Any], path: str) -> ThesisNet:
-    """The net of an input file, whatever the file says of actions and policy.
+    """Read only the net of an input file, and ignore its actions and policy.
 
-    :raises PlanError: the file names no net that is there.
+    :raises PlanError: the file does not name an existing net.
     :raises InputError: the net cannot be read.
     """
     reader = _Reader(data, path, ("gspn",))
@@ -79,9 +79,9 @@ def net_from_thesis(data: Mapping[str, Any], path: str) -> ThesisNet:
 
 
 def plan_from_thesis(data: Mapping[str, Any], path: str) -> Plan:
-    """The plan of an input file of the thesis. The robots, which such a file does not name, are
-    dealt over the action places in the order of ``places_tuple`` by the initial marking; the seed
-    is 0.
+    """Return the plan of an input file of the thesis. Such a file does not name the robots, so they
+    are assigned to the action places by the initial marking, in the order of ``places_tuple``. The
+    seed is 0.
 
     :raises PlanError: a key is missing, or a value cannot be read.
     """
@@ -125,9 +125,9 @@ def _read_net(reader: _Reader, in_project: bool) -> Tuple[Net, List[str]]:
 
 
 def _without_illustrations(policy: Policy, net: Net, notes: List[str]) -> Policy:
-    """The policy without the choices that no robot can ask for, and without rows that have no
-    others. The rest of a row is scaled to sum to 1. ``notes`` gets each choice that was left
-    out."""
+    """Return the policy without choices that no robot can request, and without rows that have only
+    such choices. The remaining probabilities of a row are scaled to sum to 1. Each omitted choice
+    is added to ``notes``."""
     rows = []
     for number, row in enumerate(policy.rows, 1):
         kept, left_out = [], []
@@ -159,7 +159,8 @@ def _without_illustrations(policy: Policy, net: Net, notes: List[str]) -> Policy
 
 
 class _Reader:
-    """One input file: values that may be literals in strings, paths that may be gone."""
+    """Reads an input file, whose values may be literals in strings and whose paths may not
+    exist."""
 
     def __init__(self, data: Mapping[str, Any], path: str, keys: Sequence[str]) -> None:
         self.data = data
@@ -173,19 +174,19 @@ class _Reader:
                 )
 
     def leave_out_unknown(self, keys: Sequence[str]) -> None:
-        """Note the keys that are not among ``keys``."""
+        """Add a note for each key that is not among ``keys``, which is ignored."""
         for key in self.data:
             if key not in keys:
                 self.notes.append("the key '%s' is not known and was left out" % key)
 
     def project(self) -> str:
-        """The folder of the functions."""
+        """Return the folder with the functions."""
         if self._project is None:
             self._project = self.existing(self.text("project_path"), folder=True)
         return self._project
 
     def places_of(self, net: Net, names: Sequence[str], key: str) -> List[str]:
-        """Those of ``names`` that are places of the net; the others are noted."""
+        """Return the ``names`` that are places of the net; add a note on the others."""
         for name in names:
             if name not in net.place_index:
                 self.notes.append("%s: '%s' was left out: the net has no such place" % (key, name))
@@ -194,7 +195,7 @@ class _Reader:
     def actions_of(
         self, net: Net, actions: Mapping[str, Action], resources: FrozenSet[str], key: str
     ) -> Dict[str, Action]:
-        """Those of ``actions`` that a robot can come to; the others are noted."""
+        """Return the ``actions`` that a robot can reach; add a note on the others."""
         there = self.places_of(net, list(actions), key)
         for place in there:
             if place in resources and actions[place] is not None:
@@ -213,7 +214,7 @@ class _Reader:
         return value.strip()
 
     def literal(self, key: str) -> Any:
-        """The value of a key; a string is taken for a Python literal."""
+        """Return the value of a key; a string is parsed as a Python literal."""
         value = self.data[key]
         if not isinstance(value, str):
             return value
@@ -232,7 +233,7 @@ class _Reader:
 
     def names(self, key: str) -> List[str]:
         value = self.literal(key)
-        if isinstance(value, str):  # ('p1') is a string in Python, meant as a tuple of one
+        if isinstance(value, str):  # ('p1') is a string in Python, but meant as a tuple
             value = (value,)
         if not isinstance(value, (list, tuple)) or not all(isinstance(n, str) for n in value):
             raise self._fail(key, value, "a list of names")
@@ -274,7 +275,8 @@ class _Reader:
         return FunctionAction(value, server_name(place))
 
     def existing(self, path: str, folder: bool = False, beside: str = "") -> str:
-        """``path`` as it is, or what has its name in ``beside`` or beside the input file."""
+        """Return ``path`` if it exists, else an existing path of that name in ``beside`` or in the
+        folder of the input file."""
         exists = os.path.isdir if folder else os.path.isfile
         here = os.path.dirname(os.path.abspath(self.path))
         if exists(path) and os.path.isabs(path):

@@ -9,8 +9,8 @@
 
 The format has time intervals, not rates. A transition with ``[0,0]`` is immediate, one with
 ``[0,w[`` or no interval is exponential with rate 1; other intervals, stopwatch arcs and priorities
-are refused. A test arc ``?n`` becomes an arc in both directions, which enables the same. Writing
-leaves rates, weights, priorities and numbers of servers out; :func:`losses` says so."""
+are refused. A test arc ``?n`` becomes a pair of arcs in both directions, which is equivalent. The
+writer leaves out rates, weights, priorities and numbers of servers; :func:`losses` reports that."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class _Arc(NamedTuple):
 
 
 def recognises(text: str) -> bool:
-    """Whether a text looks like a net of TINA: its first word is one of its keywords."""
+    """Whether a text looks like a TINA net, that is, whether its first word is a TINA keyword."""
     for line in text.splitlines()[:1000]:
         line = line.strip()
         if line and not line.startswith("#"):
@@ -62,9 +62,10 @@ def recognises(text: str) -> bool:
 
 
 def from_text(text: str, file: Optional[str], options: ReadOptions) -> Tuple[Net, List[str]]:
-    """The net in a text, and notes.
+    """Read the net in a text, with notes.
 
-    :raises NetError: it is not a net of TINA, or one with time intervals that are not exponential.
+    :raises NetError: the text is not a TINA net, or has time intervals other than ``[0,0]`` and
+        ``[0,w[``.
     """
     reader = _Reader(file, options)
     for number, line in enumerate(text.splitlines(), 1):
@@ -73,7 +74,7 @@ def from_text(text: str, file: Optional[str], options: ReadOptions) -> Tuple[Net
 
 
 class _Reader:
-    """Goes once through the lines; nodes may be declared by use, and twice."""
+    """Reads the lines in one pass; nodes may be declared by use, and more than once."""
 
     def __init__(self, file: Optional[str], options: ReadOptions) -> None:
         self.draft = NetDraft(file, options.constants)
@@ -85,12 +86,12 @@ class _Reader:
         self.line = 0
 
     def read_line(self, line: str, number: int) -> None:
-        """Take in one line of the file."""
+        """Read one line of the file."""
         self.line = number
         if not line.strip() or line.lstrip().startswith("#"):
             return
         keyword, _, rest = line.strip().partition(" ")
-        if keyword in ("nt", "lb"):  # notes and labels mean nothing here
+        if keyword in ("nt", "lb"):  # notes and labels do not matter here
             return
         if keyword == "pr":
             self._fail("priorities between pairs of transitions are not read")
@@ -110,7 +111,7 @@ class _Reader:
             self._fail("'%s' is not possible there" % shorten(self.words[-1].text, 30))
 
     def net(self) -> Tuple[Net, List[str]]:
-        """What was read."""
+        """Return the net that was read, and notes."""
         for name, (tokens, line) in self.tokens.items():
             self.draft.add_place(None, name, tokens, line=line)
         for name, (immediate, line) in self.immediate.items():
@@ -236,7 +237,7 @@ class _Reader:
 
 
 def losses(net: Net) -> List[str]:
-    """What the format cannot hold of this net, for the user to know."""
+    """Return notes for the user on what the format cannot express of this net."""
     found = capacity_losses(net)
     if net.transitions:
         found.append(
@@ -246,7 +247,7 @@ def losses(net: Net) -> List[str]:
 
 
 def to_bytes(net: Net) -> bytes:
-    """The net as TINA reads it; capacities become inhibitor arcs, which say the same.
+    """Return the net as TINA reads it; capacities become equivalent inhibitor arcs.
 
     :raises NetError: a name has a line break.
     """

@@ -1,8 +1,8 @@
 """The elements and attributes that a reader of an XML format knows; anything else is refused.
 
-Whatever a reader overlooks could change the net: an arc of an unknown kind, a guard, a time. So
-each reader lists what it knows, and :func:`check` refuses the rest. Only the parts of a format that
-mean nothing for the net (graphics, names, data of one tool) are unrestricted.
+Anything that a reader overlooks could change the net: an arc of an unknown kind, a guard, a time.
+So each reader lists what it knows, and :func:`check` refuses the rest. Only parts of a format that
+do not affect the net (graphics, names, data of one tool) are unrestricted.
 """
 
 from __future__ import annotations
@@ -18,24 +18,23 @@ Children = Dict[str, List[etree._Element]]
 """The children of an element by their tags."""
 
 FREE = None
-"""In place of an :class:`Element`: whatever stands there means nothing for the net."""
+"""Used instead of an :class:`Element`: any content is allowed, and does not affect the net."""
 
 _EVERYWHERE = (
     "{http://www.w3.org/XML/1998/namespace}",
     "{http://www.w3.org/2001/XMLSchema-instance}",
 )
-"""Attributes of these namespaces (``xml:space``, ``xsi:schemaLocation``) mean nothing for the
-net."""
+"""Attributes of these namespaces (``xml:space``, ``xsi:schemaLocation``) do not affect the net."""
 
 
 class Element(NamedTuple):
-    """What is known of an element.
+    """What a reader knows of an element.
 
     :ivar attributes: names of its attributes.
-    :ivar children: tag -> what is known of it; :data:`FREE`: anything may be inside.
-    :ivar repeated: children that may stand there several times; of the others a second one would
-        be overlooked.
-    :ivar text: whether it holds text itself.
+    :ivar children: tag -> vocabulary of the child; :data:`FREE` allows any content.
+    :ivar repeated: children that may occur several times; a second one of any other child is
+        refused, since the reader would overlook it.
+    :ivar text: whether the element itself has text.
     :ivar positions: whether attributes that end in ``-x``, ``-y``, ``-k`` or ``-magnet`` are places
         of labels in the drawing.
     """
@@ -62,7 +61,7 @@ def known(
     text: bool = False,
     positions: bool = False,
 ) -> Element:
-    """An :class:`Element`, its names given as words: ``known("id", free="name graphics")``."""
+    """Create an :class:`Element` from words: ``known("id", free="name graphics")``."""
     inside: Dict[str, Optional[Element]] = dict.fromkeys(free.split(), FREE)
     inside.update(children)
     return Element(
@@ -75,12 +74,11 @@ def known(
 
 
 def check(element: etree._Element, vocabulary: Element, what: str, fail: _Fail) -> Children:
-    """Refuse what the vocabulary of ``element`` does not have, down to the last descendant.
+    """Refuse anything that the vocabulary of ``element`` does not have, in all its descendants.
 
-    :param what: what to call the element in a message.
+    :param what: name of the element in a message.
     :param fail: raises the error: (message, element, line, hint).
-    :returns: the children by their tags, since they were gone through: asking for each tag takes as
-      long again.
+    :returns: the children by tag; a separate search for each tag would double the time.
     """
     children: Children = {}
     check_attributes(element, vocabulary, what, fail)
@@ -123,7 +121,7 @@ def check(element: etree._Element, vocabulary: Element, what: str, fail: _Fail) 
 
 def check_attributes(element: etree._Element, vocabulary: Element, what: str, fail: _Fail) -> None:
     """Refuse attributes of ``element`` that its vocabulary does not have."""
-    if vocabulary.attributes.issuperset(element.keys()):  # as of a million elements of a large net
+    if vocabulary.attributes.issuperset(element.keys()):  # the usual case
         return
     for key, value in element.items():
         name = str(key)

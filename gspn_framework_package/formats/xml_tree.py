@@ -1,4 +1,4 @@
-"""What the XML formats share: safe parsing, children by local name, labels, positions, output."""
+"""Helpers for the XML formats: safe parsing, children by local name, labels, positions, output."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from gspn_framework_package.model.net import Net, Position
 
 
 def parse_xml(data: bytes, file: Optional[str] = None) -> etree._Element:
-    """The root element of an XML document, with comments and processing instructions left out.
+    """Parse an XML document and return its root, without comments and processing instructions.
 
-    Entities, external files, the network and attribute defaults of a DTD are off.
+    Entities, external files, network access and attribute defaults of a DTD are disabled.
 
-    :raises InputError: it is not well-formed (with the line), or it declares entities.
+    :raises InputError: the document is not well-formed (with the line), or it declares entities.
     """
     parser = etree.XMLParser(
         resolve_entities=False,
@@ -64,39 +64,39 @@ def _entities(file: Optional[str]) -> InputError:
 
 
 def tag(element: etree._Element) -> str:
-    """The tag of an element without its namespace."""
+    """Return the tag of an element without its namespace."""
     return _local_name(element.tag)
 
 
 @lru_cache(maxsize=256)  # a large net has a million elements, of a dozen tags
 def _local_name(name: Any) -> str:
-    if not isinstance(name, str):  # an entity reference that nothing declares
+    if not isinstance(name, str):  # an undeclared entity reference
         return ""
     return name if name[:1] != "{" else name.rpartition("}")[2]
 
 
 def child(element: etree._Element, name: str) -> Optional[etree._Element]:
-    """The first child with that tag, whatever its namespace."""
-    if not len(element):  # as most arcs are; asking lxml costs more
+    """Return the first child with that tag in any namespace."""
+    if not len(element):  # true of most arcs; a search by lxml costs more
         return None
     return next(element.iterchildren("{*}" + name), None)
 
 
 def all_of(element: etree._Element, name: str) -> List[etree._Element]:
-    """All children with that tag, whatever their namespace."""
+    """Return all children with that tag in any namespace."""
     if not len(element):
         return []
     return list(element.iterchildren("{*}" + name))
 
 
 def label(element: etree._Element, name: str, part: str) -> Optional[str]:
-    """The text of ``element/name/part`` without the space around it; None when missing or empty."""
+    """Return the text of ``element/name/part``, stripped; None if missing or empty."""
     outer = child(element, name)
     return None if outer is None else text_of(outer, part)
 
 
 def text_of(element: Optional[etree._Element], part: str) -> Optional[str]:
-    """The text of ``element/part`` without the space around it; None when missing or empty."""
+    """Return the text of ``element/part``, stripped; None if missing or empty."""
     for node in element if element is not None else ():
         if tag(node) == part:
             return (node.text or "").strip() or None
@@ -104,15 +104,16 @@ def text_of(element: Optional[etree._Element], part: str) -> Optional[str]:
 
 
 _ARC_KINDS = {"regular": "normal", "inhibition": "inhibitor"}
-"""Words of some tools for the two kinds of arc."""
+"""Words that some tools use for the two kinds of arc."""
 
 
 def arc_kind(element: etree._Element) -> str:
-    """The kind of an arc: ``normal``, ``inhibitor``, or a word that its reader does not know.
+    """Return the kind of an arc: ``normal``, ``inhibitor``, or the word in the file if it is
+    another one.
 
     Tools write it in four ways: an attribute ``type`` of the arc (TAPAAL), ``<type value="..."/>``
     (PIPE, TINA), ``<type><text>`` or ``<type><value>``, and ``<arctype><text>`` (ProM, pm4py).
-    Where two of them disagree, the answer holds both words.
+    If two of them disagree, the result has both words.
     """
     if not len(element) and element.get("type") is None:
         return "normal"
@@ -129,30 +130,30 @@ def arc_kind(element: etree._Element) -> str:
 
 
 def line_of(element: etree._Element) -> int:
-    """The line that the element begins in."""
+    """Return the line on which the element begins."""
     return cast(int, element.sourceline or 0)
 
 
 def name_of(element: etree._Element, kind: str) -> str:
-    """What to call the element in a message: ``place 'p1'``."""
+    """Return the name of the element for a message: ``place 'p1'``."""
     identifier = element.get("id") or element.get("name")
     return "%s '%s'" % (kind, shorten(identifier)) if identifier else kind
 
 
 def position(element: etree._Element) -> Optional[Position]:
-    """The position in ``graphics/position``, None when there is none to use."""
+    """Return the position in ``graphics/position``, None if there is no valid one."""
     graphics = child(element, "graphics")
     return position_in(graphics) if graphics is not None else None
 
 
 def position_in(graphics: etree._Element) -> Optional[Position]:
-    """The position in a ``graphics`` element, None when there is none to use."""
+    """Return the position in a ``graphics`` element, None if there is no valid one."""
     where = child(graphics, "position")
     return coordinates(where) if where is not None else None
 
 
 def coordinates(element: etree._Element) -> Optional[Position]:
-    """The attributes ``x`` and ``y`` as a position; None unless both are finite numbers."""
+    """Return the attributes ``x`` and ``y`` as a position; None unless both are finite numbers."""
     try:
         x, y = float(element.get("x", "")), float(element.get("y", ""))
     except ValueError:
@@ -163,9 +164,9 @@ def coordinates(element: etree._Element) -> Optional[Position]:
 def choose_net(
     nets: Sequence[etree._Element], wanted: Optional[str], file: Optional[str]
 ) -> etree._Element:
-    """The net called ``wanted`` (by name or id), or the only one there is.
+    """Return the net called ``wanted`` (by name or id), or the only net.
 
-    :raises NetError: there is none, none of that name, or several and none was asked for.
+    :raises NetError: there is no net, none of that name, or several and ``wanted`` is None.
     """
     if not nets:
         raise NetError("there is no net in the file", file=file)
@@ -199,13 +200,13 @@ def _net_names(net: etree._Element) -> List[str]:
 
 
 def number_text(value: float) -> str:
-    """A number such that reading it gives exactly the same."""
+    """Return a number as text that reads back exactly as the same value."""
     return repr(float(value))
 
 
 @contextmanager
 def writing_names(net: Net) -> Iterator[None]:
-    """Tells names that XML cannot hold (control characters) as an error of the net."""
+    """Report names that cannot be written in XML (control characters) as an error of the net."""
     try:
         yield
     except ValueError as error:
@@ -215,7 +216,8 @@ def writing_names(net: Net) -> Iterator[None]:
 
 
 def serialise(root: etree._Element, depth: int = 2) -> bytes:
-    """The document as UTF-8 with an XML declaration, broken into lines down to ``depth`` levels."""
+    """Return the document as UTF-8 with an XML declaration, with line breaks down to ``depth``
+    levels."""
     _break_lines(root, 0, depth)
     return etree.tostring(root, xml_declaration=True, encoding="UTF-8")
 
