@@ -1,4 +1,4 @@
-// The analysis panel: asks the server, shows how far it is, and paints what it found on the net.
+// The analysis panel: sends questions to the server, shows the progress, and highlights the results on the net.
 
 import { $, h, attempt, number, plural, seconds, toast } from "./dom.js";
 import { get, post } from "./api.js";
@@ -6,7 +6,7 @@ import { AnswerViews } from "./analysis_views.js";
 
 const POLL = 250;
 
-/** What a request asks, as a person would write it. */
+/** The question of a request in readable words. */
 function questionText(request) {
   const { reach, cover, mean_time_to: condition, at, settling, rewards, simulate } = request;
   const numbers = (named) =>
@@ -29,7 +29,7 @@ function questionText(request) {
 
 /** Fires "choose" (detail {kind, index, fly}). */
 export class AnalysisPanel extends EventTarget {
-  /** `refusal`: why no analysis can be asked for; "" where one can. */
+  /** `refusal`: why no analysis is possible; "" if one is. */
   constructor(model, view, refusal = "") {
     super();
     this.model = model;
@@ -225,7 +225,7 @@ export class AnalysisPanel extends EventTarget {
     return Object.fromEntries(numbers);
   }
 
-  /** Ask what `question()` gives; `label`: what was pressed. What was answered before goes. */
+  /** Ask the question that `question()` returns; `label`: the button pressed. Replaces the previous answer. */
   async ask(question, label) {
     if (this.refusal) {
       toast(`no analysis: ${this.refusal}`);
@@ -288,7 +288,7 @@ export class AnalysisPanel extends EventTarget {
     this.follow(job, request, body);
   }
 
-  /** Also before the server has said what the job is called. */
+  /** Cancel a job, even before the server has returned its key. */
   cancel(job) {
     job.unwanted = true;
     return job.key && post(`analysis/${job.key}/cancel`);
@@ -330,7 +330,7 @@ export class AnalysisPanel extends EventTarget {
     }
   }
 
-  /** Below the question: that there is no answer. */
+  /** Say below the question that there is no answer. */
   tellNoAnswer(why) {
     this.answers.append(
       h("p", {}, h("span", { class: "badge bad", text: "no answer" }), why ? ` ${why}` : ""),

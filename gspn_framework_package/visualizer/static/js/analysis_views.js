@@ -1,4 +1,4 @@
-// What an analysis found, in words, tables and plots, and painted on the net.
+// The results of an analysis: in words, tables and plots, and highlighted on the net.
 
 import { h, number, plural, $ } from "./dom.js";
 import { curvePlot, barPlot, CURVES } from "./plot.js";
@@ -68,7 +68,7 @@ export class AnswerViews {
     );
   }
 
-  /** The measures of a part that have a title and no layout of their own. */
+  /** The measures of a part that have a title but no special layout. */
   titled(result, part) {
     return Object.entries(result.titles?.[part] || {}).map(([key, title]) => {
       const value = result[key];
@@ -130,7 +130,7 @@ export class AnswerViews {
     return counts ? h("p", { class: "muted", text: this.markingText(counts) }) : null;
   }
 
-  /** A button that paints the net and says in the legend what is painted. */
+  /** A button that highlights a result on the net and explains it in the legend. */
   painter(label, title, marks, ramp = null) {
     return h("button", {
       text: label,
@@ -524,7 +524,7 @@ export class AnswerViews {
     );
   }
 
-  /** Bars of how many tokens a place holds with which probability; the place is chosen. */
+  /** Bars of the distribution of a place's token count; the user chooses the place. */
   distribution(byPlace) {
     const names = Object.keys(byPlace);
     if (!names.length) return null;
@@ -671,7 +671,7 @@ export class AnswerViews {
     ];
   }
 
-  /** For a chosen place: the probability of each number of tokens, over time. */
+  /** The probability of each token count of a chosen place, over time. */
   distributionOverTime(found, order) {
     const chosen = h(
       "select",
@@ -704,7 +704,7 @@ export class AnswerViews {
     return [chosen, plot];
   }
 
-  /** Which curve is which. */
+  /** The legend of the curves. */
   key(names) {
     return h(
       "p",

@@ -1,4 +1,4 @@
-// Requests to this page's server, and the stream of news: server-sent events, polling where there are none.
+// Requests to this page's server, and the stream of news: server-sent events, or polling if they are not available.
 
 export class ApiError extends Error {
   constructor(message, status) {
@@ -34,7 +34,7 @@ export function get(path, query = {}, options = {}) {
   return request(`/api/${path}${text ? `?${text}` : ""}`, options);
 }
 
-/** A signal that ends a request after so many milliseconds. */
+/** A signal that aborts a request after so many milliseconds. */
 function within(milliseconds) {
   const controller = new AbortController();
   setTimeout(() => controller.abort(), milliseconds);
@@ -50,12 +50,12 @@ export function post(path, body = {}, query = {}) {
   });
 }
 
-const SILENCE = 8000; // ms without even a ping: the stream is taken for dead
+const SILENCE = 8000; // ms without even a ping after which the stream is considered dead
 const POLL = 500; // ms between polls
 const RETRY = 1000; // ms before another attempt
 
-/** Follows one open net. `onNews(news)` gets what the server's hub says, `onState(state, heard, why)` one of
- * waiting, open, polling, lost, gone (why), locked; `heard`: performance.now() when the server was heard last. */
+/** Follows one open net. `onNews(news)` receives the messages of the server's hub, `onState(state, heard, why)` one of
+ * waiting, open, polling, lost, gone (why), locked; `heard`: performance.now() of the server's last message. */
 export class NewsStream {
   constructor(id, onNews, onState) {
     this.id = id;
@@ -92,7 +92,7 @@ export class NewsStream {
       this.say("gone", JSON.parse(message.data).reason);
     });
     source.onerror = () => {
-      // A stream that was refused (too many viewers) or broke: ask once by polling, which also tells why.
+      // The stream was refused (too many viewers) or broke: poll once, which also gives the reason.
       source.close();
       if (this.source === source) {
         this.source = null;
@@ -129,7 +129,7 @@ export class NewsStream {
         this.say("polling");
         setTimeout(() => this.poll(), news.more ? 0 : POLL);
       } else {
-        // the server is there: try the stream again, and stay with polling if it is refused again
+        // the server answers: try the stream again, and keep polling if it is refused again
         this.polls = true;
         this.open();
         setTimeout(() => {

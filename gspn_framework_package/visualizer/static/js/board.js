@@ -1,12 +1,12 @@
-// What is shown at one moment, and how an event leads from there to the next. board.py says what the events are, and
-// has the same rules; a table of cases and events made at random hold the two together (test_browser_board.py).
+// The state shown at one moment, and how an event changes it. board.py describes the events and has the same rules; a
+// table of cases and random events check that the two agree (test_browser_board.py).
 
 import { named } from "./phases.js";
 
 const NOTES_KEPT = 50;
-const SINCE = ["place", "phase"]; // a robot is "since" the moment at which one of these changed
+const SINCE = ["place", "phase"]; // a robot's `since` is the time at which one of these last changed
 
-/** Go on by one event. */
+/** Update the board by one event. */
 export function applyEvent(board, event) {
   board.n = event.n;
   board.t = event.t;
@@ -56,7 +56,7 @@ export const copyOf = (board) => ({
   notes: board.notes.slice(),
 });
 
-/** The board of a JSON object. */
+/** Read a board from its JSON object. */
 export function boardOf(data) {
   return {
     ...data,

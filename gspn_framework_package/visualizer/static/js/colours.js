@@ -1,5 +1,5 @@
-// A colour and a short id for each robot, the same everywhere on the page, for every viewer, and in films of the world:
-// the server tells the palette, and model/robot_colours.py has the same rule.
+// A colour and a short id for each robot: the same everywhere on the page, for every viewer, and in films of the world.
+// The server provides the palette, and model/robot_colours.py has the same rule.
 
 let palette = ["#3f6475"];
 
@@ -13,8 +13,8 @@ function hash(text) {
   return value;
 }
 
-/** Colour by the number at the end of the name (robot_1, robot_2 ...: neighbours differ), by all of it where there is
- * none. */
+/** The colour by the number at the end of the name (robot_1, robot_2 ...: neighbours differ), or by the whole name if
+ * it has none. */
 export function colourOf(name) {
   const digits = /([0-9]{1,6})$/.exec(name);
   return palette[(digits ? Number(digits[1]) - 1 + palette.length : hash(name)) % palette.length];

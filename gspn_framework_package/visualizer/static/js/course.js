@@ -1,18 +1,18 @@
-// The course of a run up to the board that is shown: what the time line draws. It is read from the events at hand; what
-// they do not tell is left out.
+// The course of a run up to the board shown, for the time line. It is derived from the loaded events; whatever they do
+// not contain is left out.
 
 import { named, told } from "./phases.js";
 
 const NOWHERE = -1;
 
-/** The events since the last reset, without those that were taken back: their times only grow. With `whole`, also those
- * before that reset and earlier ones. */
+/** The events since the last reset, without those that were undone: their times never decrease. With `whole`, also
+ * those before that reset and earlier ones. */
 export function courseOf(model, whole = false) {
   const last = model.indexAfter(model.board.n);
   if (model.mode !== "SIMULATE") return model.events.slice(0, last);
   const course = [];
   let firings = 0,
-    marks = 0; // so many before were taken back
+    marks = 0; // so many earlier ones were undone
   for (let i = last - 1; i >= 0; i--) {
     const event = model.events[i];
     if (event.k === "undo") firings += 1;
@@ -33,7 +33,7 @@ export function lanesOf(model, begin, end) {
   const last = model.indexAfter(board.n);
   const lanes = new Map();
   const leave = (lane, t) => {
-    const phase = lane.paused ? named.paused : lane.phase; // without one nothing was heard of it
+    const phase = lane.paused ? named.paused : lane.phase; // without one, nothing is known of the robot
     if (phase && told(phase).shown && lane.place >= 0 && t > begin && t > lane.at)
       lane.parts.push([Math.max(begin, lane.at), t, lane.place, phase]);
   };
@@ -53,7 +53,7 @@ export function lanesOf(model, begin, end) {
     lane.phase = phase ?? lane.phase;
     lane.paused = paused ?? lane.paused;
   };
-  // the events at hand lead from a board that is known to the one that is shown; otherwise only the latter is told
+  // whether the loaded events lead from a known board to the one shown; otherwise only the latter is known
   const known = base && base.n <= board.n && (last > 0 ? events[last - 1].n : base.n) === board.n;
   for (const robot of (known ? base : board).robots.values())
     change(

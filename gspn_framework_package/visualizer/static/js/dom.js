@@ -1,4 +1,4 @@
-// Small helpers. Text from nets and robots enters the page as text only, never as markup.
+// Small helpers. Text from nets and robots is only ever inserted as text, never as markup.
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -43,12 +43,12 @@ export function announce(message) {
   $("announce").textContent = message;
 }
 
-/** For what cannot wait until the screen reader has finished. */
+/** Announce an urgent message: it interrupts the screen reader. */
 export function announceNow(message) {
   $("announce-now").textContent = message;
 }
 
-let pressed = null; // what the pointer went down on
+let pressed = null; // the element that the pointer was pressed on
 addEventListener(
   "pointerdown",
   (event) => {
@@ -66,16 +66,16 @@ for (const end of ["pointerup", "pointercancel"])
     true,
   );
 
-/** Whether the pointer is down on something in an element: what is drawn anew under it would miss the click. (On the
- * element itself it is on its scroll bar, and not every browser tells when that is let go.) */
+/** Whether the pointer is pressed on something inside an element, which would miss the click if it were redrawn. (On
+ * the element itself it is on its scroll bar, and not every browser reports when that is released.) */
 export const isPressed = (element) =>
   pressed !== null && pressed !== element && element.contains(pressed);
 
-/** Compares names as people count: p2 comes before p10. */
+/** Compares names in natural order: p2 comes before p10. */
 const collator = new Intl.Collator("en", { numeric: true });
 export const natural = (a, b) => collator.compare(a, b);
 
-/** Runs an action; what goes wrong is shown. */
+/** Runs an action and shows its error, if any. */
 export async function attempt(action) {
   try {
     return await action();
@@ -85,8 +85,8 @@ export async function attempt(action) {
   }
 }
 
-/** Asks in a dialog; resolves to the value of the button pressed, "" when it is closed. What goes wrong in `act(value)`
- * is shown in the dialog, which stays open with what was typed. */
+/** Asks in a dialog; resolves to the value of the button pressed, or "" if it is closed. An error of `act(value)` is
+ * shown in the dialog, which stays open and keeps the input. */
 export function ask(title, content, buttons, act = null) {
   const dialog = $("dialog");
   const wrong = h("p", { class: "wrong", role: "alert", hidden: true });
@@ -103,7 +103,7 @@ export function ask(title, content, buttons, act = null) {
     dialog.returnValue = "";
     dialog.replaceChildren(
       h("h2", { text: title, id: "dialog-title" }),
-      h("div", { class: "content", tabindex: "0" }, content), // with the focus it is scrolled by keys
+      h("div", { class: "content", tabindex: "0" }, content), // focusable, so that keys scroll it
       wrong,
       h(
         "div",

@@ -1,4 +1,4 @@
-// Where arcs run. Symbols: a place is a circle, a transition an upright bar or box.
+// The geometry of arcs. Symbols: a place is a circle, a transition an upright bar or box.
 
 export const RADIUS = 20;
 export const BAR = { immediate: [4, 18], timed: [9, 18] };
@@ -60,7 +60,7 @@ function cubicPart(c, t0, t1) {
 
 const STEPS = 40;
 
-/** Where along a chain of cubics the symbol `node` is left (from the front) or entered (from the back). */
+/** The point where a chain of cubics leaves the symbol `node` (from the front) or enters it (from the back). */
 function crossing(cubics, node, fromBack) {
   for (let i = 0; i < cubics.length; i++) {
     const index = fromBack ? cubics.length - 1 - i : i;
@@ -84,8 +84,9 @@ function crossing(cubics, node, fromBack) {
 
 const r = (value) => Math.round(value * 10) / 10;
 
-/** One arc. `route`: control points from centre to centre (flat list), or null for a straight or bent line.
- * Gives {line, head: [x, y, dx, dy], middle: [x, y]} with (dx, dy) the unit direction at the tip. */
+/** The shape of one arc. `route`: control points from centre to centre (flat list), or null for a straight or bent
+ * line. Returns {start, body, tip, direction, middle, points}: points are [x, y]; body(x, y) is the SVG path text from
+ * the start to (x, y), direction the unit vector at the tip, points a sample of the line. */
 export function arcShape(from, to, route, bend) {
   if (route && route.length >= 8) {
     const shape = routed(from, to, route);
@@ -182,10 +183,10 @@ export function arcLine(shape, inhibitor) {
   return `M${shape.start[0]} ${shape.start[1]}${shape.body(x - ux * gap, y - uy * gap)}`;
 }
 
-/** SVG path text of what an arc ends in, an arrowhead or a small circle, `size` times as large as usual. */
+/** SVG path text of the end of an arc, an arrowhead or a small circle, `size` times as large as usual. */
 export function arcEnd({ tip: [x, y], direction: [ux, uy], points }, inhibitor, size = 1) {
   const [fx, fy] = points[0];
-  // no more than half of a short arc
+  // at most half of a short arc
   const scale = Math.min(size, Math.max(1, (Math.hypot(x - fx, y - fy) * 0.5) / HEAD));
   if (inhibitor) {
     const radius = 3.5 * scale,
@@ -201,7 +202,7 @@ export function arcEnd({ tip: [x, y], direction: [ux, uy], points }, inhibitor, 
   return `M${r(x)} ${r(y)}L${r(bx - uy * w)} ${r(by + ux * w)}L${r(bx + uy * w)} ${r(by - ux * w)}Z`;
 }
 
-/** Centres of `count` (1 to 9) tokens in a place, as on dice. */
+/** Centres of `count` (1 to 9) tokens in a place, arranged as on dice. */
 export function dots(count) {
   const d = 8.2;
   const grid = (...cells) =>
@@ -225,8 +226,8 @@ export function dots(count) {
   return patterns[count];
 }
 
-/** Centres and radius of `count` (1 to 9) robots in a place; `square`: they stand in rows, as rounded squares, which
- * leaves each as much room as there is for its number. */
+/** Centres and radius of `count` (1 to 9) robots in a place; `square`: rounded squares in rows, which gives each
+ * number as much space as possible. */
 export function discs(count) {
   if (count === 1) return { radius: 12.5, centres: [[0, 0]] };
   if (count === 2)

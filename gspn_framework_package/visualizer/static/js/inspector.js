@@ -1,19 +1,19 @@
-// The inspector: what is selected, in words. A place: tokens, which robots, since when, what they do.
-// A transition: kind, rate or weight, how often it fired, why it is not enabled.
+// The inspector describes the selected node. A place: its tokens and robots, since when, and what they do.
+// A transition: kind, rate or weight, number of firings, why it is not enabled.
 
 import { h, $, isPressed, toast, seconds, plural, number } from "./dom.js";
 import { get } from "./api.js";
 import { told } from "./phases.js";
 import { robotCard } from "./robots_panel.js";
 
-/** Whether a field holds something that is no number; then it says so. */
+/** Whether a field contains something other than a number; if so, it reports this. */
 function badNumber(field) {
   if (field.validity.badInput) toast("not a number: nothing was changed");
   return field.validity.badInput;
 }
 
 /** Fires "fire" (detail index), "choose" (detail {kind, index, fly}), "probability" (detail {index, value}).
- * `orders`: what an operator may order of a running team. */
+ * `orders`: the orders that an operator may give to a running team. */
 export class Inspector extends EventTarget {
   constructor(model, orders) {
     super();
@@ -21,7 +21,7 @@ export class Inspector extends EventTarget {
     this.orders = orders;
     this.panel = $("inspector");
     this.selection = null;
-    this.why = null; // the server's last answer for the transition that is selected
+    this.why = null; // the server's last answer for the selected transition
     this.update();
   }
 
@@ -31,7 +31,7 @@ export class Inspector extends EventTarget {
     this.update();
   }
 
-  /** Ask the server what keeps the selected transition from firing, at the moment that is shown. */
+  /** Ask the server why the selected transition cannot fire at the moment shown. */
   async askWhy(index) {
     const { model } = this;
     const moment = `${model.epoch}:${model.board.n}:${index}`;
@@ -50,7 +50,7 @@ export class Inspector extends EventTarget {
     } else if (wanted !== null && wanted !== index) this.askWhy(wanted);
   }
 
-  /** The last answer; pale where it is of another moment than the one that is shown. */
+  /** The last answer; pale if it refers to another moment than the one shown. */
   reasons(enabled) {
     const { why, model } = this;
     if (!why || why.enabled !== enabled || !why.reasons.length) return null;
@@ -69,7 +69,7 @@ export class Inspector extends EventTarget {
       }, 200);
   }
 
-  /** Draw anew, unless a person is typing or pressing a button. */
+  /** Redraw, unless the user is typing or pressing a button. */
   refresh() {
     if (isPressed(this.panel)) {
       this.later();

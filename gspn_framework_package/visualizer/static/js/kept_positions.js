@@ -1,11 +1,11 @@
-// Where nodes were dragged to: kept in this browser, for this net.
+// The positions that nodes were dragged to, stored in this browser for this net.
 
 export class KeptPositions {
   constructor(hash) {
     this.key = `gspn-layout-${hash}`;
   }
 
-  /** Map of names to [x, y]. */
+  /** The stored positions: a map from names to [x, y]. */
   read() {
     try {
       const kept = Object.entries(JSON.parse(localStorage.getItem(this.key)) || {});

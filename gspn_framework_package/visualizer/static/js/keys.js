@@ -1,4 +1,4 @@
-// The keys of the page, and their table.
+// The keyboard shortcuts of the page, and their table.
 
 import { $, h, ask, dialogOpen } from "./dom.js";
 
@@ -66,7 +66,7 @@ export function showHelp() {
   );
 }
 
-/** Keys act unless a field, a dialog or a button that wants them has the focus. */
+/** Bind the keys, which act unless a field, a dialog or a button that uses them has the focus. */
 export function bindKeys(page) {
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || dialogOpen()) return;

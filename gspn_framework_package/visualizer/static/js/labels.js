@@ -1,5 +1,5 @@
-// Names beside the nodes: of readable size at every zoom, and only those that cover nothing. What is selected always
-// has its name; where there is no room for all, what holds tokens or is enabled comes first.
+// Names next to the nodes: of readable size at every zoom, and only those that cover nothing. The selected node always
+// has its name; if there is no room for all, nodes with tokens and enabled transitions take precedence.
 
 import { s } from "./dom.js";
 import { RADIUS, BAR } from "./geometry.js";
@@ -7,20 +7,20 @@ import { RADIUS, BAR } from "./geometry.js";
 const CHARACTERS = 24;
 const FONT = 11;
 const FAMILY = 'system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
-const BOLD = 1.12; // how much wider the name of the selected node is
+const BOLD = 1.12; // relative width of the selected node's name
 const SMALLEST = 9.5; // px
-const CROWDED = 0.28; // below this zoom only a few names, of what matters most
-const TINY = 0.1; // and below this one none but of what is selected
+const CROWDED = 0.28; // below this zoom only the most important names are shown
+const TINY = 0.1; // and below this one only that of the selected node
 const FEW = 120;
-const FOLLOW = 400; // ms between two times that names follow the tokens
-const DRAWN = 700; // at most
+const FOLLOW = 400; // ms between two updates of the names that follow the tokens
+const DRAWN = 700; // largest number of names drawn
 const CELL = 64;
-const ARCS = 1500; // names keep clear of arcs in nets with up to this many
-const THOROUGH = 250; // nodes in the view up to which every spot is tried
-const PUZZLED = 120; // and up to which names move to make room for others
-const SLIDES = [0, -0.33, 0.33, -0.66, 0.66, -1, 1]; // how far a name is moved along its symbol, from its middle
+const ARCS = 1500; // names avoid arcs in nets with up to this many arcs
+const THOROUGH = 250; // up to this many nodes in view, every spot is tried
+const PUZZLED = 120; // and up to this many, names move to make room for others
+const SLIDES = [0, -0.33, 0.33, -0.66, 0.66, -1, 1]; // offsets of a name along its symbol, from the middle
 const GAP = 3; // px between a symbol and its name
-const FLAG = 11; // height of the triangle above a transition that is enabled, in units of the net
+const FLAG = 11; // height of the triangle above an enabled transition, in units of the net
 
 const shorten = (name) => {
   const characters = [...name];
@@ -30,7 +30,7 @@ const shorten = (name) => {
 const NOTHING = [];
 const apart = (a, b) => a[0] >= b[2] || a[2] <= b[0] || a[1] >= b[3] || a[3] <= b[1];
 
-/** Boxes [x0, y0, x1, y1] in pixels; a coarse grid tells which are near. */
+/** Boxes [x0, y0, x1, y1] in pixels; a coarse grid finds those nearby. */
 class Boxes {
   constructor() {
     this.cells = new Map();
@@ -56,7 +56,7 @@ class Boxes {
     for (const key of this.keys(box)) this.cells.get(key)?.delete(box);
   }
 
-  /** Those that a box lies over. */
+  /** The boxes that a box overlaps. */
   under(box) {
     const found = new Set();
     for (const key of this.keys(box)) {
@@ -76,7 +76,7 @@ class Boxes {
 export class Labels {
   constructor(view) {
     this.view = view;
-    this.few = false; // whether only what holds tokens or is enabled is named
+    this.few = false; // whether only nodes with tokens and enabled transitions are named
     this.ruler = document.createElement("canvas").getContext("2d");
     this.ruler.font = `100px ${FAMILY}`;
   }
@@ -95,12 +95,12 @@ export class Labels {
     this.timer = setTimeout(() => this.place(), this.drawn ? 110 : 0);
   }
 
-  /** Tokens have moved: where only what holds them is named, the names go with them, now and then. */
+  /** Tokens have moved: if only nodes with tokens are named, update the names from time to time. */
   follow() {
     if (this.few && !this.timer) this.timer = setTimeout(() => this.place(), FOLLOW);
   }
 
-  /** How much a name matters: 0 of what is selected, 1 beside it, 2 of what holds tokens or is enabled, 3 the rest. */
+  /** The rank of a name: 0 the selected node, 1 its neighbours, 2 nodes with tokens or enabled, 3 the rest. */
   rank(node) {
     if (node === this.chosen) return 0;
     if (this.beside.has(node)) return 1;
@@ -133,7 +133,7 @@ export class Labels {
         : [],
     );
     const crowded = (this.few = k < CROWDED);
-    const least = k < TINY ? 1 : crowded ? 2 : 3; // rank of what is named at this zoom
+    const least = k < TINY ? 1 : crowded ? 2 : 3; // highest rank that is named at this zoom
     const order = [];
     for (const item of seen) {
       const rank = this.rank(item.node);
@@ -192,8 +192,8 @@ export class Labels {
     }
   }
 
-  /** Where the name of a node may stand: boxes, each with a `cost`. Below, above, beside, and where few nodes are in
-   * the view also moved along the symbol, and farther off. */
+  /** Possible positions of a node's name: boxes, each with a `cost`. Below, above and beside the symbol; if few nodes
+   * are in view, also shifted along the symbol, and farther away. */
   spots({ node, sx, sy }) {
     const { k, line } = this;
     const [halfWidth, halfHeight] = node.kind === "place" ? [RADIUS, RADIUS] : BAR[node.kind];
@@ -224,7 +224,7 @@ export class Labels {
     return box[0] > x0 && box[1] > y0 && box[2] < x1 && box[3] < y1;
   }
 
-  /** The first spot that nothing is at; one that no arc crosses where there is such a one. */
+  /** The first free spot, preferably one that no arc crosses. */
   bestFree(item) {
     let best = null,
       least = Infinity;
@@ -237,7 +237,7 @@ export class Labels {
     return best;
   }
 
-  /** How many points of arcs a box lies over. */
+  /** The number of arc points that a box covers. */
   crossed(box) {
     let count = 0;
     for (const key of this.names.keys(box)) {
@@ -254,7 +254,7 @@ export class Labels {
     return spots.reduce((best, box) => (cost(box) < cost(best) ? box : best), spots[0]);
   }
 
-  /** Put a name where others stand, if those find another spot, for which still others may have to move. */
+  /** Put a name in the place of others if those find another spot, for which further names may have to move. */
   makeRoom(item, depth) {
     const spots = this.spots(item)
       .filter((box) => this.inRoom(box) && this.fixed.free(box))

@@ -1,4 +1,4 @@
-// The list at the left: places and transitions, the enabled first, searchable; drawn only as far as seen.
+// The list on the left: places and transitions, enabled ones first, searchable. Only the visible part is drawn.
 
 import { h, $, natural, isPressed } from "./dom.js";
 
@@ -158,7 +158,7 @@ export class NodeList extends EventTarget {
     );
   }
 
-  /** The board changed: drawn anew a few times a second at most, and for a small part of the time. */
+  /** The board changed: redraw at most a few times a second, using only a small share of the time. */
   later() {
     if (!this.timer)
       this.timer = setTimeout(() => this.update(), Math.max(250, 25 * (this.cost || 0)));

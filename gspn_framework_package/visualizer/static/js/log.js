@@ -1,5 +1,5 @@
-// The firing log: the latest first, filtered by transition, robot or place. The arrows go through its lines,
-// Enter shows the net as it was after the one that is chosen.
+// The firing log: latest first, filtered by transition, robot or place. The arrow keys move through its lines,
+// Enter shows the net as it was after the selected one.
 
 import { h, $, seconds, isPressed } from "./dom.js";
 import { courseOf } from "./course.js";
@@ -15,7 +15,7 @@ export class FiringLog extends EventTarget {
     this.filter = $("log-filter");
     this.filter.value = "";
     this.filter.oninput = () => this.update();
-    this.chosen = null; // number of the event whose line is chosen
+    this.chosen = null; // number of the event whose line is selected
     this.list.onclick = (event) => {
       const row = event.target.closest("li[data-n]");
       if (row) this.visit(Number(row.dataset.n));
@@ -56,7 +56,7 @@ export class FiringLog extends EventTarget {
     this.mark()?.scrollIntoView({ block: "nearest" });
   }
 
-  /** Set off the line that is chosen, if it is drawn. */
+  /** Highlight the selected line, if it is drawn. */
   mark() {
     this.list.querySelector("[aria-selected]")?.removeAttribute("aria-selected");
     this.list.removeAttribute("aria-activedescendant");
@@ -108,7 +108,7 @@ export class FiringLog extends EventTarget {
     const wanted = this.filter.value.trim().toLowerCase();
     const course = courseOf(model, true);
     const rows = [];
-    let past = false; // before the last reset
+    let past = false; // whether the line is from before the last reset
     for (let i = course.length - 1; i >= 0 && rows.length < ROWS; i--) {
       const event = course[i];
       const earlier = past;

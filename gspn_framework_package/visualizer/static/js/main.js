@@ -26,7 +26,7 @@ const MODE_SAYS = {
   SIMULATE: "the token game; nothing moves in the world",
 };
 const TABS = ["inspector", "robots", "analysis"];
-const NOT_HEARD = ["lost", "gone", "locked"]; // states of the connection in which nothing more is known
+const NOT_HEARD = ["lost", "gone", "locked"]; // states of the connection in which no news arrives
 const clock = (time) => time.toLocaleTimeString([], { hour12: false });
 
 class Page {
@@ -61,7 +61,7 @@ class Page {
     await this.route();
   }
 
-  /** The address after # is the key of the open net. A token given there is used and taken away. */
+  /** The part of the address after # is the key of the open net. A token given there is used and removed. */
   async login() {
     const found = /[#&]token=([^&]+)/.exec(location.hash);
     if (found) {
@@ -101,7 +101,7 @@ class Page {
     else location.hash = hash;
   }
 
-  /** The screen to open a net from. `another`: by a person's wish, who can go back from it. */
+  /** The screen for opening a net. `another`: the user asked for it and can return from it. */
   async openScreen(another = false) {
     this.closeNet();
     document.body.dataset.mode = "";
@@ -157,7 +157,7 @@ class Page {
     if (cut) this.tellCut("The last run of this plan was cut off.", cut);
   }
 
-  // -- losing the server, and finding it again -------------------------------------------------------
+  // -- losing the server, and reconnecting -----------------------------------------------------------
 
   setConnection(state, heard, why) {
     const lost = NOT_HEARD.includes(state);
@@ -192,7 +192,7 @@ class Page {
     if (ran && model.lostAt !== null && model.epoch !== ran.epoch) this.ranBefore = ran;
   }
 
-  /** After the server was away: is it the same one, and what became of the run? */
+  /** After a lost connection: find out whether it is the same server, and what became of the run. */
   async askWhoIsThere() {
     const { model } = this;
     const before = this.hello;
@@ -209,7 +209,7 @@ class Page {
     else notice(again);
   }
 
-  /** The run of this plan that the server's end cut off, if there is one. */
+  /** The run of this plan that was cut off when the server ended, if any. */
   cutOff(hello, key) {
     return (hello.cut || []).find(({ path }) => key === `file-${path}`);
   }
@@ -355,7 +355,7 @@ class Page {
     this.tools?.refresh();
   }
 
-  /** Whether this viewer may act, or only look. */
+  /** Whether this viewer may act; otherwise it may only look. */
   get mayAct() {
     return this.hello?.role !== "viewer";
   }
@@ -378,7 +378,7 @@ class Page {
     else model.play();
   }
 
-  /** Open a tab, also where the details are folded. */
+  /** Open a tab, even if the details are folded. */
   showTab(name) {
     this.panels.open("right");
     this.openTab(name);
@@ -394,7 +394,7 @@ class Page {
     if (name === "robots") this.robots?.update();
   }
 
-  // -- what is around the net ----------------------------------------------------------------------
+  // -- around the net ------------------------------------------------------------------------------
 
   showMode() {
     const { mode, info } = this.model;
@@ -453,7 +453,7 @@ class Page {
     }
   }
 
-  /** The robots; and the whole of an alarm that had to be cut. */
+  /** Show the robots, and the full text of an alarm that had to be shortened. */
   showAlarm(element) {
     this.showTab("robots");
     const text = element.firstChild;
@@ -461,7 +461,7 @@ class Page {
       ask("Alarm", h("p", { class: "whole", text: text.textContent }), [["Close", "", "primary"]]);
   }
 
-  /** What can be started, stopped and ordered now; where it cannot, why. */
+  /** Show what can be started, stopped and ordered now, and otherwise why not. */
   showOrders(status) {
     const { model, orders } = this;
     const { session, mode } = model;
@@ -527,7 +527,7 @@ class Page {
 
   bind() {
     $("open-screen").onclick = () => this.openScreen(true);
-    // a button of a tool that was clicked lets go of the focus, so that Space is the key of the page again
+    // a clicked tool button gives up the focus, so that Space is the page's key again
     document.addEventListener("click", (event) => {
       if (event.detail) event.target.closest("#tools button, .zoom button, .scrub button")?.blur();
     });

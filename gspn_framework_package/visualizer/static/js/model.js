@@ -1,15 +1,15 @@
-// What the page shows: the scene (fixed), the board (now), the events that led here.
-// The server plays the token game; the page only adds up what it is told.
+// The data that the page shows: the scene (fixed), the board (now), the events that led to it.
+// The server plays the token game; the page only applies the server's events.
 
 import { get } from "./api.js";
 import { applyEvent, boardOf, copyOf } from "./board.js";
 
 const KEPT = 20000; // events kept for the log and the time line
-const AHEAD = 5000; // events that are asked for at once while a recorded run is played
-const PREPARED = 3; // s of playing for which events are to be at hand
-const STALL = 250; // ms that the playback goes on at most between two frames: a page that was hidden does not leap
+const AHEAD = 5000; // events per request while a recorded run is played
+const PREPARED = 3; // s of playback for which events are loaded in advance
+const STALL = 250; // largest advance of the playback between two frames, in ms: a page that was hidden does not jump
 
-/** Fires: "scene", "reset" (the board is another one), "events" (detail.events were added to the board),
+/** Fires: "scene", "reset" (the board was replaced), "events" (detail.events were added to the board),
  * "head" (news behind a paused view), "latest" (detail.keys), "view" (following or not). */
 export class Model extends EventTarget {
   constructor(session) {
@@ -19,16 +19,16 @@ export class Model extends EventTarget {
     this.mode = "";
     this.info = {};
     this.epoch = "";
-    this.board = null; // what is shown
-    // the latest board; the very one that is shown while following
+    this.board = null; // the board shown
+    // the latest board; while following, the same object as the board shown
     this.head = { n: 0, t: 0, status: {}, robots: new Map() };
     this.oldest = 0;
-    this.events = []; // some that follow one another
-    this.base = null; // the board before them; null while it is not known
+    this.events = []; // consecutive events
+    this.base = null; // the board before them; null if it is not known
     this.latest = {};
     this.following = true;
     this.lastEvent = null; // performance.now() of the last event, for its age
-    this.lostAt = null; // performance.now() when the server was last heard; null while it is heard
+    this.lostAt = null; // performance.now() of the server's last message; null while connected
     this.playing = false;
     this.speed = 1;
   }
@@ -37,13 +37,13 @@ export class Model extends EventTarget {
     this.dispatchEvent(new CustomEvent(type, { detail }));
   }
 
-  /** News of the server's hub. */
+  /** Take in a message of the server's hub. */
   take(news) {
     if (news.snapshot) this.restart(news.snapshot);
     if (news.head) {
       this.head = news.head;
       this.tell("head");
-    } // of a recording: how far it has been read
+    } // a recording: how much of it has been read
     if (news.events && news.events.length) this.append(news.events);
     const keys = Object.keys(news.latest || {});
     if (keys.length) {
@@ -90,26 +90,26 @@ export class Model extends EventTarget {
     else this.tell("head");
   }
 
-  /** The server is heard, or (with the time at which it was heard last) is not. */
+  /** Note that the server is connected (null), or the time of its last message if it is not. */
   setHeard(lostAt) {
     if (this.lostAt !== null && lostAt !== null) return;
     this.lostAt = lostAt;
     this.tell("view");
   }
 
-  /** Whether what is shown may have changed long since: nobody tells. A recorded run does not change. */
+  /** Whether the state shown may be out of date, without the server's news. A recorded run does not change. */
   get stale() {
     return this.lostAt !== null && this.mode !== "REPLAY";
   }
 
-  /** Whether nothing of a live run is known yet: the board is the beginning of the plan. */
+  /** Whether nothing is known of a live run yet: the board is the initial one of the plan. */
   get unheard() {
     return (
       this.mode === "LIVE" && this.head.status.running === false && this.head.status.ended === null
     );
   }
 
-  /** Seconds of the run that the view shows; a live one goes on between events, while the server is heard. */
+  /** The time of the run shown, in seconds; in a live run it advances between events while the server is connected. */
   now() {
     if (this.mode === "LIVE" && this.following && this.board.status.running) {
       return Math.max(this.board.t, ((this.lostAt ?? performance.now()) - this.clockBase) / 1000);
@@ -117,7 +117,7 @@ export class Model extends EventTarget {
     return this.playing ? Math.max(this.board.t, this.playClock || 0) : this.board.t;
   }
 
-  /** The events just before the board, for the log and the time line. */
+  /** Load the events just before the board, for the log and the time line. */
   async fetchPast() {
     const before = this.board.n;
     if (!before || (this.events.length && this.events[0].n <= before - 500)) return;
@@ -125,13 +125,13 @@ export class Model extends EventTarget {
     if (!found) return;
     const last = found.events[found.events.length - 1].n;
     const events = found.events.concat(this.events.filter((event) => event.n > last));
-    if (this.following && events[events.length - 1].n !== this.board.n) return; // another board came meanwhile
+    if (this.following && events[events.length - 1].n !== this.board.n) return; // another board arrived meanwhile
     this.events = events;
     this.base = found.base;
     this.tell("past");
   }
 
-  /** Events of this epoch, and the board before the first of them; null where there are none. */
+  /** Load events of this epoch, and the board before the first of them; null if there are none. */
   async fetchEvents(after, to) {
     const { epoch } = this;
     const data = await get("events", { id: this.session.id, after, to });
@@ -142,7 +142,7 @@ export class Model extends EventTarget {
     return { events: data.events, base: state.board.n === before ? boardOf(state.board) : null };
   }
 
-  /** Let go of the oldest events, where there are many. */
+  /** Drop the oldest events if there are many. */
   trim() {
     const surplus = this.events.length - KEPT;
     if (surplus < KEPT / 10) return;
@@ -158,7 +158,7 @@ export class Model extends EventTarget {
     this.tell("view");
   }
 
-  /** What is shown does not follow the latest board any more. */
+  /** Stop following the latest board. */
   letGo() {
     if (this.following) this.board = copyOf(this.head);
     this.following = false;
@@ -186,7 +186,7 @@ export class Model extends EventTarget {
     }
   }
 
-  /** Have the events around the board at hand. */
+  /** Load the events around the board. */
   async fetchAround() {
     const n = this.board.n;
     const first = this.events.length ? this.events[0].n : Infinity;
@@ -200,7 +200,7 @@ export class Model extends EventTarget {
     this.tell("past");
   }
 
-  /** Have more of the events that follow those at hand. */
+  /** Load more of the events that follow the loaded ones. */
   async fetchAhead() {
     const { epoch } = this;
     const tail = this.events.length ? this.events[this.events.length - 1].n : -1;
@@ -218,7 +218,7 @@ export class Model extends EventTarget {
     return undefined;
   }
 
-  /** Go on by events that are at hand, up to event `n` or time `t`. */
+  /** Advance by loaded events, up to event `n` or time `t`. */
   forward(n, t = Infinity) {
     const added = [];
     let index = this.indexAfter(this.board.n);
@@ -242,7 +242,7 @@ export class Model extends EventTarget {
     return low;
   }
 
-  /** One firing forward or backward in a view that does not follow. */
+  /** Step one firing forward or backward in a view that does not follow. */
   async stepView(direction) {
     this.pause();
     this.playing = false;
@@ -274,7 +274,7 @@ export class Model extends EventTarget {
       const now = performance.now();
       const clock = this.playClock + (Math.min(now - before, STALL) / 1000) * this.speed;
       before = now;
-      // never ahead of the events at hand: what comes next is not known yet
+      // never beyond the loaded events: the next ones are not known yet
       const tail = this.events[this.events.length - 1];
       const known =
         this.events[this.indexAfter(this.board.n)]?.n === this.board.n + 1 ? tail : null;
@@ -315,7 +315,7 @@ export class Model extends EventTarget {
     this.tell("view");
   }
 
-  /** Follow again: by the events at hand if they reach, at once otherwise. */
+  /** Follow again: by the loaded events if they suffice, otherwise in one jump. */
   backToLive() {
     this.playing = false;
     this.following = true;
@@ -323,7 +323,7 @@ export class Model extends EventTarget {
     if (last === this.head.n && this.head.n - this.board.n < 200) {
       this.forward(this.head.n);
     } else if (last !== this.head.n) {
-      // they are of another time
+      // they belong to another time
       this.events = [];
       this.base = copyOf(this.head);
     }

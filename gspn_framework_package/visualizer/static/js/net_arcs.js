@@ -1,4 +1,4 @@
-// The arcs of the net: all of a kind are one path, so that they are drawn at once.
+// The arcs of the net: all arcs of one kind form one path, so that they are drawn in one go.
 
 import { s } from "./dom.js";
 import { arcShape, arcLine, arcEnd } from "./geometry.js";
@@ -10,8 +10,8 @@ const KINDS = {
   heads: "heads",
   circles: "circles",
 };
-const SIZES = [1, 1.5, 2, 3, 4]; // how many times its usual size an arrowhead is drawn, so that it is seen from afar
-const BEND = 16; // px by which two arcs between the same nodes part
+const SIZES = [1, 1.5, 2, 3, 4]; // enlargement of arrowheads, so that they stay visible when zoomed out
+const BEND = 16; // px by which two arcs between the same nodes bend apart
 
 export class Arcs {
   /** `places` and `transitions`: the nodes, by index. */
@@ -37,7 +37,7 @@ export class Arcs {
     }));
   }
 
-  /** Work out where all arcs run, or those of one node. `routes`: the server's, for nodes that were not moved. */
+  /** Compute the shapes of all arcs, or of one node's. `routes`: the server's, for nodes that were not moved. */
   route(routes, only = null) {
     for (const arc of this.all) {
       if (only && arc.from !== only && arc.to !== only) continue;
@@ -78,7 +78,7 @@ export class Arcs {
     );
   }
 
-  /** The net is seen at zoom `k`: from afar arrowheads are drawn larger, in a few steps. */
+  /** Adapt to zoom `k`: zoomed out, arrowheads are drawn larger, in a few steps. */
   zoomed(k) {
     const size = SIZES.find((factor) => factor * k >= 0.7) || SIZES[SIZES.length - 1];
     if (size === this.size) return;
@@ -86,7 +86,7 @@ export class Arcs {
     this.drawEnds();
   }
 
-  /** Set off the arcs of the node that is selected; of none for null. */
+  /** Highlight the arcs of the selected node; null: of none. */
   showNear(node) {
     this.near = node;
     const near = node

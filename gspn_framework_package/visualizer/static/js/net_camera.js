@@ -1,15 +1,15 @@
-// Which part of the net is seen, and how large: fitting, zooming, flying to a node.
+// The visible part of the net and its zoom: fitting, zooming, flying to a node.
 
-const MARGIN = [52, 56, 42, 30]; // px left, right, above and below a net that is fitted
-const CULL = 800; // nets with more nodes draw only what is in the view
-const FAR = 0.14; // below this zoom tokens are too small to be told apart: a place with any is filled
-const SMALL = 0.35; // below this zoom a firing is a flash: what travels could hardly be seen
+const MARGIN = [52, 56, 42, 30]; // px left, right, above and below a fitted net
+const CULL = 800; // in nets with more nodes, only those in view are drawn
+const FAR = 0.14; // below this zoom tokens are too small to distinguish: a place with any is filled
+const SMALL = 0.35; // below this zoom a firing is a flash: travelling tokens would hardly be visible
 const [NEAREST, FARTHEST] = [4, 0.02];
-const LARGEST_FIT = [1.6, 2.6]; // of a small net, on a usual and on a very large screen
+const LARGEST_FIT = [1.6, 2.6]; // zoom of a small net, on a typical and on a very large screen
 const FLIGHT = 260; // ms
-const READABLE = 0.55; // from this zoom on names can be read
-const EDGE = 60; // px from the edge within which a node is taken to be out of sight
-const THIN = 0.5; // below this zoom lines are drawn bolder, so that they stay visible
+const READABLE = 0.55; // from this zoom on, names are readable
+const EDGE = 60; // px from the edge within which a node counts as out of sight
+const THIN = 0.5; // below this zoom lines are drawn thicker, so that they stay visible
 
 const limited = (k) => Math.min(NEAREST, Math.max(FARTHEST, k));
 
@@ -29,7 +29,7 @@ export class Camera {
     return this.view.container.getBoundingClientRect();
   }
 
-  /** The whole net, clear of the buttons and of the words in the corner. */
+  /** Fit the whole net into the view, clear of the buttons and of the text in the corner. */
   fit() {
     const { width, height } = this.size;
     if (!width || !height) return;
@@ -52,7 +52,7 @@ export class Camera {
     this.view.request();
   }
 
-  /** Zoom about a point of the container, its centre by default. */
+  /** Zoom around a point of the container, its centre by default. */
   zoom(factor, cx, cy) {
     const { width, height } = this.size;
     const [px, py] = [cx ?? width / 2, cy ?? height / 2];
@@ -69,7 +69,7 @@ export class Camera {
     const from = { ...this.now };
     const [sx, sy] = [node.x * from.k + from.x, node.y * from.k + from.y];
     const inSight = sx > EDGE && sy > EDGE && sx < width - EDGE && sy < height - EDGE;
-    if (inSight && from.k >= READABLE) return; // what is seen well is not moved
+    if (inSight && from.k >= READABLE) return; // already clearly visible
     const k = Math.max(from.k, READABLE);
     const to = { k, x: width / 2 - k * node.x, y: height / 2 - k * node.y };
     this.fitted = false;
@@ -93,7 +93,7 @@ export class Camera {
     requestAnimationFrame(tick);
   }
 
-  /** End a flight where it is. */
+  /** Stop a flight at its current position. */
   stop() {
     this.flight = null;
   }
@@ -117,7 +117,7 @@ export class Camera {
     this.cull();
   }
 
-  /** Leave out the nodes that are not in the view. */
+  /** Hide the nodes that are not in view. */
   cull() {
     const { nodes } = this.view;
     if (nodes.length < CULL || !this.now) return;

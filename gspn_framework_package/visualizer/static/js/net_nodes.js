@@ -1,11 +1,11 @@
-// The symbols of places and transitions: how each is built, what it holds, and how a result is painted on it.
+// The symbols of places and transitions: how each is built, its content, and how a result is highlighted on it.
 
 import { RADIUS, BAR, dots, discs } from "./geometry.js";
 import { natural, s } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
 import { named, told } from "./phases.js";
 
-const MOST = 9; // tokens or robots that are drawn one by one
+const MOST = 9; // largest number of tokens or robots that are drawn individually
 
 // one path for all tokens of a place
 const DOTS = Array.from({ length: MOST + 1 }, (_, count) =>
@@ -40,7 +40,7 @@ export function buildTransition(node, transition) {
   );
 }
 
-/** A place with so many tokens, some of which may be robots. */
+/** Draw a place with so many tokens, some of which may be robots. */
 export function drawPlace(node, tokens, robots) {
   const count = Math.max(0, tokens);
   if (robots.length && robots.length >= count && robots.length <= MOST) {
@@ -126,7 +126,7 @@ export function drawEnabled(node, enabled) {
   }
 }
 
-/** The robots that were lost in a place: struck out, at its edge. */
+/** Draw the robots that were lost in a place: crossed out, at its edge. */
 export function drawLost(node, robots) {
   if (node.lost) {
     node.lost.remove();
@@ -154,8 +154,8 @@ export function drawLost(node, robots) {
   node.element.append(node.lost);
 }
 
-/** Colour and text of a result; null takes both away. `wanted.kind`: bad, good, mark, or heat with a level from 0
- * to 1. */
+/** Show the colour and text of a result; null removes both. `wanted.kind`: bad, good, mark, or heat with a level from
+ * 0 to 1. */
 export function paintNode(node, wanted) {
   node.element.classList.remove("paint-bad", "paint-good", "paint-mark");
   const body = node.element.querySelector(node.kind === "place" ? "circle" : "rect.body");

@@ -1,6 +1,6 @@
-// What the pointer does on the net: select, drag a node, drag the view, zoom with the wheel.
+// Pointer actions on the net: select, drag a node, drag the view, zoom with the wheel.
 
-const STILL = 4; // px that a click may stray
+const STILL = 4; // px that the pointer may move during a click
 const AGAIN = 400; // ms within which a second click is a double click
 
 export class Pointer {

@@ -1,5 +1,5 @@
 // The net as SVG: three layers (arcs, nodes, travelling tokens) under one transform.
-// Changes are gathered, and drawn once per frame.
+// Changes are collected and drawn once per frame.
 
 import { h, s } from "./dom.js";
 import { Arcs } from "./net_arcs.js";
@@ -32,7 +32,7 @@ export class NetView extends EventTarget {
     this.model = model;
     this.scene = model.scene;
     this.dirty = { places: new Set(), transitions: new Set() };
-    this.pending = new Map(); // place -> tokens that are still on their way there
+    this.pending = new Map(); // place -> number of tokens still on their way there
     this.pendingRobots = new Map();
     this.selection = null;
     this.renamed = false; // whether the whole board has changed since it was drawn
@@ -48,7 +48,7 @@ export class NetView extends EventTarget {
 
   // -- building ------------------------------------------------------------------------------------
 
-  /** Give every node its place: that of the layout, or where it was dragged to. */
+  /** Give every node its position: that of the layout, or the one it was dragged to. */
   put(layout) {
     const { scene } = this;
     const moved = this.kept.read();
@@ -100,7 +100,7 @@ export class NetView extends EventTarget {
     this.arcs.route(this.routes);
   }
 
-  /** The group that a node is drawn in, with the nodes around it: what does not change is not drawn again. */
+  /** The group of nearby nodes that a node is drawn in: groups that do not change are not redrawn. */
   tileOf(node) {
     const many = this.nodes.length > TILED;
     if (many && !this.tileSize) {
@@ -168,7 +168,7 @@ export class NetView extends EventTarget {
     this.frame = requestAnimationFrame(() => this.draw());
   }
 
-  /** Whether this frame is left out: only the view of a large net that stands still. */
+  /** Whether this frame is skipped: only in a large net whose view does not move. */
   skips() {
     this.odd = !this.odd;
     return this.odd && this.nodes.length > MANY && !this.camera.dirty && !this.pointer.gesture;
@@ -197,7 +197,7 @@ export class NetView extends EventTarget {
     }
     for (const t of this.dirty.transitions) drawEnabled(this.transitions[t], board.enabled.has(t));
     this.dirty.transitions.clear();
-    // Which names matter depends on what has just been drawn: asked for any earlier, they could be placed before it.
+    // The ranks of the names depend on what has just been drawn: requested earlier, they could be placed before it.
     if (this.renamed) this.labels.later();
     else if (changed) this.labels.follow();
     this.renamed = false;
@@ -205,7 +205,7 @@ export class NetView extends EventTarget {
     this.dispatchEvent(new CustomEvent("frame", { detail: { n: board.n } }));
   }
 
-  /** The robots that stand somewhere, not on their way, and those that were lost there: place -> robots. */
+  /** The robots in each place, except those still on their way, and those that were lost there: place -> robots. */
   robotsByPlace(board) {
     const [here, lost] = [new Map(), new Map()];
     for (const robot of board.robots.values()) {
@@ -234,7 +234,7 @@ export class NetView extends EventTarget {
     this.container.classList.toggle("no-enabled", !on);
   }
 
-  /** `paint`: {places: {index: what}, transitions: {index: what}}, see paintNode; null takes all paint away. */
+  /** `paint`: {places: {index: what}, transitions: {index: what}}, see paintNode; null clears all highlighting. */
   paint(paint) {
     for (const node of this.nodes) {
       paintNode(
@@ -275,14 +275,14 @@ export class NetView extends EventTarget {
       });
   }
 
-  /** A node was let go. */
+  /** A node was released. */
   dropNode(node) {
     this.arcs.route(this.routes, node);
     this.kept.write(this.nodes);
     this.labels.later();
   }
 
-  /** Another layout from the server; what was dragged goes back. */
+  /** Use another layout from the server, and discard the dragged positions. */
   relayout(layout) {
     this.kept.forget();
     this.put(layout);

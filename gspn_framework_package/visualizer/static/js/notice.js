@@ -1,11 +1,11 @@
-// A bar above the net for what a person has to know and may act on: a run that was cut off, a server that was
-// started again. It stays until it is closed or the net is.
+// A bar above the net for events that the user must know of and may act on: a run that was cut off, a server that was
+// restarted. It stays until it is closed or the net is.
 
 import { $, h } from "./dom.js";
 
 const bar = h("div", { id: "notice", class: "notice", role: "alert", hidden: true });
 
-/** Show `text`; `actions` are [label, what to do]. */
+/** Show `text`; `actions` are pairs [label, function]. */
 export function notice(text, actions = []) {
   $("tools").after(bar);
   bar.hidden = false;

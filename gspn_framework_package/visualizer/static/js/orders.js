@@ -1,4 +1,4 @@
-// What an operator orders of a running team. Each order names the run that is shown; what came of it is told and kept.
+// The operator's orders to a running team. Each order names the run shown; its result is shown and stored.
 
 import { h, ask, announce, toast } from "./dom.js";
 import { post } from "./api.js";
@@ -8,7 +8,7 @@ export const ONLY_LOOK = "the viewer's token is read-only";
 const KEPT = 6;
 const RARE = ["set_place", "leave", "evict"]; // behind "More ..."
 
-/** Fires "given" when there is an answer. */
+/** Fires "given" when an order has been answered. */
 export class Orders extends EventTarget {
   /** `page` knows the model and the role. */
   constructor(page) {
@@ -21,7 +21,7 @@ export class Orders extends EventTarget {
     return this.page.model;
   }
 
-  /** Whether this run takes such orders at all. */
+  /** Whether this run accepts such orders at all. */
   offers(command) {
     const { model } = this;
     return (
@@ -31,7 +31,7 @@ export class Orders extends EventTarget {
     );
   }
 
-  /** Why no order can be given now; "" when one can. */
+  /** Why no order can be given now; "" if one can. */
   get refusal() {
     if (!this.page.mayAct) return ONLY_LOOK;
     if (this.model.stale) return "no contact with the server";
@@ -39,7 +39,7 @@ export class Orders extends EventTarget {
     return "";
   }
 
-  /** A button that does `act`, and tells why it cannot be pressed; none where the run does not take `command`. */
+  /** A button that calls `act`, or shows why it is disabled; none if the run does not accept `command`. */
   button(label, command, act, { about = "", kind = "", title = "" } = {}) {
     if (!this.offers(command)) return null;
     const refusal =
@@ -55,7 +55,7 @@ export class Orders extends EventTarget {
     });
   }
 
-  /** Give an order; whether it was taken. */
+  /** Give an order; returns whether it was accepted. */
   async give(command, fields, says) {
     const { model } = this;
     const order = { time: new Date(), says, answer: "", good: false };
@@ -78,7 +78,7 @@ export class Orders extends EventTarget {
     return order.good;
   }
 
-  /** The orders of this page and what came of them. */
+  /** The orders of this page and their results. */
   list() {
     if (!this.given.length) return null;
     this.listed =
@@ -108,7 +108,7 @@ export class Orders extends EventTarget {
     return this.listed;
   }
 
-  // -- orders that ask first -------------------------------------------------------------------------
+  // -- orders with a confirmation --------------------------------------------------------------------
 
   get runName() {
     return this.model.head.status.run || this.model.scene.plan?.name || this.model.scene.name;
@@ -151,7 +151,7 @@ export class Orders extends EventTarget {
     await this.give("stop", fields, `Stop ${this.runName}`);
   }
 
-  /** The rarer orders for one robot, each with what it does. */
+  /** The rarer orders for one robot, each with its description. */
   async more(robot) {
     const { scene } = this.model;
     const places = scene.places.filter(({ kind }) => kind === "action");

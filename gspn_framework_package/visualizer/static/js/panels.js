@@ -1,4 +1,4 @@
-// The panels around the net: each folds and can be resized, by pointer and by keys, and stays so in this browser.
+// The panels around the net: each can be folded and resized, by pointer and by keys, and this browser remembers it.
 // Three forms of the page: wide (all panels at once), medium (the list or the details), narrow (one panel, under the
 // net).
 
@@ -8,13 +8,13 @@ const KEPT = "gspn-panels";
 const PANELS = ["left", "right", "bottom"];
 const [NARROW, MEDIUM] = [640, 1000]; // px: pages below the first are narrow, below the second medium; as in panels.css
 const STEP = 24; // px that a key moves a separator
-const CENTRE = 280; // px that are left for the net
-const LOG = [180, 240]; // px at least for the log, and for the time line beside it
+const CENTRE = 280; // px reserved for the net
+const LOG = [180, 240]; // least width in px of the log, and of the time line beside it
 
 const between = (low, value, high) =>
   Math.round(Math.max(low, Math.min(Math.max(low, high), value)));
 
-/** How large each part is where nobody has resized it. */
+/** The size of each part that has not been resized. */
 const DEFAULT = {
   left: (width) => between(190, width * 0.16, 300),
   right: (width) => between(290, width * 0.242, 560),
@@ -26,7 +26,7 @@ const DEFAULT = {
 const OPEN = { wide: ["left", "right", "bottom"], medium: ["right", "bottom"], narrow: [] };
 
 export class Panels {
-  /** `changed` is called when the parts of the page have got other sizes. */
+  /** `changed` is called when the sizes of the page's parts have changed. */
   constructor(changed = () => {}) {
     this.changed = changed;
     this.kept = read();
@@ -40,7 +40,7 @@ export class Panels {
     for (const [part, separator] of Object.entries(this.separators)) this.bind(part, separator);
     for (const panel of PANELS) $(`fold-${panel}`).onclick = () => this.toggle(panel);
     $("widen").onclick = () => this.widen();
-    new ResizeObserver(() => this.apply()).observe(this.page); // also once it is shown
+    new ResizeObserver(() => this.apply()).observe(this.page); // also runs when it is first shown
     this.apply();
   }
 
@@ -48,7 +48,7 @@ export class Panels {
     return innerWidth < NARROW ? "narrow" : innerWidth < MEDIUM ? "medium" : "wide";
   }
 
-  /** What is kept for the present form: {open: [panel, ...], sizes: {part: px}, grown}. */
+  /** The stored state of the current form: {open: [panel, ...], sizes: {part: px}, grown}. */
   get state() {
     const { form } = this;
     if (!this.kept[form]) this.kept[form] = { open: [...OPEN[form]], sizes: {}, grown: false };
@@ -59,7 +59,7 @@ export class Panels {
     return this.state.open.includes(panel);
   }
 
-  /** Unfold a panel; where there is not the room for two, the other one folds. */
+  /** Unfold a panel; if there is no room for two, the other one is folded. */
   open(panel) {
     if (this.isOpen(panel)) return;
     const others = {
@@ -84,7 +84,7 @@ export class Panels {
     else this.open(panel);
   }
 
-  /** Give the details half of the page, for an analysis; or take it back. */
+  /** Give the details half of the page, for an analysis, or undo this. */
   widen() {
     this.state.grown = !this.state.grown;
     this.done();
@@ -218,7 +218,7 @@ function read() {
   try {
     data = JSON.parse(localStorage.getItem(KEPT));
   } catch {
-    /* what cannot be read is left behind */
+    /* unreadable values are ignored */
   }
   for (const form of Object.keys(OPEN)) {
     const { open, sizes, grown } = data?.[form] || {};

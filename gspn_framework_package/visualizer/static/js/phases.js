@@ -1,11 +1,11 @@
-// What robots are up to: the words and the flags of each phase are the server's, which alone knows them
-// (execution/phase.py says what each flag means).
+// The phases of robots: the server provides the word and the flags of each phase (execution/phase.py explains each
+// flag).
 
 const UNHEARD = { word: "", tone: "" };
 
 let table = {}; // phase -> {word, tone, and flags}
-/** Phases that the page has to name itself: of a robot that a firing has `entered` into a place, that is `paused`, that
- * is `waiting`, that had not finished when the run `stopped`. */
+/** The phases that the page has to name itself: of a robot that a firing has moved into a place (`entered`), that is
+ * `paused`, that is `waiting`, and that had not finished when the run `stopped`. */
 export const named = {};
 
 export function setPhases(phases) {
@@ -16,7 +16,7 @@ export function setPhases(phases) {
 /** The word, the tone and the flags of a phase. */
 export const told = (phase) => table[phase] || table[""] || UNHEARD;
 
-/** The same of what a robot is told to be up to, on a board with that status; Python has it as `told_phase`. */
+/** The same for the phase shown for a robot on a board with that status; `told_phase` in Python. */
 export function toldOf(robot, status) {
   const own = told(robot.phase);
   if (own.outlasts) return own;
@@ -24,7 +24,7 @@ export function toldOf(robot, status) {
   return robot.paused ? told(named.paused) : own;
 }
 
-/** The phases in which a robot needs the operator, the worst first: [[phase, what is told of it], ...]. */
+/** The phases in which a robot needs the operator, worst first: [[phase, its word, tone and flags], ...]. */
 export const alarming = () =>
   Object.entries(table)
     .filter(([, is]) => is.needs_operator)

@@ -1,11 +1,11 @@
-// The robots as persons see them: colour and id, what each does and since when, why it waits, what can be ordered of
-// it.
+// The robots panel: the colour and id of each robot, what it does and since when, why it waits, and the possible
+// orders.
 
 import { h, $, isPressed, seconds } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
 import { told, toldOf } from "./phases.js";
 
-/** How long a robot has been at what it does. */
+/** How long a robot has been in its phase. */
 function since(model, robot) {
   if (
     told(robot.phase).gone ||
@@ -61,12 +61,12 @@ function feedbackOf(model, robot) {
 }
 
 export class RobotsPanel {
-  /** `orders`: what an operator may order. */
+  /** `orders`: the orders that an operator may give. */
   constructor(model, orders) {
     this.model = model;
     this.orders = orders;
     this.panel = $("robots");
-    // name -> {element, looks}: drawn anew only where another card is due, so that a button stays
+    // name -> {element, looks}: a card is only redrawn if it looks different, so that its buttons stay
     this.cards = new Map();
     this.update();
     this.clock = setInterval(() => {
@@ -123,7 +123,7 @@ export class RobotsPanel {
     }
   }
 
-  /** For one who may only look: why there is nothing to press. */
+  /** Show a viewer, who may only look, why there are no buttons. */
   look() {
     if (this.model.mode !== "LIVE" || !this.orders.refusal || this.model.head.status.ended)
       return null;

@@ -1,10 +1,10 @@
-// The room beside the net: walls and places of interest from the world, the robots where they are.
+// The room next to the net: walls and locations from the world, and the robots at their positions.
 
 import { $ } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
 
 const WIDEST = 300; // px
-const SHARE = 0.5; // of the height of the panel, at most
+const SHARE = 0.5; // largest share of the panel's height
 
 export class Room {
   constructor(model) {
@@ -22,7 +22,7 @@ export class Room {
     if (on) this.update();
   }
 
-  /** Shown by itself the first time that a world is heard of. */
+  /** Draw the news; the panel opens by itself when a world first reports. */
   news() {
     if (!this.offered && this.model.latest.room) {
       this.offered = true;

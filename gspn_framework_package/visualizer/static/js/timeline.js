@@ -1,5 +1,5 @@
-// The time line: a lane of firings, and below it a lane per robot in its colour (paler while it waits); in a
-// simulation, where there are no robots, how the tokens of the places change. The scrubber is under it.
+// The time line: a lane of firings, and below it a lane per robot in its colour (paler while it waits). A simulation
+// has no robots: the lanes show the token counts of places instead. The scrubber is below.
 
 import { $, h, natural, seconds } from "./dom.js";
 import { colourOf } from "./colours.js";
@@ -8,15 +8,15 @@ import { told, toldOf } from "./phases.js";
 
 const SPANS = [1, 2, 5, 10, 30, 60, 300, 1200, 7200, 86400];
 const TICKS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600, 14400]; // s
-const LABEL = [92, 0.22]; // px, and share of the width, for the names of the lanes: at least, at most
-const LANE = [15, 26]; // px, least and largest height of a lane; where all do not fit they scroll
+const LABEL = [92, 0.22]; // width of the lane names: least in px, and largest as a share of the width
+const LANE = [15, 26]; // px, least and largest height of a lane; if they do not all fit, they scroll
 const TOKENS = 20; // px, least height of a lane of tokens
-const EDGE = [26, 4]; // px above the lanes, where the axis is, and below
+const EDGE = [26, 4]; // px above the lanes, for the axis, and below them
 
 const spanText = (t) => (t < 60 ? `${t} s` : t < 3600 ? `${t / 60} min` : `${t / 3600} h`);
 const axisTime = (t) => (t < 60 ? `${Number(t.toFixed(1))} s` : seconds(t));
 
-/** Index of the first event that is not before `t`; `events` in the order of their times. */
+/** Index of the first event at or after `t`; `events` are sorted by time. */
 function firstAt(events, t) {
   let low = 0,
     high = events.length;
@@ -34,11 +34,11 @@ export class TimeLine extends EventTarget {
     super();
     this.model = model;
     this.canvas = $("lanes");
-    this.span = null; // seconds shown; null: chosen by how much there is
+    this.span = null; // seconds shown; null: chosen automatically
     this.canvas.onclick = (event) => this.clicked(event);
     this.canvas.onwheel = (event) => {
       const { scrollHeight, clientHeight } = this.canvas.parentElement;
-      if (scrollHeight > clientHeight + 1 && !event.ctrlKey) return; // there are more lanes to see
+      if (scrollHeight > clientHeight + 1 && !event.ctrlKey) return; // the wheel scrolls the lanes
       event.preventDefault();
       this.zoom(event.deltaY > 0 ? 1 : -1);
     };
@@ -92,7 +92,7 @@ export class TimeLine extends EventTarget {
     act();
   }
 
-  /** Number of the last event at hand that is not after `t`. */
+  /** Number of the last loaded event at or before `t`. */
   eventAt(t) {
     const { events, mode, oldest } = this.model;
     const course = mode === "SIMULATE" ? courseOf(this.model) : events;
@@ -115,15 +115,15 @@ export class TimeLine extends EventTarget {
     return lanesOf(this.model, begin, end);
   }
 
-  /** How the tokens of places changed since `begin`: of the place that is selected, and of those that changed most
-   * often, at most `count`; in natural order. [{name, points: [[from, tokens], ...], most}, ...] */
+  /** The token counts of places since `begin`: of the selected place and of those that changed most often, at most
+   * `count`, in natural order. [{name, points: [[from, tokens], ...], most}, ...] */
   tokens(begin, count) {
     const { model } = this;
     const { marking } = model.board;
     const course = courseOf(model);
     const last = course.length,
       first = firstAt(course, begin);
-    const changes = new Map(); // place -> how often
+    const changes = new Map(); // place -> number of changes
     for (let i = first; i < last; i++) {
       for (const [p] of course[i].d || []) changes.set(p, (changes.get(p) || 0) + 1);
     }
@@ -133,7 +133,7 @@ export class TimeLine extends EventTarget {
       ? [...changes].sort((a, b) => b[1] - a[1]).map(([p]) => p)
       : marking.map((_, p) => p).filter((p) => marking[p] > 0);
     const wanted = order.slice(0, Math.max(0, count));
-    let from = first; // after the last reset: what was before it is not told
+    let from = first; // after the last reset: earlier events are ignored
     for (let i = first; i < last; i++) if (course[i].k === "mark") from = i;
     const counts = new Map(wanted.map((p) => [p, marking[p]]));
     for (let i = from; i < last; i++) {
@@ -238,7 +238,7 @@ export class TimeLine extends EventTarget {
     c.textAlign = "left";
     c.fillStyle = ink("--ink-2");
     if (step >= 8) c.fillText("firings", 14, y0);
-    let drawn = Infinity; // where the last was drawn: of many on one pixel, one is
+    let drawn = Infinity; // position of the last one drawn: only one is drawn per pixel
     for (let i = course.length - 1; i >= 0; i--) {
       const event = course[i];
       if (event.t < begin) break;
@@ -341,7 +341,7 @@ export class TimeLine extends EventTarget {
     $("back-to-live").textContent = model.mode === "LIVE" ? "Back to live" : "Back to now";
   }
 
-  /** In words: when it is, and what each robot does. */
+  /** The time and what each robot does, in words. */
   says() {
     const { board, scene, head } = this.model;
     const robots = [...board.robots.values()].sort((a, b) => natural(a.name, b.name)).slice(0, 8);

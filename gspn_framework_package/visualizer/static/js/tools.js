@@ -1,4 +1,4 @@
-// The tools above the net: those of thesis Figure 5.4 in a simulation, of the view in a live run or a replay.
+// The tools above the net: those of thesis Figure 5.4 in a simulation, those of the view in a live run or a replay.
 
 import { h, $, ask, attempt, announce, toast, plural, number } from "./dom.js";
 import { post } from "./api.js";

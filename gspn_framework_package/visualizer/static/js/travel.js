@@ -1,5 +1,5 @@
 // Tokens that travel when a transition fires: from its input places to it, and on to its output places.
-// Until one has arrived its place does not show it. Beyond a number in flight the transition only flashes.
+// A place does not show a token before it arrives. If too many are in flight, the transition only flashes.
 
 import { s } from "./dom.js";
 import { colourOf } from "./colours.js";
@@ -66,7 +66,7 @@ export class Travel {
     }
   }
 
-  /** Set off what fired since the last frame. */
+  /** Start the tokens of the firings since the last frame. */
   begin() {
     if (!this.waiting.length) return;
     const { view } = this;
