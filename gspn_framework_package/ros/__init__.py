@@ -1,1 +1,1 @@
-"""The ROS edge: thin adapters between messages and the core. Callbacks only enqueue."""
+"""The ROS layer: thin adapters between ROS messages and the core. Callbacks only enqueue."""

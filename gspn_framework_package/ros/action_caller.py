@@ -22,14 +22,14 @@ from gspn_framework_package.ros.place_servers import PlaceServer
 from gspn_framework_package.ros.transport.registration import registered_together
 
 CONNECT_POLL = 0.01
-"""Seconds between two looks at whether a server's topics are connected."""
+"""Seconds between two checks whether a server's topics are connected."""
 
 Connection = Union[ActionConnection, DirectConnection]
 
 
 class ActionEnded(NamedTuple):
-    """How an attempt ended: ``reason`` "" for a success with ``result`` (a transition, or "" for
-    "the policy decides"), else one of ``log_entries.FAILURES``."""
+    """How an attempt ended. If ``reason`` is "", it succeeded with ``result`` (a transition, or ""
+    to let the policy decide); otherwise ``reason`` is one of ``log_entries.FAILURES``."""
 
     identity: GoalIdentity
     result: str = ""
@@ -38,7 +38,7 @@ class ActionEnded(NamedTuple):
 
 
 class _Goal:
-    """A goal, and the deadlines of its present state (monotonic seconds)."""
+    """A goal, and the deadlines of its current state (monotonic seconds)."""
 
     def __init__(
         self, identity: GoalIdentity, target: ActionTarget, start_at: float, connect_by: float
@@ -49,26 +49,26 @@ class _Goal:
         self.start_at = start_at
         self.connect_by = connect_by
         self.connection: Optional[Connection] = None
-        """The way it was sent; None before."""
+        """The connection over which it was sent; None before."""
         self.message: Optional[genpy.Message] = None
-        """As it was sent; None before."""
+        """The goal message that was sent; None before."""
         self.sent_at = 0.0
         self.send_again_at = 0.0
         self.cut_off_at: Optional[float] = None
-        """When the action has taken too long; None: it may take any time."""
+        """When the action times out; None: never."""
         self.acknowledged_by = ""
-        """Caller id of the server that has it."""
+        """Caller id of the server that acknowledged it."""
         self.ended: Optional[Tuple[str, str]] = None
-        """(Outcome, text) as the server said it; None: it was not said."""
+        """(Outcome, text) as the server reported it; None if it has not."""
         self.result_by = 0.0
 
     def become(self, state: GoalState) -> None:
-        """Go on to a state. :raises IllegalTransitionError: that cannot follow."""
+        """Enter a state. :raises IllegalTransitionError: it cannot follow the current one."""
         self.state = self.state.then(state)
 
     @property
     def waits_for(self) -> str:
-        """What its state waits for, for people; "" while its action runs."""
+        """What the goal waits for, in words; "" while its action runs."""
         if self.state is GoalState.DELAYED:
             return "waits before attempt %d" % self.identity.attempt
         if self.state is GoalState.CONNECTING:
@@ -82,10 +82,11 @@ class ActionCaller:
     """Action client of one robot: sends goals, one at a time, and puts a deadline on every step.
     All methods belong to the node's worker thread.
 
-    Goals for servers of its own process go to them directly. Connections to other servers are made
-    when a place is first needed (the others follow in the background), kept, and closed again when
-    there are more than ``limit``, least recently used first. A separate thread calls the master,
-    because without a master rospy's registrations block until it is back.
+    Goals for servers in its own process go to them directly. A connection to another server is made
+    when its place is first needed; connections to the remaining servers follow in the background.
+    Connections are kept; when there are more than ``limit``, the least recently used are closed. A
+    separate thread calls the master, because without a master rospy's registrations block until it
+    is back.
 
     :param robot: name of the robot.
     :param targets: its actions by place.
@@ -93,9 +94,10 @@ class ActionCaller:
     :param enqueue: makes the worker thread call ``function(*arguments)`` soon.
     :param ended: receives the end of each attempt, once.
     :param feedback: receives (identity, feedback message) while an action runs.
-    :param limit: maximum number of open connections to servers of other processes.
-    :param own_servers: the servers of this process that goals are given to directly, by their
-      absolute names.
+    :param patience: how long each step may take.
+    :param limit: maximum number of open connections to servers in other processes.
+    :param own_servers: the servers in this process that receive goals directly, by their absolute
+      names.
     """
 
     def __init__(
@@ -131,7 +133,7 @@ class ActionCaller:
     # -- the worker thread: orders -----------------------------------------------------------------
 
     def start(self, command: StartAction, now: float) -> None:
-        """Start an action, in the place of whatever went on before."""
+        """Start an action; cancels the previous one if it still runs."""
         self.cancel()
         identity = GoalIdentity(
             self.robot, command.incarnation, command.visit, command.attempt, self.tag
@@ -143,7 +145,7 @@ class ActionCaller:
         self.poll(now)
 
     def cancel(self) -> None:
-        """Cancel the running goal, if any; nothing more is reported of it."""
+        """Cancel the running goal, if any; nothing more is reported about it."""
         goal, self._goal = self._goal, None
         if goal is not None:
             goal.become(GoalState.OVER)
@@ -152,24 +154,26 @@ class ActionCaller:
                 goal.connection.cancel(goal.id)
 
     def close(self) -> None:
-        """Cancel what goes on, and close all connections (left to the end of the process)."""
+        """Cancel the running goal and end the thread of the connections. The connections themselves
+        stay open until the process ends."""
         self.cancel()
         self._closed = True
         self._background.put(None)
 
     def doing(self) -> str:
-        """What the running action waits for, in words; "" if none runs."""
+        """What the current goal waits for, in words; "" if its action runs or there is none."""
         return self._goal.waits_for if self._goal else ""
 
     @property
     def connections(self) -> int:
-        """How many connections to servers are open."""
+        """The number of open connections to servers in other processes."""
         return len(self._connections)
 
     # -- the worker thread: time -------------------------------------------------------------------
 
     def poll(self, now: float) -> Optional[float]:
-        """Do what is due; when to be called next (monotonic seconds), None: at no certain time."""
+        """Do what is due at ``now`` (monotonic seconds); returns when to call this next, None if no
+        time is set."""
         goal = self._goal
         if goal is None:
             return None
@@ -233,7 +237,7 @@ class ActionCaller:
     def _poll_active(self, goal: _Goal, now: float) -> Optional[float]:
         assert goal.connection is not None
         if not goal.connection.is_connected(goal.acknowledged_by):
-            # connected again within the time for a result, or else it is gone
+            # it must connect again within the time for a result, otherwise it is gone
             self._await_result(goal, now)
             return goal.result_by
         silence = goal.connection.silence(goal.acknowledged_by)
@@ -249,7 +253,8 @@ class ActionCaller:
         goal.result_by = now + self._patience.result
 
     def _poll_result_due(self, goal: _Goal, now: float) -> Optional[float]:
-        """No result may have come of a goal that has ended, or that the server does not know."""
+        """Give up on a result that has not arrived in time, or go on if the server is connected
+        again and has not ended the goal."""
         if now < goal.result_by:
             return goal.result_by
         assert goal.connection is not None
@@ -268,7 +273,7 @@ class ActionCaller:
             self._finish(goal, outcome, detail, None)
         return None
 
-    # -- the worker thread: what servers say -------------------------------------------------------
+    # -- the worker thread: reports of servers -----------------------------------------------------
 
     def _heard(self, connection: Connection, what: GoalNews, goal_id: str, value: Any) -> None:
         goal = self._goal
@@ -288,7 +293,7 @@ class ActionCaller:
             self._finish(goal, *value)
         elif what is GoalNews.FEEDBACK:
             self._feedback(goal.identity, value)
-        elif goal.state is GoalState.ACTIVE:  # it has ended, or the server no longer knows it
+        elif goal.state is GoalState.ACTIVE:  # the goal ended, or the server no longer knows it
             self._await_result(goal, time.monotonic())
             goal.ended = value or (
                 "server died",
@@ -322,7 +327,7 @@ class ActionCaller:
         return self._direct.get(server) or self._connections.get(server)
 
     def _open_spare(self) -> None:
-        """Connect to one more server of the plan, while there is room."""
+        """Connect to one more server of the plan, if the limit allows."""
         while self._spare and len(self._connections) + len(self._opening) < self._limit:
             target = self._spare.pop(0)
             if target.server not in self._connections and target.server not in self._opening:

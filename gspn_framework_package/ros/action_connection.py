@@ -26,23 +26,23 @@ ENDED = {
 class ActionConnection:
     """The client's side of the action protocol, for one goal at a time.
 
-    It follows the protocol's messages itself, goal id by goal id, and leaves out the state machine
-    of ``actionlib.ActionClient``: that one makes its own goal ids (they collide), takes a status
-    from a second server of the same name for the loss of the goal, and drops a result that comes
+    It handles the protocol's messages itself, by goal id, instead of using
+    ``actionlib.ActionClient``. That class makes its own goal ids (they collide), mistakes a status
+    from a second server of the same name for the loss of the goal, and drops a result that arrives
     after such a loss.
 
-    Publishes ``SERVER/goal`` and ``SERVER/cancel``, subscribes to ``SERVER/status``, ``/result``
-    and ``/feedback``. Its callbacks run on rospy's threads and only hand on what concerns the goal
-    that is watched.
+    It publishes ``SERVER/goal`` and ``SERVER/cancel``, and subscribes to ``SERVER/status``,
+    ``/result`` and ``/feedback``. Its callbacks run on rospy's threads and only pass on what
+    concerns the watched goal.
 
     :param server: absolute name of the server.
     :param action_type: class of the action.
-    :param robot: name of the robot that asks.
+    :param robot: name of the robot that sends the goals.
     :param tag: tag of this start of the node. An unfinished goal of the robot with another tag is
-        left over from a node that died, if it is there when this one connects or is of an earlier
-        incarnation: it is cancelled.
-    :param hand_on: called as ``hand_on(connection, what, goal_id, value)``; :class:`GoalNews` says
-        which value goes with what.
+        cancelled as a leftover of a node that died, if it was there when this one connected or is
+        of an earlier incarnation.
+    :param hand_on: called as ``hand_on(connection, what, goal_id, value)``; :class:`GoalNews`
+        documents the value for each ``what``.
     """
 
     def __init__(
@@ -86,15 +86,15 @@ class ActionConnection:
     # -- called by the node's worker thread --------------------------------------------------------
 
     def ready_server(self) -> Optional[str]:
-        """The caller id of a server to which every topic is connected, both ways; None if there is
-        none yet. (A goal that is published before would be lost in silence.)"""
+        """The caller id of a server to which every topic is connected, in both directions; None if
+        there is none yet. (A goal published before that would be lost silently.)"""
         for caller in sorted(self.last_status, key=self.last_status.__getitem__, reverse=True):
             if self.is_connected(caller):
                 return caller
         return None
 
     def is_connected(self, caller: str) -> bool:
-        """Whether goals reach the server with that caller id, and results come back."""
+        """Whether goals reach the server with this caller id, and results come back."""
         return (
             self._goal.impl.has_connection(caller)
             and self._cancel.impl.has_connection(caller)
@@ -105,18 +105,18 @@ class ActionConnection:
         )
 
     def silence(self, caller: str) -> float:
-        """Seconds since the last status of that server. In simulated time, whose clock servers go
-        by, a simulation that is slow or halted is no silence."""
+        """Seconds since the last status of this server. With simulated time, which servers follow,
+        a slow or paused simulation does not count as silence."""
         seconds = time.monotonic() - self.last_status[caller]
         if not rospy.rostime.is_wallclock():
             seconds = min(seconds, rospy.get_time() - self._last_status_ros[caller])
         return seconds
 
     def send(self, goal_id: str, goal: genpy.Message, incarnation: int) -> None:
-        """Send a goal and watch it; sending the same one again does no harm.
+        """Send a goal and watch it; sending the same goal again is harmless.
 
-        Its stamp is empty: the server puts its own time there, so that no skew of clocks makes an
-        older "cancel everything before" apply to it.
+        The stamp of the goal id is empty, so the server fills in its own time; otherwise an older
+        "cancel everything before" could apply to the goal if clocks differ.
         """
         if self._watched != goal_id:
             self._acknowledged_by = None
@@ -130,11 +130,11 @@ class ActionConnection:
         self._goal.publish(message)
 
     def forget(self) -> None:
-        """Watch no goal."""
+        """Stop watching the goal."""
         self._watched = ""
 
     def cancel(self, goal_id: str) -> None:
-        """Have the server cancel a goal."""
+        """Ask the server to cancel a goal."""
         self._cancel.publish(GoalID(id=goal_id))
 
     # -- rospy's threads ---------------------------------------------------------------------------

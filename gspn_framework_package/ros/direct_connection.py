@@ -1,5 +1,4 @@
-"""The way between an execution node and an action server in the same process: no topic lies between
-them."""
+"""Connects an execution node to an action server in the same process, without topics."""
 
 from __future__ import annotations
 
@@ -17,14 +16,13 @@ from gspn_framework_package.ros.place_servers import PlaceServer
 
 
 class DirectConnection:
-    """Does for the caller of actions what :class:`ActionConnection` does, by calls instead of
-    messages.
+    """Has the interface of :class:`ActionConnection`, but uses calls instead of messages.
 
-    The server treats the goal like any other, and publishes its status, feedback and result on its
-    topics too; only the goal itself is not seen on ``SERVER/goal``. Over topics, each of the
-    1,000 servers of 50 robots in 20 places has five connections from its process to itself.
+    The server treats the goal like any other, and also publishes its status, feedback and result on
+    its topics; only the goal itself does not appear on ``SERVER/goal``. Over topics, each of the
+    1,000 servers of 50 robots in 20 places would have five connections from its process to itself.
 
-    :param server: the server.
+    :param server: the server, in this process.
     :param hand_on: see :class:`ActionConnection`.
     """
 
@@ -38,26 +36,26 @@ class DirectConnection:
 
     @property
     def last_status(self) -> Dict[str, float]:
-        """As if a status had just come in."""
+        """This node and the current monotonic time, as if a status had just arrived."""
         return {rospy.get_name(): time.monotonic()}
 
     def close(self) -> None:
-        """Nothing is to be closed."""
+        """Do nothing: there is no connection to close."""
 
     def ready_server(self) -> Optional[str]:
         """The name of this node, once the server has been started."""
         return rospy.get_name() if self._server.started else None
 
     def is_connected(self, caller: str) -> bool:
-        """Whether the server still takes goals."""
+        """Whether the server takes goals."""
         return self._server.started
 
     def silence(self, caller: str) -> float:
-        """None: a server of the same process is alive."""
+        """Always 0: a server in the same process is alive."""
         return 0.0
 
     def send(self, goal_id: str, goal: ExecGSPNGoal, incarnation: int) -> None:
-        """Send a goal and watch it; sending the same one again does no harm."""
+        """Send a goal and watch it; sending the same goal again is harmless."""
         self._watched = goal_id
         message = ExecGSPNActionGoal(goal=goal)
         message.header.stamp = rospy.get_rostime()
@@ -66,15 +64,15 @@ class DirectConnection:
         self._hand_on(self, GoalNews.ACKNOWLEDGED, goal_id, rospy.get_name())
 
     def forget(self) -> None:
-        """Watch no goal."""
+        """Stop watching the goal."""
         self._watched = ""
 
     def cancel(self, goal_id: str) -> None:
-        """Have the server cancel a goal."""
+        """Ask the server to cancel a goal."""
         self._server.cancel_goal(goal_id)
 
     def _told(self, what: GoalNews, status: GoalStatus, message: genpy.Message) -> None:
-        """By the server, on any thread: ``what`` is FEEDBACK or RESULT."""
+        """The server calls this, on any thread; ``what`` is FEEDBACK or RESULT."""
         goal_id = status.goal_id.id
         if goal_id != self._watched:
             return

@@ -1,4 +1,5 @@
-"""Who asks for an action is in the goal id of the action protocol (its goal has only ``place``)."""
+"""Goal ids of the action protocol, which identify the robot that sends a goal (the goal itself has
+only ``place``)."""
 
 from __future__ import annotations
 
@@ -7,10 +8,10 @@ from typing import NamedTuple, Optional, Tuple
 
 
 class GoalIdentity(NamedTuple):
-    """What makes a goal different from every other one.
+    """The fields that make a goal unique.
 
-    ``tag`` is new for each start of a node: a server keeps the ids of old goals for some seconds,
-    and ignores in silence a goal whose id it knows.
+    ``tag`` is new for each start of a node, because a server keeps the ids of old goals for some
+    seconds and silently ignores a goal whose id it knows.
     """
 
     robot: str
@@ -24,17 +25,17 @@ class GoalIdentity(NamedTuple):
 
     @property
     def age(self) -> Tuple[int, int, int]:
-        """Sorts the goals of one robot in one run from old to new."""
+        """A key that sorts the goals of one robot in one run from old to new."""
         return self.incarnation, self.visit, self.attempt
 
 
 def new_tag() -> str:
-    """A tag that no other start of a node has."""
+    """A tag for this start of a node (eight random hex digits)."""
     return uuid.uuid4().hex[:8]
 
 
 def parse_goal_id(text: str) -> Optional[GoalIdentity]:
-    """The identity written in a goal id; None for the id of somebody else's goal."""
+    """The identity in a goal id; None if the goal does not come from an execution node."""
     parts = text.rsplit("-", 4)
     if len(parts) != 5 or not all(part.isdigit() for part in parts[1:4]):
         return None

@@ -1,4 +1,4 @@
-"""The life of a goal, as the robot sees it that sends it (actionlib calls this ``CommState``)::
+"""The states of a goal, as seen by the robot that sends it (``CommState`` in actionlib)::
 
     DELAYED
        | its time has come
@@ -20,8 +20,8 @@
     (every state: cancelled)                              v
                                                         OVER
 
-A goal is RESULT_DUE when its server says that it has ended, no longer knows it, or is no longer
-connected: its result may still be on the way.
+A goal is RESULT_DUE when its server reports that it has ended, no longer knows it, or is no longer
+connected; its result may still be on the way.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from typing import Dict, FrozenSet
 
 
 class GoalState(enum.Enum):
-    """Where a goal is on its way; see the picture."""
+    """The state of a goal; see the picture."""
 
     DELAYED = "delayed"
-    """It is to be sent later: an attempt after one that failed."""
+    """The goal waits for its start time, if an earlier attempt failed."""
     CONNECTING = "connecting"
-    """It cannot be sent before the topics of its server are connected."""
+    """The goal cannot be sent before the topics of its server are connected."""
     SENT = "sent"
-    """The server has not said yet that it has the goal."""
+    """The server has not acknowledged the goal yet."""
     ACTIVE = "active"
     """The server has the goal."""
     RESULT_DUE = "result due"
     """Only the result is missing."""
     OVER = "over"
-    """It has ended, failed or been cancelled; nothing more is heard of it."""
+    """The goal has ended, failed or been cancelled; further messages about it are ignored."""
 
     def then(self, following: GoalState) -> GoalState:
-        """The state that follows. :raises IllegalTransitionError: it cannot follow this one."""
+        """Returns ``following``. :raises IllegalTransitionError: it cannot follow this state."""
         if following not in TRANSITIONS[self]:
             raise IllegalTransitionError(
                 "a goal cannot go from %s to %s" % (self.name, following.name)
@@ -56,7 +56,7 @@ class GoalState(enum.Enum):
 
 
 class IllegalTransitionError(RuntimeError):
-    """A goal was to take a way that its picture does not have: an error of this program."""
+    """A goal was about to make a transition that is not in the picture: a bug in this program."""
 
 
 TRANSITIONS: Dict[GoalState, FrozenSet[GoalState]] = {
@@ -71,15 +71,15 @@ TRANSITIONS: Dict[GoalState, FrozenSet[GoalState]] = {
 
 
 class GoalNews(enum.Enum):
-    """What a connection reports of the watched goal, and the value that goes with it."""
+    """What a connection reports about the watched goal, and the value that comes with it."""
 
     ACKNOWLEDGED = "acknowledged"
     """The server knows the goal; value: caller id of the server."""
     UNKNOWN = "unknown"
     """The server that acknowledged the goal no longer knows it; value: None."""
     ENDED = "ended"
-    """The goal has ended, its result may still come; value: (outcome, text)."""
+    """The goal has ended, but its result may still arrive; value: (outcome, text)."""
     RESULT = "result"
-    """Value: (outcome, text, result message)."""
+    """The result has arrived; value: (outcome, text, result message)."""
     FEEDBACK = "feedback"
-    """Value: the feedback message."""
+    """The action reports progress; value: the feedback message."""

@@ -1,4 +1,4 @@
-"""What the core knows, as ROS messages."""
+"""Converts between values of the core and ROS messages."""
 
 from __future__ import annotations
 
@@ -12,11 +12,18 @@ from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.msg import FiredTransition
 
 FIRED_TOPIC = "/fired_transitions"
-"""All teams on a master publish what fires on this topic; a message names its run and its plan."""
+"""All teams on a master publish their firings on this topic; each message names its run and
+plan."""
 
 
 def fired_message(fired: Fired, net: Net, plan_hash: str, run: str) -> FiredTransition:
-    """The news of a firing, for ``fired_transitions``."""
+    """The message that reports a firing on ``fired_transitions``.
+
+    :param fired: the firing.
+    :param net: the net of the plan.
+    :param plan_hash: the hash of the plan.
+    :param run: the name of the run.
+    """
     firing = fired.firing
     message = FiredTransition()
     message.header.stamp = rospy.get_rostime()
@@ -56,14 +63,13 @@ _STATUS_FIELDS = {
 
 
 def read_status(message: str) -> Optional[Dict[str, Any]]:
-    """What a node answered to the command ``status``; None where it is not such an answer."""
+    """A node's answer to the command ``status``; None if the text is not such an answer."""
     status = json_object(message)
     return status if status is not None and _STATUS_FIELDS <= set(status) else None
 
 
 def json_object(text: str) -> Optional[Dict[str, Any]]:
-    """The JSON object in a field of a message that anybody may have sent; None where there is
-    none."""
+    """The JSON object in a field of a message from an untrusted sender; None if there is none."""
     try:
         value = json.loads(text) if text else None
     except (ValueError, RecursionError):
@@ -72,5 +78,5 @@ def json_object(text: str) -> Optional[Dict[str, Any]]:
 
 
 def marking_fields(marking: Marking, net: Net) -> Tuple[List[str], List[int]]:
-    """A marking as places and counts, every place of the net."""
+    """A marking as two lists, place names and counts, with every place of the net."""
     return [place.name for place in net.places], list(marking)

@@ -1,4 +1,4 @@
-"""What an operator's program needs: find the execution nodes, ask them, and give them orders."""
+"""Client for an operator's program: finds the execution nodes, queries them and gives orders."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
 
 PATIENCE = 2.0
-"""Seconds that a node has for answering a plain question."""
+"""Seconds within which a node must answer a plain question."""
 
 
 class NodeAddress(NamedTuple):
-    """An execution node: the namespace of its robot, and where its services are."""
+    """An execution node: the namespace of its robot, and the address of its services."""
 
     namespace: str
     uri: str
 
 
 class Answer(NamedTuple):
-    """What a node answered to a command."""
+    """A node's answer to a command."""
 
     node: NodeAddress
     success: bool
@@ -38,8 +38,10 @@ class Answer(NamedTuple):
 
 def status_in(namespace: str) -> Optional[Dict[str, Any]]:
     """The status of the execution node in a namespace; None if there is no node, or it does not
-    answer. May be called before this process is a node itself. :raises OSError: no master answers;
-    and others of ``MASTER_ERRORS``."""
+    answer. May be called before this process is a node itself.
+
+    :raises OSError: or another of ``MASTER_ERRORS``, no master answers.
+    """
     name = rospy.names.ns_join(namespace, "command")
     master: Any = master_proxy()
     code, _, uri = master.lookupService("/gspn_operator", name)
@@ -50,7 +52,7 @@ def status_in(namespace: str) -> Optional[Dict[str, Any]]:
     try:
         calls.call(namespace, uri, name, Command, CommandRequest(command="status"), answers.put)
         deadline = time.monotonic() + PATIENCE
-        # nobody there: the master has not noticed yet
+        # a failure means that the node is gone, and the master has not noticed yet
         while time.monotonic() < deadline and not calls.failures:
             with contextlib.suppress(queue.Empty):
                 return read_status(answers.get(timeout=0.02).message)
@@ -60,15 +62,15 @@ def status_in(namespace: str) -> Optional[Dict[str, Any]]:
 
 
 class OperatorClient:
-    """Talks to all execution nodes that the ROS master knows; every call ends at a deadline.
+    """Talks to all execution nodes that the ROS master knows; every call has a deadline.
 
-    A program that goes on without it ends its threads with :meth:`close`.
+    A program that no longer needs it ends its threads with :meth:`close`.
 
-    :raises ExecutionError: no master, or no execution node there.
+    :raises ExecutionError: no master answers, or it knows no execution node.
     """
 
     def __init__(self) -> None:
-        self.nodes = self._find()  # before rospy speaks to the master, without any limit of time
+        self.nodes = self._find()  # before rospy calls the master, which has no time limit
         self._calls = ServiceCalls(deadline=ORDER_TIME + PATIENCE)
         if not rospy.core.is_initialized():
             rospy.init_node(
@@ -103,7 +105,8 @@ class OperatorClient:
     def ask_all(
         self, command: str, seconds: float = PATIENCE
     ) -> Dict[NodeAddress, Optional[Answer]]:
-        """The answers of all nodes to a command without arguments; None for one that is silent."""
+        """The answers of all nodes to a command without arguments; None for a node that does not
+        answer within ``seconds``."""
         answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
         for node in self.nodes:
             self._send(node, CommandRequest(command=command), answers)
@@ -118,17 +121,20 @@ class OperatorClient:
         return got
 
     def statuses(self) -> Dict[NodeAddress, Optional[Dict[str, Any]]]:
-        """The status of every node, None for one that is silent or says something else."""
+        """The status of every node; None for a node without a valid answer."""
         return {
             node: read_status(answer.message) if answer is not None else None
             for node, answer in self.ask_all("status").items()
         }
 
     def order(self, command: str, robot: str, argument: str, run: str = "") -> Tuple[bool, str]:
-        """Give an order to a node that answers, the robot's own one where it does: (whether it was
-        carried out, what the node said).
+        """Give an order to a node that answers, preferably the robot's own.
 
-        :param run: only nodes of this run; needed where there are several.
+        :param command: the command; see the service ``Command``.
+        :param robot: the robot that the order concerns.
+        :param argument: the argument of the command.
+        :param run: only use nodes of this run; necessary if there are several runs.
+        :returns: whether the order was carried out, and the node's message.
         :raises ExecutionError: no node answers, or nodes of several runs do.
         """
         there = {n: s for n, s in self.statuses().items() if s and run in ("", s["run"])}
@@ -141,7 +147,7 @@ class OperatorClient:
             raise ExecutionError(
                 "there are nodes of several runs: %s" % ", ".join(runs), hint="say which: --run"
             )
-        # its own node first, except where that node is to be cast out; then one with a vote
+        # its own node first (last if it is to be evicted), then one with a vote
         own_last = command in ("evict", "force_evict")
         node = min(
             there,

@@ -15,53 +15,52 @@ from gspn_framework_package.ros.transport.registration import master_proxy
 
 
 class NodeOptions(NamedTuple):
-    """The private parameters of an execution node, by their names."""
+    """The private parameters of an execution node, by name."""
 
     plan: str = ""
-    """The plan: its folder, or its file."""
+    """The plan's folder or file."""
     robot: str = ""
     """Name of the robot, as in the plan."""
     number: int = 0
     """Instead of ``robot``: the number of the robot in the plan, from 1."""
     robots: int = 0
-    """Size of the team; 0: the plan's own."""
+    """Size of the team; 0: as in the plan."""
     place: str = ""
-    """Where a robot that is not in the plan joins the running team."""
+    """The place in which a robot that is not in the plan joins the running team."""
     prefix: str = "robot_"
-    """A whole team: what their namespaces begin with; the number of the robot follows."""
+    """For a whole team: the prefix of the robots' namespaces; the robot's number follows it."""
     run: str = "run"
-    """Name of the run: the robots of one run agree among themselves, and a node that starts again
-    under the same name goes on where it was."""
+    """Name of the run. The robots of one run agree among themselves, and a node that restarts with
+    the same run name continues where it was."""
     log_dir: str = ""
     """Folder of the logs, ``LOG_DIR/RUN/ROBOT.jsonl``; by default ``~/.ros/gspn``."""
     place_servers: bool = True
     """Whether this node serves the plan's Python actions itself."""
     place_server_nodes: bool = False
-    """A team of processes: whether each robot's place servers are started as a node of their
-    own."""
+    """For a team of processes: whether each robot's place servers run as a separate node."""
     respawn: bool = False
-    """A team of processes: whether a node of it is started again when it dies."""
+    """For a team of processes: whether a node is restarted when it dies."""
     direct_actions: bool = True
-    """Whether goals for this node's own place servers are handed to them inside the process;
+    """Whether goals for this node's own place servers are passed to them inside the process;
     otherwise they go over topics, as to any other action server."""
     check: bool = True
     """Whether the plan is checked before the robot moves."""
     stay: bool = False
-    """Whether the node stays when the run is over, and still answers."""
+    """Whether the node keeps running, and answers, when the run is over."""
     max_connections: int = 32
-    """Action servers that are connected at the same time, at most."""
+    """Maximum number of action servers that are connected at the same time."""
     server_timeout: float = DEFAULT_PATIENCE.server
     """Seconds until an action server that does not answer is reported."""
     acknowledgement_timeout: float = DEFAULT_PATIENCE.acknowledgement
     """Seconds until a goal that no server takes is reported."""
     status_timeout: float = DEFAULT_PATIENCE.status
-    """Seconds of silence until an action server is taken for dead."""
+    """Seconds of silence after which an action server is considered dead."""
     result_timeout: float = DEFAULT_PATIENCE.result
-    """Seconds until the result of a goal that has ended is taken for lost."""
+    """Seconds after which the result of an ended goal is considered lost."""
 
     @property
     def patience(self) -> Patience:
-        """The times of the action side."""
+        """The four timeouts of the action client."""
         return Patience(
             server=self.server_timeout,
             acknowledgement=self.acknowledgement_timeout,
@@ -70,16 +69,17 @@ class NodeOptions(NamedTuple):
         )
 
     def log_file(self, robot: str) -> str:
-        """Where the log of ``robot`` is."""
+        """The path of the log of ``robot``."""
         home = os.environ.get("ROS_HOME") or os.path.join(os.path.expanduser("~"), ".ros")
         folder = os.path.expanduser(self.log_dir) or os.path.join(home, "gspn")
         return os.path.join(folder, self.run, robot + ".jsonl")
 
 
 def read_options(name: str = "~") -> NodeOptions:
-    """The options of this node, read from the parameter server with one call.
+    """Read the options of this node from the parameter server with one call.
 
-    :raises UsageError: an unknown parameter, or one of another type.
+    :raises UsageError: a parameter is unknown, has the wrong type or an invalid value, or no plan
+        was given.
     """
     given: Dict[str, Any] = rospy.get_param(name, {})
     if not isinstance(given, dict):
@@ -88,12 +88,12 @@ def read_options(name: str = "~") -> NodeOptions:
 
 
 def read_options_of(node: str) -> NodeOptions:
-    """The options of a node that is not initialised (yet): its parameters, and those of the command
+    """Read the options of a node that is not initialised (yet), from its parameters and the command
     line.
 
     :param node: its absolute name.
     :raises UsageError: see :func:`read_options`.
-    :raises OSError: no master.
+    :raises OSError: no master answers.
     """
     master: Any = master_proxy()
     code, _, given = master.getParam(node, node)
@@ -104,11 +104,13 @@ def read_options_of(node: str) -> NodeOptions:
 
 
 def launched_file(given: str, parameter: str) -> str:
-    """The file or folder that a parameter names: ``~`` is the home folder. A relative path is
-    looked up where the node runs, then where ``roslaunch`` was started, because it runs nodes in a
-    different folder.
+    """The file or folder that a parameter names; ``~`` is the home folder. A relative path is
+    looked up in the folder where the node runs, then where ``roslaunch`` was started, because
+    roslaunch runs nodes in a different folder.
 
-    :raises UsageError: it is in neither.
+    :param given: the value of the parameter.
+    :param parameter: the name of the parameter, for messages.
+    :raises UsageError: it is in neither folder.
     """
     path = os.path.expanduser(given)
     shell = os.environ.get("PWD", "")
@@ -124,7 +126,7 @@ def launched_file(given: str, parameter: str) -> str:
 
 
 def options_from(given: Dict[str, Any]) -> NodeOptions:
-    """The options of a map of parameters. :raises UsageError: see :func:`read_options`."""
+    """The options in a map of parameters. :raises UsageError: see :func:`read_options`."""
     fields = {}
     for key, value in given.items():
         if key not in NodeOptions._fields:
@@ -137,7 +139,7 @@ def options_from(given: Dict[str, Any]) -> NodeOptions:
         if wanted is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         if wanted is str and not isinstance(value, (str, bool)):
-            value = str(value)  # YAML makes a number of a run that is called 42
+            value = str(value)  # YAML turns a run named 42 into a number
         if not isinstance(value, wanted) or wanted is int and isinstance(value, bool):
             raise UsageError("%r is not of type %s" % (value, wanted.__name__), element="~" + key)
         fields[key] = value

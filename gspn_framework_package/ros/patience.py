@@ -11,11 +11,12 @@ class Patience(NamedTuple):
     server: float = 10.0
     """Until the server's topics are connected."""
     acknowledgement: float = 3.0
-    """Until the server's status lists the goal; the goal is sent again every third of it."""
+    """Until the server's status lists the goal; after each third of this time, the goal is sent
+    again."""
     status: float = 5.0
-    """Between two statuses of the server while the goal is under way."""
+    """Between two status messages of the server while the goal is active."""
     result: float = 3.0
-    """Until the result of a goal comes that has ended, or that the server no longer knows."""
+    """Until the result arrives of a goal that has ended or that the server no longer knows."""
 
 
 DEFAULT_PATIENCE = Patience()

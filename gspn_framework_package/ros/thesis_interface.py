@@ -1,13 +1,13 @@
-"""The node ``thesis_interface``: a team under the names of the thesis (4.3.3), for programs written
-for it.
+"""The node ``thesis_interface``: gives a team the ROS names of the thesis (4.3.3), for programs
+written for it.
 
-Publishes every firing on ``/TRANSITIONS_FIRED`` (GSPNFiringData), and serves, for each robot N in
-its namespace, ``current_place_robot_N`` (CurrentPlace) and ``fire_sync_transition_N``
+It publishes every firing on ``/TRANSITIONS_FIRED`` (GSPNFiringData), and serves, for each robot N
+in its namespace, ``current_place_robot_N`` (CurrentPlace) and ``fire_sync_transition_N``
 (FireSyncTransition). It only translates: it keeps no marking, and no robot waits for it. It ignores
-what others publish on ``/TRANSITIONS_FIRED``, because only the robots agree on what fires.
+what others publish on ``/TRANSITIONS_FIRED``, because only the robots decide what fires.
 
-Private parameters: ``robots`` (how many), ``prefix`` (what their namespaces begin with), ``run``
-(name of the run; "" takes the first that is heard).
+Private parameters: ``robots`` (the number of robots), ``prefix`` (the common prefix of their
+namespaces), ``run`` (name of the run; "" takes the first one heard).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ TOPIC = "/TRANSITIONS_FIRED"
 
 
 def run_thesis_interface() -> int:
-    """The node; returns the exit code of the process."""
+    """Run the node; returns the exit code of the process."""
     return run_node("thesis_interface", _translate)
 
 
@@ -60,11 +60,11 @@ def _translate(ending: Ending) -> int:
 
 
 class ThesisInterface:
-    """See the module.
+    """Translates between a team and the interface of the thesis; see the module.
 
-    :param robots: how many robots there are.
-    :param prefix: what their namespaces begin with; the number follows.
-    :param run: name of the run, "" for the first that is heard.
+    :param robots: the number of robots.
+    :param prefix: the prefix of their namespaces; the robot's number follows it.
+    :param run: name of the run; "" for the first one heard.
     """
 
     def __init__(self, robots: int, prefix: str, run: str) -> None:
@@ -106,7 +106,7 @@ class ThesisInterface:
         return FireSyncTransitionResponse("SUCCESS" if answer.success else answer.message)
 
     def _ask(self, number: int, name: str, service_class: type, request: genpy.Message) -> Any:
-        """What the node of a robot answers. :raises rospy.ServiceException: it does not."""
+        """The answer of a robot's node. :raises rospy.ServiceException: it does not answer."""
         service = self._service(number, name)
         try:
             master: Any = master_proxy()
@@ -124,7 +124,7 @@ class ThesisInterface:
 
 
 def firing_data(message: FiredTransition) -> GSPNFiringData:
-    """A FiredTransition in the words of the thesis."""
+    """A FiredTransition as the message of the thesis; its marking is the ``str`` of a dict."""
     marking: Dict[str, int] = dict(zip(message.places, message.counts))
     number = re.search(r"[0-9]{1,18}$", message.robot)
     return GSPNFiringData(
