@@ -1,1 +1,1 @@
-"""The command line: one module for each verb, started by :mod:`gspn_framework_package.cli.main`."""
+"""The command line: one module per verb, started by :mod:`gspn_framework_package.cli.main`."""

@@ -1,4 +1,4 @@
-"""``gspn analyse``: what a net, or a plan under its policy, can do, and how fast."""
+"""``gspn analyse``: computes what a net, or a plan under its policy, can do, and how fast."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from gspn_framework_package.cli.subject import add_subject_arguments, read_subje
 from gspn_framework_package.model.errors import UsageError
 
 _PARTS = 10_000
-"""Parts of the JSON text (a name, a number, a bracket) that are written together."""
+"""Number of parts of the JSON text (a name, a number, a bracket) that are written together."""
 
 SHOWN = 12
-"""Entries of a list that the text shows; --json has them all."""
+"""Number of entries of a list that the text shows; --json has all of them."""
 
 TIMED = ("steady_state", "transient", "time_to_steady_state", "mean_time_to")
-"""The keys of what a simulation estimates where it is not computed."""
+"""The keys of the measures that a simulation can estimate if they are not computed."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -103,12 +103,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Analyse, and print the answers."""
+    """Analyse the net or plan, and print the answers."""
     try:
         with rare_collections():
             return _run(args)
     except KeyboardInterrupt:
-        leave()  # before Python takes millions of objects apart, which takes seconds
+        leave()  # before Python destroys millions of objects, which takes seconds
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -150,11 +150,11 @@ def _run(args: argparse.Namespace) -> int:
             (args.no_structure, keys_of(Part.STRUCTURE)),
             (args.no_time, ("steady_state", *keys_of(Part.TIMING))),
         ):
-            if option:  # every key is there, whatever is left out
+            if option:  # the output has every key, even if a part is left out
                 data.update(dict.fromkeys(keys))
                 data["undecided"].update(dict.fromkeys(keys, "left out, as asked"))
         parts = json.JSONEncoder(indent=2, allow_nan=False, ensure_ascii=False).iterencode(data)
-        # writing each by itself takes twice as long
+        # writing each part separately takes twice as long
         for block in iter(lambda: "".join(islice(parts, _PARTS)), ""):
             sys.stdout.write(block)
         print()
@@ -231,7 +231,7 @@ def _text(data: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _titled_text(data: Mapping[str, Any], part: Part) -> Iterator[str]:
-    """The measures of a part that have a title and no layout of their own."""
+    """Yield the measures of a part that have a title but no special layout."""
     for key, title in titled(data, part):
         value = data[key]
         if isinstance(value, dict):
@@ -245,7 +245,7 @@ def _titled_text(data: Mapping[str, Any], part: Part) -> Iterator[str]:
 
 
 def _undecided_text(data: Mapping[str, Any]) -> Iterator[str]:
-    """Every reason once, with all that it is the reason of."""
+    """Yield every reason once, with all the measures that it applies to."""
     concerned: Dict[str, List[str]] = {}
     for key, reason in data["undecided"].items():
         concerned.setdefault(re.sub("^not decided[:,]? ", "", reason), []).append(key)
@@ -323,7 +323,7 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
     yield "live: %s, reversible: %s%s" % (
         _answer(data["live"]),
         _answer(data["reversible"]),
-        # the initial marking is a home state only where all states are
+        # the initial marking is a home state only if all states are
         " (without %s: yes)" % left_out
         if data["reversible"] is False and left_out and home["count"] == states["total"]
         else "",

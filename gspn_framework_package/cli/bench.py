@@ -1,4 +1,4 @@
-"""``gspn bench``: the scaling experiments of the thesis and the throughput, on this machine."""
+"""``gspn bench``: runs the scaling experiments of the thesis and measures throughput, locally."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
 def _run_experiment(
     name: str, args: argparse.Namespace, results: Results, baseline: Dict[str, float]
 ) -> List[Dict[str, Any]]:
-    """The points that are not there yet, on a master of their own."""
+    """Measure the points without results yet (with ``--again``, all), on a separate master."""
     synchronisation = "partial" if args.partial else "full"
     modes = list(LAUNCH_FILES) if args.mode == "both" else [args.mode]
     points = [
@@ -153,7 +153,7 @@ def _run_experiment(
     ]
     points = [point for point in points if args.again or not results.has(point)]
     rows = []
-    signal.signal(signal.SIGTERM, _terminated)  # so that the robots under way are ended in order
+    signal.signal(signal.SIGTERM, _terminated)  # to shut running robots down properly
     with contextlib.ExitStack() as stack:
         master = stack.enter_context(Master()) if points else None
         for point in points:
@@ -174,7 +174,7 @@ def _run_experiment(
 
 
 def _sizes(text: str) -> List[int]:
-    """Numbers with commas, for argparse."""
+    """Parse comma-separated numbers, for argparse."""
     return [numbers.robots(part) for part in text.split(",")]
 
 

@@ -1,4 +1,4 @@
-"""``gspn check``: the check before any robot moves, on its own."""
+"""``gspn check``: runs only the check that precedes every run."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _look_at_functions(plan: Plan) -> List[CheckItem]:
-    """The missing functions, as far as the source shows without running it."""
+    """Report missing functions, as far as the source shows without running it."""
     places = {
         action.function: place
         for place, action in plan.bindings()
@@ -75,7 +75,7 @@ def _look_at_functions(plan: Plan) -> List[CheckItem]:
 
 
 def _look_at_goals(plan: Plan) -> List[CheckItem]:
-    """What is wrong with the goals for action servers, where this shell has ROS, which knows their
+    """Report errors in the goals for action servers, if this shell has ROS, which knows their
     types."""
     if not any(isinstance(action, ServerAction) for _, action in plan.bindings()):
         return []

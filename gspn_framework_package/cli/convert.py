@@ -1,4 +1,4 @@
-"""``gspn convert``: a net from one format into another, and a plan into one file."""
+"""``gspn convert``: converts a net to another format, or a plan to a single file."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import FunctionAction, Plan
 
 CHAINS = {"prism-chain": ".tra", "drn": ".drn"}
-"""What a computed Markov chain is written as -> how the files end: PRISM's explicit files, and
-Storm's DRN."""
+"""Format of a computed Markov chain -> extension of its files: PRISM's explicit files, and Storm's
+DRN."""
 
 PLAN = "plan"
-"""What a plan is written as: ``plan.json`` with net and policy inside."""
+"""The format of plans: ``plan.json`` with net and policy inside."""
 
 BOUNDS_EFFORT = 200_000
-"""Candidate invariants worth looking at for the sake of bounds."""
+"""Maximum number of candidate invariants to examine in order to find bounds."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -142,8 +142,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _bounds(net: Net, target: Format) -> Dict[str, int]:
-    """The most tokens that places can hold, for formats that want to know, as far as invariants
-    tell."""
+    """Return upper bounds on the tokens of places, for formats that need them, as far as invariants
+    give any."""
     if not target.takes_bounds:
         return {}
     found = invariant_bounds(net, BOUNDS_EFFORT)
@@ -151,7 +151,7 @@ def _bounds(net: Net, target: Format) -> Dict[str, int]:
 
 
 def _write_chain(args: argparse.Namespace, kind: str) -> int:
-    """Write a computed chain: one file, or PRISM's three beside each other."""
+    """Write a computed chain: one file, or PRISM's three files side by side."""
     if args.output == "-":
         raise UsageError("a chain is not written to standard output")
     subject, notes = read_net_or_plan_argument(args)
@@ -217,8 +217,8 @@ def _write_plan(args: argparse.Namespace) -> int:
 
 
 def _bring_functions(plan: Plan, folder: str, copy: bool) -> List[str]:
-    """See to it that the files of the plan's functions lie in ``folder``; what a person has to do
-    about it."""
+    """Make sure that ``folder`` has the files of the plan's functions, and return notes on what the
+    user has to do. Files are copied only if ``copy``."""
     modules = {
         action.function.rpartition(".")[0]
         for _, action in plan.bindings()

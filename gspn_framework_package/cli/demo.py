@@ -1,4 +1,4 @@
-"""``gspn demo``: starts a team of robots on a running ROS master and shows what happens, live."""
+"""``gspn demo``: starts a team of robots on a running ROS master and shows the run live."""
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.model.plan import Plan
 
 LINES = 8
-"""Firings that the live view shows."""
+"""Number of firings that the live view shows."""
 
 WORLD_SPEED = 3.0
-"""How much faster than real time the simulated room runs at most: a TurtleBot3 is slow to watch."""
+"""Maximum speed of the simulated room relative to real time: a TurtleBot3 is slow to watch."""
 
 START_TIME = 60.0
-"""Seconds within which the first transition must fire, where ``--seconds`` does not end the
-demo."""
+"""Seconds within which the first transition must fire, if ``--seconds`` does not end the demo."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Start the team, show it, end it, and report how it went."""
+    """Start the team, show the run, shut the team down, and report how the run went."""
     room = None if args.no_world else find_room(args.plan)
     path = room.plan if room else args.plan
     plan = read_plan(path).for_robots(args.robots)
@@ -80,15 +79,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 class PlanRoom(NamedTuple):
-    """A room in a plan's folder: its file, and the plan whose robots drive in it."""
+    """A room in a plan's folder: the room's file, and the plan whose robots drive in it."""
 
     world: str
     plan: str
 
 
 def find_room(folder: str) -> Optional[PlanRoom]:
-    """The room of a plan's folder: a ``room.json`` beside one YAML file; None where there is
-    none."""
+    """Return the room of a plan's folder, which is a ``room.json`` beside one YAML file; None if
+    there is none."""
     plan = os.path.join(folder, "room.json")
     worlds = sorted(glob.glob(os.path.join(glob.escape(folder), "*.yaml")))
     return (
@@ -99,7 +98,7 @@ def find_room(folder: str) -> Optional[PlanRoom]:
 
 
 def _free_port(first: int) -> int:
-    """The first port from ``first`` on that nobody listens on."""
+    """Return the first free port from ``first`` on."""
     for port in range(first, first + 100):
         with socket.socket() as probe:
             if probe.connect_ex(("127.0.0.1", port)) != 0:
@@ -135,7 +134,7 @@ class _Demo:
         self._ended = self._began
 
     def start(self) -> None:
-        """Launch the team; the signals end the demo from here on."""
+        """Launch the team; from now on, signals end the demo."""
         import roslaunch
         import rospkg
         import rospy
@@ -181,7 +180,8 @@ class _Demo:
             threading.Thread(target=self._browse, args=(address,), daemon=True).start()
 
     def _launch_files(self, robots: int) -> List[Tuple[str, List[str]]]:
-        """The launch files of the demo, with their arguments: the team, the page, the room."""
+        """Return the launch files of the demo, with their arguments: the team, the page, the
+        room."""
         team = ["plan:=" + self._path, "robots:=%d" % robots, "run:=" + self._run]
         files = [("team.launch", team), ("visualizer.launch", [*team, "port:=%d" % self._port])]
         if self._room is not None:
@@ -192,7 +192,7 @@ class _Demo:
         return files
 
     def _browse(self, address: str) -> None:
-        """Open the browser once the page answers."""
+        """Open the browser as soon as the page responds."""
         while not self._ending.wait(0.2):
             with socket.socket() as probe:
                 if probe.connect_ex(("127.0.0.1", self._port)) == 0:
@@ -200,12 +200,12 @@ class _Demo:
                     return
 
     def _node_ended(self, name: str, code: Optional[int]) -> None:
-        """On the thread of roslaunch."""
+        """Handle the end of a node; runs on roslaunch's thread."""
         if self._ending.is_set():
             return
         name = name.rsplit("-", 1)[0]
-        # all robots are one process for roslaunch, which ends when their run is over; nothing else
-        # ends by itself
+        # for roslaunch, all robots are one process, which exits when their run is over; no other
+        # process exits by itself
         over = name.startswith("gspn_team") and (
             not code or self._monitor.ended and not self._monitor.fault
         )
@@ -214,7 +214,7 @@ class _Demo:
         self._ending.set()
 
     def show(self) -> None:
-        """Show what happens until the time is up, a signal comes, or the run is over."""
+        """Show the run until the time is up, a signal arrives, or the run is over."""
         view = _Screen(self) if sys.stdout.isatty() else _Lines(self)
         deadline = self._began + self._seconds if self._seconds else None
         while not self._ending.wait(0.25):
@@ -231,7 +231,7 @@ class _Demo:
         view.draw(self._ended)
 
     def end(self) -> None:
-        """End every node; returns when they have ended."""
+        """Shut down every node, and wait until all have exited."""
         self._ending.set()
         if self._launch is not None:
             with _silent():
@@ -239,17 +239,17 @@ class _Demo:
             self._forget_parameters()
 
     def _forget_parameters(self) -> None:
-        """Leave a master that outlives the demo as it was: a clock that has stopped stops
-        everybody."""
+        """Remove the demo's parameters from a master that outlives it; a simulated clock that has
+        stopped would block every other node."""
         import rospy
 
         for name in ("/use_sim_time", "/room") if self._room is not None else ():
-            # the master may be gone already, and then all is well
+            # the master may be gone already, which is fine
             with contextlib.suppress(Exception):
                 rospy.delete_param(name)
 
     def summary(self) -> int:
-        """Print what happened; the exit code."""
+        """Print how the run went, and return the exit code."""
         monitor = self._monitor
         if monitor.ended:
             print("\nthe run is over: %s" % monitor.ended, end="")
@@ -269,7 +269,7 @@ class _Demo:
     # -- for the views -----------------------------------------------------------------------------
 
     def robot_lines(self) -> List[str]:
-        """One line for each robot."""
+        """Return one line per robot."""
         lines = []
         for name, doing in self._monitor.snapshot().items():
             line = "%-12s %-28s %-8s visit %-5d" % (name, doing.place, doing.state, doing.visit)
@@ -277,7 +277,7 @@ class _Demo:
         return lines
 
     def headline(self, now: float) -> str:
-        """How far the run is."""
+        """Return a line with the progress of the run."""
         return "%6.1f s  %d firings, %.1f a second" % (
             now - self._began,
             self._monitor.firings,
@@ -285,12 +285,12 @@ class _Demo:
         )
 
     def recent(self, since: float) -> Sequence[Tuple[float, str]]:
-        """The firings since then, with seconds since the start."""
+        """Return the firings after ``since``, with their times in seconds since the start."""
         return [(t - self._began, text) for t, text in self._monitor.recent(since)]
 
 
 class _Screen:
-    """Draws over what it drew before."""
+    """Shows the run on a terminal, redrawing in place."""
 
     def __init__(self, demo: _Demo) -> None:
         self._demo = demo
@@ -309,8 +309,8 @@ class _Screen:
 
 
 class _Lines:
-    """Prints line after line, for files and pipes: at most ten firings a second, and where the
-    robots are every five seconds."""
+    """Shows the run line by line, for files and pipes: at most ten firings per second, and the
+    robots' places every five seconds."""
 
     def __init__(self, demo: _Demo) -> None:
         self._demo = demo
@@ -333,7 +333,7 @@ class _Lines:
 
 
 class _Listener:
-    """What roslaunch reports about the nodes."""
+    """Receives roslaunch's reports about the nodes."""
 
     def __init__(self, ended: Any) -> None:
         self._ended = ended
@@ -343,7 +343,7 @@ class _Listener:
 
 
 class _silent:  # noqa: N801  # used like a function
-    """Keeps roslaunch from printing, also what its threads print meanwhile."""
+    """Keeps roslaunch, including its threads, from printing."""
 
     def __enter__(self) -> None:
         sys.stdout.flush()
@@ -365,7 +365,7 @@ def _log_folder() -> str:
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """What ``run_demo`` starts: the verb by itself."""
+    """Run only this verb; the entry point of ``run_demo``."""
     from gspn_framework_package.cli.main import VERBS
 
     parser = argparse.ArgumentParser(prog="gspn demo", description=VERBS["demo"].help)

@@ -1,4 +1,4 @@
-"""``gspn draw``: a picture of a net, of its coverability tree or of its Markov chain."""
+"""``gspn draw``: draws a net, its coverability tree or its Markov chain."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
 DEFAULT_LIMIT = 500
-"""Most nodes of a tree or chain that are drawn: more is no picture any more."""
+"""Default maximum number of nodes in a drawn tree or chain; a larger picture is unreadable."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -102,14 +102,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 Moments = Iterator[Tuple[float, Dict[str, Any]]]
-"""Times, and the poses to show then; none where the bodies are there already."""
+"""Times and the poses to show then; no poses if the bodies are already in place."""
 
 
 def _size(text: str) -> Tuple[int, int]:
     match = re.match(r"^(\d{2,4})x(\d{2,4})$", text)
     if match is None:
         raise UsageError("--size: '%s' is not a size" % text, hint="write 960x720")
-    # films want even numbers
+    # video formats need even dimensions
     return (int(match.group(1)) // 2 * 2, int(match.group(2)) // 2 * 2)
 
 

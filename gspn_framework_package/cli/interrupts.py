@@ -1,4 +1,4 @@
-"""What an interrupt (SIGINT) does: it ends the program at once, whatever it is doing."""
+"""Handling of interrupts (SIGINT), which end the program at once, whatever it is doing."""
 
 from __future__ import annotations
 
@@ -16,24 +16,23 @@ EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
 
 def leave() -> NoReturn:
-    """End the process as interrupted, whatever it is doing: compiled code cannot be asked to
-    stop."""
+    """Exit at once with the code for an interrupt, since compiled code cannot be asked to stop."""
     sys.stdout.flush()
     print(INTERRUPTED, file=sys.stderr, flush=True)
     os._exit(EXIT_INTERRUPTED)
 
 
 class Interrupts:
-    """What an interrupt (SIGINT) does: it ends the program on the spot until a verb begins, then it
-    is an exception. For the ``with`` statement, on the main thread.
+    """A context manager, for the main thread, that handles interrupts (SIGINT): before a verb
+    begins, an interrupt ends the program at once; afterwards it raises KeyboardInterrupt.
 
-    A compiled module that is interrupted while it imports another prints the KeyboardInterrupt and
-    raises an ImportError in its place ("numpy.core.multiarray failed to import"). So while the
-    modules of the verb are imported, and there is nothing to tidy up yet, no exception is raised;
-    later, ``seen`` tells what an ImportError means.
+    If a compiled module is interrupted while it imports another, it prints the KeyboardInterrupt
+    and raises an ImportError instead ("numpy.core.multiarray failed to import"). So there is no
+    exception while the modules of the verb are imported, when there is nothing to clean up yet.
+    Later, ``seen`` shows whether an interrupt may have caused an ImportError.
 
-    :ivar verb_has_begun: to be set then.
-    :ivar seen: whether an interrupt came since.
+    :ivar verb_has_begun: the caller sets it when the verb begins.
+    :ivar seen: whether there was an interrupt after that.
     """
 
     def __init__(self) -> None:
@@ -42,7 +41,7 @@ class Interrupts:
         self._on = False
 
     def __enter__(self) -> Interrupts:
-        # else: interrupts are ignored, or belong to a program that calls main()
+        # otherwise interrupts are ignored, or handled by a program that calls main()
         ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
         if ours and threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGINT, self._on_interrupt)
@@ -63,16 +62,15 @@ class Interrupts:
 def interruptible(
     work: Callable[[], Result], interrupted: Callable[[threading.Event], None] = lambda done: None
 ) -> Result:
-    """What ``work`` returns, or raises; it is done on another thread.
+    """Call ``work`` on another thread, and return its result or raise its exception.
 
-    Python sees an interrupt between two of its own steps only, and compiled code (the parser of
-    XML, a linear solver) may take seconds from one to the next. So the main thread does nothing but
-    wait.
+    Python handles an interrupt only between two bytecode instructions, and compiled code (the XML
+    parser, a linear solver) may take seconds for one. So the main thread only waits.
 
-    :param interrupted: called on an interrupt, before it is raised: with the event that the work
-      has come to its end.
-    :raises KeyboardInterrupt: there was one; the work may go on until the process ends, and nobody
-      waits for it.
+    :param interrupted: called on an interrupt, before the exception is raised, with an event that
+      is set when the work ends.
+    :raises KeyboardInterrupt: there was an interrupt; the work may continue until the process ends,
+      and nobody waits for it.
     """
     result: List[Result] = []
     errors: List[BaseException] = []
@@ -89,7 +87,7 @@ def interruptible(
     thread = threading.Thread(target=run, name="work", daemon=True)
     try:
         thread.start()
-        # not join: an interrupt there has a thread taken for ended (bpo-45274)
+        # not join(): if it is interrupted, Python considers the thread finished (bpo-45274)
         while not done.wait(1.0):
             pass
     except KeyboardInterrupt:

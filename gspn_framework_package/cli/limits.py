@@ -1,4 +1,4 @@
-"""How far the verbs of the analysis go, and how they are stopped."""
+"""Limits of the analysis verbs, and how to interrupt them."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from gspn_framework_package.model.errors import CancelledError, LimitError, Usag
 Result = TypeVar("Result")
 
 _PATIENCE = 0.5
-"""Time (s) that cancelled work has to come to its end by itself."""
+"""Time (s) that cancelled work has to end by itself."""
 
 _OBJECTS = 200_000
-"""New objects after which Python looks for reference cycles, where there are millions (its own
-number: 700)."""
+"""Number of new objects after which Python looks for reference cycles, for work with millions of
+objects (Python's default: 700)."""
 
 
 def add_limit_arguments(parser: Any) -> None:
-    """Declare the limits (of a parser or a group of its arguments)."""
+    """Declare the limits, on a parser or on a group of its arguments."""
     parser.add_argument(
         "--limit",
         type=int,
@@ -75,7 +75,7 @@ def add_limit_arguments(parser: Any) -> None:
 
 
 def limits_of(args: argparse.Namespace) -> Limits:
-    """The limits that the arguments give. :raises UsageError: one makes no sense."""
+    """Return the limits in the arguments. :raises UsageError: a limit makes no sense."""
     for option in ("limit", "limit_tree", "limit_structure", "limit_time", "limit_memory"):
         value = getattr(args, option)
         if value is not None and not (value > 0 and math.isfinite(value)):
@@ -93,11 +93,11 @@ def limits_of(args: argparse.Namespace) -> Limits:
 
 @contextmanager
 def rare_collections() -> Iterator[None]:
-    """Have Python look for reference cycles seldom.
+    """Make Python look for reference cycles rarely.
 
-    A net of 100,000 nodes is some millions of objects, none of them in a cycle; looking through
-    them again and again while they become more took a fifth of the time of reading and analysing.
-    Memory is bounded by its own limit.
+    A net of 100,000 nodes consists of a few million objects, none of them in a cycle. Scanning them
+    again and again while their number grows took a fifth of the time to read and analyse the net.
+    A separate limit bounds the memory.
     """
     before = gc.get_threshold()
     gc.set_threshold(_OBJECTS, *before[1:])
@@ -108,14 +108,14 @@ def rare_collections() -> Iterator[None]:
 
 
 def working(work: Callable[[Progress, Cancel], Result], memory: float) -> Result:
-    """Do long work with a progress line, so that an interrupt ends it at once.
+    """Do long work with a progress line; an interrupt ends it at once.
 
-    The work is done on another thread: so the interrupt is seen while a library's compiled code
-    computes.
+    The work runs on another thread, so that an interrupt is handled even while a library's compiled
+    code computes.
 
-    :param work: gets a progress callback, and asks a cancel callback now and then.
-    :param memory: bytes that this process may take more than now.
-    :raises LimitError: it took more.
+    :param work: takes a progress callback and a cancel callback, which it polls now and then.
+    :param memory: additional memory that this process may use, in bytes.
+    :raises LimitError: the work needed more memory.
     """
     cancelled = threading.Event()
     try:
@@ -138,14 +138,14 @@ def working(work: Callable[[Progress, Cancel], Result], memory: float) -> Result
 
 @contextmanager
 def _memory(memory: float) -> Iterator[None]:
-    """Let this process take so many bytes more than now."""
+    """Limit the additional memory of this process, in bytes."""
     before = resource.getrlimit(resource.RLIMIT_DATA)
     used = 0
     try:
         with open("/proc/self/statm", encoding="ascii") as file:
             used = int(file.read().split()[5]) * resource.getpagesize()
     except (OSError, ValueError, IndexError):
-        pass  # not Linux: the limit is for all of it
+        pass  # not Linux: the limit applies to the total
     soft = used + int(memory)
     if before[1] != resource.RLIM_INFINITY:
         soft = min(soft, before[1])

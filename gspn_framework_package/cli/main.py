@@ -1,11 +1,11 @@
-"""The dispatcher of the command line: finds the module of the verb that is asked for, and runs it.
+"""The dispatcher of the command line: finds the module of the requested verb and runs it.
 
-A verb is a module that has ``add_arguments(parser)`` and ``run(args) -> int``, and a row of
-:data:`VERBS`. Only the module of the verb asked for is imported, so that ``gspn --help`` and the
+A verb is a module with ``add_arguments(parser)`` and ``run(args) -> int``, and a row of
+:data:`VERBS`. Only the module of the requested verb is imported, so that ``gspn --help`` and the
 light verbs start at once.
 
-Exit codes: 0 yes, 1 the plan or the answer is no, 2 the input or the usage is wrong, 70 a fault of
-this program, 130 interrupted, 141 the reader of the output has gone.
+Exit codes: 0 the answer is yes, 1 the answer is no or a plan was refused, 2 the input or the usage
+is wrong, 70 internal error, 130 interrupted, 141 the reader of the output has exited.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ EXIT_BROKEN_PIPE = 141  # 128 + SIGPIPE
 
 
 class Verb(NamedTuple):
-    """A verb with a module of its own.
+    """A verb with its own module.
 
-    :ivar module: the module, by its full name or, with a dot before it, by its name in this folder.
+    :ivar module: the full name of the module or, with a leading dot, its name in this package.
     :ivar help: what the verb does, in one line.
     """
 
@@ -39,7 +39,7 @@ class Verb(NamedTuple):
     help: str
 
     def load(self) -> Any:
-        """What declares the words of the verb and runs it: the module."""
+        """Import and return the module, which declares the verb's arguments and runs it."""
         return importlib.import_module(self.module, __package__)
 
 
@@ -76,29 +76,29 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     "status": Verb(".status", "show what every robot of a running team does and waits for"),
     **ORDERS,
 }
-"""Verb -> where it is, in the order in which a new user needs them."""
+"""Verb -> its module or order, in the order in which a new user needs them."""
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Run one command line and return its exit code; no exception of a verb leaves this function.
+    """Run one command line and return its exit code; exceptions of a verb do not propagate.
 
-    :param arguments: the words after the program's name; by default those it was started with.
+    :param arguments: the words after the program's name; by default those of this process.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if isinstance(sys.stdout, io.TextIOWrapper) and hasattr(sys.stdout, "reconfigure"):
-        # a file's name may have bytes that are no text
+        # a file name may have bytes that are not text
         sys.stdout.reconfigure(errors="backslashreplace")
     debug = "--debug" in words or bool(os.environ.get("GSPN_DEBUG"))
     interrupts = Interrupts()
     try:
         with interrupts:
             code = _run(words, interrupts)
-        sys.stdout.flush()  # here, where a reader that has gone is noticed
+        sys.stdout.flush()  # here, to notice if the reader has exited
         return code
     except KeyboardInterrupt:
         return _interrupted()
     except BrokenPipeError:
-        # The reader (head, less) has left. Python flushes once more at exit, and would complain.
+        # The reader (head, less) has exited. Python flushes again at exit, and would complain.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_BROKEN_PIPE
     except Exception as error:
@@ -124,14 +124,14 @@ def _run(words: Sequence[str], interrupts: Interrupts) -> int:
         args, unknown = _parser(words).parse_known_args(words)
         if unknown:
             args.parser.error("unrecognized arguments: %s" % " ".join(unknown))
-    except SystemExit as leaving:  # --help, --version, wrong usage; argparse has said what
+    except SystemExit as leaving:  # --help, --version or wrong usage, which argparse reported
         return leaving.code if isinstance(leaving.code, int) else EXIT_USAGE
     interrupts.verb_has_begun = True
     return int(args.run(args))
 
 
 def _explain(error: Exception) -> Tuple[str, int]:
-    """Return the user's message for ``error``, and the exit code."""
+    """Return the message for the user about ``error``, and the exit code."""
     if isinstance(error, GspnError):
         return f"error: {error}", error.exit_code
     if (
@@ -150,7 +150,7 @@ def _explain(error: Exception) -> Tuple[str, int]:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose errors look like all others of this program."""
+    """A parser whose errors look like all other errors of this program."""
 
     def error(self, message: str) -> NoReturn:
         """Print the usage and ``message``, and exit with 2."""
@@ -159,7 +159,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser(words: Sequence[str]) -> _Parser:
-    """Return the parser for ``words``: complete for the verb they name, the others by name only."""
+    """Return the parser for ``words``; it is complete only for the verb that they name."""
     common = _Parser(add_help=False)
     common.add_argument(
         "--debug",

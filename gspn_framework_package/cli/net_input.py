@@ -1,4 +1,4 @@
-"""The arguments of verbs that work on a net: which net, and how to read it."""
+"""Arguments for the verbs that work on a net: which net, and how to read it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gspn_framework_package.model.plan import Plan
 
 
 def add_net_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the net and the options of reading it."""
+    """Declare the net and the options for reading it."""
     parser.add_argument(
         "net_file",
         metavar="NET",
@@ -51,16 +51,16 @@ def add_net_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def read_net_argument(args: argparse.Namespace) -> Tuple[Net, List[str]]:
-    """The net that the arguments name (of a plan: its net), and the reader's notes.
+    """Return the net that the arguments name (for a plan, its net), and the reader's notes.
 
-    :raises GspnError: it cannot be read, or the arguments make no sense.
+    :raises GspnError: the net cannot be read, or the arguments make no sense.
     """
     subject, notes = read_net_or_plan_argument(args)
     return (subject.net if isinstance(subject, Plan) else subject), notes
 
 
 def read_net_or_plan_argument(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]:
-    """The net or plan that the arguments name, and the reader's notes.
+    """Return the net or plan that the arguments name, and the reader's notes.
 
     :raises GspnError: it cannot be read, or the arguments make no sense.
     """
@@ -76,7 +76,7 @@ def read_net_or_plan_argument(args: argparse.Namespace) -> Tuple[Union[Net, Plan
 
 
 def print_notes(notes: List[str]) -> None:
-    """Tell the notes of a reader or writer on standard error."""
+    """Print the notes of a reader or writer on standard error."""
     for note in notes:
         print("gspn: note: %s" % note, file=sys.stderr)
 

@@ -1,5 +1,4 @@
-"""Numbers on the command line, with bounds: what lies outside is a wrong usage, said in one
-line."""
+"""Numbers on the command line, with bounds; a number out of bounds is a one-line usage error."""
 
 from __future__ import annotations
 
@@ -8,17 +7,18 @@ import math
 from typing import Callable, Optional
 
 MOST_MARKINGS = 10**12
-"""Largest limit on markings: no machine holds more."""
+"""Largest limit on markings: no machine can store more."""
 
 MOST_SECONDS = 10.0**12
-"""Longest time in seconds: some 30,000 years."""
+"""Longest time in seconds: about 30,000 years."""
 
 MOST_REPLICATIONS = 10**6
-"""Most runs of one simulation: the interval is a thousandth as wide as the spread of one run."""
+"""Maximum number of runs of a simulation: the confidence interval is then a thousandth as wide as
+the spread of a single run."""
 
 
 def whole(least: int, most: int) -> Callable[[str], int]:
-    """A type for ``add_argument``: a whole number from ``least`` to ``most``."""
+    """Return a type for ``add_argument``: a whole number from ``least`` to ``most``."""
 
     def read(text: str) -> int:
         try:
@@ -35,8 +35,8 @@ def whole(least: int, most: int) -> Callable[[str], int]:
 
 
 def number(least: float, most: float, *, above: Optional[float] = None) -> Callable[[str], float]:
-    """A type for ``add_argument``: a number from ``least`` (or, with ``above``, greater than that)
-    to ``most``, which may be infinite; never NaN."""
+    """Return a type for ``add_argument``: a number from ``least`` (or, with ``above``, greater than
+    ``above``) to ``most``, which may be infinite; never NaN."""
 
     def read(text: str) -> float:
         try:
@@ -56,19 +56,19 @@ markings = whole(1, MOST_MARKINGS)
 """A limit on markings."""
 
 robots = whole(1, 10_000)
-"""The size of a team."""
+"""The number of robots in a team."""
 
 seconds = number(0.0, MOST_SECONDS)
 """A time in seconds."""
 
 port = whole(0, 65_535)
-"""A port of this machine; 0: any free one."""
+"""A port of this machine; 0 means any free port."""
 
 duration = number(0.0, MOST_SECONDS, above=0.0)
-"""A time in seconds that is not 0."""
+"""A positive time in seconds."""
 
 replications = whole(1, MOST_REPLICATIONS)
-"""Runs of one simulation."""
+"""The number of runs of a simulation."""
 
 seed = whole(-(2**63), 2**63 - 1)
-"""A seed of the policy's draws."""
+"""A seed for the policy's random draws."""

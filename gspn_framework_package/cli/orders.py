@@ -1,4 +1,4 @@
-"""The operator's orders to a running team: one row of :data:`ORDERS` for each verb.
+"""The operator's orders to a running team: one row of :data:`ORDERS` per verb.
 
 To add an order, add a row here and its command to
 :mod:`~gspn_framework_package.execution.agreement.orders`."""
@@ -18,8 +18,8 @@ class OrderVerb(NamedTuple):
 
     :ivar command: the ``command`` of the Command service.
     :ivar help: what the verb does, in one line.
-    :ivar robot: ``ROBOT`` where it takes a robot, ``[ROBOT]`` where the robot may be left out.
-    :ivar argument: what its argument is called, and what that is, in words; empty for none.
+    :ivar robot: ``ROBOT`` if the verb takes a robot, ``[ROBOT]`` if the robot is optional.
+    :ivar argument: the name and a description of the verb's argument; empty for none.
     """
 
     command: str
@@ -28,11 +28,11 @@ class OrderVerb(NamedTuple):
     argument: Tuple[str, str] = ("", "")
 
     def load(self) -> OrderVerb:
-        """What declares the words of the verb and runs it."""
+        """Return this object, which declares the verb's arguments and runs it."""
         return self
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declare the words of the verb."""
+        """Declare the arguments of the verb."""
         if self.robot:
             parser.add_argument(
                 "robot",
@@ -47,7 +47,7 @@ class OrderVerb(NamedTuple):
         add_team_options(parser)
 
     def run(self, args: argparse.Namespace) -> int:
-        """Give the order; 0 when it was carried out, 1 when it was not."""
+        """Give the order; return 0 if the team carried it out, else 1."""
         require_ros()
         from gspn_framework_package.ros.operator_client import OperatorClient
 
@@ -88,7 +88,7 @@ ORDERS: Dict[str, OrderVerb] = {
 
 
 def add_team_options(parser: argparse.ArgumentParser) -> None:
-    """Declare what every verb that talks to a team takes."""
+    """Declare the options of every verb that talks to a team."""
     parser.add_argument(
         "--run",
         dest="run_name",
@@ -100,7 +100,7 @@ def add_team_options(parser: argparse.ArgumentParser) -> None:
 
 
 def require_ros() -> None:
-    """:raises UsageError: there is no ROS in this shell."""
+    """Check that ROS is available. :raises UsageError: there is no ROS in this shell."""
     try:
         import rospy  # noqa: F401
 

@@ -1,4 +1,4 @@
-"""``gspn plot``: pictures of results, as files."""
+"""``gspn plot``: plots results to picture files."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from gspn_framework_package.cli.subject import add_subject_arguments, read_subje
 from gspn_framework_package.model.errors import UsageError
 
 _COLORS = 10
-"""Colours of matplotlib's usual cycle; further curves differ by line style."""
+"""Number of colours in matplotlib's default cycle; further curves differ by line style."""
 
 _LINES = ("-", "--", "-.", ":")
 
 _SAME = 1e-3
-"""Curves that differ by less than this share of the height are one in a picture."""
+"""Curves that differ by at most this fraction of the height are drawn as one."""
 
 _NAMES = 8
-"""Names that the legend gives of curves that are one."""
+"""Maximum number of names in the legend for curves that are drawn as one."""
 
 _ROWS = 20
-"""Curves in a column of the legend."""
+"""Number of curves per column of the legend."""
 
 KINDS = ("tokens", "throughput", "distribution", "passage")
 
@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make the picture."""
+    """Plot the picture."""
     if Path(args.output).suffix.lower() not in (".png", ".svg", ".pdf"):
         raise UsageError("a picture must end in .png, .svg or .pdf, unlike '%s'" % args.output)
     if (args.what == "passage") != (args.condition is not None):
@@ -80,8 +80,8 @@ def run(args: argparse.Namespace) -> int:
     except ImportError:
         raise UsageError("matplotlib is not installed", hint="install python3-matplotlib") from None
     matplotlib.use("Agg")
-    # Its remarks on fonts and layouts are for those who program with it; names with unknown letters
-    # get boxes.
+    # Its warnings about fonts and layouts are for programmers; unknown letters in names are drawn
+    # as boxes.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     subject, notes = read_subject(args)
     limits = limits_of(args)
@@ -129,8 +129,8 @@ def _figure(analysis: Analysis, args: argparse.Namespace) -> Any:
     for number, names in enumerate(groups):
         color, line = number % _COLORS, _LINES[number // _COLORS % len(_LINES)]
         axes.plot(times, curves[names[0]], color="C%d" % color, linestyle=line, label=_title(names))
-    axes.set_ylim(bottom=-0.02 * axes.get_ylim()[1])  # so that a curve of zeros is seen
-    # Beside the curves, never on them; with a line for each group, and names that are long broken.
+    axes.set_ylim(bottom=-0.02 * axes.get_ylim()[1])  # to keep a curve of zeros visible
+    # The legend is beside the curves, never on them; it has a line per group and wraps long names.
     axes.legend(
         fontsize="small",
         loc="upper left",
@@ -142,8 +142,8 @@ def _figure(analysis: Analysis, args: argparse.Namespace) -> Any:
 
 
 def alike(curves: Mapping[str, Any]) -> List[List[str]]:
-    """The names of the curves in groups of those that lie on one another, in the order of the first
-    of each."""
+    """Group the names of curves that coincide; the groups are in the order of their first
+    curves."""
     height = max((float(np.abs(curve).max(initial=0.0)) for curve in curves.values()), default=0.0)
     groups: List[List[str]] = []
     for name, curve in curves.items():
@@ -157,7 +157,7 @@ def alike(curves: Mapping[str, Any]) -> List[List[str]]:
 
 
 def _title(names: Sequence[str]) -> str:
-    """A line of the legend for curves that are one, two names in a row."""
+    """Return the legend entry for curves that are drawn as one, with two names per row."""
     shown = list(names[:_NAMES]) + (
         ["and %d more" % (len(names) - _NAMES)] if len(names) > _NAMES else []
     )
@@ -165,7 +165,7 @@ def _title(names: Sequence[str]) -> str:
 
 
 def _rows(groups: Sequence[Sequence[str]]) -> int:
-    """How many rows of text the legend has at most in one column."""
+    """Return the maximum number of text rows in a column of the legend."""
     return sum(_title(names).count("\n") + 1 for names in groups[:_ROWS])
 
 

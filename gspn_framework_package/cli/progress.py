@@ -1,5 +1,4 @@
-"""The progress line that long work shows on a terminal; silent where standard error is a file or a
-pipe."""
+"""The progress line of long work on a terminal; silent if standard error is a file or a pipe."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ class ProgressLine:
         self._on = sys.stderr is not None and sys.stderr.isatty()
 
     def __call__(self, what: str, count: int, seconds: float) -> None:
-        """Show how far the work is."""
+        """Show the progress of the work."""
         if self._on:
             text = "%s %s, %.0f s (interrupt to stop)" % (format(count, ","), what, seconds)
             sys.stderr.write("\r" + text.ljust(self._shown))

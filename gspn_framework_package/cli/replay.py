@@ -1,4 +1,4 @@
-"""``gspn replay``: the page for one recorded run."""
+"""``gspn replay``: serves the page for a recorded run."""
 
 from __future__ import annotations
 

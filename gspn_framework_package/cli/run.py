@@ -1,4 +1,4 @@
-"""``gspn run``: execute a plan without ROS, its agents on threads, and show what happens."""
+"""``gspn run``: executes a plan without ROS, with agents on threads, and shows the run."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     event_log = _event_log(args.log, plan)
     printer = _Printer(plan, args.json, args.quiet)
     executor = StandaloneExecutor(plan, printer, event_log, firing_limit=args.firings)
-    # a line that an action prints would break one of ours in two
+    # a line that an action prints could split a JSON line
     with contextlib.redirect_stdout(sys.stderr) if args.json else contextlib.nullcontext():
         return _execute(args, executor, printer, event_log)
 
@@ -88,7 +88,7 @@ def _execute(
         if event_log is not None and executor.over:
             event_log.close()
     assert ended is not None
-    fault = executor.state.fault  # neither its own end nor a limit
+    fault = executor.state.fault  # neither a normal end nor a limit
     printer.tell_end(ended.reason, executor.status()["marking"], time.monotonic() - started, fault)
     return 1 if fault else 0
 
@@ -122,7 +122,7 @@ def _event_log(path: Optional[str], plan: Plan) -> Optional[EventLogWriter]:
 
 
 class _Printer(Listener):
-    """Prints what happens; ``over`` is set when the run is over."""
+    """Prints the events of the run; ``over`` is set when the run is over."""
 
     def __init__(self, plan: Plan, as_json: bool, quiet: bool) -> None:
         self.over = threading.Event()
@@ -163,14 +163,14 @@ class _Printer(Listener):
         self.over.set()
 
     def on_broken(self, reason: str) -> None:
-        # the caller prints it, in a thread that can report that printing failed
+        # the caller prints the end, in a thread that can report a failure to print
         self.over.set()
 
     def tell_end(
         self, reason: str, marking: Dict[str, int], seconds: float, broken: bool = False
     ) -> None:
-        """Print how the run ended; ``broken``: by a failure, of an action or of the executor
-        itself."""
+        """Print how the run ended; ``broken`` means that an action or the executor itself
+        failed."""
         if self._json:
             self._print(
                 {

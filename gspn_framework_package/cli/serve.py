@@ -1,4 +1,4 @@
-"""``gspn serve``: the page for a folder of nets and plans, without ROS."""
+"""``gspn serve``: serves the page for a folder of nets and plans, without ROS."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gspn_framework_package.model.errors import InputError, UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of the verb."""
+    """Declare the options of this verb."""
     parser.add_argument(
         "path",
         nargs="?",
@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_address_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of every verb that opens the page."""
+    """Declare the options of every verb that serves the page."""
     from gspn_framework_package.visualizer.guard import LOOPBACK_NAMES
 
     parser.add_argument("--port", type=int, default=8090, help="0: any free port (default: 8090)")

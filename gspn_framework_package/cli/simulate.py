@@ -1,4 +1,4 @@
-"""``gspn simulate``: many simulated runs of a net, or of a plan under its policy."""
+"""``gspn simulate``: simulates many runs of a net, or of a plan under its policy."""
 
 from __future__ import annotations
 

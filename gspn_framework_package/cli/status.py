@@ -1,4 +1,4 @@
-"""``gspn status``: what every robot of a running team does, and what it waits for."""
+"""``gspn status``: shows what every robot of a running team does, and what it waits for."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask every node; print what they know."""
+    """Query every node and print the answers."""
     require_ros()
     from gspn_framework_package.ros.operator_client import OperatorClient
 
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def print_table(statuses: Dict[str, Optional[Dict[str, Any]]]) -> None:
-    """A line for each robot of each run."""
+    """Print a line for each robot of each run."""
     known = [status for status in statuses.values() if status is not None]
     for run_name in sorted({status["run"] for status in known}):
         of_run = [status for status in known if status["run"] == run_name]

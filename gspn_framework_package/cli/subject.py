@@ -1,5 +1,4 @@
-"""What the verbs of the analysis work on: a net, or a plan under its policy, for a team of any
-size."""
+"""The subject of the analysis verbs: a net, or a plan under its policy for a team of any size."""
 
 from __future__ import annotations
 
@@ -13,7 +12,7 @@ from gspn_framework_package.model.plan import Plan
 
 
 def add_subject_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the net or plan, and the options of reading it."""
+    """Declare the net or plan, and the options for reading it."""
     net_input.add_net_arguments(parser)
     parser.add_argument(
         "--only-net",
@@ -26,7 +25,7 @@ def add_subject_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def read_subject(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]:
-    """The net or plan that the arguments name, and the reader's notes.
+    """Return the net or plan that the arguments name, and the reader's notes.
 
     :raises GspnError: it cannot be read, or the arguments make no sense.
     """

@@ -1,4 +1,4 @@
-"""``gspn verify``: whether the logs of a run are consistent and valid."""
+"""``gspn verify``: checks that the logs of a run are consistent and valid."""
 
 from __future__ import annotations
 
