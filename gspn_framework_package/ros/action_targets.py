@@ -1,4 +1,4 @@
-"""What a plan's actions are in ROS: for each place the action server, its type, and the goal."""
+"""Maps a plan's actions to ROS: for each place the action server, its type, and the goal."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ class ActionTarget(NamedTuple):
     """The class of the action, e.g. MoveBaseAction."""
     goal: Mapping[str, Any]
     outcomes: Mapping[str, str]
-    """Outcome -> transition, for actions that do not name one themselves."""
+    """Outcome -> transition, for actions that do not name a transition themselves."""
     foreign: bool
-    """Whether the server is somebody else's: not one of the plan's Python functions."""
+    """Whether the server is not one of the plan's Python functions."""
 
     def new_goal(self) -> genpy.Message:
-        """A goal message. Empty time stamps of headers stay empty ("the latest"); the word ``now``
-        in the place of a stamp is the time of sending.
+        """A new goal message. Empty time stamps in headers stay empty ("the latest"); the word
+        ``now`` in place of a stamp means the time of sending.
 
-        :raises PlanError: the plan's fields are not those of the goal.
+        :raises PlanError: the plan's fields do not fit the goal.
         """
         goal = type(self.action_type().action_goal.goal)()
         try:
@@ -50,12 +50,13 @@ class ActionTarget(NamedTuple):
         return goal
 
     def transition_of(self, outcome: str, result: Optional[genpy.Message]) -> Optional[str]:
-        """The transition that an outcome stands for, "" for "the policy decides"; None: a failure.
+        """The transition that an outcome stands for, "" to let the policy decide; None for a
+        failure.
 
-        :param outcome: the value of an ``Outcome``.
-        :param result: the result message, if any came.
+        :param outcome: the name of the outcome, e.g. "succeeded".
+        :param result: the result message, if one arrived.
         """
-        # that a result of another type has a field of this name means nothing
+        # a result of another type may happen to have a field of this name
         names_one = getattr(result, "_type", "") == EXEC_GSPN_RESULT
         if outcome == "succeeded" and not self.outcomes and result is not None and names_one:
             return str(result.transition)
@@ -65,8 +66,12 @@ class ActionTarget(NamedTuple):
 def action_targets(plan: Plan, robot: str, namespace: str) -> Dict[str, ActionTarget]:
     """The targets of a robot by place; places without an action are left out.
 
-    :param namespace: absolute namespace of the robot, in which the plan's server names are.
-    :raises PlanError: an action type that does not exist, or a goal that does not fit it.
+    :param plan: the plan.
+    :param robot: name of the robot.
+    :param namespace: absolute namespace of the robot, to which the plan's server names are
+        relative.
+    :raises PlanError: an action type does not exist, a goal does not fit its type, or a server name
+        is not legal in ROS.
     """
     targets = {}
     for place in plan.action_places:
@@ -101,10 +106,10 @@ def _target(
 
 
 def _action_type(place: str, type_name: str) -> type:
-    """The class of an action type. :raises PlanError: it is not known here."""
+    """The class of an action type. :raises PlanError: it cannot be found in this workspace."""
     try:
         action_type = roslib.message.get_message_class(type_name)
-    except Exception as error:  # whatever importing somebody's messages raises
+    except Exception as error:  # importing a foreign package may raise anything
         raise PlanError(
             "cannot load the action type '%s': %s" % (type_name, error),
             element="action of '%s'" % place,
@@ -119,17 +124,17 @@ def _action_type(place: str, type_name: str) -> type:
 
 
 class GoalFindings(NamedTuple):
-    """What is to be said of the goals of a plan: texts by "ROBOT in PLACE"."""
+    """Findings about the goals of a plan: messages by "ROBOT in PLACE"."""
 
     misfits: Dict[str, str]
-    """The goal is not one of its type."""
+    """Goals that do not fit their type."""
     unknown: Dict[str, str]
-    """The type is not known in this shell, so that its goal was not looked at."""
+    """Goals that were not checked because their type is unknown in this shell."""
 
 
 def look_at_goals(plan: Plan) -> GoalFindings:
-    """Whether the goals of the plan's foreign action servers fit their types. Needs no node and no
-    master."""
+    """Check whether the goals of the plan's foreign action servers fit their types. This needs
+    neither a node nor a master."""
     found = GoalFindings({}, {})
     for robot in plan.robots:
         for place in plan.action_places:

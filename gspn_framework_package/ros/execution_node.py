@@ -1,5 +1,5 @@
-"""The execution node of one robot: a replica of the team's log between ROS on one side and the
-robot's actions on the other (thesis 4.3, Algorithm 1)."""
+"""The execution node of one robot: connects a replica of the team's log to ROS and to the robot's
+actions (thesis 4.3, Algorithm 1)."""
 
 from __future__ import annotations
 
@@ -45,16 +45,16 @@ from gspn_framework_package.ros.place_servers import PlaceServers
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
 
 FAREWELL = 2.0
-"""Seconds for which a node goes on after the end of the run, so that the others hear of it."""
+"""Seconds that a node keeps running after the end of the run, so that the others hear of it."""
 LOCK_TIME = 8.0
-"""Seconds that a log may still be held by a node that is about to end."""
+"""Seconds to wait for a log that is still locked by a node that is about to end."""
 
 
 def lock_log(path: str) -> BinaryIO:
-    """Hold a log: two nodes that write into one file leave something that neither can read.
+    """Lock a log, since two nodes that write to one file would make it unreadable.
 
-    :returns: the file; closing it lets go of the log.
-    :raises LogError: another process holds it, or it cannot be written.
+    :returns: the file; closing it releases the lock.
+    :raises LogError: another process holds the lock, or the file cannot be written.
     """
     deadline = time.monotonic() + LOCK_TIME
     try:
@@ -82,23 +82,23 @@ def lock_log(path: str) -> BinaryIO:
 class ExecutionNode(Worker):
     """Executes a plan for one robot, until the run is over.
 
-    One thread, the *worker*, owns all state: ROS callbacks only put calls into its queue, and it
-    takes one after the other.
+    One thread, the *worker*, owns all state: ROS callbacks only put calls into its queue, and the
+    worker executes them one by one.
 
-    Publishes ``/fired_transitions`` (gspn_framework_package/FiredTransition), and see
-    :class:`TopicLink`, :class:`NodeServices`, :class:`Narrator`, :class:`PlaceServers` and
-    :class:`ActionCaller` for everything else in the node's interface.
+    It publishes ``/fired_transitions`` (gspn_framework_package/FiredTransition). The rest of the
+    node's ROS interface is documented in :class:`TopicLink`, :class:`NodeServices`,
+    :class:`Narrator`, :class:`PlaceServers` and :class:`ActionCaller`.
 
     :param plan: the checked plan, with the team that begins the run.
     :param robot: name of the robot.
     :param namespace: absolute namespace of the robot.
-    :param options: see there.
+    :param options: see :class:`NodeOptions`.
     :raises GspnError: the log or the actions cannot be used.
 
     :ivar foreign_servers: absolute names of the action servers that the robot needs and this node
         does not serve.
-    :ivar exit_code: None while the run goes on; then 0 where the run came to its own end, 1 where
-        it was stopped or this replica had to halt.
+    :ivar exit_code: None while the run goes on; then 0 if the run completed, 1 if it was stopped or
+        failed, or this node or its replica failed.
     """
 
     def __init__(self, plan: Plan, robot: str, namespace: str, options: NodeOptions) -> None:
@@ -121,7 +121,7 @@ class ExecutionNode(Worker):
         self._narrator = Narrator(robot, namespace, options.run)
         self._fired = eager_publisher(FIRED_TOPIC, FiredTransition)
         self._open_log()
-        witness = robot in plan.witness  # votes, and has no token that could do anything
+        witness = robot in plan.witness  # votes, but has no token and runs no actions
         targets = {} if witness else action_targets(plan, robot, namespace)
         serves = options.place_servers and not witness
         self._servers = PlaceServers(plan, robot, namespace) if serves else None
@@ -163,7 +163,7 @@ class ExecutionNode(Worker):
                 )
             except LogError:
                 with open(path, "rb") as file:
-                    if b"\n" in file.readline():  # else: killed while it wrote the very first line
+                    if b"\n" in file.readline():  # else it was killed while writing the first line
                         raise
         first = header(self.plan, self.options.run, self.robot, log_id)
         self._log = EventLogWriter(path, first, fsync=self.plan.fsync)
@@ -180,22 +180,25 @@ class ExecutionNode(Worker):
     # -- from any thread ---------------------------------------------------------------------------
 
     def serve(self) -> None:
-        """Serve the places."""
+        """Start the place servers, if this node has them."""
         if self._servers is not None:
             self._servers.start()
 
     def start(self, ended: Callable[[str], None]) -> None:
-        """Begin; call :meth:`serve` first. :param ended: receives the name of the robot once the
-        node has ended."""
+        """Start the worker; call :meth:`serve` first.
+
+        :param ended: receives the name of the robot when the node has ended.
+        """
         self._told_end = ended
         self._thread.start()
 
     def stop(self) -> None:
-        """End soon, without leaving the team: the action under way is cancelled."""
+        """End soon, without leaving the team; the running action is cancelled."""
         self.enqueue(self._end)
 
     def join(self, timeout: Optional[float] = None) -> None:
-        """Wait until the node has ended; at once where it was never started."""
+        """Wait until the node has ended, at most ``timeout`` seconds; returns at once if it was
+        never started."""
         if self._thread.ident is not None:
             self._thread.join(timeout)
 
@@ -250,7 +253,7 @@ class ExecutionNode(Worker):
             return
         action_due = self._caller.poll(now)
         if action_due is not None and action_due <= now + CONNECT_POLL:
-            self._narrator.note_change()  # it waits for something
+            self._narrator.note_change()  # the action side waits for something
         due = min(self._wake_at, self._narrator.poll(now, self._activity, self._diagnosis))
         if action_due is not None:
             due = min(due, action_due)
@@ -267,7 +270,7 @@ class ExecutionNode(Worker):
     def _close(self) -> None:
         parts: List[Any] = [self._caller, self._link, self._services, self._log]
         for part in parts:
-            # rospy has closed it before us
+            # rospy may have closed it already
             with contextlib.suppress(rospy.ROSException, rospy.ServiceException):
                 part.close()
         self._lock.close()
@@ -279,8 +282,8 @@ class ExecutionNode(Worker):
         self._note_team()
 
     def _note_team(self) -> None:
-        """Tell people who was lost or has left, and notice the end of the run where it came with a
-        snapshot."""
+        """Report robots that were lost, have left or are back, and detect the end of the run if it
+        came with a snapshot."""
         ledger = self._replica.ledger
         if ledger.length == self._told_length:
             return
@@ -306,10 +309,11 @@ class ExecutionNode(Worker):
             text = "%s is lost: the team goes on without it; its token was in %s" % (name, place)
             (self._narrator.tell if long_ago else self._narrator.warn)(text)
 
-    # -- what the replica wants --------------------------------------------------------------------
+    # -- effects of the replica --------------------------------------------------------------------
 
     def _carry_out(self, effects: List[interface.Effect]) -> None:
-        """In order; what is to be persisted is in the file before anything after it goes out."""
+        """Carry out effects in order; records are written before any later effect leaves the
+        node."""
         records: List[Record] = []
         durable = False
         sends: List[interface.Send] = []
@@ -349,7 +353,7 @@ class ExecutionNode(Worker):
                 fired_message(effect, self.plan.net, self._plan_hash, self.options.run)
             )
         for move in effect.firing.moves:
-            # a local transition comes a second time, when it is in the agreed log
+            # a local transition is reported a second time when it is in the agreed log
             if move.robot == self.robot and move.visit > self._told_visit:
                 self._told_visit = move.visit
                 self._narrator.say(
@@ -370,14 +374,14 @@ class ExecutionNode(Worker):
             self._narrator.warn(fault.message)
 
     def _status_changed(self, effect: interface.StatusChanged) -> None:
-        """Does nothing: the narrator reports what is waited for if it lasts."""
+        """Do nothing: the narrator reports what the robot waits for, if it lasts."""
 
     def _ended(self, effect: Ended) -> None:
         self._end_with("the run is over: %s" % effect.reason, effect.reason, effect.finished)
 
     def _is_over(self, how: str) -> None:
-        """The log says that the run is over, but no effect reported it: this node started late, or
-        was behind."""
+        """End the node if the run is over according to the log, although no effect reported it
+        because this node started late or was behind."""
         state = self._replica.ledger.state
         if self.exit_code is None and state.ended is not None:
             text = "the run '%s' %s: %s" % (self.run, how, state.ended)
@@ -412,11 +416,11 @@ class ExecutionNode(Worker):
         Ended: _ended,
     }
 
-    # -- what the action side says -----------------------------------------------------------------
+    # -- reports of the action side ----------------------------------------------------------------
 
     def _action_ended(self, ended: ActionEnded) -> None:
-        """What a server says goes into the log, to all robots and onto screens: no more than a line
-        of it."""
+        """Pass the end of an attempt to the replica. The server's text goes into the log, to all
+        robots and onto screens, so it is shortened to one line."""
         attempt = ended.identity[1:4]
         if ended.reason:
             self._step(
@@ -443,11 +447,11 @@ class ExecutionNode(Worker):
         place, visit, phase = "", 0, told_phase(ledger.state, robot)
         if robot is not None and own.position is not None:
             place, visit = self.plan.net.places[own.position.place].name, own.position.visit
-            # local transitions, which the log does not know yet
+            # there are local transitions that the log does not have yet
             if visit != robot.visit and ledger.state.ended is None:
                 phase = Phase.DOING
             if phase is Phase.DOING and own.reported == own.position.goal:
-                phase = Phase.DONE  # but that is not in the log yet
+                phase = Phase.DONE  # although this is not in the log yet
         elif robot is not None and not robot.phase.gone:
             place, visit = self.plan.net.places[robot.place].name, robot.visit
         return View(
@@ -495,7 +499,7 @@ class ExecutionNode(Worker):
             self._step(interface.Order(number, entry))
 
     def _waits_for(self) -> str:
-        """What this robot waits for, whether the action, the team or its transition is it."""
+        """What this robot waits for: its action, the team, or its transition; "" if nothing."""
         replica = self._replica
         if replica.ledger.state.ended is not None:
             return ""
@@ -506,8 +510,8 @@ class ExecutionNode(Worker):
         return "; ".join(filter(None, reasons))
 
     def _needs_operator(self) -> bool:
-        """Whether this robot does not go on by itself: it was evicted, has halted, its action
-        failed, or too many logs of the team are lost."""
+        """Whether this robot cannot go on without the operator: it was evicted, it has halted, its
+        action failed, or too many logs of the team are lost."""
         state = self._replica.ledger.state
         robot = state.robots.get(self.robot)
         if self._replica.halted is not None or self._replica.is_stuck():

@@ -1,5 +1,5 @@
-"""How protocol messages get from robot to robot: on the topic, and in partial synchronisation
-through services."""
+"""Sends protocol messages from robot to robot: on topics and, in partial synchronisation, through
+services."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class _Neighbours:
             }
 
     def of(self, link: Link) -> Dict[str, Link]:
-        """Robot -> its link, this one's own included. Not to be changed."""
+        """Robot -> its link, including ``link`` itself. Do not change the result."""
         return self._links.get(link.run, {})
 
 
@@ -75,19 +75,22 @@ _NEIGHBOURS = _Neighbours()
 
 
 class Link:
-    """What both ways have in common: the agreement topic, on which everybody hears everybody.
+    """The common part of both links: the agreement topic, which all robots publish and read.
 
-    Publishes and subscribes to ``/gspn_agreement`` (gspn_framework_package/Agreement). Robots that
-    are hosted in the same process hear each other without it.
+    It publishes and subscribes to ``/gspn_agreement`` (gspn_framework_package/Agreement). Robots
+    hosted in the same process exchange messages without it.
 
-    :param received: receives each message of another robot that is meant for this one; called on
-        rospy's threads.
-    :param serve: carries out the service calls of robots that are hosted in the same process;
-        called on their threads.
-    :param quiet: seconds without a message of a robot on its topics, after which its services are
+    :param robot: name of the robot.
+    :param run: name of the run; messages of other runs are ignored.
+    :param namespace: absolute namespace of the robot.
+    :param received: receives each message for this robot; called on rospy's threads, or on those
+        of robots in the same process.
+    :param serve: carries out the service calls of robots in the same process; called on their
+        threads.
+    :param quiet: seconds without a message from a robot on its topics after which its services are
         called as well.
 
-    :ivar sent: how many messages this robot has sent; one to several robots counts once.
+    :ivar sent: how many messages this robot has sent; a message to several robots counts once.
     """
 
     def __init__(
@@ -115,24 +118,25 @@ class Link:
         _NEIGHBOURS.add(self)
 
     def serve_at(self, service_uri: str) -> None:
-        """Tell peers that this robot's services are at that address."""
+        """Announce to peers that this robot's services are at that address."""
         self._service_uri = service_uri
 
     def send(self, sends: List[Send]) -> None:
-        """Send messages."""
+        """Send messages to the robots that they name."""
         raise NotImplementedError
 
     def close(self) -> None:
-        """End the calls, and unregister from the topic."""
+        """End the threads of the calls, and unregister from the topic."""
         _NEIGHBOURS.remove(self)
         self._calls.close()
         self._subscriber.unregister()
         self._publisher.unregister()
 
     def _publish(self, publisher: rospy.Publisher, to: str, message: Message) -> None:
-        """Tell neighbours directly, and others on a topic.
+        """Pass a message to robots in the same process directly, and publish it for the others.
 
-        :param publisher: of the topic on which ``to`` hears; "" is everybody.
+        :param publisher: publishes on the topic that ``to`` reads.
+        :param to: the receiving robot; "" is everybody.
         """
         self.sent += 1
         body = json.dumps(message, separators=(",", ":"))
@@ -142,7 +146,7 @@ class Link:
             return
         if not to:
             for link in neighbours.values():
-                link._received(json.loads(body))  # one each: they may keep parts of it
+                link._received(json.loads(body))  # a copy for each, since they may keep parts of it
         if self._somebody_else_listens(publisher):
             publisher.publish(self._news(to, body))
 
@@ -150,7 +154,7 @@ class Link:
         return {robot: link for robot, link in _NEIGHBOURS.of(self).items() if link is not self}
 
     def _somebody_else_listens(self, publisher: rospy.Publisher) -> bool:
-        """Whether the topic is connected to anybody but this node itself."""
+        """Whether a node other than this one is connected to the topic."""
         return any(
             connection.endpoint_id != self._node for connection in publisher.impl.connections
         )
@@ -171,7 +175,7 @@ class Link:
         if news.run != self.run or news.to not in ("", self.robot):
             return
         if news._connection_header.get("callerid") == self._node:
-            return  # our own, come back, or of a neighbour, which has already handed it over
+            return  # our own, or from a robot in this process, which has passed it on directly
         if news.sender != self.robot:
             self._peers[news.sender] = _Peer(news.namespace, news.service_uri)
             self._heard[news.sender] = time.monotonic()
@@ -182,7 +186,7 @@ class Link:
     def _call_quiet(self, to: str, message: Message) -> None:
         """Call the services of robots that are quiet on their topics. After a partition, TCP waits
         about as long as the partition lasted (at most two minutes) before it resends; a new call
-        goes through at once."""
+        gets through at once."""
         service = SERVICE_OF_MESSAGE.get(message.get("kind", ""), "get_place")
         now = time.monotonic()
         for name in [to] if to else list(self._peers):
@@ -192,7 +196,7 @@ class Link:
     def _call(self, name: str, service: str, body: str) -> None:
         peer = self._peers.get(name)
         if peer is None or not peer.service_uri:
-            return  # never heard of: as good as a message that was lost
+            return  # its address is unknown; this is the same as a lost message
         self.sent += 1
         service_class, request = _SERVICES[service]
         self._calls.call(
@@ -211,12 +215,12 @@ class Link:
 
 
 class TopicLink(Link):
-    """Sends everything on topics (full synchronisation): messages to several robots on the
-    agreement topic, messages to one into its *inbox*, so that the others need not read them.
+    """Sends all messages on topics (full synchronisation): messages to several robots on the
+    agreement topic, messages to one robot into its *inbox*, so that the others need not read them.
 
-    Subscribes to ``NAMESPACE/agreement`` and publishes on the inboxes of the robots that it has
-    something to say to (gspn_framework_package/Agreement). An inbox that is not connected (yet) is
-    no loss: the message goes on the agreement topic then.
+    It subscribes to ``NAMESPACE/agreement`` and publishes on the inboxes of the robots that it has
+    messages for (gspn_framework_package/Agreement). While an inbox is not connected, its messages
+    go on the agreement topic.
     """
 
     def __init__(
@@ -236,7 +240,7 @@ class TopicLink(Link):
         )
 
     def send(self, sends: List[Send]) -> None:
-        """Send messages; the same one to several robots goes out once, to everybody."""
+        """Send messages; a message to several robots is sent once, to everybody."""
         while sends:
             to, message = sends[0]
             same = [s for s in sends if s.message is message or s.message == message]
@@ -261,7 +265,7 @@ class TopicLink(Link):
         name = _inbox_of(peer.namespace)
         if name not in self._inboxes:
             self._inboxes[name] = None
-            self._pool.submit(lambda: self._open(name))  # the master may be away, and block this
+            self._pool.submit(lambda: self._open(name))  # blocks while there is no master
         inbox = self._inboxes[name]
         return inbox if inbox is not None and inbox.get_num_connections() else None
 
@@ -274,15 +278,16 @@ def _inbox_of(namespace: str) -> str:
 
 
 class ServiceLink(Link):
-    """Sends through the services of the receiving robots; only broadcasts go on the topic (partial
-    synchronisation).
+    """Sends messages through the services of the receiving robots (partial synchronisation);
+    messages that are not requests of a service go on the topic.
 
-    Calls ``get_place``, ``get_state`` and ``set_place`` in the namespaces of the other robots,
+    It calls ``get_place``, ``get_state`` and ``set_place`` in the namespaces of the other robots,
     which it learns from their messages on the topic.
     """
 
     def send(self, sends: List[Send]) -> None:
-        """Call the service that each message is the request of."""
+        """Send each message as the request of its service; one without a service goes on the
+        topic."""
         for to, message in sends:
             service = SERVICE_OF_MESSAGE.get(message.get("kind", ""))
             if service is None:

@@ -1,4 +1,4 @@
-"""Tells people what a robot does: on the screen, on ``activity`` and on ``/diagnostics``."""
+"""Reports to people what a robot does: on the screen, on ``activity`` and on ``/diagnostics``."""
 
 from __future__ import annotations
 
@@ -11,30 +11,35 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import String
 
 LINES_PER_SECOND = 4
-"""Lines on the screen; further ones are only counted."""
+"""Maximum number of lines on the screen per second; further lines are only counted."""
 
 ACTIVITY_PERIOD = 0.1
-"""Seconds between two messages on ``activity``, at least."""
+"""Minimum number of seconds between two messages on ``activity``."""
 
 UNHEARD_PERIOD = 1.0
-"""The same while nobody listens: the last message is latched."""
+"""The same while nobody subscribes: the last message is latched."""
 
 DIAGNOSTICS_PERIOD = 1.0
+"""Seconds between two messages on ``/diagnostics``."""
 
 Diagnosis = Tuple[int, str, Mapping[str, Any]]
-"""What ``/diagnostics`` shows: (level, message, values)."""
+"""The content of ``/diagnostics``: (level, message, values)."""
 
 WAITING_TIME = 1.0
-"""Seconds after which a robot that waits says for what."""
+"""Seconds after which a waiting robot reports what it waits for."""
 
 
 class Narrator:
-    """All methods belong to the node's worker thread.
+    """Reports what one robot does. All methods belong to the node's worker thread.
 
-    Publishes ``NAMESPACE/activity`` (std_msgs/String, JSON: robot, run, plan (its hash), place,
+    It publishes ``NAMESPACE/activity`` (std_msgs/String, JSON: robot, run, plan (its hash), place,
     state, visit, attempt, waits_for, needs_operator, feedback, ended, finished, fault; at most ten
     a second, the last one latched) and ``/diagnostics`` (diagnostic_msgs/DiagnosticArray, once a
     second).
+
+    :param robot: name of the robot.
+    :param namespace: absolute namespace of the robot.
+    :param run: name of the run.
     """
 
     def __init__(self, robot: str, namespace: str, run: str) -> None:
@@ -54,7 +59,7 @@ class Narrator:
         self._lines = 0
 
     def say(self, text: str) -> None:
-        """A line about what goes on; not every one is shown when there are very many."""
+        """Print a line about what happens, unless there were too many in this second."""
         second = int(time.monotonic())
         if second != self._second:
             if self._lines > LINES_PER_SECOND:
@@ -68,15 +73,15 @@ class Narrator:
         rospy.loginfo("%s: %s", self._robot, text)
 
     def tell(self, text: str) -> None:
-        """A line that is always shown, however many there are."""
+        """Print a line regardless of how many there are."""
         self._log(text)
 
     def warn(self, text: str) -> None:
-        """A line about something that a person should know."""
+        """Print a warning."""
         rospy.logwarn("%s: %s", self._robot, text)
 
     def note_change(self) -> None:
-        """Something has happened, so that what the robot does may have changed."""
+        """Note that what the robot does may have changed."""
         self._changed = True
 
     def poll(
@@ -85,10 +90,11 @@ class Narrator:
         activity: Callable[[], Dict[str, Any]],
         status: Callable[[], Diagnosis],
     ) -> float:
-        """Publish what is due; returns when to call it next, unless something happens before.
+        """Publish what is due; returns when to call this next, unless something changes before.
 
-        :param activity: called for what the robot does, a JSON object.
-        :param status: called for what ``/diagnostics`` shows, (level, message, values).
+        :param now: the time (monotonic seconds).
+        :param activity: returns what the robot does, a JSON object.
+        :param status: returns the content of ``/diagnostics``.
         """
         period = ACTIVITY_PERIOD if self._activity.get_num_connections() else UNHEARD_PERIOD
         self._activity_at = min(self._activity_at, now + period)
@@ -114,7 +120,7 @@ class Narrator:
             self._reason, self._reason_since = reason, now
 
     def _tell_reason(self, now: float) -> None:
-        """Say for what the robot waits, once, when it has done so for a while."""
+        """Print what the robot waits for, once, after it has waited for a while."""
         if self._reason != self._reason_told and now >= self._reason_since + WAITING_TIME:
             self._reason_told = self._reason
             if self._reason:
@@ -139,6 +145,6 @@ class Narrator:
 
 
 def level_of(needs_operator: bool, waits: bool) -> int:
-    """The level of ``/diagnostics``: 0 fine, 1 waits for somebody or misses one, 2 needs the
-    operator."""
+    """The level of ``/diagnostics``: 0 if all is well, 1 if the robot waits or another one is lost,
+    2 if it needs the operator."""
     return 2 if needs_operator else 1 if waits else 0

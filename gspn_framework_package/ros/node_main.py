@@ -1,5 +1,5 @@
-"""What the node scripts start: one robot's execution node, those of a whole team, or place servers
-alone."""
+"""Entry points of the node scripts: one robot's execution node, those of a whole team, or only
+place servers."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from gspn_framework_package.ros.transport.registration import (
 
 
 def run_execution_node() -> int:
-    """The execution node of a robot; returns the exit code of the process."""
+    """Run the execution node of a robot; returns the exit code of the process."""
     name = rospy.names.get_mappings().get("__name", "gspn_executor")
 
     def before() -> None:
@@ -49,14 +49,14 @@ def run_execution_node() -> int:
 
 
 def run_hosted_robots() -> int:
-    """A node that hosts the execution nodes of a whole simulated team, each in a namespace of its
-    own; returns the exit code of the process."""
+    """Run a node that hosts the execution nodes of a whole simulated team, each in its own
+    namespace; returns the exit code of the process."""
     return run_node("gspn_hosted", lambda ending: _host(read_options(), ending))
 
 
 def run_team() -> int:
-    """The execution nodes of a whole team, a process for each, forked from this one; returns the
-    largest of their exit codes. This process is no node itself."""
+    """Run the execution nodes of a whole team, each in a process forked from this one; returns the
+    largest of their exit codes. This process is not a node itself."""
     name = rospy.names.get_mappings().get("__name", "gspn_team")
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # until there is a team
     try:
@@ -67,14 +67,15 @@ def run_team() -> int:
 
 
 def run_place_servers() -> int:
-    """A node that only serves the places of a robot."""
+    """Run a node that only serves the places of a robot; returns the exit code of the process."""
     return run_node("gspn_place_servers", lambda ending: _serve(read_options(), ending))
 
 
 def robot_of(plan: Plan, options: NodeOptions) -> Tuple[Plan, str]:
-    """The plan with the team that begins the run, and the robot that is meant.
+    """The plan with the team that begins the run, and the name of the robot that the options
+    select.
 
-    :raises UsageError: no robot was named, or one that the plan does not have.
+    :raises UsageError: no robot was named, or the plan does not have it.
     """
     if options.robots:
         plan = plan.for_robots(options.robots)
@@ -98,8 +99,11 @@ def robot_of(plan: Plan, options: NodeOptions) -> Tuple[Plan, str]:
 
 
 def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
-    """Refuse a plan that must not run, and warn, once for each kind of finding. :raises
-    ExecutionError: refused."""
+    """Check a plan before it runs.
+
+    :param warn: receives one warning for each kind of finding.
+    :raises ExecutionError: the plan must not run.
+    """
     from gspn_framework_package.analysis.preflight import check
     from gspn_framework_package.analysis.preflight.report import Severity
 
@@ -121,10 +125,12 @@ def check_plan(plan: Plan, warn: Callable[[str], None]) -> None:
 
 
 def refuse_taken(namespaces: List[str], run: str) -> None:
-    """Refuse to start where a robot of another run is at work: ROS would end its node without a
-    word, for two nodes of one name cannot be. Where nobody answers, or the run there is over, there
-    is nothing to refuse.
+    """Refuse to start if a robot of another run is at work in one of the namespaces: node names are
+    unique, so ROS would silently end its node. A namespace where no node answers, or where the run
+    is over, is free.
 
+    :param namespaces: the absolute namespaces of the robots to start.
+    :param run: the run that they belong to.
     :raises ExecutionError: a namespace is taken.
     """
     from gspn_framework_package.ros.operator_client import status_in
@@ -141,9 +147,11 @@ def refuse_taken(namespaces: List[str], run: str) -> None:
 
 
 def await_servers(names: Iterable[str], seconds: float, ending: Ending) -> None:
-    """Wait until the master knows every one of these action servers.
+    """Wait until the master knows all these action servers, or the process should end.
 
-    :raises ExecutionError: one was not there in time.
+    :param names: absolute names of the servers.
+    :param seconds: how long to wait.
+    :raises ExecutionError: a server was not there in time.
     """
     missing = set(names)
     if not missing:
@@ -151,7 +159,7 @@ def await_servers(names: Iterable[str], seconds: float, ending: Ending) -> None:
     rospy.loginfo("waits for the action servers %s", ", ".join(sorted(missing)))
     deadline = time.monotonic() + seconds
     while not ending.is_set():
-        with contextlib.suppress(*MASTER_ERRORS):  # it is asked again
+        with contextlib.suppress(*MASTER_ERRORS):  # the loop tries again
             published = {topic for topic, _ in published_topics()}
             missing = {name for name in missing if name + "/status" not in published}
         if not missing:
@@ -176,7 +184,7 @@ def _host(options: NodeOptions, ending: Ending) -> int:
 
 
 def _team(options: NodeOptions) -> Tuple[Plan, Dict[str, str]]:
-    """The plan with the team that begins, and the namespaces of its robots."""
+    """The plan with the team that begins the run, and the namespaces of its robots by name."""
     plan = read_plan(launched_file(options.plan, "~plan"))
     if options.robots:
         plan = plan.for_robots(options.robots)
@@ -189,11 +197,11 @@ def _team(options: NodeOptions) -> Tuple[Plan, Dict[str, str]]:
 def _fork(options: NodeOptions) -> int:
     plan, namespaces = _team(options)
     if options.check:
-        # in a process of its own: the libraries of the analysis are of no use to the robots
+        # in a separate process, because the robots do not need the libraries of the analysis
         code = run_family([FamilyMember("the check of the plan", lambda: _check_alone(plan))])
         if code:
             return code
-    # what all will need, once for all
+    # import what all members need once, before they are forked
     from gspn_framework_package.ros.transport import master_watch  # noqa: F401
 
     share_log_configuration()
@@ -214,8 +222,8 @@ def _check_alone(plan: Plan) -> int:
 
 
 MASTER_PERIOD = 2.0
-"""Seconds between two questions to the master whether it is still the same; in a team of more than
-eight, which would ask it all the time, in proportion longer."""
+"""Seconds between two checks whether the master is still the same process. In a team of more than
+eight robots the period grows in proportion, since the team would otherwise call it constantly."""
 
 _Body = Callable[[Plan, str, str, NodeOptions, Ending], int]
 
@@ -258,8 +266,9 @@ def _run_robots(
     """Execute a plan for some robots, each with its own replica, until the run is over for all of
     them.
 
+    :param plan: the plan, with the team that begins the run.
     :param namespaces: robot -> its absolute namespace.
-    :param checked: the plan has been checked.
+    :param checked: whether the plan has already been checked.
     :returns: the largest of their exit codes.
     """
     from gspn_framework_package.ros.execution_node import ExecutionNode

@@ -31,14 +31,14 @@ ANSWER_TIME = 2.0
 """Seconds within which the node's worker must answer a plain question."""
 
 ORDER_TIME = 5.0
-"""Seconds that an operator's order waits for its place in the log."""
+"""Seconds that an operator's order waits to get into the log."""
 
 
 class View(NamedTuple):
-    """What a node knows of its robot and of the team: its own local transitions included."""
+    """What a node knows about its robot and the team, including its own local transitions."""
 
     place: str
-    """Name of the place, "" while it has none."""
+    """Name of the robot's place; "" while it has none."""
     robot_state: str
     incarnation: int
     visit: int
@@ -52,47 +52,64 @@ Answer = TypeVar("Answer")
 
 
 class Worker:
-    """What the services need of the node; all of it may be called from any thread."""
+    """The interface of the node that the services use. ``enqueue`` and ``ask`` may be called from
+    any thread, the other methods only on the worker thread."""
 
     robot: str
     run: str
 
     def enqueue(self, function: Callable[..., Any], *arguments: Any) -> None:
-        """Have the worker thread call ``function(*arguments)`` soon."""
+        """Make the worker thread call ``function(*arguments)`` soon."""
         raise NotImplementedError
 
     def ask(self, question: Callable[[], Answer], timeout: float) -> Answer:
-        """The answer of ``question()``, called on the worker thread. :raises queue.Empty: late."""
+        """Call ``question()`` on the worker thread and return its result.
+
+        :param timeout: seconds to wait for it.
+        :raises queue.Empty: it did not return in time.
+        """
         raise NotImplementedError
 
     def view(self) -> View:
-        """The robot and the team as this node knows them; to be called on the worker thread."""
+        """The robot and the team as this node knows them; call it on the worker thread."""
         raise NotImplementedError
 
     def status(self) -> Dict[str, Any]:
-        """What this node knows, for people and programs; to be called on the worker thread."""
+        """The node's status, for people and programs, as a JSON object; call it on the worker
+        thread."""
         raise NotImplementedError
 
     def request(self, message: Message, answer: Callable[[Message], None]) -> None:
-        """Hand a peer's protocol message to the replica; on the worker thread."""
+        """Pass a peer's protocol message to the replica; call it on the worker thread.
+
+        :param answer: receives the reply, once.
+        """
         raise NotImplementedError
 
     def order(
         self, entry: Optional[log_entries.Entry], force_evict: str, answer: Callable[[Any], None]
     ) -> None:
-        """Give an operator's order to the replica; on the worker thread."""
+        """Give an operator's order to the replica; call it on the worker thread.
+
+        :param entry: the order; None for an eviction by force.
+        :param force_evict: the robot to evict by force, if ``entry`` is None.
+        :param answer: receives the ``OrderResult``.
+        """
         raise NotImplementedError
 
 
 class NodeServices:
     """Serves, in the robot's namespace:
 
-    - ``get_place`` (gspn_framework_package/GetPlace): where is this robot,
-    - ``get_state`` (GetState): what is it doing, and the marking it knows,
-    - ``set_place`` (SetPlace): by hand an operator's order,
+    - ``get_place`` (gspn_framework_package/GetPlace): where this robot is,
+    - ``get_state`` (GetState): what it does, and the marking that it knows,
+    - ``set_place`` (SetPlace): an operator's order to put a robot into a place,
     - ``command`` (Command): an operator's other orders, and ``status``.
 
     The first three carry the protocol of partial synchronisation when a peer calls them.
+
+    :param worker: the node.
+    :param namespace: absolute namespace of the robot.
     """
 
     def __init__(self, worker: Worker, namespace: str) -> None:
@@ -109,11 +126,12 @@ class NodeServices:
 
     @property
     def uri(self) -> str:
-        """Where the services are, for those who have no master."""
+        """The address of the services, ``rosrpc://host:port``, for peers that cannot reach the
+        master."""
         return str(self._services[0].uri)
 
     def close(self) -> None:
-        """Serve no more."""
+        """Shut down the services."""
         for service in self._services:
             service.shutdown()
 
@@ -138,7 +156,7 @@ class NodeServices:
         return response
 
     def _read_state(self) -> GetStateResponse:
-        """On the worker thread."""
+        """The response of ``get_state``; called on the worker thread."""
         view = self._worker.view()
         places, counts = marking_fields(view.marking, view.net)
         return GetStateResponse(
@@ -168,7 +186,7 @@ class NodeServices:
         return SetPlaceResponse(ok, text, "")
 
     def _other_run(self, run: str) -> str:
-        """Why a call that means ``run`` is refused here; "" where it is meant for this node."""
+        """Why a call for ``run`` is refused here; "" if it is meant for this node's run."""
         if run in ("", self._worker.run):
             return ""
         return "%s is in run '%s', not in run '%s': nothing was done" % (
@@ -226,11 +244,13 @@ _COMMANDS = "pause, resume, evict, force_evict, set_place, retry, fire, leave, s
 
 
 def order_entry(command: str, given: str, robot: str, argument: str) -> Optional[log_entries.Entry]:
-    """The log entry of an operator's command; None for an unknown one.
+    """The log entry of an operator's command; None if the command is unknown.
 
-    :param given: the robot that was named, "" for the whole team where a command allows that.
-    :param robot: the same, or the robot that serves the call.
-    :param argument: of ``set_place``: the place; of ``fire``: the transition.
+    :param command: the name of the command.
+    :param given: the robot that was named; "" for the whole team, if the command allows that.
+    :param robot: the robot that was named, or else the one that serves the call.
+    :param argument: for ``set_place``, the place; for ``fire``, the transition; for ``stop``, the
+        reason.
     """
     if command == "pause":
         return log_entries.Pause(given)

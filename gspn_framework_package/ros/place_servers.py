@@ -34,29 +34,31 @@ from gspn_framework_package.ros.goal_state import GoalNews
 from gspn_framework_package.ros.transport.registration import found_parameter, registered_together
 
 KEPT_ENDED = 10
-"""Maximum number of ended goals in a server's status (they are dropped after 5 s in any case).
-Without this bound a server that answers 600 goals a second would list 3,000 in every status."""
+"""Maximum number of ended goals in a server's status (after 5 s they are dropped anyway). Without
+this bound, a server that answers 600 goals a second would list 3,000 in every status."""
 
 TRACEBACK_LIMIT = 10_000
-"""Characters of a traceback that are shown: the text of an exception may be of any length."""
+"""Maximum number of characters of a traceback that are shown, since the text of an exception may
+have any length."""
 
 
 class PlaceServers:
-    """Serves the Python actions of a plan for one robot, all in this process: each is a plain
+    """Serves the Python actions of a plan for one robot, all in this process. Each is a plain
     action server with its own name; they share one pool of threads and one timer.
 
-    A robot does one thing at a time: a newer goal of it (a later incarnation, visit or attempt)
-    cancels its older ones, on whichever of these servers they run. So does the death of the node
-    that sent the goal.
+    A robot does one thing at a time: a newer goal (a later incarnation, visit or attempt) cancels
+    the robot's older goals on all these servers. A goal is also cancelled when the node that sent
+    it dies.
 
-    Serves ``NAMESPACE/SERVER`` (gspn_framework_package/ExecGSPN action) for each server that the
-    plan names. Reads the parameter ``actionlib_status_frequency`` (found by ``search_param``;
-    1 Hz).
+    It serves ``NAMESPACE/SERVER`` (gspn_framework_package/ExecGSPN action) for each server that the
+    plan names, and reads the parameter ``actionlib_status_frequency`` (found by ``search_param``;
+    1 Hz by default).
 
     :param plan: the plan; its functions are loaded from its folder.
     :param robot: name of the robot.
     :param namespace: absolute namespace of the robot.
-    :raises PlanError: a function that is not there or is no action.
+    :param pool: the threads that run the actions; a new pool by default.
+    :raises PlanError: a function does not exist, or is not an action.
     """
 
     def __init__(
@@ -72,7 +74,7 @@ class PlaceServers:
             assert isinstance(bound, FunctionAction)
             actions.setdefault(bound.server, {})[place] = action
         self.servers: Dict[str, PlaceServer] = {}
-        """By their absolute names."""
+        """The servers by their absolute names."""
         for name, by_place in actions.items():
             server = PlaceServer(self, rospy.names.ns_join(namespace, name), by_place)
             self.servers[server.ns] = server
@@ -81,7 +83,7 @@ class PlaceServers:
 
     @property
     def names(self) -> List[str]:
-        """The names of the servers."""
+        """The absolute names of the servers."""
         return list(self.servers)
 
     def start(self) -> None:
@@ -93,9 +95,9 @@ class PlaceServers:
         self._timer.start()
 
     def stop(self) -> None:
-        """Cancel what runs, and take no more goals. No results are published: nobody asked for the
-        end of these goals, and a robot whose servers end just before itself must not take it for a
-        failure of the action. A robot that goes on sees that the server is gone."""
+        """Cancel the running actions, and take no more goals. No results are published: nobody
+        asked to end these goals, and a robot whose servers end just before it does must not
+        mistake that for a failed action. A robot that goes on notices that the server is gone."""
         self._stopping.set()
         with self._lock:
             running = list(self._running.values())
@@ -107,7 +109,7 @@ class PlaceServers:
     # -- goals -------------------------------------------------------------------------------------
 
     def accept(self, server: PlaceServer, handle: ServerGoalHandle, caller: str) -> None:
-        """A goal came in for ``server``, from the node ``caller``."""
+        """Take or reject a goal for ``server`` that the node ``caller`` sent ("": this node)."""
         if self._stopping.is_set():
             return
         place = handle.get_goal().place
@@ -127,7 +129,7 @@ class PlaceServers:
         self._pool.submit(lambda: self._run(goal_id, goal))
 
     def cancel(self, handle: ServerGoalHandle) -> None:
-        """Somebody wants a goal to end."""
+        """Cancel the action of a goal, if it runs."""
         with self._lock:
             goal = self._running.get(handle.get_goal_id().id)
         if goal is not None:
@@ -160,13 +162,13 @@ class PlaceServers:
         finally:
             with self._lock:
                 self._running.pop(goal_id, None)
-        # the node's end has ended it, see stop()
+        # it was cancelled because the node ends, see stop()
         if self._stopping.is_set() or rospy.is_shutdown():
             return
         try:
             self._tell_result(goal, result, failure)
         except rospy.ROSException:
-            if not self._stopping.is_set():  # else the publisher was closed in the meantime
+            if not self._stopping.is_set():  # otherwise stop() has closed the publisher
                 raise
 
     @staticmethod
@@ -217,24 +219,28 @@ class _RunningGoal:
         return mine.incarnation >= others.incarnation
 
     def is_orphan(self) -> bool:
-        """Whether the node that sent the goal listened to this server, and does not any more."""
+        """Whether the node that sent the goal was connected to this server, and no longer is."""
         there = self.server.status_pub.impl.has_connection(self.caller)
         self._was_there = self._was_there or there
         return self._was_there and not there
 
     def tell(self, *progress: Any) -> None:
-        """The ``feedback`` of the action: whole numbers, or one list of them."""
+        """Publish the action's ``feedback``: whole numbers, or one iterable of them."""
         if len(progress) == 1 and hasattr(progress[0], "__iter__"):
             progress = progress[0]
         self.handle.publish_feedback(ExecGSPNFeedback([int(value) for value in progress]))
 
 
 class PlaceServer(ActionServer):
-    """An action server that has no thread of its own and does not query the master; its goals may
-    also come from its own process.
+    """An action server that has no thread and does not query the master; its goals may also come
+    from its own process.
 
-    The library's ``initialize`` asks the master six times for each server, and starts a timer for
-    each: with 13 robots of 7 places that is what a start takes its time for.
+    The library's ``initialize`` calls the master six times and starts a timer for each server; with
+    13 robots of 7 places, that dominates the start-up time.
+
+    :param owner: runs the actions.
+    :param name: absolute name of the server.
+    :param actions: the server's actions by place.
     """
 
     def __init__(self, owner: PlaceServers, name: str, actions: Dict[str, PythonAction]) -> None:
@@ -248,20 +254,21 @@ class PlaceServer(ActionServer):
     status_list: List[StatusTracker]
 
     def action(self, place: str) -> Optional[PythonAction]:
-        """What is done for ``place``; a server of one action does not look at the place."""
+        """The action for ``place``, None if there is none; a server with one action runs it for any
+        place."""
         if len(self._actions) == 1:
             return next(iter(self._actions.values()))
         return self._actions.get(place)
 
     def initialize(self) -> None:
-        """Make the topics."""
+        """Create the topics."""
         self.status_list_timeout = rospy.Duration(5.0)
         topic = self.ns + "/"
         self.status_pub = rospy.Publisher(
             topic + "status", GoalStatusArray, latch=True, queue_size=50
         )
-        # latched: a client knows of its connection a moment before this side does, and would miss
-        # what is published in between
+        # latched: a client knows that it is connected a moment before this side does, and would
+        # miss a result published in between
         self.result_pub = rospy.Publisher(
             topic + "result", self.ActionResult, latch=True, queue_size=50
         )
@@ -291,8 +298,12 @@ class PlaceServer(ActionServer):
     def take(
         self, goal: ExecGSPNActionGoal, told: Callable[[GoalNews, GoalStatus, genpy.Message], None]
     ) -> None:
-        """Take a goal that comes from this process. :param told: receives (FEEDBACK or RESULT,
-        status, message) of the goal, besides the topics."""
+        """Take a goal from this process.
+
+        :param goal: the goal.
+        :param told: receives (FEEDBACK or RESULT, status, message) of the goal, in addition to the
+            topics.
+        """
         with self.lock:
             self._direct[goal.goal_id.id] = told
             self._caller = ""
@@ -303,20 +314,20 @@ class PlaceServer(ActionServer):
         self.internal_cancel_callback(GoalID(id=goal_id))
 
     def internal_goal_callback(self, goal: ExecGSPNActionGoal) -> None:
-        """A goal has come over the topic."""
+        """Take a goal from the topic."""
         with self.lock:
             self._caller = goal._connection_header.get("callerid", "")
             super().internal_goal_callback(goal)
 
     def publish_result(self, status: GoalStatus, result: ExecGSPNResult) -> None:
-        """Tell how a goal has ended."""
+        """Publish the result of a goal; a goal from this process also gets it directly."""
         super().publish_result(status, result)
         told = self._direct.pop(status.goal_id.id, None)
         if told is not None:
             told(GoalNews.RESULT, status, result)
 
     def publish_feedback(self, status: GoalStatus, feedback: ExecGSPNFeedback) -> None:
-        """Tell how far a goal is."""
+        """Publish the progress of a goal; a goal from this process also gets it directly."""
         super().publish_feedback(status, feedback)
         told = self._direct.get(status.goal_id.id)
         if told is not None:
@@ -326,13 +337,13 @@ class PlaceServer(ActionServer):
         self._owner.accept(self, handle, self._caller)
 
     def tell_status(self) -> None:
-        """Publish the status again, if anybody listens or there is anything to report."""
+        """Publish the status again if there are subscribers or goals to report."""
         with self.lock:
             if self.started and (self.status_list or self.status_pub.impl.has_connections()):
                 self.publish_status()
 
     def publish_status(self) -> None:
-        """Tell the status of all goals, of those that ended only the last ones."""
+        """Publish the status of all goals, but only the last :data:`KEPT_ENDED` ended ones."""
         with self.lock:
             surplus = len(self.status_list) - KEPT_ENDED
             if surplus > 0:

@@ -1,4 +1,4 @@
-"""Follows a team from outside: who is where, what fires, how fast."""
+"""Observes a team from outside: where the robots are, what fires, and how often."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ACTIVITY_FIELDS = {"run", "place", "state", "visit", "waits_for", "ended", "fau
 
 
 class Doing(NamedTuple):
-    """What a robot was last heard to do."""
+    """What a robot does, according to its last message."""
 
     place: str
     state: str
@@ -28,14 +28,14 @@ class Doing(NamedTuple):
 class TeamMonitor:
     """Listens to a team; its methods may be called from any thread.
 
-    Subscribes to ``/fired_transitions`` (gspn_framework_package/FiredTransition) and, for each
-    robot, ``NAMESPACE/activity`` (std_msgs/String). Not a robot: nobody waits for it.
+    It subscribes to ``/fired_transitions`` (gspn_framework_package/FiredTransition) and, for each
+    robot, ``NAMESPACE/activity`` (std_msgs/String). The robots do not know of it or wait for it.
 
     :param robots: (name, namespace, initial place) of each robot.
-    :param run: name of the run; others are ignored.
+    :param run: name of the run; other runs are ignored.
 
-    :ivar ended: why the run is over, as its robots say; "" before.
-    :ivar fault: whether it ended because something broke.
+    :ivar ended: why the run is over, according to its robots; "" while it goes on.
+    :ivar fault: whether it ended because of a fault.
     """
 
     def __init__(self, robots: Sequence[Tuple[str, str, str]], run: str) -> None:
@@ -77,7 +77,7 @@ class TeamMonitor:
     def _on_activity(self, message: String, name: str) -> None:
         told = json_object(message.data)
         if told is None or not _ACTIVITY_FIELDS <= set(told):
-            return  # somebody else's
+            return  # not a message of an execution node
         with self._lock:
             if told["run"] != self._run:
                 return
@@ -94,11 +94,12 @@ class TeamMonitor:
             return len(self._times) / seconds
 
     def recent(self, since: float) -> List[Tuple[float, str]]:
-        """The last firings after the monotonic time ``since``: (time, what moved where)."""
+        """The firings after the monotonic time ``since`` (at most the last 1,000): (time, the
+        transition and what moved where)."""
         with self._lock:
             return [item for item in self._recent if item[0] > since]
 
     def snapshot(self) -> Dict[str, Doing]:
-        """What each robot does."""
+        """What each robot does, by name."""
         with self._lock:
             return dict(self.doing)
