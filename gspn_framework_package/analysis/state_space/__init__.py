@@ -1,4 +1,5 @@
-"""The reachable markings of a net, the engines that find them, and what their graph says."""
+"""The reachable markings of a net, the engines that find them, and the properties of their
+graph."""
 
 from gspn_framework_package.analysis.state_space.space import (
     ENGINES,

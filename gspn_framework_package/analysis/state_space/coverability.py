@@ -1,9 +1,9 @@
 """The coverability tree and graph of Karp and Miller (1969): what an unbounded net can reach, with
-``OMEGA`` for "as many as you like".
+``OMEGA`` for "any number of tokens".
 
-It is exact for nets without inhibitor arcs, capacities and priorities. For the others a growing
-sequence is only believed where what grows cannot disturb it; otherwise the answer is "not decided",
-since the question has no general answer with inhibitor arcs.
+It is exact for nets without inhibitor arcs, capacities and priorities. For other nets a growing
+sequence is accepted only if the additional tokens cannot prevent it from firing again; otherwise
+the answer is "not decided", since the problem is undecidable in general with inhibitor arcs.
 """
 
 from __future__ import annotations
@@ -23,16 +23,21 @@ OMEGA = 1 << 62
 
 
 _COMPARISONS = 400
-"""Comparisons with markings on the way from the root, for each node that the limit allows."""
+"""Budget of comparisons with ancestor markings, for each node that the limit allows."""
 
 _NODE_BYTES = 400
-"""What a node takes beside its counts."""
+"""Memory of a node besides its counts."""
 
 
 class TreeNode(NamedTuple):
-    """A node of the tree: its ``marking`` (counts, or OMEGA), the number of its ``parent`` and of
-    the transition that leads here from it (-1 at the root), and of the first node with the same
-    marking (``same``; itself, where it is the first: only that one has children)."""
+    """A node of the tree.
+
+    :ivar marking: counts, or OMEGA.
+    :ivar parent: the number of the parent node (-1 at the root).
+    :ivar transition: the number of the transition that leads here from the parent (-1 at the root).
+    :ivar same: the number of the first node with the same marking, possibly this one. Only the
+        first has children.
+    """
 
     marking: Tuple[int, ...]
     parent: int
@@ -45,10 +50,10 @@ class CoverabilityTree:
 
     :param net: the net.
     :param untimed: immediate transitions have no precedence (plain Petri net rule).
-    :param limit: nodes to build at most.
-    :param memory: bytes to take at most.
-    :param seconds: longest time.
-    :raises LimitError: a limit was met, or a growth could not be judged.
+    :param limit: most nodes to build.
+    :param memory: most bytes to use.
+    :param seconds: longest time (s).
+    :raises LimitError: a limit was reached, or a growth could not be judged.
     """
 
     def __init__(
@@ -76,7 +81,7 @@ class CoverabilityTree:
         first: Dict[Tuple[int, ...], int] = {self.net.initial_marking: 0}
         self.nodes.append(TreeNode(self.net.initial_marking, -1, -1, 0))
         with_concession = self.net.enabled(self.net.initial_marking, by_priority=False)
-        # and what the parent enabled
+        # numbers of nodes, with what the parent of each enabled
         waiting: Deque[Tuple[int, Tuple[int, ...]]] = deque([(0, with_concession)])
         while waiting:
             number, with_concession = waiting.popleft()
@@ -91,7 +96,7 @@ class CoverabilityTree:
                 if same == len(self.nodes):
                     waiting.append((same, with_concession))
                 else:
-                    after = self.nodes[same].marking  # one tuple for both
+                    after = self.nodes[same].marking  # share one tuple
                 self.nodes.append(TreeNode(after, number, t, same))
                 if len(self.nodes) > limit or self._comparisons < 0:
                     raise LimitError(
@@ -109,7 +114,8 @@ class CoverabilityTree:
                 watch.step("nodes", len(self.nodes))
 
     def _preferred(self, with_concession: Sequence[int]) -> Sequence[int]:
-        """Those that take precedence; see :meth:`~gspn_framework_package.model.net.Net.enabled`."""
+        """The transitions that take precedence; see
+        :meth:`~gspn_framework_package.model.net.Net.enabled`."""
         transitions = self.net.transitions
         immediate = [t for t in with_concession if not transitions[t].timed]
         if self.untimed or not immediate:
@@ -118,14 +124,13 @@ class CoverabilityTree:
         return [t for t in immediate if transitions[t].priority == top]
 
     def _accelerate(self, number: int, t: int, after: Tuple[int, ...]) -> Tuple[int, ...]:
-        """``after`` with OMEGA where the way from an ancestor to here can be gone again and
-        again."""
+        """``after`` with OMEGA where repeating the path from an ancestor to here adds tokens."""
         fired = {t}
         counts = list(after)
         while number >= 0:
             node = self.nodes[number]
             self._comparisons -= 1
-            # the longest loop there is, in nets of thousands of places
+            # the hottest loop, in nets of thousands of places
             if all(map(le, node.marking, counts)):
                 growing = [p for p, (a, b) in enumerate(zip(node.marking, counts)) if a < b < OMEGA]
                 if growing:
@@ -140,7 +145,7 @@ class CoverabilityTree:
 
     @property
     def bounded(self) -> bool:
-        """Whether there is no OMEGA."""
+        """Whether no marking of the tree has an OMEGA."""
         return not self.unbounded_places
 
     @property
@@ -159,7 +164,7 @@ class CoverabilityTree:
 
     @property
     def bounds(self) -> Dict[str, Optional[int]]:
-        """The most tokens that each place can hold; None where there is no bound."""
+        """The most tokens that each place can hold; None if there is no bound."""
         return {
             place.name: None if n == OMEGA else n
             for place, n in zip(self.net.places, self._largest)
@@ -172,10 +177,13 @@ class CoverabilityTree:
         return [t.name for i, t in enumerate(self.net.transitions) if i not in fired]
 
     def covers(self, marking: Union[Sequence[int], Mapping[str, int]]) -> Optional[List[str]]:
-        """The transitions on the way to a node that covers ``marking`` (at least as many tokens
-        everywhere; places that a map leaves out: any number), or None: it cannot be covered. Where
-        the node has OMEGA, the path gives the order of the firings, and its loops must be repeated
-        often enough."""
+        """The transitions on the path to a node that covers ``marking``, or None if none does.
+
+        If the node has an OMEGA, the path gives the order of the firings, and its loops must be
+        repeated often enough.
+
+        :param marking: the least number of tokens in each place; a mapping may omit places.
+        """
         wanted = self.net.marking(marking) if isinstance(marking, Mapping) else tuple(marking)
         for number, node in enumerate(self.nodes):
             if all(n <= have for n, have in zip(wanted, node.marking)):
@@ -183,7 +191,7 @@ class CoverabilityTree:
         return None
 
     def path_to(self, number: int) -> List[str]:
-        """Names of the transitions from the root to a node."""
+        """The names of the transitions from the root to a node."""
         names = []
         while self.nodes[number].transition >= 0:
             names.append(self.net.transitions[self.nodes[number].transition].name)
@@ -206,8 +214,8 @@ class CoverabilityTree:
         return markings, arcs
 
     def text(self, marking: Sequence[int]) -> str:
-        """A marking for people: ``2 a, w b`` with the Greek letter for OMEGA, without the empty
-        places."""
+        """A marking as text without its empty places: ``2 a, w b``, with the Greek letter for
+        OMEGA."""
         parts = [
             "%s %s" % ("ω" if n == OMEGA else n, place.name)
             for place, n in zip(self.net.places, marking)
@@ -217,8 +225,8 @@ class CoverabilityTree:
 
 
 class _Near:
-    """Finds what a marking enables from what the marking before enabled: only the transitions
-    around the places that have changed are looked at."""
+    """Finds what a marking enables from what its predecessor enabled, by checking only the
+    transitions around the places that have changed."""
 
     def __init__(self, net: Net) -> None:
         self._net = net
@@ -233,8 +241,8 @@ class _Near:
     def enabled(
         self, marking: Sequence[int], before: Sequence[int], with_concession: Sequence[int]
     ) -> Tuple[int, ...]:
-        """What has concession in ``marking``, which came from ``before``, where ``with_concession``
-        had."""
+        """The transitions with concession in ``marking``, given those (``with_concession``) of its
+        predecessor ``before``."""
         near: Set[int] = set()
         for p, count in enumerate(marking):
             if count != before[p]:
@@ -247,7 +255,7 @@ class _Near:
 
 
 class _Monotone:
-    """Judges whether more tokens on some places leave a firing sequence possible."""
+    """Judges whether a firing sequence stays possible with more tokens on some places."""
 
     def __init__(self, net: Net, untimed: bool) -> None:
         self._net = net

@@ -1,7 +1,7 @@
-"""What the exploration engines share: their result, room, growing arrays.
+"""What the exploration engines share: their result, their allowance, growing arrays.
 
 An engine is a function ``explore(packed, limit, watch) -> RawGraph``: ``numpy_engine`` (always
-there) and ``numba_engine`` (where numba is installed). ``sparse_engine`` takes the net itself.
+available) and ``numba_engine`` (if numba is installed). ``sparse_engine`` takes the net itself.
 """
 
 from __future__ import annotations
@@ -14,10 +14,15 @@ import numpy as np
 
 
 class RawGraph(NamedTuple):
-    """What an engine found: ``states`` (uint64, shape ``(n, words)``, the initial one first); the
-    arcs of state ``s`` at ``offsets[s]:offsets[s + 1]`` of ``targets`` (state numbers) and
-    ``labels`` (transitions in engine order); the successors of the first ``explored`` states are
-    known, of all of them when the limit was not met and there was room enough."""
+    """The graph that an engine found.
+
+    :ivar states: uint64 array of shape ``(n, words)``, the initial state first.
+    :ivar offsets: the arcs of state ``s`` are ``offsets[s]:offsets[s + 1]``.
+    :ivar targets: for each arc, the number of the state it leads to.
+    :ivar labels: for each arc, its transition in engine order.
+    :ivar explored: the number of states, from the first on, whose successors are known: all of
+        them, unless the limit or the allowance was exhausted.
+    """
 
     states: Any
     offsets: Any
@@ -27,23 +32,23 @@ class RawGraph(NamedTuple):
 
 
 class Allowance(NamedTuple):
-    """What an exploration may use: ``memory`` in bytes, and the time ``until`` when (of the
-    monotonic clock)."""
+    """What an exploration may use: ``memory`` (bytes), and time ``until`` a moment of the monotonic
+    clock (s)."""
 
     memory: float = math.inf
     until: float = math.inf
 
     def left(self, used: float) -> bool:
-        """Whether there is any, with ``used`` bytes in use."""
+        """Whether any of it is left when ``used`` bytes are in use."""
         return used <= self.memory and time.monotonic() < self.until
 
 
 ENDLESS = Allowance()
-"""Room without an end."""
+"""An allowance without limits."""
 
 
 class FieldOverflowError(Exception):
-    """A count outgrew its field; ``bits`` are the guard bits that were hit, one int per word."""
+    """A count outgrew its field; ``bits`` are the guard bits that were set, one int per word."""
 
     def __init__(self, bits: Tuple[int, ...]) -> None:
         super().__init__("a field of a packed marking is too narrow")
@@ -51,7 +56,7 @@ class FieldOverflowError(Exception):
 
 
 class Growing:
-    """An array that grows in place by its first axis; ``array[:used]`` is what counts."""
+    """An array that grows in place along its first axis; only ``array[:used]`` is valid."""
 
     def __init__(self, dtype: Any, columns: int = 0, capacity: int = 1024) -> None:
         self._columns = columns
@@ -59,10 +64,10 @@ class Growing:
         self.used = 0
 
     def reserve(self, count: int) -> None:
-        """Have room for ``count`` rows in all."""
+        """Make room for ``count`` rows in total."""
         capacity = len(self.array)
         if count > capacity:
-            # more room would be filled with zeros, and counts
+            # a larger reserve would be filled with zeros, and so take memory
             self._resize(max(count, capacity + (capacity >> 2)))
 
     def extend(self, rows: Any) -> None:
@@ -72,13 +77,12 @@ class Growing:
         self.used += len(rows)
 
     def finished(self) -> Any:
-        """The array of the rows in use; the rest is given back."""
+        """The array of the rows in use; the rest is released."""
         self._resize(self.used)
         return self.array
 
     def _resize(self, capacity: int) -> None:
-        # In place: the allocator moves pages instead of copying, so that there is never a second
-        # copy.
+        # In place, the allocator moves pages instead of copying, so there is never a second copy.
         shape = (capacity, self._columns) if self._columns else (capacity,)
         self.array.resize(shape, refcheck=False)
 

@@ -1,8 +1,8 @@
-"""The markings of a state space, kept in one of two ways with the same questions to ask.
+"""The markings of a state space, in one of two representations with the same interface.
 
-:class:`PackedStore` has machine words, a field for each place. In nets of thousands of places
-nearly all of them would say "as at the start": :class:`SparseStore` has only the places that differ
-from one base marking.
+:class:`PackedStore` keeps machine words with a field for each place. In nets of thousands of places
+nearly all fields would repeat the initial marking, so :class:`SparseStore` keeps only the places
+that differ from a base marking.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from gspn_framework_package.analysis.state_space.packing import Packing
 class PackedStore:
     """Markings as machine words.
 
-    :param packing: where each place has its field.
-    :param words: uint64 array, one row a marking.
+    :param packing: the position of each place's field.
+    :param words: uint64 array, one row per marking.
     """
 
     def __init__(self, packing: Packing, words: Any) -> None:
@@ -35,8 +35,8 @@ class PackedStore:
         return int(self._words.nbytes)
 
     def rows(self, states: Any = None) -> Any:
-        """Markings as an int64 array, one row a state: all, or those numbered, sliced or masked by
-        ``states``."""
+        """Markings as an int64 array, one row per state: all, or those selected by ``states``
+        (numbers, slice or mask)."""
         return self.packing.unpack(self._words if states is None else self._words[states])
 
     def column(self, place: int, states: Any = None) -> Any:
@@ -45,7 +45,7 @@ class PackedStore:
         return self.packing.column(self._words if states is None else self._words[states], place)
 
     def find(self, counts: Sequence[int]) -> Any:
-        """The numbers of the states with that marking."""
+        """The numbers of the states with this marking."""
         if not self.packing.fits(counts):
             return np.zeros(0, dtype=np.int64)
         return np.flatnonzero((self._words == self.packing.pack(counts)).all(axis=1))
@@ -55,11 +55,12 @@ class PackedStore:
         return [int(self.column(p).max()) for p in range(len(self.packing.widths))]
 
     def means(self, states: Any, weights: Any) -> List[float]:
-        """For each place the sum of its counts in ``states`` (numbers), by ``weights`` (floats)."""
+        """For each place the sum of its counts in ``states`` (numbers), weighted by ``weights``
+        (floats)."""
         return [float(weights @ self.column(p)[states]) for p in range(len(self.packing.widths))]
 
     def distributions(self, states: Any, weights: Any) -> List[Dict[int, float]]:
-        """For each place: count -> the weights of those of ``states`` that have it; without those
+        """For each place: count -> total weight of the ``states`` that have it; without the counts
         of weight 0."""
         found = []
         for p in range(len(self.packing.widths)):
@@ -73,8 +74,8 @@ class SparseStore:
 
     :param base: a marking: int array, or a sequence of counts.
     :param offsets: int array: the entries of state ``s`` are ``offsets[s]`` to ``offsets[s + 1]``.
-    :param places: int array: the place of each entry, ascending inside a state.
-    :param counts: int array: its token count, which is another one than in ``base``.
+    :param places: int array: the place of each entry, ascending within a state.
+    :param counts: int array: its token count, which differs from that in ``base``.
     """
 
     def __init__(self, base: Any, offsets: Any, places: Any, counts: Any) -> None:
@@ -93,7 +94,8 @@ class SparseStore:
         )
 
     def rows(self, states: Any = None) -> Any:
-        """See :meth:`PackedStore.rows`; this is one number for every place of every state."""
+        """See :meth:`PackedStore.rows`; the array is dense: a number for every place of every
+        state."""
         chosen = self._chosen(states)
         found = np.tile(self._base, (len(chosen), 1))
         entries, lengths = self._entries(chosen)
@@ -153,13 +155,13 @@ class SparseStore:
         return [dict(sorted(counts.items())) for counts in found]
 
     def _weighed(self, states: Any, weights: Any) -> Any:
-        """The entries of those of ``states`` that have a weight, and the weight of each."""
+        """The entries of the ``states`` with a non-zero weight, and the weight of each entry."""
         chosen = np.flatnonzero(weights)
         entries, lengths = self._entries(np.asarray(states)[chosen])
         return entries, np.repeat(weights[chosen], lengths)
 
     def _unchanged(self, places: Any, each: Any, weights: Any) -> Any:
-        """For each place the weight of the states in which it is as in the base marking."""
+        """For each place the weight of the states in which its count equals the base marking's."""
         changed = np.bincount(places, weights=each, minlength=len(self._base))
         everywhere = np.bincount(places, minlength=len(self._base)) == np.count_nonzero(weights)
         return np.where(everywhere, 0.0, np.maximum(weights.sum() - changed, 0.0))

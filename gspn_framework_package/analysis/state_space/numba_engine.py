@@ -1,16 +1,16 @@
-"""Exploration of the reachable markings, compiled by numba and cached: the fast engine, where numba
-is there.
+"""Exploration of the reachable markings, compiled by numba and cached: the fast engine, if numba is
+installed.
 
-States are taken in order of discovery, a round at a time. First every core expands its share of the
-round: it computes the successors, and looks them up in a hash table that nobody changes meanwhile.
-Most successors are known; the others are then entered one after the other, in the order of their
-arcs. So the numbering does not depend on the number of cores, and there is nothing to lock.
+States are taken in order of discovery, in rounds. First every core expands its share of the round:
+it computes the successors, and looks them up in a hash table that does not change meanwhile. Most
+successors are known; the others are then entered sequentially, in the order of their arcs. So the
+numbering does not depend on the number of cores, and no locks are needed.
 
-Inside a share, the successors of a block of states are computed and the table's slots for them
-touched, so that the memory of many slots is on its way at once; only then are they looked up. That
-order, not the arithmetic, is what the speed of one core comes from.
+Within a share, the engine computes the successors of a block of states and touches their slots in
+the table, so that many memory accesses are in flight at once; only then does it look them up. The
+speed of a core comes from this order, not from the arithmetic.
 
-The cores in use are numba's own setting, the environment variable ``NUMBA_NUM_THREADS``.
+The number of cores is numba's own setting, the environment variable ``NUMBA_NUM_THREADS``.
 """
 
 from __future__ import annotations
@@ -42,33 +42,32 @@ _ONE = np.uint64(1)
 _LOW = np.uint64(0xFFFFFFFF)
 
 _BLOCK = 32
-"""States, or entries to come, that are in flight together."""
+"""Number of states, or of pending entries, whose memory accesses are in flight together."""
 
 _SHARE = 8192
-"""States of a round that one core expands, at most; where there are no more, one does it alone."""
+"""Most states of a round that one core expands; a round of no more states uses a single core."""
 
 _SHARE_ARCS = 1 << 17
-"""Arcs that the buffers of a share have room for, at most (but for nets of very many
-transitions)."""
+"""Most arcs that the buffers of a share hold (except in nets of very many transitions)."""
 
 _NARROW = 512
-"""Rounds of fewer states are done one after the other in compiled code: starting it takes longer
-than they do."""
+"""Rounds of fewer states run consecutively inside compiled code, since calling it takes longer than
+such a round."""
 
 _STRIDE = 1 << 18
-"""States between two looks at the watch there."""
+"""In such rounds, number of new states between two checks of the watch."""
 
 _CORES = 8
-"""More cores do not help: the entering waits for all of them, and they for it."""
+"""More cores do not help, since entering waits for all of them, and they wait for it."""
 
 
 def explore(
     packed: PackedNet, limit: int, watch: Watch, cores: int = 0, room: Allowance = ENDLESS
 ) -> RawGraph:
-    """The reachability graph of ``packed``; same meaning as in ``numpy_engine``.
+    """The reachability graph of ``packed``; the parameters are those of ``numpy_engine``.
 
-    :param cores: how many to use; 0: as many as numba may use, at most 8.
-    :param room: the exploration ends where this is used up.
+    :param cores: number of cores; 0: as many as numba may use, at most 8.
+    :param room: the exploration ends when this is used up.
     """
     transitions = len(packed.order)
     cores = cores or min(int(vars(config)["NUMBA_NUM_THREADS"]), _CORES)
@@ -136,7 +135,7 @@ def explore(
 
 
 class _Rules(NamedTuple):
-    """What the compiled code reads of a packed net."""
+    """The parts of a packed net that the compiled code reads."""
 
     need: Any
     need_guard: Any
@@ -148,8 +147,8 @@ class _Rules(NamedTuple):
 
 
 class _Buffers(NamedTuple):
-    """What one core finds in its share: targets (-1: not known yet) and labels of the arcs, where
-    the arcs of each state end; and of the arcs whose target is not known their numbers, and the
+    """What one core finds in its share: targets (-1: not known yet) and labels of the arcs, and
+    where the arcs of each state end; for the arcs whose target is not known, their numbers and the
     packed markings that they lead to."""
 
     targets: Any
@@ -175,7 +174,7 @@ def _new_buffers(
 
 
 def _shares(begin: int, end: int, cores: int) -> List[Tuple[int, int]]:
-    """The states of a round, shared out."""
+    """The ranges of states that divide a round among the cores."""
     cuts = [begin + (end - begin) * core // cores for core in range(cores + 1)]
     return list(zip(cuts, cuts[1:]))
 
@@ -197,8 +196,8 @@ def _go_narrow(
     labels: Growing,
     buffer: _Buffers,
 ) -> int:
-    """Do rounds of few states until they grow or the room is used up; returns the first state not
-    explored."""
+    """Run rounds of few states until they grow or the room is used up; returns the first unexplored
+    state."""
     room = _NARROW * max(len(rules.need), 1)
     states.reserve(states.used + 2 * room)
     targets.reserve(targets.used + 2 * room)
@@ -224,15 +223,15 @@ def _go_narrow(
 
 # -- the hash table --------------------------------------------------------------------------------
 #
-# A slot holds the number of a state plus 1 in its low half, and the high half of the hash in its
-# high half. The slot where the search begins is the top bits of the hash: so entries stand nearly
-# sorted, and a table of twice the size is filled from one end to the other, without a look at the
+# The low half of a slot holds the number of a state plus 1, the high half the high half of its
+# hash. A search begins at the slot given by the top bits of the hash. So the entries are nearly
+# sorted, and a table of twice the size is filled from one end to the other without reading the
 # states.
 
 
 def _with_room(table: Any, states: int) -> Any:
-    """The table, or a larger one with the same entries, that so many states fill no more than
-    half."""
+    """The table, or a larger one with the same entries, such that this many states fill at most
+    half of it."""
     while 2 * states > len(table):
         larger = np.zeros(2 * len(table), dtype=np.uint64)
         _refill(table, larger)
@@ -242,7 +241,7 @@ def _with_room(table: Any, states: int) -> Any:
 
 @compiled
 def _shift(table: Any) -> Any:
-    """How far a hash is shifted down to the number of its first slot."""
+    """The number of bits to shift a hash right to get its first slot."""
     shift = np.uint64(64)
     size = len(table)
     while size > 1:
@@ -277,14 +276,14 @@ def _hash(keys: Any, row: int, words: int) -> Any:
 
 @lru_cache(maxsize=None)
 def _enter_for(words: int) -> Any:
-    """Entering for markings of that many words: a constant, so that the compiler unrolls what
-    depends on it."""
+    """Compile ``enter`` for markings of this many words: a constant, so that the compiler unrolls
+    the loops over it."""
 
     @compiled
     def enter(table: Any, states: Any, known: Any, keys: Any, arcs: Any, targets: Any) -> Any:
         """Number the states ``keys`` that are not known yet, from ``known`` on, and store the
-        targets of ``arcs``; the number of states known then. Without arcs the keys are entered all
-        the same."""
+        targets of ``arcs``; returns the number of states then known. The keys are entered even if
+        there are no arcs."""
         shift, mask = _shift(table), np.uint64(len(table) - 1)
         hashes = np.empty(_BLOCK, np.uint64)
         for begin in range(0, len(keys), _BLOCK):
@@ -323,15 +322,15 @@ def _enter_for(words: int) -> Any:
 
 @lru_cache(maxsize=None)
 def _expand_for(words: int) -> Any:
-    """Expanding for markings of that many words."""
+    """Compile ``expand`` for markings of this many words."""
 
     @compiled
     def expand(rules: Any, states: Any, table: Any, share: Any, found: Any) -> Any:
         """Expand the states from the first of ``share`` up to the second; the results go into
         ``found``.
 
-        Returns the number of arcs, that of arcs that lead to markings not known yet, and what keeps
-        the compiler from leaving the touching out.
+        Returns the number of arcs, the number of arcs that lead to markings not known yet, and a
+        value that keeps the compiler from removing the touching.
         """
         need, need_guard, inhibit, inhibit_guard, change, class_ends, guard = rules
         targets, labels, ends, keys, key_arcs, overflow = found
@@ -340,7 +339,7 @@ def _expand_for(words: int) -> Any:
         shift, mask = _shift(table), np.uint64(len(table) - 1)
         batch = np.empty((_BLOCK * transitions, words), np.uint64)
         hashes = np.empty(_BLOCK * transitions, np.uint64)
-        # not the caller's array, which may share a cache line with another core's
+        # a local array, since the caller's may share a cache line with another core's
         hit = np.zeros(words, np.uint64)
         touched = _ZERO
         arcs, misses = 0, 0
@@ -417,7 +416,7 @@ def _expand_for(words: int) -> Any:
 
 @lru_cache(maxsize=None)
 def _narrow_for(words: int) -> Any:
-    """Rounds of few states, for markings of that many words."""
+    """Compile ``narrow``, for rounds of few states, for markings of this many words."""
     expand, enter = _expand_for(words), _enter_for(words)
 
     @compiled
@@ -433,10 +432,12 @@ def _narrow_for(words: int) -> Any:
         found: Any,
         arcs: Any,
     ) -> Any:
-        """Go on while fewer than ``few`` states are waiting and at most ``most`` are known, and
-        while there is room for what they may lead to: of targets and labels ``found`` has all,
-        ``arcs`` of them told. Returns the first state not explored, the number known, and that of
-        arcs."""
+        """Continue while fewer than ``few`` states are waiting, at most ``most`` are known, and
+        there is room for their successors. ``found`` holds all targets and labels, ``arcs`` of them
+        at the start.
+
+        Returns the first unexplored state, the number of known states, and the number of arcs.
+        """
         while explored < known <= most and known - explored < few:
             new = (known - explored) * rules.need.shape[0]
             if 2 * (known + new) > len(table) or arcs + new > len(found.targets):

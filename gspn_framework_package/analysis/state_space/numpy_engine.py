@@ -1,9 +1,9 @@
-"""Exploration of the reachable markings, whole frontiers at a time, with numpy alone.
+"""Exploration of the reachable markings with numpy alone, one frontier at a time.
 
 One round takes the next states in order of discovery, tests every transition on all of them at
-once, and looks the successors up in a hash table with open addressing whose probing is vectorised
-too: every key that finds an empty slot writes its candidate number there, reads back who won, and
-goes on probing if it was another key.
+once, and looks the successors up in a hash table with open addressing, whose probing is vectorised
+too: every key that finds an empty slot writes its candidate number there, reads the slot back, and
+continues probing if another key won it.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ _SHIFT = np.uint64(32)
 _EMPTY = -1
 
 _SMALL_TABLE = 1 << 17
-"""Slots of a table up to which it is a quarter full at most, instead of half: fewer searches then
-take long."""
+"""Tables of up to this many slots are at most a quarter full instead of half, which makes long
+searches rarer."""
 
 _ROWS = 1 << 15
-"""States of one round, at most."""
+"""Most states of one round."""
 
 
 def explore(
@@ -45,8 +45,8 @@ def explore(
     """The reachability graph of ``packed``.
 
     :param limit: the exploration ends when more than this many states are known.
-    :param rounds: it also ends after so many rounds.
-    :param room: it also ends where this is used up.
+    :param rounds: it also ends after this many rounds.
+    :param room: it also ends when this is used up.
     :raises FieldOverflowError: the fields are too narrow.
     """
     transitions = len(packed.order)
@@ -128,7 +128,8 @@ def _mask_broadcast(packed: PackedNet, block: Any) -> Any:
 
 
 def _mask_by_transition(packed: PackedNet, block: Any) -> Any:
-    """The same, transition by transition, on the words that each of them looks at."""
+    """The enabled transitions as a mask, transition by transition, reading only the words that each
+    needs."""
     mask = np.empty((len(packed.order), len(block)), dtype=bool)
     columns = [np.ascontiguousarray(block[:, w]) for w in range(packed.words)]
     work = np.empty(len(block), dtype=np.uint64)
@@ -155,9 +156,10 @@ def _mask_by_transition(packed: PackedNet, block: Any) -> Any:
 
 
 class _Table:
-    """Hash table from packed states to their numbers; half full at most. The steps of a search grow
-    by one each time: they reach every slot all the same, and few searches take long, which matters
-    since all go on until the last ends.
+    """Hash table from packed states to their numbers; at most half full.
+
+    Each probe steps one slot further than the last. That still reaches every slot, and keeps long
+    searches rare, which matters since all searches continue until the last one ends.
     """
 
     def __init__(self, states: Growing) -> None:
@@ -169,8 +171,7 @@ class _Table:
         return int(self._slots.nbytes)
 
     def insert(self, keys: Any, states: Growing) -> Any:
-        """Numbers of ``keys``; those not seen before are appended to ``states``, in order of
-        appearance."""
+        """The numbers of ``keys``; new ones are appended to ``states`` in order of appearance."""
         known = states.used
         self._make_room(known + len(keys), states)
         slots = self._slots
@@ -178,8 +179,8 @@ class _Table:
         numbers = np.empty(len(keys), dtype=slots.dtype)
         at = _hash(keys) & mask
         open_keys: Any = np.arange(len(keys), dtype=slots.dtype)
-        # Behind the states, where their candidate numbers point: so a slot's number leads to what
-        # it stands for.
+        # Copy the keys behind the states, where their candidate numbers point, so that the number
+        # in a slot always leads to its key.
         states.reserve(known + len(keys))
         states.array[known : known + len(keys)] = keys
         pool = states.array
@@ -190,8 +191,8 @@ class _Table:
             seen = slots[here]
             empty = (seen == _EMPTY).nonzero()[0]
             if len(empty):
-                # Candidates are numbered from ``known`` on. Written backwards, because of several
-                # writers to one slot the last one stays: so states are numbered in order of
+                # Candidates are numbered from ``known`` on. They are written backwards, because the
+                # last of several writers to a slot wins: so states are numbered in order of
                 # discovery, as in numba.
                 candidates = open_keys[empty] + known
                 slots[here[empty[::-1]]] = candidates[::-1]
@@ -239,7 +240,7 @@ class _Table:
             numbers = np.arange(begin, begin + len(keys), dtype=self._slots.dtype)
             open_keys = np.arange(len(keys))
             step = 0
-            while len(open_keys):  # all keys differ: a key that does not hold its slot goes on
+            while len(open_keys):  # all keys differ, so a key that lost its slot goes on
                 step += 1
                 here = at[open_keys]
                 free = self._slots[here] == _EMPTY

@@ -1,10 +1,10 @@
 """Markings packed into machine words, and a net compiled to arithmetic on them.
 
 Every place has a field of ``width`` bits and one guard bit above it. With the guard bits of the
-input places set, one subtraction tests all of them at once: a guard bit that survives says "enough
-tokens". Inhibitor arcs and capacities are the same test with the answer turned round, and firing is
-one addition. A guard bit that is set after an addition says that a count has outgrown its field:
-the exploration then starts again with wider fields, so nothing ever wraps silently.
+input places set, one subtraction tests all of them at once: a guard bit that survives means "enough
+tokens". Inhibitor arcs and capacities use the same test with the answer inverted, and firing is one
+addition. A guard bit that is set after an addition means that a count has outgrown its field; the
+exploration then restarts with wider fields, so no count ever wraps silently.
 """
 
 from __future__ import annotations
@@ -77,10 +77,10 @@ class Packing:
         return markings
 
     def wider(self, overflow: Sequence[int]) -> Tuple[int, ...]:
-        """Field widths for another try.
+        """Field widths for another attempt.
 
-        :param overflow: the bits (one int per word) of the guards that were hit.
-        :raises LimitError: a field is as wide as it can be.
+        :param overflow: the guard bits that were set (one int per word).
+        :raises LimitError: a field already has the maximum width.
         """
         widths = list(self.widths)
         for p, width in enumerate(widths):
@@ -98,12 +98,11 @@ class PackedNet(Packing):
 
     :param net: the net.
     :param widths: bits of the field of each place, without the guard bit.
-    :param by_priority: whether immediate transitions go before exponential ones, and those of a
-        high priority before those of a low one. Without it every transition with concession may
-        fire.
+    :param by_priority: whether immediate transitions take precedence over exponential ones, and
+        higher priorities over lower ones. Without it every transition with concession may fire.
 
-    Arrays over transitions are in *engine order*: classes of falling precedence, file order inside
-    a class.
+    Arrays over transitions are in *engine order*: classes of decreasing precedence, file order
+    within a class.
     """
 
     def __init__(self, net: Net, widths: Sequence[int], *, by_priority: bool = True) -> None:
@@ -116,7 +115,7 @@ class PackedNet(Packing):
         self.order = np.array([t for members in classes for t in members], dtype=np.int32)
         """Engine order -> number of the transition in the net."""
         self.class_ends = np.cumsum([len(members) for members in classes]).astype(np.int64)
-        """Where in engine order each precedence class ends."""
+        """The end of each precedence class in engine order."""
         size = (len(self.order), self.words)
         self.need = np.zeros(size, dtype=np.uint64)
         self.need_guard = np.zeros(size, dtype=np.uint64)
@@ -135,8 +134,7 @@ class PackedNet(Packing):
             need_guard[self.word_of[p]] |= 1 << (self.shift_of[p] + self.widths[p])
         for p, threshold in thresholds(net, t).items():
             if threshold >> self.widths[p]:
-                # beyond what the field can hold: a marking that large would show as an overflow
-                # first
+                # more than the field can hold: so large a count would cause an overflow first
                 continue
             inhibit[self.word_of[p]] += threshold << self.shift_of[p]
             inhibit_guard[self.word_of[p]] |= 1 << (self.shift_of[p] + self.widths[p])
@@ -153,8 +151,8 @@ class PackedNet(Packing):
 
 
 def thresholds(net: Net, t: int) -> dict[int, int]:
-    """Place number -> the count from which on it forbids transition number ``t``, by an inhibitor
-    arc or because the place would overflow its capacity."""
+    """Place number -> the smallest count at which it disables transition number ``t``, by an
+    inhibitor arc or because firing would exceed the place's capacity."""
     found = dict(net.inhibitors[t])
     for p, by in net.effect(t):
         capacity = net.places[p].capacity
@@ -185,7 +183,7 @@ def starting_widths(net: Net, bounds: Sequence[Optional[int]]) -> Tuple[int, ...
 
 
 def precedence_classes(net: Net) -> List[List[int]]:
-    """Numbers of transitions in groups of falling precedence; exponential ones are the last
+    """Numbers of transitions in groups of decreasing precedence; exponential ones are the last
     group."""
     immediate = {t.priority for t in net.transitions if not t.timed}
     classes = [

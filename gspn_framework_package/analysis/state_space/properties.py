@@ -37,12 +37,12 @@ class Liveness(enum.IntEnum):
     L3 = 3
     """There is an infinite firing sequence with infinitely many firings of it."""
     L4 = 4
-    """Live: whatever happened before, it can still fire."""
+    """Live: from every reachable marking, it can still fire."""
 
 
 class Deadlocks(NamedTuple):
-    """How many reachable markings enable nothing; a shortest way to one, and that marking (None:
-    there is none)."""
+    """The number of reachable markings that enable nothing; a shortest path to one, and that
+    marking (None: there is none)."""
 
     number: int
     witness: Optional[List[str]]
@@ -52,7 +52,7 @@ class Deadlocks(NamedTuple):
 class Properties:
     """Properties of a state space.
 
-    :param space: explored completely.
+    :param space: a complete state space.
     :raises LimitError: it is not complete.
     """
 
@@ -70,7 +70,7 @@ class Properties:
 
     @property
     def k_safe(self) -> int:
-        """The smallest k such that the net is k-safe; 1 is called *safe*."""
+        """The smallest k such that the net is k-safe; a 1-safe net is called *safe*."""
         return max(self.bounds.values(), default=0)
 
     @property
@@ -79,11 +79,11 @@ class Properties:
         return [int(s) for s in self.space.deadlocks]
 
     def deadlock_summary(self) -> Deadlocks:
-        """How many deadlocks there are, and a shortest way to one."""
+        """The number of deadlocks, and a shortest path to one."""
         dead = self.space.deadlocks
         if not len(dead):
             return Deadlocks(0, None, None)
-        first = int(dead[0])  # the numbering is breadth-first, so none is nearer
+        first = int(dead[0])  # numbered breadth-first, so none is nearer
         return Deadlocks(len(dead), self.space.path_to(first), self.space.named(first))
 
     @property
@@ -106,9 +106,9 @@ class Properties:
 
     @property
     def liveness(self) -> Dict[str, Liveness]:
-        """The level of every transition."""
+        """The liveness level of every transition."""
         space, found = self.space, self.components
-        count = len(space.net.transitions) + 1  # the last: a plan's robots wait, see plan.space
+        count = len(space.net.transitions) + 1  # the last: a plan's robots wait (plan.space)
         level = np.zeros(count, dtype=np.int64)
         level[np.unique(space.transitions)] = Liveness.L1
         sources = space.sources
@@ -136,8 +136,8 @@ class Properties:
         return [name for name, level in self.liveness.items() if level is Liveness.L0]
 
     def way_to(self, states: Any) -> Optional[List[WitnessStep]]:
-        """A shortest firing sequence to one of ``states`` (a boolean array), or None when there is
-        none."""
+        """A shortest firing sequence to one of ``states`` (a boolean array), or None if it is
+        empty."""
         found = np.flatnonzero(states)
         return self.space.witness(int(found[0])) if len(found) else None
 

@@ -2,8 +2,8 @@
 does.
 
 It comes from a net's state space (:func:`rate`), or from a plan under its policy
-(``plan.space``); what follows, from the elimination of the vanishing markings on, does not care
-which.
+(``plan.space``). The later steps, beginning with the elimination of vanishing markings, treat both
+the same.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from gspn_framework_package.model.net import Marking, Net
 
 
 class RatedGraph(NamedTuple):
-    """Arcs are sorted by source; state 0 is the initial one.
+    """A reachability graph with rates and probabilities. Arcs are sorted by source; state 0 is the
+    initial one.
 
     :ivar net: the net whose markings and transitions these are.
-    :ivar vanishing: boolean array, one value a state: no time is spent there.
-    :ivar sources: int array, one value an arc, as the next three.
+    :ivar vanishing: boolean array, one value per state: no time is spent there.
+    :ivar sources: int array, one value per arc, like the next three.
     :ivar targets: int array.
-    :ivar transitions: int array, numbers of transitions.
+    :ivar transitions: int array: numbers of transitions.
     :ivar values: float array: the rate (1/s) of an arc that leaves a tangible state, the
         probability of one that leaves a vanishing state.
     :ivar store: the markings of the states.
@@ -43,7 +44,7 @@ class RatedGraph(NamedTuple):
         return len(self.vanishing)
 
     def markings(self, states: Any) -> Any:
-        """The markings of states (numbers) as an int64 array, one row a state."""
+        """The markings of states (numbers) as an int64 array, one row per state."""
         return self.store.rows(states)
 
     def column(self, place: int, states: Any = None) -> Any:
@@ -61,14 +62,14 @@ class RatedGraph(NamedTuple):
 
 
 def rate(space: StateSpace) -> RatedGraph:
-    """The state space with rates and probabilities, as the net gives them.
+    """The state space with the rates and probabilities that the net defines.
 
-    Exponential transitions work with the servers that the net says; immediate ones of one priority
-    share by weight.
+    Exponential transitions have the number of servers given in the net. Immediate ones of the same
+    priority share the probability by weight.
 
     :raises LimitError: the state space is not complete.
     :raises UsageError: it was explored untimed.
-    :raises RefusedError: a choice that no weight decides (weight 0 is for a policy to decide).
+    :raises RefusedError: no weight decides a choice (weight 0 leaves it to a policy).
     """
     space.require_complete("its Markov chain")
     if space.untimed:
@@ -96,7 +97,7 @@ def rate(space: StateSpace) -> RatedGraph:
 
 
 def _arcs_by_transition(transitions: Any) -> Iterator[Tuple[int, Any]]:
-    """The transitions that fire somewhere, each with the numbers of its arcs."""
+    """The transitions that have arcs, each with the numbers of its arcs."""
     order = np.argsort(transitions, kind="stable")
     numbers, begin = np.unique(transitions[order], return_index=True)
     ends = np.append(begin[1:], len(order))
@@ -112,7 +113,7 @@ def _enabling_degree(space: StateSpace, t: int, states: Any) -> Any:
 
 
 def _normalise(space: StateSpace, vanishing: Any, sources: Any, values: Any) -> None:
-    """Make probabilities of the weights that leave vanishing states."""
+    """Turn the weights of the arcs that leave vanishing states into probabilities."""
     arcs = np.flatnonzero(vanishing[sources])
     if not len(arcs):
         return

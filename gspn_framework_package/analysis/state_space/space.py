@@ -39,19 +39,19 @@ from gspn_framework_package.model.net import Marking, Net
 ENGINES = ("auto", "numpy", "numba", "sparse")
 
 _SPARSE = 1 << 15
-"""Machine words of all transitions from which on markings are explored one at a time, as what
-changes in them."""
+"""If all transitions together need more machine words than this, markings are explored one at a
+time, as differences."""
 
 _SMALL = 1_500_000
-"""Up to this many states numpy is done before numba's machine code is even loaded, which takes more
-than a second."""
+"""Up to this many states, numpy finishes before numba's machine code is even loaded, which takes
+more than a second."""
 
 _FEW_ROUNDS = 5_000
-"""Rounds that numpy is given for them, a second or so: it is slow where the graph is deep and
+"""Most rounds of that attempt with numpy, about a second: numpy is slow if the graph is deep and
 narrow."""
 
 _INVARIANT_EFFORT = 100_000
-"""Steps of a search for invariants that narrow fields are worth."""
+"""Most steps of the search for invariants that is done to get narrow fields."""
 
 
 class WitnessStep(NamedTuple):
@@ -72,11 +72,11 @@ class StateSpace:
       ``offsets[s + 1]``.
     :ivar targets: int array: the state that each arc leads to.
     :ivar transitions: int array: the number of the transition of each arc.
-    :ivar explored: the successors of this many states are known.
-    :ivar engine: what explored it, ``numpy``, ``numba`` or ``sparse``.
+    :ivar explored: the number of states whose successors are known.
+    :ivar engine: the engine that explored it: ``numpy``, ``numba`` or ``sparse``.
     :ivar store: the markings.
-    :ivar shortage: what there was too little of, where it is not complete: the option to raise, and
-      how much there was.
+    :ivar shortage: if it is not complete, the resource that ran out: the option to raise, and its
+      value.
     """
 
     def __init__(
@@ -109,12 +109,12 @@ class StateSpace:
 
     @property
     def arcs(self) -> int:
-        """How many firings there are between the states."""
+        """The number of firings between the states."""
         return len(self.targets)
 
     @property
     def complete(self) -> bool:
-        """Whether these are all reachable markings: the limit was not met."""
+        """Whether these are all reachable markings, that is, no limit was reached."""
         return self.explored == len(self)
 
     @property
@@ -125,7 +125,7 @@ class StateSpace:
         )
 
     def require_complete(self, question: str) -> None:
-        """:raises LimitError: the limit on states was met, so that ``question`` is not decided."""
+        """:raises LimitError: a limit was reached, so that ``question`` is not decided."""
         if not self.complete:
             raise LimitError(
                 "not decided within %s" % self.extent, element=question, hint=self.hint
@@ -133,13 +133,13 @@ class StateSpace:
 
     @property
     def extent(self) -> str:
-        """For people: what was explored."""
+        """A phrase for messages: what was explored."""
         amount = self.shortage[1]
         return "%d states" % len(self) + (" and %s" % amount if amount else "")
 
     @property
     def hint(self) -> str:
-        """For people: what to do where it is not complete."""
+        """A phrase for messages: what to do if it is not complete."""
         return "raise %s, or ask about a smaller net" % (self.shortage[0] or "--limit")
 
     # -- markings ----------------------------------------------------------------------------------
@@ -153,8 +153,8 @@ class StateSpace:
         return self.net.named(self.marking(state), zeros=False)
 
     def markings(self, states: Any = None) -> Any:
-        """Markings as an int64 array, one row a state, one column a place; of all states, or of
-        those numbered (or sliced, or masked) by ``states``."""
+        """Markings as an int64 array, one row per state and one column per place; of all states, or
+        of those selected by ``states`` (numbers, slice or mask)."""
         return self.store.rows(states)
 
     def column(self, place: int, states: Any = None) -> Any:
@@ -163,16 +163,16 @@ class StateSpace:
         return self.store.column(place, states)
 
     def find(self, marking: Union[Sequence[int], Mapping[str, int]]) -> Optional[int]:
-        """The number of the state with that marking (in place order, or place -> count), or
+        """The number of the state with this marking (in place order, or place -> count), or
         None."""
         counts = self.net.marking(marking) if isinstance(marking, Mapping) else tuple(marking)
         found = self.store.find(counts)
         return int(found[0]) if len(found) else None
 
     def holds(self, condition: Union[str, Condition]) -> Any:
-        """In which states a condition holds, as a boolean array; ``deadlock`` may be part of it.
+        """Boolean array: the states in which a condition holds; it may contain ``deadlock``.
 
-        :raises ExpressionError: it cannot be read.
+        :raises ExpressionError: the condition cannot be parsed.
         """
         if isinstance(condition, str):
             condition = self.condition(condition)
@@ -186,14 +186,14 @@ class StateSpace:
         return result
 
     def condition(self, text: str) -> Condition:
-        """A condition on the markings of this net; ``deadlock`` may be part of it."""
+        """Parse a condition on the markings of this net; it may contain ``deadlock``."""
         return parse_condition(text, [p.name for p in self.net.places], ["deadlock"])
 
     # -- kinds of states ---------------------------------------------------------------------------
 
     @property
     def is_dead(self) -> Any:
-        """Boolean array: no transition is enabled (known of explored states only)."""
+        """Boolean array: no transition is enabled (known only for explored states)."""
         dead = np.diff(self.offsets) == 0
         dead[self.explored :] = False
         return dead
@@ -220,7 +220,7 @@ class StateSpace:
         return np.repeat(np.arange(len(self), dtype=self.targets.dtype), np.diff(self.offsets))
 
     def successors(self, state: int) -> List[Tuple[str, int]]:
-        """Pairs (transition, state) of one state."""
+        """The successors of one state, as pairs (transition, state)."""
         part = slice(self.offsets[state], self.offsets[state + 1])
         return [
             (self.transition_name(t), int(s))
@@ -232,12 +232,12 @@ class StateSpace:
         return self.net.transitions[transition].name
 
     def path_to(self, state: int) -> List[str]:
-        """Names of the transitions of a shortest firing sequence from the initial marking to
+        """The names of the transitions of a shortest firing sequence from the initial marking to
         ``state``."""
         return [self.transition_name(t) for t, _ in self._way_to(state)]
 
     def witness(self, state: int) -> List[WitnessStep]:
-        """The same with the marking after each firing."""
+        """The firing sequence of :meth:`path_to`, with the marking after each firing."""
         return [WitnessStep(self.transition_name(t), self.named(s)) for t, s in self._way_to(state)]
 
     def _way_to(self, state: int) -> List[Tuple[int, int]]:
@@ -276,19 +276,21 @@ def explore(
 ) -> StateSpace:
     """Find the reachable markings.
 
-    :param limit: stop soon after this many states are known; the result then is not ``complete``.
+    :param limit: stop soon after this many states are known; the result is then not ``complete``.
     :param engine: ``numpy``, ``numba``, ``sparse``, or ``auto``: sparse for nets of thousands of
-        places, numba for large state spaces, where it is installed.
-    :param untimed: let immediate transitions have no precedence over others, nor priorities among
-        themselves: what the robots of a plan, which take time in decision places too, can reach.
-    :param progress: receives the number of states now and then.
-    :param cancel: called now and then; returns whether to stop.
-    :param bounds: of each place, the most tokens it can hold (None: unknown), if the caller knows;
-        otherwise the P-invariants are asked. A bound that is too low costs time, never correctness.
-    :param memory: stop when it takes more than so many bytes.
-    :param seconds: stop after so long.
-    :raises CancelledError: ``cancel`` said so.
-    :raises UsageError: the engine is not there.
+        places, numba for large state spaces, if it is installed.
+    :param untimed: give immediate transitions no precedence over others, and no priorities among
+        themselves: the markings that the robots of a plan, which also take time in decision places,
+        can reach.
+    :param progress: receives the number of states at intervals.
+    :param cancel: called at intervals; returns whether to stop.
+    :param bounds: for each place, the most tokens it can hold (None: unknown), if the caller knows
+        them; otherwise they come from the P-invariants. A bound that is too low costs time, never
+        correctness.
+    :param memory: stop when the exploration takes more than this many bytes.
+    :param seconds: stop after this time (s).
+    :raises CancelledError: ``cancel`` returned true.
+    :raises UsageError: the engine is not available.
     """
     if engine not in ENGINES:
         raise UsageError(
@@ -327,8 +329,8 @@ def explore(
 
 
 def _is_sparse(net: Net) -> bool:
-    """Whether the machine words of the markings would be many, and their transitions too."""
-    # 21 fields of 3 bits in a word
+    """Whether the net needs too many machine words: words per marking times transitions."""
+    # a word holds 21 fields of 3 bits
     return len(net.transitions) * (len(net.places) // 21 + 1) > _SPARSE
 
 
@@ -342,7 +344,7 @@ def _run_sparse(
 
 
 class _Columns:
-    """The columns of some of the markings, made when they are looked at."""
+    """The columns of some of the markings, computed on access."""
 
     def __init__(self, space: StateSpace, part: slice) -> None:
         self._space, self._part = space, part
@@ -372,5 +374,5 @@ def _run(
 
 
 def numba_is_there() -> bool:
-    """Whether numba is installed (it is not imported for that)."""
+    """Whether numba is installed; does not import it."""
     return importlib.util.find_spec("numba") is not None

@@ -1,8 +1,8 @@
 """Exploration of the reachable markings of nets of thousands of places, one marking at a time.
 
-A marking is kept as what differs from the initial one, and its enabled transitions come from those
-of the marking before: only the transitions around the places that the firing changed are looked at.
-So the cost of a firing depends on what it changes, not on the size of the net.
+A marking is kept as its differences from the initial one. Its enabled transitions are derived from
+those of its predecessor, by checking only the transitions around the places that the firing
+changed. So the cost of a firing depends on what it changes, not on the size of the net.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
 
 _STATE_BYTES = 230
-"""What a state takes beside its changed places: the object and its entry in the index."""
+"""Memory of a state besides its changed places: the object and its entry in the index."""
 
 _ARC_BYTES = 16
 
 _ENTRY_BYTES = 16
-"""Bytes of a key for each place that it has: two machine words, the place and its count."""
+"""Bytes of a key per place that it contains: two machine words, the place and its count."""
 
 _ASKING = 10_000
-"""Arcs after which somebody may say stop."""
+"""Number of arcs between two checks of the watch."""
 
 _MANY = 64
-"""Transitions from which on it is worth it to fire them all together."""
+"""Number of transitions from which it pays to fire them all together."""
 
 _WHOLE = 4_000_000
-"""Up to this many entries, markings are stored as they are, and not as differences to the initial
-one."""
+"""Up to this many entries, markings are stored as a whole instead of as differences from the
+initial one."""
 
 
 def explore(
@@ -55,7 +55,7 @@ def explore(
     transitions: engine order to number in the net.
 
     :param limit: the exploration ends when more than this many states are known.
-    :param room: it also ends where this is used up.
+    :param room: it also ends when this is used up.
     :raises LimitError: a count is too large.
     """
     rules = _Rules(net, by_priority)
@@ -63,7 +63,7 @@ def explore(
     index: Dict[bytes, int] = {b"": 0}
     enabled_before: List[Tuple[int, ...]] = [rules.enabled_at_first()]
     came_by: List[int] = [-1]
-    before: List[int] = [0]  # of each waiting state: the number in ``enabled_before``
+    before: List[int] = [0]  # for each waiting state, its index in ``enabled_before``
     offsets, targets, labels = array("q", [0]), array("q"), array("l")
     explored = changed = asked = 0
     while explored < len(keys) <= limit:
@@ -104,7 +104,8 @@ def explore(
 
 
 class _Rules:
-    """The firing rule by places: transitions in engine order, as the other engines have them."""
+    """The firing rule, indexed by places; transitions are in engine order, as in the other
+    engines."""
 
     def __init__(self, net: Net, by_priority: bool) -> None:
         classes = precedence_classes(net) if by_priority else [list(range(len(net.transitions)))]
@@ -118,11 +119,11 @@ class _Rules:
         if any(net.inhibitors) or any(place.capacity is not None for place in net.places):
             self._limits = [tuple(thresholds(net, t).items()) for t in self.order]
         self._effects = [net.effect(t) for t in self.order]
-        # at each place: the transitions that look at it
+        # for each place, the transitions that read it
         self._looking: List[List[int]] = [[] for _ in net.places]
-        # and those of them that take from it
+        # and those of them that take tokens from it
         self._taking: List[List[int]] = [[] for _ in net.places]
-        # they take from none
+        # the transitions that take from no place
         self._always = [row for row, needs in enumerate(self._needs) if not needs]
         for row, needs in enumerate(self._needs):
             for p, _ in needs:
@@ -140,8 +141,8 @@ class _Rules:
     def enabled_after(
         self, marking: Dict[int, int], before: Tuple[int, ...], fired: int
     ) -> Tuple[int, ...]:
-        """What is enabled in ``marking``, which came from one that enabled ``before``, when
-        ``fired`` fired there."""
+        """What is enabled in ``marking``, which resulted from firing ``fired`` in a marking that
+        enabled ``before``."""
         work = len(before) + sum(len(self._looking[p]) for p, _ in self._effects[fired])
         if len(self._marked) + len(marking) < work // 4:
             marked = [p for p in self._marked if p not in marking] + [
@@ -158,15 +159,15 @@ class _Rules:
         return tuple(found)
 
     def _enabled_by(self, marking: Dict[int, int], marked: Sequence[int]) -> Tuple[int, ...]:
-        """What is enabled, by the places that are marked: where they are few, and the firing
-        emptied a place that thousands of transitions take from."""
+        """What is enabled, found from the marked places. This is used if they are few, and the
+        firing emptied a place that thousands of transitions take from."""
         near = set(self._always)
         for p in marked:
             near.update(self._taking[p])
         return tuple(sorted(t for t in near if self._is_enabled(marking, t)))
 
     def successors(self, marking: Dict[int, int], firing: Sequence[int]) -> Iterable[bytes]:
-        """The keys of the markings to which the firing of each of ``firing`` leads.
+        """The keys of the markings that result from firing each of ``firing``.
 
         :raises LimitError: a count is too large.
         """
@@ -196,7 +197,7 @@ class _Rules:
         return all(marking.get(p, initial[p]) < most for p, most in self._limits[t])
 
     def first_class(self, enabled: Tuple[int, ...]) -> Tuple[int, ...]:
-        """Those that take precedence."""
+        """Those of ``enabled`` that take precedence."""
         if self._single or not enabled:
             return enabled
         first = self._class_of[enabled[0]]
@@ -206,16 +207,16 @@ class _Rules:
 
 
 class _Together:
-    """Fires many transitions in one marking, all at once: in a net with thousands of tokens each
-    marking has thousands of successors, and one by one they take five times as long."""
+    """Computes many firings from one marking at once. In a net with thousands of tokens each
+    marking has thousands of successors; computing them one by one takes five times as long."""
 
     def __init__(self, net: Net, effects: Sequence[Sequence[Tuple[int, int]]]) -> None:
         self._net = net
         self._initial = np.array(net.initial_marking, dtype=np.int64)
         flat = [item for effect in effects for item in effect]
         self._places = np.array([p for p, _ in flat], dtype=np.int64)
-        # More than MAX_WIDTH bits are too many, however many more there are; and two such numbers
-        # can be added.
+        # Changes of more than MAX_WIDTH bits are clipped: they are too large anyway, and two
+        # clipped numbers can be added without overflow.
         most = 1 << MAX_WIDTH
         self._changes = np.array(
             [max(-most, min(change, most)) for _, change in flat], dtype=np.int64
@@ -237,8 +238,8 @@ class _Together:
         large = np.flatnonzero(counts >> MAX_WIDTH)
         if len(large):
             raise _too_large(self._net, int(places[large[0]]))
-        # What a firing changes comes before what differed already, so that of two it is what
-        # counts.
+        # The changes of a firing precede the earlier differences, so that they take precedence
+        # among equal keys.
         size = len(now)
         keys = np.concatenate(
             [
@@ -284,12 +285,12 @@ def _store(net: Net, keys: List[bytes]) -> SparseStore:
     marked = np.flatnonzero(initial)
     if len(keys) * len(marked) + len(places) > _WHOLE:
         return SparseStore(initial, offsets, places, counts)
-    # The marked places of every state, and what became of them: so a place that is never empty has
-    # no rest.
+    # Store the marked places of every state over an empty base, so that a place that is never empty
+    # never equals the base.
     states = np.repeat(np.arange(len(keys)), lengths)
     key = np.concatenate([states * len(initial) + places, _grid(len(keys), marked, len(initial))])
     value = np.concatenate([counts, np.tile(initial[marked], len(keys))])
-    key, first = np.unique(key, return_index=True)  # of two, the changed one comes first
+    key, first = np.unique(key, return_index=True)  # of equal keys, the changed one is first
     value = value[first]
     key, value = key[value != 0], value[value != 0]
     state, place = key // len(initial), key % len(initial)
