@@ -1,4 +1,4 @@
-"""The draft that a reader fills while it goes through a file, and that then becomes a net.
+"""The draft that a reader fills while it goes through a file, and that becomes a net at the end.
 
 It implements the rules that all formats share: an element is called by its name, or by its id if
 the name is empty or not unique; an arc refers to its ends by id, or else by name; errors have a

@@ -41,12 +41,15 @@ class NetFile:
 
     @cached_property
     def root(self) -> etree._Element:
-        """The root element. :raises InputError: the content is not well-formed XML."""
+        """The root element of an XML file.
+
+        :raises InputError: the content is not well-formed XML.
+        """
         return parse_xml(self.data, self.path)
 
     @cached_property
     def text(self) -> str:
-        """The content as text. :raises InputError: it is not UTF-8."""
+        """The content as text. :raises InputError: the content is not UTF-8."""
         try:
             text = self.data.decode("utf-8-sig")
         except UnicodeDecodeError:

@@ -23,7 +23,7 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy
 
 PLAN_FILE = "plan.json"
-"""The name of the plan's file in a plan's folder."""
+"""The name of the plan file in a plan's folder."""
 
 
 def read_plan(path: str) -> Plan:

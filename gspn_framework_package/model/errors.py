@@ -71,7 +71,7 @@ class NetError(InputError):
 
 
 class ExpressionError(InputError):
-    """A condition or an arithmetic expression that cannot be read."""
+    """A condition or an arithmetic expression cannot be read or evaluated."""
 
 
 class NoValueError(ExpressionError):
@@ -88,7 +88,7 @@ class PlanError(InputError):
 
 
 class LogError(InputError):
-    """An event log that cannot be read, or whose entries contradict each other."""
+    """An event log cannot be read, or its entries contradict each other."""
 
 
 class RefusedError(GspnError):

@@ -112,7 +112,7 @@ _TOKEN = re.compile(
 def tokenize(text: str) -> List[Token]:
     """Split ``text`` into tokens; the last one has the kind ``end``.
 
-    Names may hold letters, digits, ``_``, ``.`` and ``:``; any other name is written in quotes.
+    Names may have letters, digits, ``_``, ``.`` and ``:``; any other name is written in quotes.
     Comparison and logical operators are tokens too, for the language of conditions.
 
     :raises ExpressionError: no token begins with some character, or the text is longer than
@@ -144,12 +144,12 @@ def tokenize(text: str) -> List[Token]:
 
 
 class Parser:
-    """A recursive-descent parser of arithmetic. A richer language subclasses it and starts from its
-    own rule;
-    :meth:`atom` is where a subclass gives names another meaning.
+    """A recursive-descent parser of arithmetic. A parser of a richer language subclasses it, starts
+    from its own rule, and overrides :meth:`atom` to give names another meaning.
 
-    Grammar, loosest first: ``sum = product {(+|-) product}``, ``product = sign {(*|/) sign}``,
-    ``sign = -sign | +sign | power``, ``power = atom [^ sign]`` (to the right),
+    Grammar, lowest precedence first: ``sum = product {(+|-) product}``,
+    ``product = sign {(*|/) sign}``, ``sign = -sign | +sign | power``,
+    ``power = atom [^ sign]`` (right-associative),
     ``atom = number | name | name(sum, ...) | (sum)``.
     """
 
@@ -161,7 +161,7 @@ class Parser:
 
     @property
     def token(self) -> Token:
-        """The token that comes next."""
+        """The next token."""
         return self.tokens[self.next]
 
     def take(self, *operators: str) -> Optional[str]:

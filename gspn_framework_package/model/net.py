@@ -229,8 +229,8 @@ class Net:
     def fire(self, marking: Sequence[int], t: int) -> Marking:
         """Return the marking after transition number ``t`` fires in ``marking``.
 
-        :raises NotEnabledError: ``marking`` does not enable it; the message says which place is to
-            blame.
+        :raises NotEnabledError: ``marking`` does not enable it; the message says which place
+            prevents it.
         """
         if not self.is_enabled(marking, t):
             raise NotEnabledError(

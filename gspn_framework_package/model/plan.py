@@ -61,7 +61,7 @@ class Outcome(enum.Enum):
 
 class FunctionAction(NamedTuple):
     """An action that is a Python function or class in the plan's folder, ``module.function``. In
-    ROS an ExecGSPN action server named ``server`` runs it. ``settings`` are passed by name to the
+    ROS, an ExecGSPN action server named ``server`` runs it. ``settings`` are passed by name to the
     function, or to the constructor of the class."""
 
     function: str
@@ -70,7 +70,7 @@ class FunctionAction(NamedTuple):
 
     @property
     def label(self) -> str:
-        """What people call it."""
+        """The name of the action for people."""
         return self.function
 
 
@@ -90,7 +90,7 @@ class ServerAction(NamedTuple):
 
     @property
     def label(self) -> str:
-        """What people call it."""
+        """The name of the action for people."""
         return "%s (%s)" % (self.server, self.type)
 
 
@@ -160,7 +160,34 @@ class Timing(NamedTuple):
 @dataclass(frozen=True)
 class Plan:
     """A plan. The code that creates one calls :meth:`validate`, which checks every field against
-    the net."""
+    the net.
+
+    :ivar net: the net, whose initial marking has the robots and the resources.
+    :ivar name: name of the plan.
+    :ivar policy: the policy; without rows, the weights of the net decide.
+    :ivar actions: place -> action of the team.
+    :ivar resource_places: the places whose tokens are counters, not robots.
+    :ivar robots: the robots of the team.
+    :ivar spawn: the places where the robots of a larger team start, cyclically.
+    :ivar synchronisation: how much the robots share with each other.
+    :ivar seed: seed of the policy's random draws.
+    :ivar strict: whether a marking without a policy row is a fault.
+    :ivar on_failure: place or ``'*'`` -> failure rule.
+    :ivar timeouts: place or ``'*'`` -> longest time an action may take, in seconds.
+    :ivar routing: transition -> {place that a robot leaves: place that it enters}; the order of the
+        arcs decides for others.
+    :ivar simulate_environment: whether transitions without robots fire at their rates; if not, the
+        operator fires them.
+    :ivar on_lost: what robots do when they wait for a lost robot.
+    :ivar on_evict: place -> {resource place: tokens given back when a robot is evicted there}.
+    :ivar until: a condition on the marking that ends the run, or None.
+    :ivar timing: times of the agreement protocol.
+    :ivar fsync: whether promises and votes are on the disk before they are sent.
+    :ivar witness: names of nodes that vote and have no token.
+    :ivar folder: the folder with the functions.
+    :ivar file: the file that the plan comes from.
+    :ivar notes: notes for the user on how the plan was read.
+    """
 
     net: Net
     name: str = "plan"
@@ -190,7 +217,7 @@ class Plan:
 
     @property
     def action_places(self) -> Tuple[str, ...]:
-        """Return the places whose tokens are robots, in net order."""
+        """The places whose tokens are robots, in net order."""
         return tuple(p.name for p in self.net.places if p.name not in self.resource_places)
 
     def action(self, robot: str, place: str) -> Action:
@@ -217,8 +244,8 @@ class Plan:
         return self.timeouts.get(place, self.timeouts.get("*"))
 
     def hash(self) -> str:
-        """Hex digest of everything that determines the course of a run; replicas whose digests
-        differ must not cooperate."""
+        """Return a hex digest of everything that determines the course of a run; replicas whose
+        digests differ must not cooperate."""
         text = json.dumps(self._essence(), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
