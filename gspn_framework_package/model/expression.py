@@ -115,8 +115,8 @@ def tokenize(text: str) -> List[Token]:
     Names may have letters, digits, ``_``, ``.`` and ``:``; any other name is written in quotes.
     Comparison and logical operators are tokens too, for the language of conditions.
 
-    :raises ExpressionError: no token begins with some character, or the text is longer than
-        :data:`MAX_LENGTH`.
+    :raises ExpressionError: a character cannot start a token, a quote is not closed, or the text is
+        longer than :data:`MAX_LENGTH`.
 
     >>> [t.text for t in tokenize("2*p1:Wait >= 'a b'")]
     ['2', '*', 'p1:Wait', '>=', 'a b', '']
