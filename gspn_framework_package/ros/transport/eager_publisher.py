@@ -1,4 +1,4 @@
-"""A publisher that writes to its connections itself, for topics with very many of them."""
+"""A publisher that writes to its connections directly, for topics with very many connections."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from rospy.topics import _PublisherImpl
 from gspn_framework_package.ros.transport.registration import registered_together
 
 LIMIT = 1000
-"""Messages that wait for a subscriber that does not read; then the oldest is dropped."""
+"""Maximum number of messages that wait for a stuck subscriber; then the oldest is dropped."""
 
 
 def eager_publisher(name: str, data_class: Any) -> Any:
-    """A ``rospy.Publisher`` without a thread for each subscriber, that yet never waits for one.
+    """A ``rospy.Publisher`` that has no thread for each subscriber, but never waits for one.
 
-    rospy's own either hands every message to a thread of each connection, which in a team of 50
-    means 49 wake-ups for each message and thousands of threads, or lets one subscriber that is
-    stuck hold all others up.
+    rospy's own publisher either passes every message to a thread of each connection, which in a
+    team of 50 means 49 wake-ups for each message and thousands of threads, or lets one stuck
+    subscriber block all others.
 
-    :param name: of the topic, which no other publisher of this node may have.
+    :param name: the name of the topic; no other publisher of this node may use it.
+    :param data_class: the class of its messages.
     """
-    with registered_together():  # nobody connects before the next lines are done
+    with registered_together():  # nobody connects before the end of the block
         publisher = rospy.Publisher(name, data_class, queue_size=LIMIT)
         implementation = publisher.impl
         implementation.queue_size = None
@@ -39,11 +40,8 @@ def eager_publisher(name: str, data_class: Any) -> Any:
 
 
 class _EagerConnection:
-    """Writes whatever the socket accepts at once; only the rest, while its reader is stuck, is left
-    to a thread.
-
-    Behaves as the transport otherwise.
-    """
+    """Wraps a transport: writes what the socket accepts immediately, and starts a thread for the
+    rest only while the subscriber is stuck. Otherwise it behaves like the transport."""
 
     def __init__(self, transport: Any) -> None:
         self._transport = transport
@@ -56,7 +54,8 @@ class _EagerConnection:
         return getattr(self._transport, name)
 
     def write_data(self, data: bytes) -> bool:
-        """Send a message, or drop the oldest of those that wait.
+        """Send a message, or queue it while the subscriber is stuck; a full queue drops its oldest
+        message.
 
         :raises TransportTerminated: the connection is closed.
         """
@@ -97,6 +96,6 @@ class _EagerConnection:
                         self._stuck = False
                         return
                     rest = self._waiting.popleft()
-        except Exception as error:  # as many kinds as rospy and sockets have
+        except Exception as error:  # rospy and sockets raise many kinds
             with self._lock:
                 self._error = error

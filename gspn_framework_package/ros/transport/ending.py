@@ -1,4 +1,4 @@
-"""Whether a process should end, according to its signals and its threads."""
+"""A signal-safe event that says whether a process should end."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from typing import Any, List, Optional
 
 
 class Ending:
-    """A signal-safe ``threading.Event``. ``threading.Event`` can deadlock when a handler calls
-    ``set()`` during another ``set()``, and a main thread that waits for it may sleep on when two
-    signals reach two threads at once (13 of 60 processes did that got SIGINT and SIGTERM together).
-    roslaunch and ``gspn_team`` send both. So this is a flag and a pipe: the C signal handler
-    already writes to the pipe, in whichever thread it runs.
+    """A signal-safe ``threading.Event``.
 
-    :ivar signals: the numbers of the signals that have come.
+    ``threading.Event`` can deadlock when a handler calls ``set()`` during another ``set()``. A main
+    thread that waits for it may also sleep on when two signals reach two threads at once, as
+    roslaunch and ``gspn_team`` send them (this happened in 13 of 60 processes that got SIGINT and
+    SIGTERM together). This class therefore uses a flag and a pipe: the C signal handler itself
+    writes to the pipe, in whichever thread it runs.
+
+    :ivar signals: the numbers of the signals received.
     """
 
     def __init__(self) -> None:
@@ -28,7 +30,7 @@ class Ending:
         os.set_blocking(self._writer, False)
 
     def listen(self, *numbers: int) -> None:
-        """Be set by these signals. To be called in the main thread."""
+        """Set the event when one of these signals arrives. Call this in the main thread."""
         signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
         for number in numbers:
             signal.signal(number, self._on_signal)
@@ -38,9 +40,9 @@ class Ending:
         self.set()
 
     def set(self) -> None:
-        """The process should end. May be called at any moment, from any thread."""
+        """Say that the process should end. May be called at any time, from any thread."""
         self._set = True
-        with contextlib.suppress(BlockingIOError):  # full: a waiting thread wakes up anyway
+        with contextlib.suppress(BlockingIOError):  # the pipe is full, which also wakes up waiters
             os.write(self._writer, b"\0")
 
     def is_set(self) -> bool:

@@ -1,4 +1,4 @@
-"""Notices that the ROS master was restarted, and registers this node there again."""
+"""Detects that the ROS master was restarted, and registers this node with it again."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from gspn_framework_package.ros.transport.registration import (
 
 
 class MasterWatch:
-    """Asks the master for its process id every ``period`` seconds. A new one has forgotten every
-    registration, and rospy does not register again by itself; topics and persistent service calls
-    that are connected go on meanwhile.
+    """Asks the master for its process id every ``period`` seconds. A new master has no
+    registrations, and rospy does not register again by itself. Connected topics and persistent
+    service calls keep working meanwhile.
 
+    :param period: seconds between two checks.
     :ivar present: whether the master answered last time.
     """
 
@@ -31,11 +32,11 @@ class MasterWatch:
         self._stopping = threading.Event()
 
     def start(self) -> None:
-        """Begin to watch, on a separate thread."""
+        """Start watching, on a separate thread."""
         threading.Thread(target=self._watch, name="master", daemon=True).start()
 
     def stop(self) -> None:
-        """Watch no more."""
+        """Stop watching."""
         self._stopping.set()
 
     def _watch(self) -> None:
@@ -45,7 +46,7 @@ class MasterWatch:
                 return
 
     def look(self) -> None:
-        """Ask the master once, and do what is needed."""
+        """Check the master once, and register again if it was restarted."""
         try:
             answer: Any = master_proxy().getPid(rospy.get_name())
         except MASTER_ERRORS:
@@ -68,8 +69,8 @@ class MasterWatch:
 
 
 def register_again() -> None:
-    """Register every publisher, subscriber and service of this node, and connect to everybody who
-    publishes by now. :raises OSError: no master."""
+    """Register every publisher, subscriber and service of this node, and connect to all current
+    publishers. :raises OSError: or another of ``MASTER_ERRORS``, the master does not answer."""
     topics, services = registration.get_topic_manager(), registration.get_service_manager()
     kinds = registration.Registration
     entries = [Entry(kinds.PUB, name, data_type) for name, data_type in topics.get_publications()]

@@ -1,4 +1,4 @@
-"""A process that is a ROS node: waits for the master, shuts down in order, and reports an error in
+"""Runs a process as a ROS node: waits for the master, shuts down in order, and reports an error in
 one line."""
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from gspn_framework_package.ros.transport.ending import Ending
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, master_proxy
 
 ERRORS = (GspnError, rospy.ROSException, *MASTER_ERRORS)
-"""What a node may end with, reported in one line."""
+"""The exceptions that may end a node; they are reported in one line."""
 
 SHUTDOWN_TIME = 5.0
-"""Seconds that the node has to unregister at its end; a master that does not answer is not waited
-for any longer."""
+"""Seconds that the node has to unregister at its end; it does not wait longer for a master that
+does not answer."""
 
 
 def run_node(
@@ -38,11 +38,11 @@ def run_node(
 ) -> int:
     """Start a ROS node, and end it in order on SIGINT, SIGTERM and ``rosnode kill``.
 
-    :param name: of the node, if nothing else names it.
-    :param body: the node's work; its argument says when the node should end. Its errors are
+    :param name: the default name of the node.
+    :param body: the node's work; its argument says when the node should end. Its :data:`ERRORS` are
       reported in one line.
-    :param before: called when there is a master, before the node takes its name from a node that
-      has it.
+    :param before: called when the master answers, before the node registers its name, which would
+      end another node with that name.
     :returns: the exit code: that of ``body`` or of its error, or 128 + the signal.
     """
     raise_descriptor_limit()
@@ -51,7 +51,7 @@ def run_node(
     ending.listen(signal.SIGINT, signal.SIGTERM)
 
     def on_shutdown() -> None:
-        # rosnode kill: rospy closes its topics after this, so that a goal must be cancelled now
+        # rosnode kill: rospy closes its topics after this, so a goal must be cancelled now
         ending.set()
         ended.wait(2.0)
 
@@ -74,9 +74,9 @@ def run_node(
 
 
 def _await_shutdown() -> None:
-    """Wait until another thread has shut the node down, if one does: after ``rosnode kill``, rospy
-    unregisters the node on a thread that dies with the process, and the master would list the node
-    indefinitely."""
+    """Wait until another thread has shut down the node, if one is doing so. After ``rosnode kill``,
+    rospy unregisters the node on a thread that dies with the process; without this wait, the master
+    could list the node indefinitely."""
     if rospy.core._shutdown_lock.acquire(timeout=SHUTDOWN_TIME):
         rospy.core._shutdown_lock.release()
 
@@ -84,7 +84,8 @@ def _await_shutdown() -> None:
 def tell_error(name: str, error: BaseException) -> int:
     """Report one of :data:`ERRORS` in one line; returns its exit code.
 
-    :param name: of the node or command.
+    :param name: the name of the node or command.
+    :param error: the exception.
     """
     if isinstance(error, GspnError):
         if rospy.core.is_initialized():
@@ -103,14 +104,15 @@ def tell_error(name: str, error: BaseException) -> int:
 
 
 def be_node(name: str, namespace: str) -> None:
-    """Be another node than this process was started as, before it is initialised.
+    """Turn this process into a different node than it was started as; call this before the node is
+    initialised.
 
-    :param name: the ``name`` that :func:`run_node` will get.
-    :param namespace: absolute.
+    :param name: the ``name`` that will be passed to :func:`run_node`.
+    :param namespace: the node's absolute namespace.
     """
     kept = [word for word in sys.argv if not word.startswith("_")]
     for word in sys.argv:
-        if word.startswith("__log:="):  # a file for each
+        if word.startswith("__log:="):  # each node has its own file
             folder = os.path.dirname(word[len("__log:=") :])
             file = "%s-%s.log" % (namespace.strip("/").replace("/", "-"), name)
             kept.append("__log:=" + os.path.join(folder, file))
@@ -121,8 +123,8 @@ def be_node(name: str, namespace: str) -> None:
 
 
 def share_log_configuration() -> None:
-    """Look up once, for all nodes that this process will fork, where rospy's logging is configured:
-    to find it, each would search all packages."""
+    """Find the configuration of rospy's logging once, for all nodes that this process will fork;
+    otherwise each of them would search all packages for it."""
     if "ROS_PYTHON_LOG_CONFIG_FILE" not in os.environ:
         for folder in (
             os.path.join(rospkg.get_ros_home(), "config"),
@@ -137,7 +139,8 @@ def share_log_configuration() -> None:
 
 
 def await_master(ending: Ending) -> None:
-    """Wait until the ROS master answers, and say so; rospy itself fails without one."""
+    """Wait until the ROS master answers, and print a line if it does not answer at once; rospy
+    itself fails without a master."""
     told = False
     while not ending.is_set():
         try:
@@ -154,7 +157,8 @@ def await_master(ending: Ending) -> None:
 
 
 def raise_descriptor_limit(wanted: int = 65536) -> None:
-    """Allow this process as many open files as it may have: each connected action takes twenty."""
+    """Raise the limit of open files to ``wanted``, or as far as allowed: each connected action
+    takes twenty."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
     if soft != resource.RLIM_INFINITY and soft < wanted:
@@ -162,8 +166,9 @@ def raise_descriptor_limit(wanted: int = 65536) -> None:
 
 
 def say_nothing_of_sockets_after_the_end() -> None:
-    """A node that ends closes its sockets under threads of rospy that are about to use them. The
-    resulting tracebacks mean nothing, and would hide other messages."""
+    """Suppress tracebacks of socket errors after the node has shut down. A node that ends closes
+    sockets that threads of rospy are about to use; the resulting tracebacks mean nothing, and would
+    hide other messages."""
     tell = threading.excepthook
 
     def tell_unless_ended(args: Any) -> None:
@@ -174,7 +179,7 @@ def say_nothing_of_sockets_after_the_end() -> None:
 
 
 class _Lines(logging.handlers.QueueHandler):
-    """Hands on lines of the log; drops excess lines rather than wait."""
+    """Passes log lines to another thread; drops lines instead of waiting when the queue is full."""
 
     def enqueue(self, record: logging.LogRecord) -> None:
         with contextlib.suppress(queue.Full):
@@ -182,13 +187,13 @@ class _Lines(logging.handlers.QueueHandler):
 
 
 def publish_log_lines_on_a_thread() -> None:
-    """Publish on ``/rosout`` from a separate thread. rospy asks the master for a parameter at every
-    line, without a time limit: a master that is out of reach (a partition, not a death) would block
-    the logging thread for minutes.
+    """Publish on ``/rosout`` from a separate thread. rospy queries the master for a parameter at
+    every line, without a time limit; an unreachable master (after a partition rather than a crash)
+    would block the logging thread for minutes.
 
-    The parameter is ``/rosout_disable_topics_generation``: whether a line goes without the names of
-    all topics of the node. It is asked for once here, and taken for true where nobody has set it: a
-    robot has five topics for each place.
+    The parameter is ``/rosout_disable_topics_generation``: whether lines omit the names of all
+    topics of the node. It is queried once here and defaults to true, because a robot has five
+    topics for each place.
     """
     parameter = "/rosout_disable_topics_generation"
     get_param_server_cache().set(parameter, rospy.get_param(parameter, True))
@@ -201,14 +206,14 @@ def publish_log_lines_on_a_thread() -> None:
 
 
 def accept_many_connections() -> None:
-    """Let a whole team connect to this node at once. rospy lets five connections wait; the sixth is
-    dropped, and its robot tries again after a second, or three."""
+    """Let a whole team connect to this node at once. rospy lets only five connections wait; it
+    drops the sixth, and that robot tries again after a second, or three."""
     tcpros_base.start_tcpros_server()
     tcpros_base._tcpros_server.tcp_ros_server.server_sock.listen(1024)
 
 
 def exit_with(code: Optional[int]) -> None:
-    """End the process at once: an action that never returns must not hold it."""
+    """End the process at once, even if an action never returns."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code or 0)

@@ -1,5 +1,5 @@
-"""Processes that are forked from one parent, which has imported everything, and that live and die
-with it."""
+"""Processes that are forked from one parent, which has imported everything, and that end with
+it."""
 
 from __future__ import annotations
 
@@ -14,38 +14,40 @@ import traceback
 from typing import Callable, Dict, List, NamedTuple, Optional
 
 PATIENCE = 10.0
-"""Seconds that processes have to shut down when the parent is told to end; ``roslaunch`` gives it
-15."""
+"""Seconds that processes have to shut down when the parent has to end; ``roslaunch`` gives the
+parent 15."""
 
 RESPAWN_DELAY = 1.0
-"""Seconds until a process that died is started again, as the launch files say of nodes."""
+"""Seconds until a process that ended is restarted; the launch files use the same for nodes."""
 
 _SET_PARENT_DEATH_SIGNAL = 1  # prctl(2)
 _WATCHED = (signal.SIGCHLD, signal.SIGINT, signal.SIGTERM)
 
 
 class FamilyMember(NamedTuple):
-    """A process to start: its name, for people, and its work, which returns the exit code."""
+    """A process to start: its name, for messages, and its work, which returns the exit code."""
 
     name: str
     body: Callable[[], int]
 
 
 def run_family(members: List[FamilyMember], respawn: bool = False) -> int:
-    """Fork a process for each member, and wait until all have ended. SIGINT and SIGTERM are
-    forwarded to all of them. When this process is killed, they are told to end.
+    """Fork a process for each member, and wait until all have ended. On SIGINT or SIGTERM, all of
+    them get SIGTERM; a second signal, or :data:`PATIENCE` seconds, kills them. When this process is
+    killed, they also get SIGTERM.
 
-    The parent must have no other thread: a fork takes none of them along, only the locks that they
-    hold.
+    The parent must have no other thread: a fork does not copy other threads, only the locks that
+    they hold.
 
-    :param respawn: whether a process is started again when it ends, for whatever reason.
-    :returns: the largest exit code; 128 + the signal where a signal ended it all.
+    :param members: the processes to start.
+    :param respawn: whether a process is restarted when it ends, for whatever reason.
+    :returns: the largest exit code; 128 + the signal if a signal ended the family.
     :raises RuntimeError: there are other threads.
     """
     if threading.active_count() > 1:
         raise RuntimeError("cannot fork: there are %d threads" % threading.active_count())
     gc.collect()
-    gc.freeze()  # what exists now is shared: no collection should write to its pages
+    gc.freeze()  # objects that exist now are shared: no collection should write to their pages
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, _WATCHED)
     try:
         return _Parent(members, respawn, mask).run()
@@ -93,14 +95,14 @@ class _Parent:
         self._running[pid] = member
 
     def _be(self, member: FamilyMember, parent: int) -> None:
-        """In the child: do its work, and end."""
+        """In the child, do its work and end the process."""
         code = 1
         try:
             ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM)
             signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)  # type: ignore[arg-type]
-            if os.getppid() == parent:  # else it died before we could ask to hear of it
+            if os.getppid() == parent:  # otherwise it died before the call above took effect
                 code = member.body()
-        except BaseException:  # nothing of the parent's may run on in the child
+        except BaseException:  # no code of the parent may run in the child
             traceback.print_exc()
         finally:
             sys.stdout.flush()
@@ -131,7 +133,7 @@ class _Parent:
                 self._code = max(self._code, code if code >= 0 else 128 - code)
 
     def _end(self, number: int) -> None:
-        """Have all end in order, for the first such signal; at once, for the second."""
+        """End all processes in order at the first signal, and kill them at the second."""
         self._due.clear()
         if self._ended_by is not None:
             self._kill()

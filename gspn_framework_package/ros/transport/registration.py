@@ -1,7 +1,7 @@
-"""Registers topics and services with the ROS master together, in place of one call for each.
+"""Registers topics and services with the ROS master together, instead of with one call for each.
 
-rospy asks the master once for every publisher, subscriber and service. A robot with a thousand
-action servers has five thousand of those; one after the other they took over a minute.
+rospy calls the master once for every publisher, subscriber and service. A robot with a thousand
+action servers has five thousand of them; one after the other, they took over a minute.
 """
 
 from __future__ import annotations
@@ -25,19 +25,20 @@ from rospy.impl.registration import (
 from gspn_framework_package.model.errors import ExecutionError
 
 CALLS = 500
-"""Registrations in one request to the master, so that it answers others between two of them."""
+"""Maximum number of registrations in one request, so that the master can answer others between two
+requests."""
 
 RETRY = 0.2
-"""Seconds until the master is asked again that did not answer (as rospy does)."""
+"""Seconds until a master that did not answer is called again (as in rospy)."""
 
 MASTER_ERRORS = (OSError, http.client.HTTPException, xmlrpc.client.Error)
-"""What a call of :func:`master_proxy` may raise: there is no master, or it does not answer in time
-or in order."""
+"""The exceptions that a call of :func:`master_proxy` may raise: there is no master, it does not
+answer in time, or its answer is invalid."""
 
 
 class Entry(NamedTuple):
-    """Something to register: ``kind`` is a value of rospy's ``Registration``; ``detail``: the type
-    of a topic, the address of a service."""
+    """A topic or service to register: ``kind`` is a value of rospy's ``Registration``; ``detail``
+    is the type of a topic or the address of a service."""
 
     kind: str
     name: str
@@ -45,7 +46,7 @@ class Entry(NamedTuple):
 
 
 class _Transport(xmlrpc.client.Transport):
-    """A transport that gives up: without it a hanging master would block us indefinitely."""
+    """A transport with a timeout; without it, a hanging master would block us indefinitely."""
 
     def __init__(self, timeout: float) -> None:
         super().__init__()
@@ -58,12 +59,12 @@ class _Transport(xmlrpc.client.Transport):
 
 
 def master_proxy(timeout: float = 2.0) -> xmlrpc.client.ServerProxy:
-    """The master's interface, each call with a time limit in seconds."""
+    """The master's interface; each call has a time limit of ``timeout`` seconds."""
     return xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), _Transport(timeout))
 
 
 def require_master(timeout: float = 2.0) -> None:
-    """:raises ExecutionError: no ROS master answers in time."""
+    """Check that there is a ROS master. :raises ExecutionError: none answers in time."""
     try:
         master_proxy(timeout).getPid("/gspn")
     except MASTER_ERRORS as error:
@@ -74,10 +75,9 @@ def require_master(timeout: float = 2.0) -> None:
 
 
 def published_topics(timeout: float = 2.0) -> List[Tuple[str, str]]:
-    """The topics that anybody publishes, with their types; rospy's own question has no limit of
-    time.
+    """The published topics with their types; rospy's own function has no time limit.
 
-    :raises OSError: the master does not answer; and others of :data:`MASTER_ERRORS`.
+    :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
     """
     master: Any = master_proxy(timeout)
     _, _, topics = master.getPublishedTopics(rospy.get_name(), "")
@@ -85,8 +85,8 @@ def published_topics(timeout: float = 2.0) -> List[Tuple[str, str]]:
 
 
 def found_parameter(name: str, default: Any, timeout: float = 2.0) -> Any:
-    """The parameter of that name that is nearest to this node; ``default`` if there is none, or no
-    master."""
+    """The parameter with this name that is nearest to this node; ``default`` if there is none or no
+    master answers."""
     try:
         master: Any = master_proxy(timeout)
         code, _, key = master.searchParam(rospy.get_name(), name)
@@ -100,8 +100,8 @@ def found_parameter(name: str, default: Any, timeout: float = 2.0) -> Any:
 
 @contextlib.contextmanager
 def registered_together() -> Iterator[None]:
-    """What is made inside the ``with`` block is registered at its end, with as few calls as may be;
-    as with rospy's own registrations, that waits for a master which does not answer."""
+    """Register all topics and services made inside the ``with`` block at its end, with as few calls
+    as possible. Like rospy's own registrations, this waits until the master answers."""
     listeners = get_registration_listeners()
     collected = _Collected()
     with listeners.lock:
@@ -110,21 +110,21 @@ def registered_together() -> Iterator[None]:
             listeners.listeners = [item for item in listeners.listeners if item not in managers] + [
                 collected
             ]
-    if not managers:  # no node yet, or inside another such block, which then registers for both
+    if not managers:  # there is no node yet, or an enclosing block registers for this one
         yield
         return
     try:
         yield
     finally:
         with listeners.lock:
-            if collected in listeners.listeners:  # else: the node shuts down
+            if collected in listeners.listeners:  # otherwise the node is shutting down
                 listeners.listeners.remove(collected)
                 listeners.listeners += managers
     _register_for_sure(collected.entries)
 
 
 def _managers() -> List[Any]:
-    """rospy's listener that talks to the master; none before the node is initialised."""
+    """rospy's listener that calls the master, in a list; empty before the node is initialised."""
     return [item for item in get_registration_listeners().listeners if isinstance(item, RegManager)]
 
 
@@ -156,8 +156,12 @@ def _register_for_sure(entries: Sequence[Entry]) -> None:
 
 
 def register(entries: Sequence[Entry], timeout: float = 30.0) -> None:
-    """Register these with the master, and connect to the publishers of those topics among them that
-    this node subscribes to. :raises OSError: no master."""
+    """Register entries with the master, and connect subscribers among them to their publishers.
+
+    :param entries: what to register.
+    :param timeout: seconds that each call may take.
+    :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
+    """
     caller, uri = rospy.get_name(), rospy.get_node_uri()
     for begin in range(0, len(entries), CALLS):
         some = entries[begin : begin + CALLS]

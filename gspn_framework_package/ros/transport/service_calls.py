@@ -16,18 +16,19 @@ from rospy.impl.tcpros_base import DEFAULT_BUFF_SIZE, TCPROSTransport
 from rospy.impl.tcpros_service import TCPROSServiceClient
 
 LINES = 3
-"""Calls that may be under way to one robot at the same time."""
+"""Maximum number of simultaneous calls to one robot."""
 
 
 class ServiceCalls:
     """Calls services of peers, with separate threads for each peer.
 
-    rospy's ``ServiceProxy`` asks the master at every call, and waits without end for a stopped
-    process. Here the address comes from the peer's own messages, connections persist, and a call
-    whose time is over has its socket shut down, which ends it with an error. Such a call may have
-    been carried out: requests must bear repetition.
+    rospy's ``ServiceProxy`` queries the master at every call, and waits indefinitely for a stopped
+    process. Here the caller supplies the address, connections persist, and the socket of a call
+    that exceeds its deadline is closed, which ends the call with an error. The peer may have
+    carried out such a call, so requests must be idempotent.
 
     :param deadline: seconds that a call may take.
+    :ivar failures: how many calls have failed.
     """
 
     def __init__(self, deadline: float = 1.0) -> None:
@@ -45,11 +46,15 @@ class ServiceCalls:
         request: genpy.Message,
         answered: Callable[[Any], None],
     ) -> bool:
-        """Call a service; ``answered(response)`` comes on another thread, or not at all.
+        """Call a service.
 
-        :param peer: name of the robot, which has its own lines.
-        :param uri: where its services are, ``rosrpc://host:port``.
-        :returns: False where all lines are busy: the call is not made, which is as good as lost.
+        :param peer: name of the robot; each has its own threads.
+        :param uri: the address of its services, ``rosrpc://host:port``.
+        :param service: absolute name of the service.
+        :param service_class: class of the service.
+        :param request: the request.
+        :param answered: receives the response, on another thread; not called if the call fails.
+        :returns: whether the call is made; False if all threads of the peer are busy.
         """
         lines = self._lines.setdefault(peer, [])
         for line in lines:
@@ -65,7 +70,8 @@ class ServiceCalls:
         return True
 
     def close(self) -> None:
-        """End all threads; running calls are given up."""
+        """End the threads. Running calls lose their deadline, and end when the peer answers or the
+        process ends."""
         for lines in self._lines.values():
             for line in lines:
                 line.tasks.put(None)
@@ -90,7 +96,7 @@ class _Line:
             uri, service, service_class, request, answered = task
             try:
                 response = self._call(uri, service, service_class, request)
-            except Exception as error:  # as many kinds as rospy and sockets have
+            except Exception as error:  # rospy and sockets raise many kinds
                 self._owner.failures += 1
                 rospy.logdebug("calling %s failed: %s", service, error)
                 response = None
@@ -128,7 +134,7 @@ class _Line:
 
 
 class _Watchdog:
-    """Closes transports whose time is over, on one thread for all."""
+    """Closes transports whose deadline has passed, with one thread for all of them."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
