@@ -70,7 +70,7 @@ def header(
 ) -> Record:
     """The first line of a log.
 
-    :param plan: the plan, which the header carries whole.
+    :param plan: the plan, which the header contains in full.
     :param run: name of the run.
     :param robot: the robot that keeps the log ("" for a standalone run).
     :param log_id: unique to this log, e.g. a random hex string. It distinguishes a robot that comes

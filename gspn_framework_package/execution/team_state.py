@@ -57,7 +57,7 @@ class TeamState:
 
     ``waiting`` holds the robots that are DONE, in order of completion; ``done_in`` holds the same
     for each place. Both follow from ``robots``. ``version`` counts the changes of the marking,
-    ``orders`` the ``Done`` entries that had an effect, and ``created`` numbers new agents.
+    ``orders`` counts how often a robot became DONE, and ``created`` numbers new agents.
     """
 
     marking: Tuple[int, ...]

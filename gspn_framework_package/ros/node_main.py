@@ -58,7 +58,7 @@ def run_team() -> int:
     """Run the execution nodes of a whole team, each in a process forked from this one; returns the
     largest of their exit codes. This process is not a node itself."""
     name = rospy.names.get_mappings().get("__name", "gspn_team")
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # until there is a team
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # until the team is forked
     try:
         await_master(Ending())
         return _fork(read_options_of(rospy.names.ns_join(_own_namespace(), name)))

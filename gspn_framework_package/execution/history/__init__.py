@@ -34,7 +34,7 @@ class Verdict(NamedTuple):
     :ivar violation: the first violation; None if there is none.
     :ivar slots: how many slots of the agreed log were found.
     :ivar firings: how many firings they hold.
-    :ivar robots: how many robots took part.
+    :ivar robots: how many robots there are at the end, including lost ones.
     :ivar logs: how many logs were read.
     :ivar notes: remarks that are not violations.
     """

@@ -60,7 +60,7 @@ class Ending:
             if left is not None and left <= 0:
                 break
             poll.poll(None if left is None else 1000 * left)
-            if not self._set:  # another signal
+            if not self._set:  # woken by some other signal
                 with contextlib.suppress(BlockingIOError):
                     os.read(self._reader, 1000)
         return self._set
