@@ -1,15 +1,15 @@
-"""The simulated world: a room, robots that really move in it, and their ROS interface.
+"""The simulated world: a room, robots that physically move in it, and their ROS interface.
 
 ``room``, ``room_file``, ``room_check``, ``yaml_file``
     walls, obstacles, locations, waiting bays, temperature field, and the file that describes them.
 ``bodies``, ``physics``
     the room and the robots as PyBullet bodies with wheels and contacts.
 ``grid``, ``avoidance``, ``yielding``, ``navigation``
-    the way from a pose to a goal: global path, velocity among other robots, making room for them,
-    the navigator of one robot.
-``team``, ``patrol``, ``traffic``, ``referee``
-    the world without ROS: robots that drive, the patrol's actions, the rule of the plan, and the
-    one who watches.
+    navigation from a pose to a goal: global path, velocity among other robots, making room for
+    them, the navigator of one robot.
+``driving_team``, ``patrol``, ``traffic``, ``referee``
+    the world without ROS: driving robots, the patrol's actions, the rule of the plan, and a referee
+    that watches.
 ``node``, ``messages``, ``move_base``, ``base_client``, ``patrol_actions``
     the world as a ROS node, and plan actions on it.
 ``camera``, ``recording``, ``film``, ``window``

@@ -1,13 +1,13 @@
 """The next velocity of one robot among walls and other robots: a dynamic window over directions and
 speeds.
 
-A robot that turns on the spot is a disc that can leave in any direction after a turn, so the
-window is taken over directions and speeds of the disc (as velocity obstacles do; Fiorini and
-Shiller 1998, van den Berg et al. 2008) and the chosen one is followed by turning first. Others are
-expected along the path that they announce; how far ahead they count depends on who has the right
-of way. A last check of the very command (:func:`brake`) keeps two robots from ever touching,
-whatever was predicted: each stops before it could reach the other (passive safety, Fraichard and
-Asama 2004).
+A robot that turns on the spot is a disc that can leave in any direction after a turn. The window
+therefore covers directions and speeds of the disc (as velocity obstacles do; Fiorini and Shiller
+1998, van den Berg et al. 2008), and the robot turns before it follows the chosen one. Other robots
+are predicted along the paths that they announce; the right of way decides how far ahead they
+count. A final check of each command (:func:`brake`) keeps two robots from ever touching, whatever
+was predicted: each stops before it could reach the other (passive safety, Fraichard and Asama
+2004).
 """
 
 from __future__ import annotations
@@ -22,36 +22,36 @@ from gspn_framework_package.world.grid import Grid
 from gspn_framework_package.world.room import Point, Pose
 
 Rank = Tuple[float, ...]
-"""The right of way: of two robots the one with the smaller rank has it."""
+"""The right of way: the robot with the smaller rank has it."""
 
 HORIZON = 3.0
-"""Seconds that a robot looks ahead for those who have the right of way ..."""
+"""Prediction horizon in seconds for robots that have the right of way, and for standing ones."""
 
 SHORT_HORIZON = 1.0
-"""... and for those who have not: they will give way."""
+"""Prediction horizon in seconds for robots without the right of way: they will give way."""
 
 GAP = 0.035
-"""Metres that two robots keep between their discs ..."""
+"""Distance between the discs of two active robots, in metres."""
 
 STANDING_GAP = 0.028
-"""... and that one keeps from another that stands, parked or dead."""
+"""Distance to a robot that stands, parked or dead, in metres."""
 
 _STEPS = np.linspace(0.2, HORIZON, 15)
 _OFFSETS = np.radians([0, 12, -12, 25, -25, 42, -42, 65, -65, 95, -95, 130, -130, 180])
-_TURN = 1.8  # radians per second that a turn on the spot takes on average
+_TURN = 1.8  # average rate of a turn on the spot, radians per second
 
 
 @dataclass(frozen=True)
 class OtherRobot:
-    """What a robot knows of another one: what it sees, and what the other announces.
+    """A robot's knowledge of another robot, from observation and from its announcements.
 
-    :param name: of the other robot.
-    :param pose: where it is.
-    :param velocity: metres per second east and north.
+    :param name: name of the other robot.
+    :param pose: its pose.
+    :param velocity: its velocity east and north, metres per second.
     :param active: it is driving to a goal; otherwise it stands, parked or dead.
     :param rank: its right of way.
-    :param path: where it is going next, from its position on; empty when it is not active.
-    :param stuck: it wants to go on and cannot.
+    :param path: the next part of its path, from its position on; empty if it is not active.
+    :param stuck: it has a goal but makes no progress.
     """
 
     name: str
@@ -64,17 +64,20 @@ class OtherRobot:
 
     @property
     def speed(self) -> float:
-        """Metres per second."""
+        """Its speed in metres per second."""
         return math.hypot(*self.velocity)
 
     def ahead(self, full_speed: float) -> np.ndarray:
-        """Where it will be at the times that are looked at, along its path; shape (times, 2)."""
+        """Its predicted positions along its path at the sampled times; shape (times, 2).
+
+        :param full_speed: the largest speed of the robots, metres per second.
+        """
         here = np.array([self.pose.x, self.pose.y])
         if not self.active or len(self.path) < 1 or self.stuck:
             return here + np.outer(_STEPS, self.velocity if self.active else (0.0, 0.0))
         points = np.vstack([here, np.array(self.path)])
         way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-        # a robot that is turning now will drive soon
+        # a robot that is turning on the spot will drive soon
         gone = _STEPS * max(self.speed, 0.5 * full_speed)
         return np.column_stack(
             [np.interp(gone, way, points[:, 0]), np.interp(gone, way, points[:, 1])]
@@ -82,7 +85,7 @@ class OtherRobot:
 
 
 def wrap(angle: float) -> float:
-    """The same angle in (-pi, pi]."""
+    """The equivalent angle in (-pi, pi]."""
     return math.remainder(angle, math.tau)
 
 
@@ -95,16 +98,16 @@ def choose(
     rank: Rank,
     last: Optional[float],
 ) -> Tuple[float, float]:
-    """The direction and speed to go for.
+    """Choose the direction and speed of a robot.
 
     :param grid: the room.
-    :param pose: the robot's.
-    :param target: a point in sight to go to.
-    :param speed: metres per second wanted, if nothing is in the way.
+    :param pose: the robot's pose.
+    :param target: a point in sight to drive to.
+    :param speed: the desired speed if nothing is in the way, metres per second.
     :param peers: the other robots nearby.
     :param rank: the robot's right of way.
-    :param last: the direction chosen last time, to stay with it when others are no better.
-    :returns: direction in radians, speed in metres per second, 0 when nothing better is to be had.
+    :param last: the direction chosen last time, which is preferred unless another is better.
+    :returns: direction in radians, and speed in metres per second: 0 if standing still is best.
     """
     robot = grid.room.robot
     wanted = math.atan2(target[1] - pose.y, target[0] - pose.x)
@@ -112,7 +115,7 @@ def choose(
     speeds = np.tile([speed, speed / 2], len(_OFFSETS))
     turns = np.abs(np.remainder(directions - pose.yaw + math.pi, math.tau) - math.pi)
 
-    # where each choice leads: first the turn, then straight, not beyond the target
+    # the trajectory of each choice: first the turn, then straight ahead, at most to the target
     gone = np.clip(_STEPS[None, :] - turns[:, None] / _TURN, 0.0, None) * speeds[:, None]
     gone = np.minimum(gone, max(math.hypot(target[0] - pose.x, target[1] - pose.y), 0.05))
     xs = pose.x + gone * np.cos(directions)[:, None]
@@ -121,7 +124,7 @@ def choose(
     offset = np.repeat(_OFFSETS, 2)
     cost = -np.cos(offset) * speeds / robot.max_speed
     cost += 0.12 * turns / math.pi
-    # of two equal sides everyone takes the right one, so that two who meet do not mirror each other
+    # prefer the right of two equal sides, so that two robots that meet do not mirror each other
     cost += np.where(offset > 0.0, 0.04, 0.0)
     if last is not None:
         cost += (
@@ -147,26 +150,28 @@ def choose(
         waiting = np.hypot(here[0] - ahead[:, 0], here[1] - ahead[:, 1]) - 2 * robot.radius
         still += float(_threat(waiting[None, :], urgency, keep)[0])
     best = int(np.argmin(cost))
-    # standing still costs nothing but the way not made
+    # standing still only costs the progress not made
     if still + 0.05 <= cost[best]:
         return (float(directions[best]), 0.0)
     return (float(directions[best]), float(speeds[best]))
 
 
 def _threat(gaps: np.ndarray, urgency: np.ndarray, keep: float) -> np.ndarray:
-    """What it costs to come as near as ``gaps`` (choices, times) at times of that urgency."""
+    """The cost of approaching to ``gaps`` (metres; shape (choices, times)) at times of this
+    ``urgency``."""
     near = np.clip(1.0 - (gaps - keep) / 0.10, 0.0, 1.0)
     hit = gaps < keep
     return ((0.8 * near + 2.5 * hit) * urgency).max(axis=1)
 
 
 def follow(direction: float, speed: float, yaw: float) -> Tuple[float, float]:
-    """Speed and turn rate with which a robot that looks along ``yaw`` takes up a direction.
+    """The speed and turn rate (metres and radians per second) that bring a robot with heading
+    ``yaw`` onto a direction.
 
-    It turns first, and drives as it comes to look where it goes.
+    It turns first, and drives once it nearly faces the direction.
     """
     error = wrap(direction - yaw)
-    # as fast as the turn can be stopped again in time
+    # slow enough to stop the turn in time
     turn = min(2.0, math.sqrt(4.0 * abs(error)), 4.0 * abs(error))
     drive = speed * max(0.0, math.cos(error)) ** 3 if abs(error) < 1.2 else 0.0
     return (drive, math.copysign(turn, error))
@@ -175,14 +180,15 @@ def follow(direction: float, speed: float, yaw: float) -> Tuple[float, float]:
 def brake(
     grid: Grid, pose: Pose, speed: float, dt: float, peers: Sequence[OtherRobot], gap: float = 0.025
 ) -> float:
-    """The speed, cut so that the robot can stop before it touches anything.
+    """Reduce a speed so that the robot can stop before it touches anything.
 
-    Others may come nearer at their present speed meanwhile. Driving away from something too near is
-    allowed.
+    It assumes that others keep approaching at their current speed. Driving away from something too
+    near is allowed.
 
-    :param speed: metres per second forward, wanted.
+    :param speed: the desired forward speed, metres per second.
     :param dt: seconds until the next command.
-    :param gap: metres between discs that are never given up.
+    :param gap: the least distance between discs, in metres.
+    :returns: the allowed speed, metres per second.
     """
     robot = grid.room.robot
     if speed <= 0.0:
@@ -205,11 +211,11 @@ def brake(
 def _stays_clear(pose: Pose, there: Point, peer: OtherRobot, dt: float, least: float) -> bool:
     before = pose.distance(peer.pose)
     after = peer.pose.distance(there)
-    # what the other does meanwhile, at worst straight towards us; one that stands may set off now
+    # the other's motion meanwhile, at worst straight at us; a standing active one may start now
     coming = max(peer.speed, 0.1 if peer.active else 0.0) * dt * 1.2
     if after - coming >= least:
         return True
-    # too near already: only clearly away from it, as a robot that still turns drives a curve
+    # already too near: only clearly away from it, since a robot that still turns drives a curve
     return after - before > 0.3 * math.dist((pose.x, pose.y), there)
 
 

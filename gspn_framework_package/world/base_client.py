@@ -1,5 +1,5 @@
-"""A robot as its own actions see it over ROS: ``move_base``, ``amcl_pose``, ``temperature``;
-simulated or real.
+"""The interface of a robot's actions to the robot, over ROS: ``move_base``, ``amcl_pose``,
+``temperature``. The robot may be simulated or real.
 
 All names are relative: they are resolved in the namespace of the node that runs the actions.
 """
@@ -25,32 +25,32 @@ from gspn_framework_package.world.room import Pose
 
 POSE_TYPE = "geometry_msgs/PoseWithCovarianceStamped"
 DISCOVERY_PERIOD = 2.0
-"""Seconds of wall time between two looks for other robots."""
+"""Seconds of wall time between two searches for other robots."""
 
 POSES_DEADLINE = 3.0
-"""Seconds of wall time that other robots have to publish where they are; a dead robot's name may
-still be registered."""
+"""Seconds of wall time within which other robots must publish their poses. There is a limit since a
+dead robot's topic may still be registered."""
 
 SILENCE_DEADLINE = 15.0
-"""Seconds of wall time without a word from ``move_base`` after which a goal is given up.
+"""Seconds of wall time without a message from ``move_base`` after which a goal is given up.
 
-A server that dies leaves its client waiting without end (``actionlib`` never reports a lost
+Otherwise, a client would wait forever for a server that died (``actionlib`` never reports a lost
 server).
 """
 
 
 def _robot_of(topic: str) -> str:
-    """The robot's name in the name of its topic."""
+    """The name of the robot, from the name of its topic."""
     return topic.strip("/").rpartition("/")[0]
 
 
 class BaseClient:
-    """One robot; follows :class:`.patrol.Robot`.
+    """One robot; implements :class:`.patrol.Robot`.
 
-    Subscribes to ``amcl_pose`` and ``temperature``, and to every ``/*/amcl_pose`` there is (the
-    other robots); a client of ``move_base``.
+    Subscribes to ``amcl_pose`` and ``temperature``, and to every existing ``/*/amcl_pose`` (the
+    other robots). A client of ``move_base``.
 
-    :param name: of the robot.
+    :param name: name of the robot.
     """
 
     def __init__(self, name: str) -> None:
@@ -107,9 +107,9 @@ class BaseClient:
     # ---- connecting --------------------------------------------------------------------------
 
     def connect(self, seconds: float = 30.0) -> None:
-        """Wait until the robot is there.
+        """Wait until the robot is available.
 
-        :param seconds: of wall time.
+        :param seconds: timeout in wall time.
         :raises ActionFailed: no ``move_base``, pose or thermometer within that time.
         """
         deadline = time.monotonic() + seconds
@@ -134,10 +134,9 @@ class BaseClient:
         )
 
     def _await_others(self) -> None:
-        """Wait for the poses of the robots that are new, which ``amcl_pose`` keeps for those who
-        come later.
+        """Wait for the poses of newly discovered robots; ``amcl_pose`` is latched.
 
-        Whoever does not know yet where the others are must not enter a location.
+        A robot that does not know the poses of the others must not enter a location.
         """
         deadline = time.monotonic() + POSES_DEADLINE
         with self._news:
@@ -149,11 +148,11 @@ class BaseClient:
             self._awaited.clear()
 
     def _discover(self) -> None:
-        """Listen to the poses of robots that have appeared."""
+        """Subscribe to the poses of robots that have appeared."""
         self._discovered = time.monotonic()
         try:
             topics = published_topics()
-        except MASTER_ERRORS:  # known robots still publish where they are
+        except MASTER_ERRORS:  # known robots still publish their poses
             return
         for topic, kind in topics:
             if (
@@ -167,38 +166,38 @@ class BaseClient:
                     topic, PoseWithCovarianceStamped, self._on_other, topic, queue_size=1
                 )
 
-    # ---- what the actions ask ----------------------------------------------------------------
+    # ---- the interface of the actions --------------------------------------------------------
 
     def await_news(self, seconds: float) -> None:
-        """Sleep until something is heard from the robot, at most ``seconds`` of wall time."""
+        """Sleep until a message arrives from the robot, at most ``seconds`` of wall time."""
         with self._news:
             self._news.wait(seconds)
 
     def now(self) -> float:
-        """ROS time, seconds."""
+        """The ROS time in seconds."""
         return float(rospy.get_time())
 
     def pose(self) -> Pose:
-        """Where it is."""
+        """The pose of the robot."""
         with self._news:
             assert self._pose is not None, "connect() first"
             return self._pose
 
     def others(self) -> Dict[str, Pose]:
-        """Where the others are or were last seen."""
+        """The last known poses of the other robots, by name."""
         if time.monotonic() - self._discovered > DISCOVERY_PERIOD:
             self._discover()
         with self._news:
             return dict(self._others)
 
     def temperature(self) -> float:
-        """Degrees Celsius."""
+        """The measured temperature in degrees Celsius."""
         with self._news:
             assert self._temperature is not None, "connect() first"
             return self._temperature
 
     def go(self, goal: Pose) -> None:
-        """Start driving."""
+        """Start driving to a pose."""
         message = MoveBaseGoal()
         message.target_pose.header.frame_id = "map"
         message.target_pose.header.stamp = rospy.Time.now()
@@ -208,13 +207,13 @@ class BaseClient:
             number = self._goal_number
             self._arrived, self._trouble = None, ""
             self._heard = time.monotonic()
-        # the client holds the handle weakly
+        # the client only holds a weak reference to the handle
         self._handle = self._client.send_goal(
             message, transition_cb=lambda handle: self._on_transition(handle, number)
         )
 
     def arrived(self) -> Optional[bool]:
-        """None on the way; then whether the last goal was reached."""
+        """None while driving; afterwards whether the last goal was reached."""
         with self._news:
             silent = time.monotonic() - self._heard
             if self._arrived is None and silent > SILENCE_DEADLINE:

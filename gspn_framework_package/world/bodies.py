@@ -1,4 +1,4 @@
-"""What the world is made of, for PyBullet: the floor, walls and obstacles, and robots on wheels."""
+"""The bodies of the world in PyBullet: the floor, walls and obstacles, and robots on wheels."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from gspn_framework_package.world.room import Cylinder, Obstacle, Pose, RobotTyp
 
 @contextlib.contextmanager
 def quiet(stream: int) -> Iterator[None]:
-    """Keep PyBullet's own chatter off standard output (1) or standard error (2), which belong to
-    others."""
+    """Keep PyBullet's messages off standard output (1) or standard error (2), which other programs
+    may read."""
     sys.stdout.flush()
     sys.stderr.flush()
     kept = os.dup(stream)
@@ -25,7 +25,7 @@ def quiet(stream: int) -> Iterator[None]:
             os.dup2(nowhere.fileno(), stream)
         yield
     finally:
-        # the C library keeps its own buffer, which would come out later
+        # the C library has its own buffer, which would be written later
         ctypes.CDLL(None).fflush(None)
         os.dup2(kept, stream)
         os.close(kept)
@@ -37,13 +37,13 @@ with quiet(2):
 
 
 def connect(gui: bool) -> BulletClient:
-    """A new, empty world of PyBullet's.
+    """Create an empty PyBullet world.
 
-    :param gui: open its window.
-    :raises UsageError: there is no display for it.
+    :param gui: open PyBullet's window.
+    :raises UsageError: there is no display for the window.
     """
     if gui and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        # PyBullet would end the whole process
+        # otherwise PyBullet would end the whole process
         raise UsageError(
             "there is no display for the window of the world (DISPLAY is not set)",
             hint="leave gui out; the page shows the room too, and gspn film makes films of it",
@@ -53,23 +53,23 @@ def connect(gui: bool) -> BulletClient:
 
 
 BODY_BOTTOM = 0.012
-"""Metres from the floor to a robot's body."""
+"""Height of the underside of a robot's body above the floor, in metres."""
 
 BODY_HEIGHT = 0.15
-"""Metres."""
+"""Height of a robot's body, in metres."""
 
 _FLOOR_COLOR = (0.86, 0.88, 0.90, 1.0)
 _TOP = 0.172
 
 
 def rgba(color: str) -> Tuple[float, float, float, float]:
-    """``#rrggbb`` as four numbers from 0 to 1."""
+    """Convert ``#rrggbb`` to four numbers from 0 to 1."""
     red, green, blue = (int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
     return (red, green, blue, 1.0)
 
 
 def make_floor(client: Any, room: Room) -> int:
-    """The floor, a little larger than the room; its id."""
+    """Create the floor, slightly larger than the room; return its id."""
     bounds = room.bounds()
     half = [(high - low) / 2 + room.wall_thickness for low, high in zip(bounds.low, bounds.high)]
     middle = [(high + low) / 2 for low, high in zip(bounds.low, bounds.high)]
@@ -78,9 +78,9 @@ def make_floor(client: Any, room: Room) -> int:
         pybullet.GEOM_BOX, halfExtents=extents, rgbaColor=_FLOOR_COLOR, specularColor=[0, 0, 0]
     )
     client.createMultiBody(0, -1, look, [middle[0], middle[1], -0.05])
-    # contacts with a plane cost a third of those with a box
+    # contacts with a plane take a third of the time of contacts with a box
     shape = client.createCollisionShape(pybullet.GEOM_PLANE)
-    # a plane without looks of its own gets a chequered one
+    # a plane without a visual shape would get a chequered one
     nothing = client.createVisualShape(pybullet.GEOM_SPHERE, radius=1e-4)
     floor = client.createMultiBody(0, shape, nothing)
     client.changeDynamics(floor, -1, lateralFriction=1.0)
@@ -88,7 +88,7 @@ def make_floor(client: Any, room: Room) -> int:
 
 
 def make_solid(client: Any, solid: Obstacle) -> None:
-    """A wall or an obstacle."""
+    """Create a wall or an obstacle."""
     if isinstance(solid, Cylinder):
         yaw = 0.0
         shape = client.createCollisionShape(
@@ -118,9 +118,10 @@ def make_solid(client: Any, solid: Obstacle) -> None:
 
 
 def make_robot(client: Any, kind: RobotType, pose: Pose, color: str) -> int:
-    """A robot: a disc on two wheels (joints 0, left, and 1, right) and two casters; its id."""
+    """Create a robot, a disc on two wheels (joint 0 left, joint 1 right) and two casters; return
+    its id."""
     dark, light = [0.13, 0.14, 0.16, 1.0], rgba(color)
-    # the casters are part of the base, without friction, and hang a millimetre above the floor, so
+    # the casters are part of the base, have no friction and hang a millimetre above the floor, so
     # that the wheels carry the robot
     ball, lift = 0.01, 0.001
     front = kind.radius * 0.7
@@ -135,7 +136,7 @@ def make_robot(client: Any, kind: RobotType, pose: Pose, color: str) -> int:
             [-front, 0, ball + lift],
         ],
     )
-    # looks: plates, a coloured ring, the scanner
+    # the visual shape: plates, a coloured ring, the scanner
     plates = [
         (kind.radius, 0.02, 0.022, dark),
         (kind.radius * 0.98, 0.045, 0.06, list(light)),
@@ -160,7 +161,7 @@ def make_robot(client: Any, kind: RobotType, pose: Pose, color: str) -> int:
     )
     side = kind.wheel_separation / 2
     level = pybullet.getQuaternionFromEuler([0, 0, 0])
-    # the frame of a cylinder is along z; a wheel's is along y
+    # the axis of a cylinder is z; that of a wheel is y
     lying = pybullet.getQuaternionFromEuler([-math.pi / 2, 0, 0])
     unique_id = client.createMultiBody(
         baseMass=kind.mass,

@@ -1,4 +1,4 @@
-"""Pictures of the world without a display, from PyBullet's own renderer."""
+"""Pictures of the world without a display, by PyBullet's software renderer."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from gspn_framework_package.world.physics import Physics
 from gspn_framework_package.world.room import Point
 
 VIEWS: Dict[str, Tuple[float, float]] = {"corner": (28.0, -50.0), "top": (0.0, -89.9)}
-"""Views by name: yaw and pitch of the camera, degrees; pitch -90 is from straight above."""
+"""Views by name: yaw and pitch of the camera in degrees; pitch -90 looks straight down."""
 
 FIELD_OF_VIEW = 36.0
-"""Degrees, from top to bottom of the picture."""
+"""Vertical field of view, in degrees."""
 
 TRAIL = 150
-"""Pictures that a robot's trail lasts."""
+"""Length of a robot's trail, in pictures."""
 
 _AREA_COLOR = "#b7cbe4"
 _SLOT_COLOR = "#c5c9d2"
@@ -31,12 +31,12 @@ _SKY = (245, 247, 250)
 
 
 class Camera:
-    """Takes pictures of a world: the bodies, and painted on the floor the locations, the waiting
-    bays and the heat.
+    """Takes pictures of a world: its bodies, with the locations, the waiting bays and the heat
+    painted on the floor.
 
     :param physics: the world.
-    :param width: pixels.
-    :param height: pixels.
+    :param width: width of the pictures in pixels.
+    :param height: height of the pictures in pixels.
     :param view: a key of :data:`VIEWS`.
     """
 
@@ -63,7 +63,7 @@ class Camera:
         self._projection = self._physics.client.computeProjectionMatrixFOV(
             FIELD_OF_VIEW, width / height, 0.5, far
         )
-        # both are stored column by column
+        # both are stored in column-major order
         self._matrix = np.reshape(self._projection, (4, 4)).T @ np.reshape(self._view, (4, 4)).T
         self._font = _font(max(12, height // 42))
         self._trails: Dict[str, Deque[Point]] = {
@@ -91,7 +91,7 @@ class Camera:
                 client.resetBasePositionAndOrientation(body, [slot.x, slot.y, 0.002], [0, 0, 0, 1])
 
     def _disc(self, radius: float, color: str) -> int:
-        """A flat disc, below the floor until it is placed."""
+        """Create a flat disc, hidden below the floor until it is placed; return its id."""
         client = self._physics.client
         corners = [math.tau * i / 40 for i in range(40)]
         rim = [[radius * math.cos(a), radius * math.sin(a), 0.0] for a in corners]
@@ -114,13 +114,13 @@ class Camera:
             self._physics.client.resetBasePositionAndOrientation(body, [x, y, height], [0, 0, 0, 1])
 
     def pixel(self, x: float, y: float, z: float = 0.0) -> Tuple[float, float]:
-        """Where a point of the world is in the picture."""
+        """The pixel coordinates of a point of the world."""
         clip = self._matrix @ np.array([x, y, z, 1.0])
         width, height = self._size
         return ((clip[0] / clip[3] + 1) / 2 * width, (1 - clip[1] / clip[3]) / 2 * height)
 
     def picture(self, time: float, caption: str = "") -> Image.Image:
-        """The world now.
+        """Take a picture of the current world.
 
         :param time: seconds, for the heat and the clock in the picture.
         :param caption: a line of text in the lower left corner.
@@ -194,7 +194,7 @@ class Camera:
 
 
 def _font(size: int) -> Any:
-    """A font that can be read in any size, if Matplotlib has one to lend; else Pillow's own."""
+    """A scalable font if Matplotlib provides one, otherwise Pillow's default."""
     try:
         import matplotlib
 

@@ -1,6 +1,7 @@
 """A team of robots in a simulated room: physics and one navigator for each, stepped together.
 
-No ROS, no threads, no wall clock: the node, the tests and the benchmark drive this same class.
+It uses no ROS, no threads and no wall clock: the node, the tests and the benchmark share this
+class.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from gspn_framework_package.world.physics import TIME_STEP, Physics
 from gspn_framework_package.world.room import Pose, Room
 
 CONTROL_STEPS = 12
-"""Physics steps between two commands of the navigators: 10 commands a second."""
+"""Physics steps between two commands of the navigators: 10 commands per second."""
 
 CONTROL_PERIOD = CONTROL_STEPS * TIME_STEP
 """Seconds between two commands of the navigators."""
@@ -25,7 +26,7 @@ class DrivingTeam:
 
     :param room: the room.
     :param robots: their names.
-    :param poses: where they start, instead of ``room.spawn``.
+    :param poses: their start poses, instead of ``room.spawn``.
     :param gui: open PyBullet's window.
     """
 
@@ -47,15 +48,20 @@ class DrivingTeam:
 
     @property
     def time(self) -> float:
-        """Seconds simulated since the start."""
+        """Simulated seconds since the start."""
         return self.physics.time
 
     def teleoperate(self, robot: str, speed: float, turn_rate: float, seconds: float = 0.5) -> None:
-        """Drive a robot by hand while it has no goal; it stops when no command follows in time."""
+        """Drive a robot manually while it has no goal.
+
+        :param speed: forward, metres per second.
+        :param turn_rate: counter-clockwise, radians per second.
+        :param seconds: how long the command holds; the robot stops unless another follows.
+        """
         self._teleop[robot] = (speed, turn_rate, self.time + seconds)
 
     def peers(self) -> List[OtherRobot]:
-        """What every robot shows and announces now."""
+        """The current observations and announcements of all robots."""
         peers = []
         for name in self.robots:
             velocity = self.physics.velocity(name)
@@ -85,5 +91,5 @@ class DrivingTeam:
         return (speed, turn_rate) if self.time < until else (0.0, 0.0)
 
     def close(self) -> None:
-        """Give the simulation's memory back."""
+        """Free the memory of the simulation."""
         self.physics.close()

@@ -1,4 +1,4 @@
-"""Films: pictures, one after the other, into a folder of PNG files or one film file."""
+"""Films: writes a sequence of pictures to a folder of PNG files, or to one film file."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from PIL import Image
 from gspn_framework_package.model.errors import ExecutionError, InputError
 
 MOVING_PICTURES = (".gif", ".webp")
-"""Kinds of file that Pillow writes by itself."""
+"""Extensions of the film formats that Pillow can write."""
 
 
 def find_ffmpeg() -> Optional[str]:
-    """The program ffmpeg: the system's, or the one that the Python package imageio-ffmpeg
-    brings."""
+    """The path of ffmpeg: that of the system, or that of the Python package imageio-ffmpeg; None if
+    there is neither."""
     found = shutil.which("ffmpeg")
     if found:
         return found
@@ -30,13 +30,13 @@ def find_ffmpeg() -> Optional[str]:
 
 
 class Film:
-    """Takes up pictures; :meth:`close` finishes the film.
+    """Collects pictures; :meth:`close` finishes the film.
 
-    :param target: a file .mp4, .gif or .webp, or a folder, which gets PNG files.
-    :param width: pixels.
-    :param height: pixels.
-    :param rate: pictures a second.
-    :raises InputError: another kind of file, or one that cannot be written, or .mp4 without ffmpeg.
+    :param target: a .mp4, .gif or .webp file, or a folder for PNG files.
+    :param width: width of the pictures in pixels.
+    :param height: height of the pictures in pixels.
+    :param rate: pictures per second.
+    :raises InputError: another type of file, a file that cannot be written, or .mp4 without ffmpeg.
     """
 
     def __init__(self, target: Path, width: int, height: int, rate: float) -> None:
@@ -81,7 +81,7 @@ class Film:
     def add(self, picture: Image.Image) -> None:
         """Add a picture.
 
-        :raises ExecutionError: the encoder does not take it.
+        :raises ExecutionError: the encoder does not accept it.
         """
         self.count += 1
         if self._encoder is not None:

@@ -1,8 +1,8 @@
-"""The room as a grid: how far it is from everywhere to a goal, and which way.
+"""The room as a grid: the distance and the path from every cell to a goal.
 
-A robot's path costs its length, dearer near walls. ``Grid.field`` finds the cheapest ways from
-every cell to one goal with SciPy's Dijkstra; a robot that leaves its path therefore needs no new
-search.
+The cost of a path is its length, with a surcharge near walls. ``Grid.field`` finds the cheapest
+paths from every cell to one goal with SciPy's Dijkstra, so a robot that leaves its path needs no
+new search.
 """
 
 from __future__ import annotations
@@ -17,27 +17,29 @@ from scipy.sparse.csgraph import dijkstra
 from gspn_framework_package.world.room import Point, Room
 
 RESOLUTION = 0.05
-"""Metres along the side of a cell."""
+"""Side length of a cell, in metres."""
 
 SPARE = 0.02
-"""Metres that a robot in the middle of a cell has to walls and obstacles, at least, if a way is to
-lead through it."""
+"""Least distance, in metres, of a robot in the centre of a cell to walls and obstacles if a path is
+to lead through the cell."""
 
 COMFORT = 0.12
-"""Metres from a wall or obstacle (beyond the robot's radius) from which on a way costs no more."""
+"""Distance to a wall or obstacle (beyond the robot's radius), in metres, from which on a path has
+no surcharge."""
 
 Disc = Tuple[float, float, float]
 """A disc on the floor: x, y, radius."""
 
 
 class Field:
-    """The cheapest ways from every cell of a grid to one goal.
+    """The cheapest paths from every cell of a grid to one goal.
 
     :param grid: the grid.
-    :param goal: the goal, metres.
-    :param cost: for each cell, metres of (weighted) way; infinite where no way leads.
-    :param following: for each cell, the next cell on the way; negative at the goal and where no way
-      leads.
+    :param goal: the goal, in metres.
+    :param cost: for each cell, the (weighted) length of the path in metres; infinite if there is
+      none.
+    :param following: for each cell, the next cell on the path; negative at the goal and if there is
+      no path.
     """
 
     def __init__(self, grid: Grid, goal: Point, cost: np.ndarray, following: np.ndarray) -> None:
@@ -47,7 +49,7 @@ class Field:
         self._following = following
 
     def start(self, point: Point) -> int:
-        """The cell from which a way starts: the point's own, or the cheapest one close by."""
+        """The first cell of the path from a point: its own, or the cheapest one nearby."""
         grid = self._grid
         cell = grid.cell(point)
         if np.isfinite(self.costs[cell]):
@@ -59,13 +61,14 @@ class Field:
         return int(near[int(np.argmin(reach))])
 
     def cost(self, point: Point) -> float:
-        """Metres of weighted way from a point to the goal; infinite if there is none."""
+        """Weighted length of the path from a point to the goal in metres; infinite if there is
+        none."""
         return float(self.costs[self.start(point)])
 
     def path(self, point: Point, length: float = math.inf) -> List[Point]:
-        """The way from a point: centres of cells, then the goal itself.
+        """The path from a point: centres of cells, then the goal itself.
 
-        :param length: metres after which to stop.
+        :param length: largest length of the path, in metres.
         """
         grid = self._grid
         cell = self.start(point)
@@ -85,7 +88,7 @@ class Field:
 
 
 class Grid:
-    """A room's floor in cells of :data:`RESOLUTION`, with the clearance of each.
+    """The floor of a room in cells of :data:`RESOLUTION`, with the clearance of each.
 
     :param room: the room.
     """
@@ -125,7 +128,7 @@ class Grid:
         self._heads = np.concatenate(heads)
         toll = (self._toll[self._tails] + self._toll[self._heads]) / 2
         self._weights = np.concatenate(lengths) * toll
-        # in the order of a compressed sparse row matrix, so that each search only swaps the weights
+        # in the order of a compressed sparse row matrix: each search only replaces the weights
         order = np.lexsort((self._heads, self._tails))
         self._tails, self._heads = self._tails[order], self._heads[order]
         self._weights = self._weights[order]
@@ -133,18 +136,18 @@ class Grid:
         self._rows_start = np.concatenate([[0], np.cumsum(counts)])
 
     def cell(self, point: Point) -> int:
-        """The index of the cell that holds a point; points outside belong to the border."""
+        """The index of the cell that contains a point; points outside belong to the border."""
         column = min(max(round((point[0] - self._low[0]) / RESOLUTION), 0), self.columns - 1)
         row = min(max(round((point[1] - self._low[1]) / RESOLUTION), 0), self.rows - 1)
         return row * self.columns + column
 
     def cells_near(self, point: Point, radius: float) -> np.ndarray:
-        """The indices of the cells whose middles lie within ``radius`` of a point."""
+        """The indices of the cells whose centres lie within ``radius`` of a point."""
         return np.flatnonzero(np.hypot(self.xs - point[0], self.ys - point[1]) <= radius)
 
     def clearance_at(self, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
-        """The clearance in points (bilinear between the cells), metres."""
-        # np.clip takes three times as long on so few points, and this is asked for all the time
+        """The clearance at points in metres (bilinear interpolation between the cells)."""
+        # np.clip takes three times as long for so few points, and this is called very often
         column = np.minimum(np.maximum((xs - self._low[0]) / RESOLUTION, 0), self.columns - 1.001)
         row = np.minimum(np.maximum((ys - self._low[1]) / RESOLUTION, 0), self.rows - 1.001)
         left, low = column.astype(int), row.astype(int)
@@ -158,11 +161,11 @@ class Grid:
         )
 
     def field(self, goal: Point, blocked: Sequence[Disc] = (), dear: Sequence[Disc] = ()) -> Field:
-        """The cheapest ways to a goal.
+        """The cheapest paths to a goal.
 
-        :param goal: where to, metres.
-        :param blocked: discs that no way may cross.
-        :param dear: discs that a way had better not cross: five times the cost.
+        :param goal: the goal, in metres.
+        :param blocked: discs that no path may cross.
+        :param dear: discs that paths should avoid: they cost five times as much.
         """
         weights = self._weights
         if blocked or dear:
@@ -175,16 +178,16 @@ class Grid:
             weights[inside[self._heads] | inside[self._tails]] = np.inf
         count = self.columns * self.rows
         graph = csr_matrix((weights, self._heads, self._rows_start), shape=(count, count))
-        # edges go both ways, so the predecessor on the way from the goal is the next cell on the
-        # way to it
+        # edges go both ways, so the predecessor on the path from the goal is the next cell on the
+        # path to it
         cost, following = dijkstra(
             graph, indices=self.cell(goal), return_predecessors=True, directed=True
         )
         return Field(self, goal, cost, following)
 
     def is_clear(self, start: Point, end: Point, spare: float) -> bool:
-        """Whether a robot can go straight, with ``spare`` metres beyond its radius to
-        everything."""
+        """Whether a robot can drive straight, with ``spare`` metres of clearance beyond its
+        radius."""
         count = max(2, math.ceil(math.dist(start, end) / RESOLUTION) + 1)
         xs = np.linspace(start[0], end[0], count)
         ys = np.linspace(start[1], end[1], count)

@@ -1,4 +1,4 @@
-"""Poses, scans and rooms as ROS messages, and back."""
+"""Converts poses, scans and rooms to ROS messages, and poses back."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from gspn_framework_package.world.room import Pose, RobotType
 
 
 def stamp_of(seconds: float) -> rospy.Time:
-    """The world's time for messages; it starts at 1 s, as 0 means "no time yet" in ROS."""
+    """The world's time for messages; it starts at 1 s, since 0 means "no time yet" in ROS."""
     return rospy.Time.from_sec(1.0 + seconds)
 
 
 def quaternion(yaw: float) -> Quaternion:
-    """A turn about the vertical axis."""
+    """A rotation about the vertical axis by ``yaw`` radians."""
     return Quaternion(0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
 
 
@@ -40,7 +40,7 @@ def pose_message(pose: Pose) -> PoseMessage:
 def pose_from(message: PoseMessage) -> Pose:
     """The pose on the floor in a message.
 
-    :raises ValueError: numbers that are not finite, or an invalid orientation.
+    :raises ValueError: it has numbers that are not finite, or an invalid orientation.
     """
     q = message.orientation
     numbers = (message.position.x, message.position.y, q.x, q.y, q.z, q.w)
@@ -53,7 +53,7 @@ def pose_from(message: PoseMessage) -> Pose:
 
 
 def stamped_pose(pose: Pose, stamp: rospy.Time, frame: str) -> PoseWithCovarianceStamped:
-    """A pose as localisation publishes it; exact, so its covariance is 0."""
+    """A pose as localisation publishes it. It is exact, so its covariance is 0."""
     message = PoseWithCovarianceStamped()
     message.header.stamp, message.header.frame_id = stamp, frame
     message.pose.pose = pose_message(pose)
@@ -63,7 +63,7 @@ def stamped_pose(pose: Pose, stamp: rospy.Time, frame: str) -> PoseWithCovarianc
 def odometry_message(
     state: Tuple[Pose, float, float], stamp: rospy.Time, frame: str, child: str
 ) -> Odometry:
-    """What the wheels say: pose, speed, turn rate."""
+    """The odometry of the wheels: pose, speed, turn rate."""
     pose, speed, turn_rate = state
     message = Odometry(child_frame_id=child)
     message.header.stamp, message.header.frame_id = stamp, frame
@@ -74,7 +74,7 @@ def odometry_message(
 
 
 def transform(pose: Pose, stamp: rospy.Time, frame: str, child: str) -> TransformStamped:
-    """The pose of one frame in another."""
+    """The pose of the frame ``child`` in ``frame``."""
     message = TransformStamped(child_frame_id=child)
     message.header.stamp, message.header.frame_id = stamp, frame
     message.transform.translation = Vector3(pose.x, pose.y, 0.0)
@@ -83,7 +83,7 @@ def transform(pose: Pose, stamp: rospy.Time, frame: str, child: str) -> Transfor
 
 
 def correction(true: Pose, odometry: Pose) -> Pose:
-    """The pose of the odometry frame in the map: what localisation corrects."""
+    """The pose of the odometry frame in the map, which is localisation's correction."""
     yaw = true.yaw - odometry.yaw
     cos, sin = math.cos(yaw), math.sin(yaw)
     return Pose(
@@ -94,7 +94,7 @@ def correction(true: Pose, odometry: Pose) -> Pose:
 
 
 def scan_message(ranges: List[float], robot: RobotType, stamp: rospy.Time, frame: str) -> LaserScan:
-    """One turn of the scanner, counter-clockwise from straight ahead."""
+    """One revolution of the scanner, counter-clockwise from straight ahead."""
     step = math.tau / len(ranges)
     message = LaserScan(
         angle_min=0.0,
@@ -109,14 +109,14 @@ def scan_message(ranges: List[float], robot: RobotType, stamp: rospy.Time, frame
 
 
 def temperature_message(celsius: float, stamp: rospy.Time, frame: str) -> Temperature:
-    """What the thermometer reads; exact."""
+    """The temperature reading, which is exact."""
     message = Temperature(temperature=celsius, variance=0.0)
     message.header.stamp, message.header.frame_id = stamp, frame
     return message
 
 
 def map_message(grid: Grid, frame: str) -> OccupancyGrid:
-    """The room as an occupancy grid: 100 where something hard is."""
+    """The room as an occupancy grid: 100 for walls and obstacles."""
     message = OccupancyGrid()
     message.header.frame_id = frame
     message.info.resolution = RESOLUTION

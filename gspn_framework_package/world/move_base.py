@@ -1,7 +1,7 @@
 """``move_base`` of a simulated robot: an action server in front of its navigator.
 
-It answers as move_base does (a new goal preempts the old one; blocked and unreachable goals are
-aborted and say why), so that plan actions need not know whether the robot is real.
+It behaves like move_base (a new goal preempts the old one; blocked and unreachable goals are
+aborted with a reason), so that plan actions need not know whether the robot is real.
 """
 
 from __future__ import annotations
@@ -22,17 +22,16 @@ MAP_FRAME = "map"
 """The frame of all goals."""
 
 FEEDBACK_PERIOD = 0.5
-"""Seconds of world time between two feedbacks."""
+"""Seconds of world time between two feedback messages."""
 
 
 class MoveBase:
     """Serves the action ``ROBOT/move_base`` (move_base_msgs/MoveBaseAction).
 
-    Callbacks of ROS only hand off; goals and cancellations are taken up by :meth:`update`, in the
-    thread that steps the world.
+    ROS callbacks only pass goals and cancellations on to the thread that steps the world.
 
-    :param robot: name of the robot, which is its namespace.
-    :param team: the team that it drives in.
+    :param robot: name of the robot, which is also its namespace.
+    :param team: the team of the robot.
     :param hand_off: called from ROS threads with a function to run in the world's thread.
     """
 
@@ -56,7 +55,7 @@ class MoveBase:
 
     @property
     def target(self) -> Optional[Pose]:
-        """The pose that the robot is sent to, if it is."""
+        """The pose that the robot is driving to; None if it has no goal."""
         return self._target if self._current is not None else None
 
     def _take(self, handle: Any) -> None:
@@ -82,7 +81,7 @@ class MoveBase:
             self._current = None
 
     def update(self) -> None:
-        """Tell the client how far the robot is; call it after each step of the world."""
+        """Report the robot's progress to the client; call this after each step of the world."""
         handle = self._current
         if handle is None:
             return

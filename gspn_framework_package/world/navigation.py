@@ -1,17 +1,17 @@
-"""The navigator of one robot: from where it is to a goal, among walls, parked, dead and moving
-robots.
+"""The navigator of one robot: drives it to a goal among walls and parked, dead and moving robots.
 
-Pure: ``step`` takes what the robot knows and gives the command for its motors. Its parts:
+It has no side effects: ``step`` takes the robot's knowledge and returns the command for its motors.
+Its parts:
 
-- the way: the cheapest on the room's grid, around robots that stand (:mod:`.grid`);
-- the next velocity: a dynamic window (:mod:`.avoidance`);
-- the right of way: the older goal goes first. A robot that is stuck says so; whoever stands in its
-  path and has less right of way *yields*: it goes to the nearest spot off that path and inherits
-  the right of way meanwhile, so that those behind it make room in turn (priority inheritance; PIBT,
-  Okumura et al. 2019). That is how two robots resolve a corridor too narrow for both, and four a
-  crossing.
-- recovery: one that stays stuck all the same tries another way, then steps aside at random, then
-  gives up and says why.
+- The path: the cheapest on the room's grid, around standing robots (:mod:`.grid`).
+- The next velocity: a dynamic window (:mod:`.avoidance`).
+- The right of way: the older goal takes precedence. A stuck robot announces this; a robot in its
+  path with less right of way *yields*: it moves to the nearest spot off that path, and meanwhile
+  inherits the right of way, so that those behind it make room in turn (priority inheritance; PIBT,
+  Okumura et al. 2019). This is how two robots resolve a corridor too narrow for both, and four
+  robots a crossing.
+- Recovery: a robot that is still stuck tries another path, then steps aside at random, then gives
+  up and gives the reason.
 """
 
 from __future__ import annotations
@@ -34,33 +34,33 @@ from gspn_framework_package.world.yielding import (
 )
 
 STUCK_AFTER = 2.5
-"""Seconds without getting nearer to the goal after which a robot says that it is stuck."""
+"""Seconds without progress towards the goal after which a robot announces that it is stuck."""
 
 DETOUR_AFTER = 8.0
-"""Seconds without progress after which it looks for a way around robots that hardly move."""
+"""Seconds without progress after which it looks for a path around robots that hardly move."""
 
 ESCAPE_AFTER = 14.0
 """Seconds without progress after which it steps aside at random."""
 
 GIVE_UP_AFTER = 60.0
-"""Seconds without progress, or without any way, after which the goal is given up; making room for
-others does not count."""
+"""Seconds without progress after which the goal is given up, not counting the time spent making
+room for others. Without any path, half of this suffices."""
 
-_LOOK_AHEAD = 0.9  # metres of path looked at for a target in sight
-_NEIGHBOURHOOD = 1.4  # metres within which others count
+_LOOK_AHEAD = 0.9  # metres of path searched for a target in sight
+_NEIGHBOURHOOD = 1.4  # metres within which other robots count
 
 
 class NavigationStatus(enum.Enum):
-    """What a navigator is doing."""
+    """The state of a navigator."""
 
     IDLE = "idle"
     """No goal."""
 
     DRIVING = "driving"
-    """On its way."""
+    """Driving to the goal."""
 
     YIELDING = "yielding"
-    """On its way, but making room for another robot first."""
+    """Making room for another robot, or stepping aside, before it continues to the goal."""
 
     REACHED = "reached"
     """The last goal was reached."""
@@ -71,10 +71,10 @@ class NavigationStatus(enum.Enum):
 
 @dataclass(frozen=True)
 class Observation:
-    """What a robot knows at one moment.
+    """A robot's knowledge at one moment.
 
-    :param time: seconds.
-    :param pose: its own.
+    :param time: the time in seconds.
+    :param pose: its own pose.
     :param peers: the other robots.
     """
 
@@ -85,7 +85,7 @@ class Observation:
 
 @dataclass
 class _Yield:
-    """Making room."""
+    """The state of making room."""
 
     to: str
     rank: Rank
@@ -100,8 +100,8 @@ class Navigator:
 
     :param grid: the room.
     :param index: breaks ties in the right of way; different for each robot.
-    :param goal_tolerance: metres.
-    :param yaw_tolerance: radians.
+    :param goal_tolerance: distance at which the goal is reached, in metres.
+    :param yaw_tolerance: tolerance of the final heading, in radians.
     """
 
     def __init__(
@@ -134,10 +134,10 @@ class Navigator:
     # ---- goals -------------------------------------------------------------------------------
 
     def go(self, goal: Pose, time: float, turn: bool = True) -> None:
-        """Take up a goal, instead of the one before.
+        """Accept a goal, which replaces the previous one.
 
         :param time: seconds; the older of two goals has the right of way.
-        :param turn: also look along ``goal.yaw`` in the end.
+        :param turn: also turn to ``goal.yaw`` at the goal.
         """
         self.goal = goal
         self.status = NavigationStatus.DRIVING
@@ -177,13 +177,13 @@ class Navigator:
         return self.goal is not None
 
     def stuck_for(self, time: float) -> float:
-        """Seconds since the robot last came nearer to its goal."""
+        """Seconds since the robot last made progress towards its goal; 0 if it has none."""
         return time - self._progress_time if self.goal is not None else 0.0
 
     def announce(
         self, name: str, pose: Pose, velocity: Tuple[float, float], time: float
     ) -> OtherRobot:
-        """What this robot announces to the others."""
+        """This robot's announcement to the others."""
         return OtherRobot(
             name=name,
             pose=pose,
@@ -197,7 +197,7 @@ class Navigator:
     # ---- driving -----------------------------------------------------------------------------
 
     def step(self, seen: Observation, dt: float) -> Tuple[float, float]:
-        """The command for the next ``dt`` seconds.
+        """Compute the command for the next ``dt`` seconds.
 
         :returns: speed in metres per second and turn rate in radians per second.
         """
@@ -225,7 +225,7 @@ class Navigator:
         return self._drive(seen, dt)
 
     def _watch(self, seen: Observation) -> None:
-        """Remember since when each peer stands."""
+        """Record since when each peer has been standing."""
         for peer in seen.peers:
             point = (peer.pose.x, peer.pose.y)
             before = self._last_moved.get(peer.name)
@@ -236,19 +236,19 @@ class Navigator:
         return time - self._last_moved[peer.name][1] > seconds
 
     def _plan(self, seen: Observation) -> None:
-        """Find the way, anew when the robots that stand have changed."""
+        """Find the path, and search again when the standing robots have changed."""
         assert self.goal is not None
         reach = 2 * self._grid.room.robot.radius
         blocked: List[Disc] = []
         dear: List[Disc] = []
         detour = self.stuck_for(seen.time) > DETOUR_AFTER
         for peer in seen.peers:
-            # rounded, so that who trembles does not ask for a new search each time
+            # rounded, so that a trembling robot does not cause a new search each time
             step = 0.03 if peer.active else 0.01
             x, y = round(peer.pose.x / step) * step, round(peer.pose.y / step) * step
             if not peer.active:
-                # more than what is kept from it, or the way would lead where the robot does not
-                # dare to go
+                # more than the distance kept from it: otherwise the path would lead where the
+                # robot refuses to go
                 blocked.append((x, y, reach + STANDING_GAP + 0.012))
                 dear.append((x, y, reach + 0.06))
             elif self._standing(peer, seen.time, 2.0 if detour else 4.0):
@@ -259,7 +259,7 @@ class Navigator:
             goal = (self.goal.x, self.goal.y)
             field = self._grid.field(goal, blocked, dear)
             if math.isinf(field.cost((seen.pose.x, seen.pose.y))):
-                # no way now; go as near as the walls allow, those who stand there may leave
+                # no path now: go as near as the walls allow, since standing robots may leave
                 if self._no_way_since is None:
                     self._no_way_since = seen.time
                 field = self._grid.field(goal, (), [(x, y, r + 0.05) for x, y, r in blocked])
@@ -274,18 +274,18 @@ class Navigator:
             self._field_key = ()
 
     def _measure(self, seen: Observation, dt: float) -> None:
-        """Watch the progress; give up in the end."""
+        """Measure the progress, and give up after too long without any."""
         assert self._field is not None
         cost = self._field.cost((seen.pose.x, seen.pose.y))
         if self._best == math.inf:
-            # a new field: the old and the new cost cannot be compared, the patience goes on
+            # a new field: its costs cannot be compared with the old ones; the timers continue
             self._best = cost
         elif cost < self._best - 0.05:
             self._best = cost
             self._progress_time = seen.time
             self._in_vain = 0.0
         elif self._yield is None or not self._yield.to:
-            # seconds in all: those before it stepped aside count too
+            # the total: seconds before it stepped aside count too
             self._in_vain += dt
         if self._no_way_since is not None and seen.time - self._no_way_since > GIVE_UP_AFTER / 2:
             self._end(NavigationStatus.FAILED, "the way is blocked by standing robots")
@@ -319,8 +319,8 @@ class Navigator:
         return (avoidance.brake(self._grid, pose, drive, dt, near), turn)
 
     def _in_sight(self, here: Point, path: Sequence[Point]) -> Point:
-        """The farthest point of the path, within reach, to which it goes straight."""
-        # at least the next cell, never its own, around whose middle it would turn without end
+        """The farthest point of the path, within reach, that it can reach in a straight line."""
+        # at least the next cell: around the centre of its own it would turn forever
         target = path[min(1, len(path) - 1)] if path else here
         for point in [*path[2::2], *path[-1:]]:
             if math.dist(here, point) > _LOOK_AHEAD or not self._grid.is_clear(here, point, 0.02):
@@ -372,13 +372,13 @@ class Navigator:
         if seen.time - now.arrived < 0.5:
             return False
         assert self._field is not None
-        # the way on is free once the other's path no longer crosses the next piece of it
+        # the path is free once that of the other no longer crosses its next section
         ahead = self._field.path((seen.pose.x, seen.pose.y), 0.5)
         apart = 2 * self._grid.room.robot.radius + GAP
         return all(distance_to_path(other, point) > apart for point in ahead)
 
     def _make_room(self, other: OtherRobot, seen: Observation) -> None:
-        """Go to the nearest spot off the path of ``other``."""
+        """Move to the nearest spot off the path of ``other``."""
         spot = spot_off_the_path(self._grid, (seen.pose.x, seen.pose.y), other, seen.peers)
         if spot is not None:
             blocked = standing_for(other, seen.peers, 2 * self._grid.room.robot.radius)
@@ -386,7 +386,7 @@ class Navigator:
             self._step_aside(other.name, rank, spot, blocked, seen.time)
 
     def _escape(self, seen: Observation) -> None:
-        """Step aside at random, the last thing that may help."""
+        """Step aside at random, as a last resort."""
         self._escaped = seen.time
         here = (seen.pose.x, seen.pose.y)
         spot = spot_at_random(self._grid, here, seen.peers, self._random)

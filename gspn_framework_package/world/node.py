@@ -1,21 +1,23 @@
-"""The world as a ROS node: one process that plays the room and the robots' bodies, sensors and
+"""The world as a ROS node: one process simulates the room and the robots' bodies, sensors and
 navigation.
 
-For each robot, in its namespace, what a real one has:
+For each robot, in its namespace, the node has the interface of a real one. It
 
 - serves ``move_base`` (move_base_msgs/MoveBaseAction);
 - publishes ``odom`` (nav_msgs/Odometry), ``amcl_pose`` (geometry_msgs/PoseWithCovarianceStamped,
   latched, in the frame ``map``), ``temperature`` (sensor_msgs/Temperature), ``scan``
-  (sensor_msgs/LaserScan, while anyone listens);
+  (sensor_msgs/LaserScan, only while there are subscribers);
 - subscribes to ``cmd_vel`` (geometry_msgs/Twist), which drives the robot while it has no goal.
 
-For all: ``/clock``, ``/tf`` (map -> ROBOT/odom -> ROBOT/base_footprint), ``/map`` (latched), and
-for the page ``/world/room`` (std_msgs/String, JSON, latched), ``/world/state`` (JSON, ten a second
-of wall time at most) and ``/world/referee`` (JSON, what the referee has counted, once a second).
+For all robots, it publishes ``/clock``, ``/tf`` (map -> ROBOT/odom -> ROBOT/base_footprint),
+``/map`` (latched), and for the page ``/world/room`` (std_msgs/String, JSON, latched),
+``/world/state`` (JSON, at most ten per second of wall time) and ``/world/referee`` (JSON, the
+referee's counts, once per second).
 
-Private parameters: ``room`` (file), ``robots`` (how many: robot_1 to robot_N; or their names, with
-commas), ``real_time_factor`` (1 is real time, 0 as fast as it goes), ``gui``, ``duration`` (seconds
-of world time, 0 without end), ``record`` (file to record the run in, for ``gspn film``).
+Private parameters: ``room`` (file), ``robots`` (a number N, for robot_1 to robot_N, or names
+separated by commas), ``real_time_factor`` (1 is real time, 0 as fast as possible), ``gui``,
+``duration`` (seconds of world time, 0 for no limit), ``record`` (file to record the run in, for
+``gspn film``).
 """
 
 from __future__ import annotations
@@ -48,7 +50,7 @@ from gspn_framework_package.world.room import Room
 from gspn_framework_package.world.room_file import load_room
 
 STATE_PERIOD = 0.1
-"""Seconds of wall time between two ``/world/state``."""
+"""Seconds of wall time between two messages on ``/world/state``."""
 
 SCAN_EVERY = 2
 """Control periods between two scans."""
@@ -78,7 +80,7 @@ class _Robot:
         return rospy.Publisher("/%s/%s" % (self.name, topic), kind, queue_size=5, latch=latch)
 
     def publish(self, stamp: rospy.Time, scan: bool) -> List[Any]:
-        """Publish what the robot senses; the transforms of its frames."""
+        """Publish the robot's sensor data; return the transforms of its frames."""
         physics, name = self._team.physics, self.name
         pose, odometry = physics.pose(name), physics.odometry(name)
         odom, base = name + "/odom", name + "/base_footprint"
@@ -97,7 +99,7 @@ class _Robot:
         ]
 
     def state(self) -> Dict[str, Any]:
-        """What the page draws of the robot."""
+        """The state of the robot for the page."""
         pose = self._team.physics.pose(self.name)
         navigator, goal = self._team.navigators[self.name], self.base.target
         return {
@@ -111,11 +113,11 @@ class _Robot:
 
 
 class WorldNode:
-    """Steps the world and speaks ROS; see the module.
+    """Steps the world and connects it to ROS; see the module.
 
     :param room: the room.
-    :param robots: names of the robots, which are their namespaces.
-    :param real_time_factor: seconds of world time for a second of wall time; 0: as fast as it goes.
+    :param robots: names of the robots, which are also their namespaces.
+    :param real_time_factor: seconds of world time per second of wall time; 0: as fast as possible.
     :param gui: open PyBullet's window.
     """
 
@@ -142,7 +144,7 @@ class WorldNode:
         self.real_time_factor = 0.0
 
     def step(self) -> None:
-        """Take what ROS has handed over, advance one control period, publish what has changed."""
+        """Run what the ROS threads handed off, advance one control period, and publish changes."""
         while True:
             try:
                 self._inbox.get_nowait()()
@@ -169,7 +171,7 @@ class WorldNode:
             self._report.publish(json.dumps(self.referee.report()))
 
     def state(self) -> Dict[str, Any]:
-        """What the page draws now."""
+        """The current state for the page."""
         heat = self.team.room.temperature
         return {
             "time": round(self.team.time, 3),
@@ -198,15 +200,15 @@ class WorldNode:
                 if due > wall:
                     time.sleep(due - wall)
                 elif wall - due > 0.5:
-                    # too slow for what was asked; do not race to catch up later
+                    # too slow for the requested factor; do not race to catch up later
                     due = wall
         self._report.publish(json.dumps(self.referee.report()))
 
 
 def robot_names(value: Union[int, str, List[str]]) -> List[str]:
-    """The names of the robots from a parameter: a list, a text with commas, or how many.
+    """The names of the robots from a parameter: a list, a text with commas, or a number.
 
-    :raises InputError: none, or one twice.
+    :raises InputError: there is no name, or one occurs twice.
     """
     if isinstance(value, str) and value.isdigit():
         value = int(value)
@@ -230,7 +232,7 @@ def robot_names(value: Union[int, str, List[str]]) -> List[str]:
 
 
 def _number(parameter: str, default: float) -> float:
-    """A private parameter that is a number, 0 or more. :raises InputError: it is not."""
+    """A private parameter that is a number, 0 or more. :raises InputError: it is anything else."""
     value = rospy.get_param("~" + parameter, default)
     if (
         isinstance(value, bool)
@@ -244,7 +246,7 @@ def _number(parameter: str, default: float) -> float:
 
 
 def main() -> int:
-    """Run the node; the exit code."""
+    """Run the node; return the exit code."""
     rospy.init_node("world")
     try:
         room_file = rospy.get_param("~room", "")

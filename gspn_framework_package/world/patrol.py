@@ -1,9 +1,9 @@
-"""The actions of the patrol (thesis 6.2), as a robot does them: drive, look, measure, wait.
+"""The actions of the patrol (thesis 6.2) on a robot: drive, look, measure, wait.
 
-Each action is a generator: it yields feedback, one line at a time, while it goes on, and returns
-the name of a transition, or None when the policy decides. It asks nothing but a :class:`Robot`: a
-base that goes to poses (``move_base``), a thermometer, and the poses of the others. The same
-actions therefore run on simulated and on real robots, and without ROS in tests and benchmarks.
+Each action is a generator: it yields feedback, one line at a time, while it runs, and returns the
+name of a transition, or None if the policy decides. It only needs a :class:`Robot`: a base that
+drives to poses (``move_base``), a thermometer, and the poses of the others. The same actions
+therefore run on simulated and on real robots, and without ROS in tests and benchmarks.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ Action = Generator[str, None, Optional[str]]
 
 
 class Robot(Protocol):
-    """What the actions need of a robot."""
+    """The interface that the actions need from a robot."""
 
     name: str
 
     def now(self) -> float:
-        """The time, seconds."""
+        """The time in seconds."""
 
     def pose(self) -> Pose:
-        """Where it is."""
+        """The pose of the robot."""
 
     def others(self) -> Dict[str, Pose]:
-        """Where the other robots are or were last seen, by name."""
+        """The last known poses of the other robots, by name."""
 
     def temperature(self) -> float:
-        """What its thermometer reads, degrees Celsius."""
+        """The reading of its thermometer, in degrees Celsius."""
 
     def go(self, goal: Pose) -> None:
-        """Start driving to a pose, instead of the goal before."""
+        """Start driving to a pose, which replaces the previous goal."""
 
     def arrived(self) -> Optional[bool]:
-        """None on the way; then whether the last goal was reached."""
+        """None while driving; afterwards whether the last goal was reached."""
 
     def trouble(self) -> str:
         """Why the last goal was not reached."""
@@ -50,7 +50,8 @@ class Robot(Protocol):
 
 
 def occupant(location: Location, robots: Dict[str, Pose], radius: float) -> Optional[str]:
-    """The robot that is in the location, if only with its edge; the first by name."""
+    """The robot that is in the location, even if only with its edge; the first by name, None if
+    there is none."""
     inside = (
         name
         for name, pose in sorted(robots.items())
@@ -60,9 +61,9 @@ def occupant(location: Location, robots: Dict[str, Pose], radius: float) -> Opti
 
 
 def drive(robot: Robot, goal: Pose, tries: int = 3) -> Generator[str, None, None]:
-    """Go to a pose, once more when the base gives up.
+    """Drive to a pose, and try again if the base gives up.
 
-    :raises ActionFailed: it gave up ``tries`` times.
+    :raises ActionFailed: the base gave up ``tries`` times.
     """
     for attempt in range(tries):
         robot.go(goal)
@@ -79,21 +80,20 @@ def check_temperature(
 ) -> Action:
     """Sweep a location and read the thermometer.
 
-    It enters only once nobody else is in the location, seen from the poses, and waits at the entry
-    until then: a robot that is leaving, or one that was lost there, still occupies it.
+    The robot waits at the entry until no other robot is in the location according to the poses: a
+    robot that is leaving, or that was lost there, still occupies it.
 
     :param location: name of the location.
-    :param threshold: degrees Celsius above which it is too hot.
-    :param high: the transition to ask for when it was too hot anywhere ...
-    :param low: ... and when it was not.
+    :param threshold: temperature above which it is too hot, in degrees Celsius.
+    :param high: the transition to request if it was too hot at any point.
+    :param low: the transition to request otherwise.
     :raises ActionFailed: a point cannot be reached.
     """
     place = room.locations[location]
     radius = room.robot.radius
     who = occupant(place, robot.others(), radius)
     if who is not None:
-        # if the entry cannot be reached, because a lost robot stands there, any place outside will
-        # do
+        # if a lost robot blocks the entry, any position outside will do
         robot.go(place.entry)
     while who is not None:
         yield "waiting at the entry of %s, %s is in it" % (location, who)
@@ -109,7 +109,7 @@ def check_temperature(
 
 
 def alarm(robot: Robot, location: str, seconds: float) -> Action:
-    """Stand in the location and sound the alarm for some seconds."""
+    """Stand in the location and sound the alarm for ``seconds``."""
     start = robot.now()
     while robot.now() - start < seconds:
         yield "ALARM in %s: %.1f degrees" % (location, robot.temperature())
@@ -117,9 +117,9 @@ def alarm(robot: Robot, location: str, seconds: float) -> Action:
 
 
 def wait(robot: Robot, room: Room, location: str, seconds: float, first_slot: int = 0) -> Action:
-    """Go to a free slot of the bay after a location and wait there for some seconds.
+    """Drive to a free slot of the bay after a location and wait there for ``seconds``.
 
-    :param first_slot: the slot to prefer; different robots prefer different ones.
+    :param first_slot: the preferred slot, different for different robots.
     :raises ActionFailed: no slot can be reached.
     """
     bay = room.locations[location].bay
@@ -131,8 +131,8 @@ def wait(robot: Robot, room: Room, location: str, seconds: float, first_slot: in
 
 
 def preferred_slot(robot: str) -> int:
-    """The slot of a bay for a robot to try first: another for each, the same one each time,
-    whatever they are called."""
+    """The slot of a bay that a robot tries first: always the same for one name, and usually a
+    different one for each robot."""
     number = re.search(r"(\d{1,6})$", robot)
     return int(number.group(1)) if number is not None else zlib.crc32(robot.encode())
 
@@ -158,6 +158,6 @@ def _park(
             yield "driving, %.1f m to go" % robot.pose().distance(slot)
         if robot.arrived():
             return
-        # given up, or somebody else was there first
+        # the base gave up, or another robot got there first
         trouble = robot.trouble() or "every slot is taken"
     raise ActionFailed(trouble)

@@ -1,8 +1,8 @@
-"""The patrol's actions on a robot in ROS: what plans/patrol runs in its action places.
+"""The patrol's actions on a ROS robot, which plans/patrol runs in its action places.
 
-They talk to ``move_base``, ``amcl_pose`` and ``temperature`` in the robot's namespace only, so that
-simulated and real robots are the same to them. All waiting is on news from the robot and in ROS
-time (``use_sim_time``).
+They only use ``move_base``, ``amcl_pose`` and ``temperature`` in the robot's namespace, and so work
+with simulated and real robots. They wait for messages from the robot, and in ROS time
+(``use_sim_time``).
 
 Parameters, searched upwards from the node: ``room`` (the room file), ``patrol/threshold`` (degrees
 Celsius above which a location is too hot, 30), ``patrol/alarm_seconds`` (5),
@@ -38,11 +38,11 @@ _rooms: Dict[str, Room] = {}
 def check_temperature(
     place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled
 ) -> Optional[str]:
-    """Sweep the place's location; ask for ``Temperature_High`` or ``Temperature_Low`` of it."""
+    """Sweep the place's location, and request its ``Temperature_High`` or ``Temperature_Low``."""
     number, location = _read(place)
     client, room = _connect(robot, location)
     threshold = float(_parameter("patrol/threshold", 30.0))
-    # the net numbers six transitions for each location (thesis 6.2.2): t1 to t6, t7 to t12, ...
+    # the net has six numbered transitions per location (thesis 6.2.2): t1 to t6, t7 to t12, ...
     first = (number - 1) // 4 * 6 + 1
     high = "t%d:Temperature_High_%s" % (first, location)
     low = "t%d:Temperature_Low_%s" % (first + 2, location)
@@ -60,7 +60,7 @@ def alarm(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled)
 
 
 def decide(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled) -> Optional[str]:
-    """Nothing to do: the policy decides."""
+    """Do nothing: the policy decides."""
     _read(place)
     return None
 
@@ -77,7 +77,7 @@ def wait(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled) 
 def _read(place: str) -> Tuple[int, str]:
     """The number and the location in the name of a place.
 
-    :raises ActionFailed: no place of the patrol.
+    :raises ActionFailed: it is no place of the patrol.
     """
     match = _PLACE.match(place)
     if match is None:
@@ -93,11 +93,11 @@ def _parameter(name: str, default: Any) -> Any:
 
 
 def _connect(robot: str, location: str) -> Tuple[BaseClient, Room]:
-    """The robot and the room, made once in each process.
+    """The robot and the room, created once per process.
 
-    :param location: that the room must have.
-    :raises ActionFailed: no room is published, or it cannot be read, or lacks the location, or the
-      robot is not there.
+    :param location: a location that the room must have.
+    :raises ActionFailed: no room is published, it cannot be read, it lacks the location, or the
+      robot is not available.
     """
     file = _parameter("room", "")
     if not file:
@@ -127,7 +127,8 @@ def _run(
     feedback: Feedback,
     is_cancelled: IsCancelled,
 ) -> Optional[str]:
-    """Take the steps of an action until it ends or is cancelled; feedback is seconds so far."""
+    """Run the steps of an action until it ends or is cancelled; the feedback is the elapsed time in
+    seconds."""
     start, told, said = client.now(), -1, ""
     while not rospy.is_shutdown():
         if is_cancelled():

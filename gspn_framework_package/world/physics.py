@@ -1,8 +1,8 @@
 """The room and its robots as PyBullet bodies: wheels, motors, contacts, a laser scanner, encoders.
 
 Robots are differential-drive discs of TurtleBot3 Burger's size. They move because their wheels turn
-on the floor; nothing here ever sets a pose after the start. Stepping is by a fixed time step, as
-fast as the caller asks for it.
+on the floor; a simulation never sets a pose after the start. The time step is fixed, and the caller
+decides how fast to step.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from gspn_framework_package.world.room import Pose, Room
 from gspn_framework_package.world.window import set_up_window
 
 TIME_STEP = 1.0 / 120.0
-"""Seconds of one physics step."""
+"""Duration of one physics step, in seconds."""
 
 
 @dataclass
 class Contacts:
-    """How often bodies have touched, each touch counted once however long it lasts.
+    """Counts contacts between bodies; each contact counts once, however long it lasts.
 
-    :ivar robots: touches between two robots, by pair of names in alphabetical order.
-    :ivar solids: touches of a robot with a wall or an obstacle, by name of the robot.
+    :ivar robots: contacts between two robots, by pair of names in alphabetical order.
+    :ivar solids: contacts of a robot with a wall or an obstacle, by name of the robot.
     """
 
     robots: Dict[Tuple[str, str], int] = field(default_factory=dict)
@@ -40,7 +40,7 @@ class Contacts:
 
     @property
     def total(self) -> int:
-        """All touches together."""
+        """The number of all contacts."""
         return sum(self.robots.values()) + sum(self.solids.values())
 
 
@@ -62,9 +62,9 @@ class Physics:
 
     :param room: the room.
     :param robots: names of the robots, in the order of ``room.spawn``.
-    :param poses: where they start, instead of ``room.spawn``.
+    :param poses: their start poses, instead of ``room.spawn``.
     :param gui: open PyBullet's window.
-    :raises ValueError: fewer start poses than robots.
+    :raises ValueError: there are fewer start poses than robots.
     """
 
     def __init__(
@@ -97,8 +97,7 @@ class Physics:
             set_up_window(
                 self._client, room, {name: body.unique_id for name, body in self._bodies.items()}
             )
-        # let the bodies settle on their wheels, so that the first measured second is like the
-        # others
+        # let the bodies settle on their wheels, so that the first second is like the others
         for body in self._bodies.values():
             self._let_sleep(body)
             self._turn_wheels(body)
@@ -108,18 +107,18 @@ class Physics:
             body.wheels = self._wheel_angles(body)
 
     def close(self) -> None:
-        """Give the simulation's memory back."""
+        """Free the memory of the simulation."""
         self._client.disconnect()
 
     # ---- running -----------------------------------------------------------------------------
 
     @property
     def time(self) -> float:
-        """Seconds simulated since the start."""
+        """Simulated seconds since the start."""
         return self._steps * TIME_STEP
 
     def drive(self, robot: str, speed: float, turn_rate: float) -> None:
-        """Set what a robot's motors are to reach; both are cut to the robot's limits.
+        """Set the target speeds of a robot's motors; both are limited to the robot's maximum.
 
         :param speed: forward, metres per second.
         :param turn_rate: counter-clockwise, radians per second.
@@ -133,9 +132,9 @@ class Physics:
             self._let_sleep(body)
 
     def _let_sleep(self, body: _Body) -> None:
-        """Let a body that stands fall asleep, as static friction does; wake one that is driven.
+        """Put a standing body to sleep, which acts as static friction; wake a driven one.
 
-        Awake, Bullet's contacts creep by a millimetre in a few seconds.
+        While awake, Bullet's contacts creep by a millimetre in a few seconds.
         """
         modes = (
             [self._client.ACTIVATION_STATE_ENABLE_SLEEPING]
@@ -149,7 +148,7 @@ class Physics:
             self._client.changeDynamics(body.unique_id, -1, activationState=mode)
 
     def show(self, robot: str, pose: Pose) -> None:
-        """Put a robot somewhere, for pictures of a recorded run; a simulation never does that."""
+        """Place a robot at a pose, for pictures of a recorded run; a simulation never does this."""
         body = self._bodies[robot].unique_id
         height = self._client.getBasePositionAndOrientation(body)[0][2]
         turned = self._client.getQuaternionFromEuler([0, 0, pose.yaw])
@@ -166,7 +165,7 @@ class Physics:
         self._count_contacts()
 
     def advance(self, seconds: float) -> None:
-        """Take as many steps as bring the time nearest to ``time + seconds``."""
+        """Advance by the number of steps that brings the time nearest to ``time + seconds``."""
         for _ in range(round(seconds / TIME_STEP)):
             self.step()
 
@@ -227,7 +226,7 @@ class Physics:
                 self.contacts.solids[second] = self.contacts.solids.get(second, 0) + 1
         self._touching = touching
 
-    # ---- what can be known -------------------------------------------------------------------
+    # ---- measurements ------------------------------------------------------------------------
 
     def pose(self, robot: str) -> Pose:
         """The true pose of a robot."""
@@ -240,27 +239,29 @@ class Physics:
         return Pose(position[0], position[1], yaw)
 
     def velocity(self, robot: str) -> Tuple[float, float, float]:
-        """The true velocity: metres per second east and north, and radians per second."""
+        """The true velocity: metres per second east and north, and turn rate in radians per
+        second."""
         linear, angular = self._client.getBaseVelocity(self._bodies[robot].unique_id)
         return (linear[0], linear[1], angular[2])
 
     def odometry(self, robot: str) -> Tuple[Pose, float, float]:
-        """What the wheel encoders say: pose (started at the true one), speed, turn rate."""
+        """The odometry of the wheel encoders: pose (initially the true one), speed, turn rate."""
         body = self._bodies[robot]
         return (body.odometry, body.speed, body.turn_rate)
 
     def temperature(self, robot: str) -> float:
-        """What the robot's thermometer reads, degrees Celsius."""
+        """The reading of the robot's thermometer, in degrees Celsius."""
         pose = self.pose(robot)
         return self.room.temperature.at((pose.x, pose.y), self.time)
 
     def scan(self, robot: str) -> List[float]:
-        """One turn of the laser scanner: ranges in metres, counter-clockwise from straight ahead.
+        """One revolution of the laser scanner: ranges in metres, counter-clockwise from straight
+        ahead.
 
-        A ray that meets nothing has infinite range.
+        A ray that hits nothing has infinite range.
         """
         kind, pose = self.room.robot, self.pose(robot)
-        # rays start outside of the robot's own body
+        # rays start outside the robot's own body
         start = kind.radius + 0.005
         directions = [pose.yaw + math.tau * i / kind.scan_rays for i in range(kind.scan_rays)]
         height = BODY_BOTTOM + BODY_HEIGHT - 0.02

@@ -1,4 +1,4 @@
-"""Recorded runs of the world: JSON lines, the first with the room and the robots, then one for each
+"""Recorded runs of the world: JSON lines, the first with the room and the robots, then one per
 moment."""
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ FORMAT = "gspn_world_1"
 
 
 class Recorder:
-    """Writes what a team does to a file; a context manager.
+    """Records the motion of a team in a file; a context manager.
 
-    :param file: what to write; an old one is replaced.
+    :param file: the file to write; an existing one is replaced.
     :param room_text: the text of the room file, so that the recording needs no other file.
     :param team: the team.
     :raises InputError: the file cannot be written.
@@ -38,7 +38,7 @@ class Recorder:
         self._out.write(json.dumps(head) + "\n")
 
     def record(self) -> None:
-        """Write where everyone is now."""
+        """Write the current poses of all robots."""
         poses = [self._team.physics.pose(name) for name in self._team.robots]
         line = [[round(p.x, 4), round(p.y, 4), round(p.yaw, 4)] for p in poses]
         self._out.write(json.dumps([round(self._team.time, 3), line]) + "\n")
@@ -63,9 +63,9 @@ class Recorder:
 class RoomRecording:
     """A recorded run.
 
-    :param room: where.
-    :param robots: who, in the order of the poses.
-    :param moments: time in seconds and the poses then, in order of time.
+    :param room: the room.
+    :param robots: names of the robots, in the order of the poses.
+    :param moments: pairs of time in seconds and poses, sorted by time.
     """
 
     room: Room
@@ -73,7 +73,7 @@ class RoomRecording:
     moments: Tuple[Tuple[float, Tuple[Pose, ...]], ...]
 
     def every(self, seconds: float) -> Iterator[Tuple[float, Dict[str, Pose]]]:
-        """Moments that far apart: the latest recorded one at each time."""
+        """Yield the latest recorded moment at regular intervals of ``seconds``."""
         due = self.moments[0][0] if self.moments else 0.0
         for (time, poses), after in zip(self.moments, [*self.moments[1:], None]):
             if after is None or after[0] > due:
@@ -82,7 +82,7 @@ class RoomRecording:
 
 
 def read_recording(file: Union[str, Path]) -> RoomRecording:
-    """Read a recording; a last line that was cut off is left out.
+    """Read a recording; an incomplete last line is ignored.
 
     :raises InputError: it cannot be read, or is not a recording.
     """
@@ -100,7 +100,7 @@ def read_recording(file: Union[str, Path]) -> RoomRecording:
         room = parse_room(head["room"], str(file))
         for number, line in enumerate(lines[1:], 2):
             if number == len(lines) and not line.endswith("]]]"):
-                break  # written while the run was ended
+                break  # cut off when the run ended
             time, poses = json.loads(line)
             if len(poses) != len(robots):
                 raise ValueError("%d poses of %d robots" % (len(poses), len(robots)))

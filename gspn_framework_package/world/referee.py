@@ -1,7 +1,7 @@
-"""Watches a team and counts: laps, distance, touches, minutes stuck, two in one location,
-overtakings.
+"""The referee: watches a team and counts laps, distance, contacts, time stuck, two robots in one
+location, and overtaking.
 
-It judges by the true poses of the world, not by any robot's or plan's belief.
+It judges by the true poses in the world, not by the belief of any robot or plan.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ STUCK_SECONDS = 20.0
 """A robot with a goal that stays within :data:`STUCK_RADIUS` for longer than this is stuck."""
 
 STUCK_RADIUS = 0.1
-"""Metres."""
+"""Radius in metres."""
 
 
 @dataclass
 class Tally:
-    """What the referee has counted for one robot.
+    """The referee's counts for one robot.
 
-    :ivar distance: metres driven.
-    :ivar entries: locations entered.
-    :ivar laps: times that every location was entered, in the order of the room file.
-    :ivar stuck: seconds with a goal and without way made, beyond the first :data:`STUCK_SECONDS`.
-    :ivar reached: goals reached.
-    :ivar aborted: goals given up by the navigator.
+    :ivar distance: distance driven, in metres.
+    :ivar entries: number of locations entered.
+    :ivar laps: how often all locations were entered, in the order of the room file.
+    :ivar stuck: seconds with a goal but without progress, beyond the first :data:`STUCK_SECONDS`.
+    :ivar reached: number of goals reached.
+    :ivar aborted: number of goals given up by the navigator.
     """
 
     distance: float = 0.0
@@ -42,30 +42,30 @@ class Tally:
 
 
 class EntryOrder:
-    """Holds the order in which robots enter locations against the order in which the plan sends
+    """Compares the order in which robots enter locations with the order in which the plan sends
     them there.
 
-    Nothing is judged before the first grant.
+    It does not judge entries before the first grant.
     """
 
     def __init__(self) -> None:
         self._granted: Dict[str, Deque[str]] = {}
         self.out_of_turn: List[Tuple[float, str, str]] = []
-        """Time, location and robot of each entry that was not the next one granted: an
-        overtaking."""
+        """Time, location and robot of each entry that was not the next one granted, that is, of
+        each overtaking."""
 
     def grant(self, robot: str, location: str) -> None:
-        """The plan sends a robot into a location."""
+        """Note that the plan sends a robot into a location."""
         self._granted.setdefault(location, deque()).append(robot)
 
     def withdraw(self, robot: str) -> None:
-        """A robot was lost: what was granted to it and not used yet is void."""
+        """Cancel the unused grants of a robot that was lost."""
         for queue in self._granted.values():
             while robot in queue:
                 queue.remove(robot)
 
     def enter(self, robot: str, location: str, time: float) -> None:
-        """A robot enters a location."""
+        """Note that a robot enters a location, at ``time`` in seconds."""
         if not self._granted:
             return
         queue = self._granted.setdefault(location, deque())
@@ -88,7 +88,7 @@ class _Track:
 
 
 class Referee:
-    """Counts what a team does; call :meth:`watch` after each of its steps.
+    """Counts the events of a team; call :meth:`watch` after each of its steps.
 
     :param team: the team.
     """
@@ -97,9 +97,9 @@ class Referee:
         self._team = team
         self.tallies: Dict[str, Tally] = {name: Tally() for name in team.robots}
         self.together: List[Tuple[float, str, Tuple[str, ...]]] = []
-        """Time, location and robots of each time that two were in one location."""
+        """Time, location and robots, each time that several robots were in one location."""
         self.order = EntryOrder()
-        """Tell it what the plan grants, and it knows who overtook against the plan."""
+        """Given the plan's grants, it lists the robots that overtook against the plan."""
         self.entry_log: List[Tuple[float, str, str]] = []
         """Time, robot and location of each entry."""
         self._tracks = {
@@ -110,7 +110,7 @@ class Referee:
         self._watched = team.time
 
     def watch(self) -> None:
-        """Take note of where everyone is now."""
+        """Evaluate the current poses of all robots."""
         team, time = self._team, self._team.time
         names = list(team.room.locations)
         radius = team.room.robot.radius
@@ -125,7 +125,7 @@ class Referee:
                 away = team.room.locations[name].area.distance((pose.x, pose.y))
                 if away < radius:
                     residents[name].append(robot)
-                # a robot has entered with its middle, and left with its edge
+                # a robot enters with its centre, and has left when its edge is outside
                 if away <= 0.0 and name not in track.inside:
                     track.inside.add(name)
                     self._enter(robot, name, track, tally, names)
@@ -162,7 +162,7 @@ class Referee:
         self._shared = shared
 
     def report(self) -> Dict[str, Any]:
-        """All figures, ready for JSON."""
+        """All counts, ready for JSON."""
         contacts = self._team.physics.contacts
         tallies = self.tallies.values()
         return {

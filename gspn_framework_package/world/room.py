@@ -1,7 +1,8 @@
-"""The room: what a world looks like, where robots work and wait, how hot it is.
+"""The room: the shape of a world, where robots work and wait, and how hot it is.
 
-Lengths are metres, angles radians, temperatures degrees Celsius, times seconds; x points east, y
-north, yaw counts counter-clockwise from east (REP 103). ``room_file`` reads rooms from YAML.
+Lengths are in metres, angles in radians, temperatures in degrees Celsius, times in seconds; x
+points east, y north, and yaw is counter-clockwise from east (REP 103). ``room_file`` reads rooms
+from YAML.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ Point = Tuple[float, float]
 
 @dataclass(frozen=True)
 class Pose:
-    """Where something is and where it looks.
+    """A position and a heading.
 
     :param x: metres east.
     :param y: metres north.
@@ -36,7 +37,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A standing cylinder; ``at`` is its axis."""
+    """An upright cylinder; ``at`` is its axis."""
 
     at: Point
     radius: float
@@ -50,8 +51,7 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Box:
-    """A box on the floor; ``size`` is its length along its own x and y before it is turned by
-    ``yaw``."""
+    """A box on the floor; ``size`` is its extent along x and y before it is rotated by ``yaw``."""
 
     at: Point
     size: Tuple[float, float]
@@ -74,7 +74,7 @@ Obstacle = Union[Cylinder, Box]
 
 @dataclass(frozen=True)
 class Area:
-    """A rectangle along the axes of the room, from its south-west to its north-east corner."""
+    """A rectangle parallel to the room's axes, from its south-west to its north-east corner."""
 
     low: Point
     high: Point
@@ -88,11 +88,11 @@ class Area:
 
 @dataclass(frozen=True)
 class Location:
-    """A place where work is done, and the bay beside it where robots wait for the next one.
+    """A place where robots work, and the bay beside it where they wait for the next location.
 
-    :param name: as the plan calls it.
-    :param area: what belongs to the location; at most one robot may be in it.
-    :param entry: where a robot waits until the area is clear; outside of the area.
+    :param name: its name in the plan.
+    :param area: the floor of the location; at most one robot may be in it.
+    :param entry: where a robot waits until the area is clear; outside the area.
     :param sweep: the points to drive through, in this order, to sweep the area.
     :param bay: the poses in which robots may wait for the next location, one robot each.
     """
@@ -108,12 +108,12 @@ class Location:
 class HotSpot:
     """A source of heat whose excess temperature falls off as a Gaussian.
 
-    :param path: where its centre is: one point, or a closed path that it walks along.
-    :param excess: degrees above the surroundings in its centre.
+    :param path: the path of its centre: one point, or a closed path that it moves along.
+    :param excess: temperature at its centre above the surroundings, in degrees.
     :param radius: the standard deviation of the Gaussian, metres.
-    :param speed: metres per second along the path.
-    :param hot_for: seconds that it burns ...
-    :param cold_for: ... and seconds that it is cold after that; 0 means that it always burns.
+    :param speed: speed along the path, metres per second.
+    :param hot_for: seconds for which it burns.
+    :param cold_for: seconds for which it is cold afterwards; 0: it always burns.
     :param phase: seconds into the first ``hot_for`` at time 0.
     """
 
@@ -131,7 +131,7 @@ class HotSpot:
         return self.cold_for <= 0.0 or (time + self.phase) % period < self.hot_for
 
     def at(self, time: float) -> Point:
-        """Where its centre is at that time."""
+        """The position of its centre at that time."""
         legs = list(zip(self.path, self.path[1:] + self.path[:1]))
         length = sum(math.dist(a, b) for a, b in legs)
         if length == 0.0:
@@ -151,13 +151,13 @@ class HotSpot:
 
 @dataclass(frozen=True)
 class TemperatureField:
-    """The temperature everywhere: an ambient one, and hot spots on top of it."""
+    """The temperature field: an ambient temperature, with hot spots on top of it."""
 
     ambient: float = 21.0
     hot_spots: Tuple[HotSpot, ...] = ()
 
     def at(self, point: Point, time: float) -> float:
-        """The temperature in a point at a time, degrees Celsius."""
+        """The temperature at a point and a time, in degrees Celsius."""
         total = self.ambient
         for spot in self.hot_spots:
             if spot.burns(time):
@@ -168,9 +168,10 @@ class TemperatureField:
 
 @dataclass(frozen=True)
 class RobotType:
-    """Size and limits of the robots. The defaults are TurtleBot3 Burger's (ROBOTIS e-manual).
+    """Size and limits of the robots. The defaults are those of TurtleBot3 Burger (ROBOTIS
+    e-manual).
 
-    :param radius: of the disc that the robot covers, metres.
+    :param radius: radius of the disc that the robot covers, metres.
     :param max_speed: metres per second.
     :param max_turn_rate: radians per second.
     :param acceleration: metres per second squared.
@@ -178,7 +179,7 @@ class RobotType:
     :param wheel_radius: metres.
     :param wheel_separation: metres between the wheels.
     :param mass: kilograms.
-    :param scan_rays: rays of the laser scanner, all around.
+    :param scan_rays: number of rays of the laser scanner in a full circle.
     :param scan_range: metres.
     """
 
@@ -196,15 +197,15 @@ class RobotType:
 
 @dataclass(frozen=True)
 class Room:
-    """A room and all that is in it, as the room file describes it.
+    """A room and its contents, as described by the room file.
 
-    :param name: of the room.
-    :param walls: polylines; a wall stands along each, its middle on the line.
+    :param name: name of the room.
+    :param walls: polylines, each the centre line of a wall.
     :param wall_thickness: metres.
     :param wall_height: metres.
     :param obstacles: cylinders and boxes.
-    :param locations: by name, in the order of the file.
-    :param spawn: where the robots start, in the order of the team.
+    :param locations: the locations by name, in the order of the file.
+    :param spawn: the start poses of the robots, in the order of the team.
     :param temperature: the temperature field.
     :param robot: size and limits of the robots.
     """
@@ -220,7 +221,7 @@ class Room:
     robot: RobotType = RobotType()
 
     def wall_boxes(self) -> List[Box]:
-        """The walls as boxes, one for each straight piece, long enough to close the corners."""
+        """The walls as boxes, one per straight section, long enough to close the corners."""
         boxes = []
         for line in self.walls:
             for (x1, y1), (x2, y2) in zip(line, line[1:]):
@@ -239,11 +240,11 @@ class Room:
         return boxes
 
     def solids(self) -> List[Obstacle]:
-        """Everything that stands still and is hard: walls and obstacles."""
+        """The fixed solid bodies: walls and obstacles."""
         return [*self.wall_boxes(), *self.obstacles]
 
     def bounds(self) -> Area:
-        """The rectangle around everything; around the origin where there is nothing."""
+        """The rectangle around everything; around the origin if the room is empty."""
         points = [point for line in self.walls for point in line]
         points += [solid.at for solid in self.obstacles]
         poses = list(self.spawn)
@@ -263,7 +264,7 @@ class Room:
         return nearest
 
     def as_json(self) -> Dict[str, Any]:
-        """What a page needs to draw the room."""
+        """The data that the page needs to draw the room."""
         boxes = [
             {
                 "at": box.at,

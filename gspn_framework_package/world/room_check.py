@@ -1,8 +1,8 @@
-"""What a room must be for robots to use it, which a schema cannot say.
+"""Checks that robots can use a room, beyond what a schema can express.
 
-Every pose that a robot is to stand in is free; locations have an inside, their sweeps lie in it,
-and their waiting poses outside; poses of one group do not overlap; and ways lead from everywhere to
-everywhere.
+Every pose that a robot is to stand in is free; locations have an interior, their sweeps lie inside
+and their waiting poses outside; the poses of one group do not overlap; and a path leads from every
+pose to every other.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ from gspn_framework_package.world.room import Location, Pose, Room
 from gspn_framework_package.world.yaml_file import Step, YamlDocument, path_text
 
 LARGEST_FLOOR = 1_600.0
-"""Square metres; the grid of a larger one would take too much memory and time."""
+"""Largest floor in square metres; the grid of a larger one would take too much memory and time."""
 
 Path = Tuple[Step, ...]
 
 
 def check_room(room: Room, document: YamlDocument) -> None:
-    """Refuse a room that robots cannot use.
+    """Reject a room that robots cannot use.
 
-    :param document: what it was read from, for the position of an error.
+    :param room: the room.
+    :param document: the document that it was read from, for the position of an error.
     :raises InputError: the first error.
     """
     bounds = room.bounds()
@@ -48,7 +49,7 @@ def check_room(room: Room, document: YamlDocument) -> None:
 
 
 def _check_location(room: Room, place: Location, document: YamlDocument) -> List[Tuple[Path, Pose]]:
-    """Check the shape of a location; returns the poses that robots are to stand in."""
+    """Check the shape of a location; return the poses that robots are to stand in."""
     where: Path = ("locations", place.name)
     radius = room.robot.radius
     if place.area.low[0] >= place.area.high[0] or place.area.low[1] >= place.area.high[1]:
@@ -114,7 +115,8 @@ def _check_apart(
 
 
 def _check_ways(room: Room, poses: List[Tuple[Path, Pose]], document: YamlDocument) -> None:
-    """Ways go both ways: one to the first pose from each of the others is enough."""
+    """Check that a path leads from each pose to the first one, which suffices since paths work both
+    ways."""
     if len(poses) < 2:
         return
     (first, goal), others = poses[0], poses[1:]

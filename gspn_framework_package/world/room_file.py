@@ -1,4 +1,4 @@
-"""The room file: reads a room from YAML, so that users describe their own.
+"""The room file: reads a room from YAML, so that users can describe their own.
 
 docs/world.md lists every field; the critical room of thesis Figure 6.7 is
 plans/patrol/critical_room.yaml.
@@ -48,7 +48,7 @@ def _record(required: Sequence[str], **properties: Any) -> Dict[str, Any]:
 
 _POINT = _numbers(2)
 _POSE = {"type": "array", "items": _NUMBER, "minItems": 2, "maxItems": 3}
-# what is smaller is a mistake in the units
+# a smaller value is a mistake in the units
 _POSITIVE = {"type": "number", "minimum": 0.001, "maximum": 10_000}
 _NOT_NEGATIVE = {"type": "number", "minimum": 0, "maximum": 1_000_000}
 _COLOR = {"type": "string", "pattern": "^#[0-9a-fA-F]{6}$"}
@@ -109,7 +109,7 @@ SCHEMA: Dict[str, Any] = _record(
 
 
 def _is_finite_number(_checker: Any, value: Any) -> bool:
-    # for YAML .nan and .inf are numbers too
+    # in YAML, .nan and .inf are numbers too
     return (
         bool(jsonschema.Draft7Validator.TYPE_CHECKER.is_type(value, "number"))
         and abs(value) < math.inf
@@ -129,9 +129,9 @@ _KINDS = {
     "integer": "whole number",
     "string": "text",
 }
-"""What the types of the schema are called in messages."""
+"""The names of the schema's types in messages."""
 
-_LONGEST = 160  # characters of a message that may quote what was given
+_LONGEST = 160  # longest message, in characters, that may quote the input
 
 
 def _point(values: Sequence[float]) -> Point:
@@ -147,8 +147,8 @@ def parse_room(text: str, file: Optional[str] = None) -> Room:
 
     :param text: YAML.
     :param file: the name for error messages.
-    :raises InputError: not YAML, not what the schema asks for, or a room that robots cannot use
-        (:mod:`.room_check`).
+    :raises InputError: it is not YAML, does not match the schema, or is a room that robots cannot
+        use (:mod:`.room_check`).
     """
     document = YamlDocument(text, file)
     problems = list(_VALIDATOR(SCHEMA).iter_errors(document.data))
@@ -165,7 +165,7 @@ def parse_room(text: str, file: Optional[str] = None) -> Room:
 
 
 def _refusal(problem: Any, document: YamlDocument, more: int) -> InputError:
-    """The error for what the schema does not allow, in plain words."""
+    """The error for a violation of the schema, in plain words."""
     message, key, rule = problem.message, None, problem.validator_value
     hint = "see docs/world.md"
     if problem.validator == "additionalProperties":
@@ -204,7 +204,7 @@ def _refusal(problem: Any, document: YamlDocument, more: int) -> InputError:
 def load_room(file: Union[str, Path]) -> Room:
     """Read a room file.
 
-    :raises InputError: as :func:`parse_room`, or a file that cannot be read.
+    :raises InputError: as :func:`parse_room`, or the file cannot be read.
     """
     try:
         text = Path(file).read_text(encoding="utf-8")

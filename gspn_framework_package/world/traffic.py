@@ -1,9 +1,9 @@
-"""The patrol without ROS: robots that really drive, under the rule of the plan, decided in one
+"""The patrol without ROS: robots that physically drive, with the rule of the plan applied in one
 place.
 
-Stands in for the execution nodes when the world itself is tested and measured: each robot checks a
-location, decides, waits in the bay or goes on to the next location, and no location is ever granted
-to two.
+It replaces the execution nodes when the world itself is tested and measured: each robot checks a
+location, decides, then waits in the bay or continues to the next location, and no location is ever
+granted to two robots.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gspn_framework_package.world.room import Pose, Room
 
 
 class SimulatedRobot:
-    """One robot of a team, as the patrol's actions want it (:class:`.patrol.Robot`)."""
+    """One robot of a team, with the interface of the patrol's actions (:class:`.patrol.Robot`)."""
 
     def __init__(self, team: DrivingTeam, name: str) -> None:
         self.name = name
@@ -28,29 +28,29 @@ class SimulatedRobot:
         self._navigator = team.navigators[name]
 
     def now(self) -> float:
-        """The time, seconds."""
+        """The time in seconds."""
         return self._team.time
 
     def pose(self) -> Pose:
-        """Where it is."""
+        """The pose of the robot."""
         return self._team.physics.pose(self.name)
 
     def others(self) -> Dict[str, Pose]:
-        """Where the others are."""
+        """The poses of the other robots, by name."""
         return {
             name: self._team.physics.pose(name) for name in self._team.robots if name != self.name
         }
 
     def temperature(self) -> float:
-        """Degrees Celsius."""
+        """The measured temperature in degrees Celsius."""
         return self._team.physics.temperature(self.name)
 
     def go(self, goal: Pose) -> None:
-        """Start driving."""
+        """Start driving to a pose."""
         self._navigator.go(goal, self._team.time)
 
     def arrived(self) -> Optional[bool]:
-        """None on the way; then whether the last goal was reached."""
+        """None while driving; afterwards whether the last goal was reached."""
         return (
             None if self._navigator.active else self._navigator.status is NavigationStatus.REACHED
         )
@@ -77,14 +77,14 @@ class _Patroller:
 class Patrol:
     """A team on patrol.
 
-    :param room: with locations in a ring, in the order of the file.
-    :param robots: names of the robots.
-    :param seed: of everything that is drawn.
-    :param threshold: degrees Celsius above which a location is too hot.
-    :param wait_seconds: mean time that a robot waits before it decides again.
-    :param gui: open PyBullet's window.
+    As in plans/patrol, the first robots start with a check, one in each location; the others wait.
 
-    As in plans/patrol, the first robots start with a check, one in each location, the others wait.
+    :param room: a room whose locations form a ring, in the order of the file.
+    :param robots: names of the robots.
+    :param seed: seed of all random numbers.
+    :param threshold: temperature above which a location is too hot, in degrees Celsius.
+    :param wait_seconds: mean time that a robot waits before it decides again, in seconds.
+    :param gui: open PyBullet's window.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class Patrol:
     ) -> None:
         self._random = random.Random(seed)
         self._ring = list(room.locations)
-        # nobody stands quite as the file says, and so no two seeds give the same run
+        # random start headings, so that no two seeds give the same run
         starts = [Pose(p.x, p.y, p.yaw + self._random.uniform(-0.5, 0.5)) for p in room.spawn]
         self.team = DrivingTeam(room, robots, starts, gui)
         self.referee = Referee(self.team)
@@ -115,7 +115,7 @@ class Patrol:
         self._dead: Dict[str, _Patroller] = {}
 
     def step(self) -> None:
-        """Advance the team by one control period, the actions with it."""
+        """Advance the team and its actions by one control period."""
         order = list(self._members)
         self._random.shuffle(order)
         for member in order:
@@ -124,12 +124,12 @@ class Patrol:
         self.referee.watch()
 
     def run(self, seconds: float) -> None:
-        """Go on for that many simulated seconds."""
+        """Continue for that many simulated seconds."""
         for _ in range(round(seconds / CONTROL_PERIOD)):
             self.step()
 
     def kill(self, robot: str) -> None:
-        """A robot stops for good, wherever it is; its body stays."""
+        """Stop a robot permanently, wherever it is; its body stays."""
         member = next(m for m in self._members if m.robot.name == robot)
         self._members.remove(member)
         self._dead[robot] = member
@@ -137,7 +137,7 @@ class Patrol:
         self.referee.order.withdraw(robot)
 
     def revive(self, robot: str) -> None:
-        """It comes back and begins its last action again."""
+        """Bring a robot back; it starts its last action again."""
         member = self._dead.pop(robot)
         member.action = None
         self._members.append(member)
@@ -166,7 +166,7 @@ class Patrol:
             member.state = "alarm"
             return
         target = self._next(member.at)
-        # a robot that was lost in a location holds it, as its token does until it is evicted
+        # a robot lost in a location still holds it, as its token does until it is evicted
         if any(other.at == target and other.state != "wait" for other in self._members):
             member.state = "wait"
         else:

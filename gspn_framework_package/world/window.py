@@ -1,5 +1,5 @@
-"""PyBullet's window, for who has a display: the room from a corner, the names of locations and
-robots in it."""
+"""PyBullet's window, for use with a display: shows the room from a corner, with the names of
+locations and robots."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gspn_framework_package.world.bodies import rgba
 from gspn_framework_package.world.room import Room
 
 YAW, PITCH = 28.0, -50.0
-"""Where it looks from, degrees."""
+"""The viewing direction, in degrees."""
 
 _LINE = (0.2, 0.35, 0.65)
 _TEXT = (0.1, 0.1, 0.1)
@@ -24,7 +24,7 @@ def set_up_window(client: Any, room: Room, robots: Mapping[str, int]) -> None:
     :param client: the PyBullet connection, with a window.
     :param robots: the bodies of the robots by name, in the order of the team.
     """
-    # without the panes of camera pictures and parameters
+    # hide the panes of camera pictures and parameters
     client.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0)
     bounds = room.bounds()
     middle = [(high + low) / 2 for low, high in zip(bounds.low, bounds.high)]
@@ -44,7 +44,7 @@ def set_up_window(client: Any, room: Room, robots: Mapping[str, int]) -> None:
             name, [(west + east) / 2, (south + north) / 2, 0.02], _LINE, textSize=1.5
         )
     for name, body in robots.items():
-        # a window shows all parts of a body in one colour, that of the first
+        # the window shows all parts of a body in the colour of the first
         client.changeVisualShape(body, -1, rgbaColor=rgba(colour_of(name)))
         client.addUserDebugText(
             name, [0.0, 0.0, 0.25], _TEXT, textSize=1.2, parentObjectUniqueId=body

@@ -1,8 +1,8 @@
-"""YAML texts as plain data, with the lines of their elements, and with errors that name file and
+"""Reads YAML texts as plain data, with the line numbers of their elements; errors name file and
 line.
 
-PyYAML's safe loader builds plain data only; on top of that keys that stand twice are refused, and
-aliases that would unfold without end, or into far more than anyone writes by hand.
+PyYAML's safe loader only builds plain data. In addition, this module rejects duplicate keys, and
+aliases that would expand endlessly, or into far more than anyone writes by hand.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import yaml
 from gspn_framework_package.model.errors import InputError
 
 Step = Union[str, int]
-"""One step from an element to one in it: a key or an index."""
+"""One step from an element to a child: a key or an index."""
 
 MOST_ELEMENTS = 200_000
-"""Elements that a text may have, those behind aliases counted each time."""
+"""Largest number of elements in a text; those behind aliases count each time."""
 
-_MERGE = "tag:yaml.org,2002:merge"  # of the key <<
+_MERGE = "tag:yaml.org,2002:merge"  # the tag of the key <<
 
 
 class YamlDocument:
@@ -27,7 +27,7 @@ class YamlDocument:
 
     :param text: one YAML document.
     :param file: the name for error messages.
-    :raises InputError: it is not YAML, has a key twice in one mapping, or unfolds too far.
+    :raises InputError: it is not YAML, repeats a key in a mapping, or expands too far.
     """
 
     def __init__(self, text: str, file: Optional[str] = None) -> None:
@@ -100,11 +100,10 @@ class YamlDocument:
             seen.add((key.tag, key.value))
 
     def line(self, path: Iterable[Step], key: Optional[str] = None) -> int:
-        """The line of the element at ``path``, or of the nearest one around it that is written
-        there.
+        """The line of the element at ``path``, or of the nearest enclosing one that exists.
 
         :param path: keys and indices.
-        :param key: a key of that element whose own line is asked for.
+        :param key: a key of that element, to get the line of the key instead.
         """
         node = self._root
         assert node is not None

@@ -1,5 +1,4 @@
-"""Where to step aside: the spots that the navigator looks for when it makes room for another
-robot."""
+"""Finds the spots to which a robot steps aside when it makes room for another."""
 
 from __future__ import annotations
 
@@ -13,11 +12,14 @@ from gspn_framework_package.world.grid import Disc, Grid
 from gspn_framework_package.world.room import Point
 
 FARTHEST = 4.0
-"""Metres of (weighted) way that a robot goes to make room."""
+"""Largest (weighted) distance that a robot drives to make room, in metres."""
 
 
 def standing_for(other: OtherRobot, peers: Sequence[OtherRobot], apart: float) -> Sequence[Disc]:
-    """What is in the way of a robot that makes room for ``other``: it, and all that stand."""
+    """The obstacles for a robot that makes room for ``other``: that robot, and all standing ones.
+
+    :param apart: distance of two robots that touch, in metres.
+    """
     return [
         (peer.pose.x, peer.pose.y, apart + (0.01 if peer.active else STANDING_GAP))
         for peer in peers
@@ -28,7 +30,7 @@ def standing_for(other: OtherRobot, peers: Sequence[OtherRobot], apart: float) -
 def spot_off_the_path(
     grid: Grid, here: Point, other: OtherRobot, peers: Sequence[OtherRobot]
 ) -> Optional[Point]:
-    """The nearest spot that is off the path which ``other`` announces; None if there is none.
+    """The nearest spot off the announced path of ``other``; None if there is none.
 
     :param peers: all other robots, ``other`` among them.
     """
@@ -42,7 +44,7 @@ def spot_off_the_path(
     for peer in peers:
         away = np.hypot(xs - peer.pose.x, ys - peer.pose.y)
         good &= (away > apart + 0.03) | (peer.active and peer.name != other.name)
-        # a spot that someone stands in can be had, but only by making room once more
+        # an occupied spot is possible, but only if its robot makes room in turn
         price += np.where(away < apart + 0.05, 1.0, 0.0)
     if not good.any():
         return None
@@ -53,7 +55,7 @@ def spot_off_the_path(
 def spot_at_random(
     grid: Grid, here: Point, peers: Sequence[OtherRobot], source: random.Random
 ) -> Optional[Point]:
-    """Some free spot close by; None if there is none."""
+    """A random free spot nearby; None if there is none."""
     apart = 2 * grid.room.robot.radius
     cells = grid.cells_near(here, 0.7)
     good = grid.clearance[cells] > grid.room.robot.radius + 0.02
@@ -66,12 +68,12 @@ def spot_at_random(
 
 
 def distance_to_path(peer: OtherRobot, point: Point) -> float:
-    """How near the announced path of a peer comes to a point, metres."""
+    """The distance from a point to the announced path of a peer, in metres."""
     return float(distances_to_path(peer, np.array([point[0]]), np.array([point[1]]))[0])
 
 
 def distances_to_path(peer: OtherRobot, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
-    """How near the announced path of a peer comes to each point, metres."""
+    """The distance from each point to the announced path of a peer, in metres."""
     path = np.array([(peer.pose.x, peer.pose.y), *peer.path])
     nearest = np.hypot(xs - path[0, 0], ys - path[0, 1])
     for (x1, y1), (x2, y2) in zip(path, path[1:]):
