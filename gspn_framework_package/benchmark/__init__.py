@@ -1,4 +1,5 @@
-"""Benchmarks: one command each, ratios side by side, machine and versions in the output."""
+"""Benchmarks: one command each, with ratios side by side, and the machine and versions in the
+output."""
 
 import sys
 
@@ -8,5 +9,5 @@ try:
     import lxml  # noqa: F401
     import numpy  # noqa: F401
     import psutil  # noqa: F401
-except ModuleNotFoundError as missing:  # said here, for each benchmark is a program of its own
+except ModuleNotFoundError as missing:  # reported here, since each benchmark is a separate program
     sys.exit("error: " + missing_library(missing))

@@ -1,4 +1,4 @@
-"""Many simulated teams, each under its own seed, each verified by the history checker.
+"""Runs many simulated teams, each with its own seed, and verifies each with the history checker.
 
 ``python3 -m gspn_framework_package.benchmark.agreement --schedules 10000``
 
@@ -26,10 +26,10 @@ from gspn_framework_package.execution.agreement_simulation.schedule import (
 from gspn_framework_package.execution.agreement_simulation.world import ViolationError
 
 SIZES = {1: 4, 2: 30, 3: 48, 4: 8, 5: 6, 8: 3, 13: 1}
-"""Robots in a team, and how many of a hundred schedules have that many."""
+"""Robots in a team, and how many of a hundred schedules have teams of that size."""
 
 TELL_EVERY = 30.0
-"""Seconds between two lines of progress, where standard error is no terminal."""
+"""Seconds between two lines of progress if standard error is not a terminal."""
 
 
 SHARES = {
@@ -57,8 +57,8 @@ def draw_schedules(
     sizes: Optional[List[int]] = None,
     kinds: Optional[List[str]] = None,
 ) -> Iterator[Schedule]:
-    """Schedules with the seeds from ``first_seed`` on; sizes, modes and kinds are drawn by the
-    seed."""
+    """Schedules with consecutive seeds from ``first_seed`` on; each seed determines the size, mode
+    and kind."""
     for seed in range(first_seed, first_seed + number):
         source = random.Random(seed)
         if sizes:
@@ -75,7 +75,7 @@ def draw_schedules(
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
-    """Run the benchmark; the exit code."""
+    """Run the benchmark; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     kinds = ", ".join(kind for kind in KINDS if kind)
     parser.add_argument(
@@ -120,7 +120,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
 def run(
     schedules: Iterator[Schedule], number: int, seconds: Optional[float] = None
 ) -> Dict[str, Any]:
-    """Run the schedules; the sums over all of them, and every violation."""
+    """Run the schedules; returns the sums over all of them, and every violation."""
     sums: Dict[str, Any] = {
         "schedules": 0,
         "blocked": 0,
@@ -172,8 +172,8 @@ def run(
 
 
 class _Progress:
-    """Tells on standard error how far a run is: one line that is rewritten on a terminal, else a
-    line now and then."""
+    """Reports the progress of a run on standard error: on a terminal one line that is rewritten,
+    otherwise a new line at intervals."""
 
     def __init__(self, number: int) -> None:
         self._number = number
@@ -203,7 +203,7 @@ class _Progress:
 
 
 def tell(result: Dict[str, Any]) -> None:
-    """Print a result for people."""
+    """Print a result as text."""
     for key in (
         "schedules",
         "violations",

@@ -1,9 +1,9 @@
-"""What agreement costs, counted in one-way delays and messages, in a simulated network where every
-message takes the same time and nothing is lost.
+"""The cost of agreement, counted in one-way delays and messages, in a simulated network where every
+message takes the same time and none is lost.
 
-``python3 -m gspn_framework_package.benchmark.agreement_cost`` counts with waits that suit the
-delay; ``--delay 0.05`` with those of real nodes in a network of that delay, and actions of a
-twentieth of a second.
+``python3 -m gspn_framework_package.benchmark.agreement_cost`` scales all timeouts to the delay;
+``--delay 0.05`` uses those of real nodes in a network with that delay, and actions of a twentieth
+of a second.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from gspn_framework_package.execution.agreement_simulation.plans import make_pla
 from gspn_framework_package.execution.agreement_simulation.world import Weather, World
 
 DELAY = 0.005
-"""Seconds that a message takes, where nothing else is asked for."""
+"""Default time (s) that a message takes."""
 
 LOADS = {"light": (40.0, 120.0), "saturated": (0.1, 0.2)}
-"""How many delays an action takes: with the first, one proposal at a time is under way, mostly."""
+"""Load -> shortest and longest duration of an action, in delays; with the first, usually one
+proposal at a time is in progress."""
 
 BUSY = (0.03, 0.07)
-"""Seconds of an action with a delay of one's own."""
+"""Duration (s) of an action if the delay is given by ``--delay``."""
 
 TOKENS = 2
 """The net of thesis Figure 6.1."""
@@ -42,9 +43,10 @@ def measure(
 ) -> Dict[str, Any]:
     """Delays and messages per proposal.
 
-    :param load: what to call it.
-    :param action: seconds that an action takes, at least and at most.
-    :param seconds: of simulated time.
+    :param load: name of the load in the results.
+    :param action: shortest and longest duration (s) of an action.
+    :param delay: time (s) that a message takes.
+    :param seconds: simulated time (s).
     """
     plan = make_plan(TOKENS, robots, partial, 0.0, 0.0, False)
     world = World(plan, 1, Weather(delay, delay), action_time=action)
@@ -72,7 +74,8 @@ def measure(
 
 
 def _delays(world: World, begin: float, delay: float) -> List[float]:
-    """For each coordinated proposal: one-way delays until its robot has it in the log."""
+    """For each coordinated proposal, the number of one-way delays until it is in its robot's
+    log."""
     found = []
     for node in world.nodes.values():
         assert node.disk is not None

@@ -3,11 +3,11 @@
 ``python3 -m gspn_framework_package.benchmark.analysis [--quick] [--part PART] [--markdown FILE]
 [--json FILE]``
 
-Every measurement runs in its own process, so that its peak memory is its own; each is repeated,
-engine after engine (not those that take more than 10 s), and the fastest counts. Times are what a
-clock on the wall says: the numba engine uses all cores, Storm and numpy one, so close what else
-runs. Compiled code is loaded before the clock starts. Storm builds with its sparse engine and
-maximal progress. Where stormpy is not installed its columns stay empty.
+Every measurement runs in its own process, so that its peak memory is its own. Each is repeated,
+cycling through the engines (except those that take more than 10 s), and the fastest run counts.
+Times are wall-clock times: the numba engine uses all cores, Storm and numpy one, so close other
+programs. Compiled code is loaded before the clock starts. Storm builds with its sparse engine and
+maximal progress. If stormpy is not installed, its columns stay empty.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ def _peak() -> float:
 
 
 def _space(engine: str, net: Net) -> Measurement:
-    """Time (s) and memory (MB beyond what was used before) of finding the state space."""
+    """Time (s) and additional memory (MB) needed to find the state space."""
     if engine == "storm":
         import stormpy
 
@@ -159,7 +159,7 @@ def _space(engine: str, net: Net) -> Measurement:
         def build(net: Net) -> Tuple[Callable[[], Any], Callable[[Any], Any]]:
             return (lambda: explore(net, engine=engine, limit=10**9)), len
 
-    build(nets.kanban(1))[0]()  # loads everything
+    build(nets.kanban(1))[0]()  # loads all code
     build(nets.philosophers(12))[0]()
     run, count = build(net)
     before = _peak()
@@ -170,18 +170,18 @@ def _space(engine: str, net: Net) -> Measurement:
 
 
 def _chain(engine: str, net: Net) -> Measurement:
-    """Time (s) of building the chain and of its steady state; the probability that the first place
-    is not empty."""
+    """Times (s) of building the chain and solving its steady state, and the probability that the
+    first place is not empty."""
     place = net.places[0].name
     if engine == "storm":
         return _storm_chain(net, place)
     if engine == "numpy":
-        sys.modules["numba"] = None  # type: ignore[assignment]  # as where it is not installed
+        sys.modules["numba"] = None  # type: ignore[assignment]  # as if it were not installed
     from gspn_framework_package.analysis.chain import Chain
     from gspn_framework_package.analysis.solution.steady_state import steady_state
     from gspn_framework_package.analysis.state_space import explore
 
-    for small in (nets.kanban(2), nets.philosophers(12)):  # loads everything
+    for small in (nets.kanban(2), nets.philosophers(12)):  # loads all code
         steady_state(Chain.of(explore(small, engine=engine)))
     before = _peak()
     start = time.perf_counter()
@@ -215,7 +215,7 @@ def _storm_chain(net: Net, place: str) -> Measurement:
     start = time.perf_counter()
     model = stormpy.build_model(jani, options=options)
     built = time.perf_counter()
-    result = stormpy.model_checking(model, properties[0])  # stormpy asks for sound results
+    result = stormpy.model_checking(model, properties[0])  # stormpy requests sound results
     done = time.perf_counter()
     plain = stormpy.model_checking(model, properties[0], environment=stormpy.Environment())
     plainly = time.perf_counter() - done

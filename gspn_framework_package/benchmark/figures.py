@@ -1,5 +1,5 @@
 """The figures of the scaling experiments, as the thesis draws them (6.2, 6.4, 6.5, 6.6), and the
-time to the start."""
+start-up time."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Row = Dict[str, Any]
 STYLES = {"process": "o-", "hosted": "s--"}
 
 QUIET = 10.0
-"""Percent of the processors that may be busy before a run if the machine's figures are to reflect
-the run (the thesis's baseline: 0.8 % CPU, 25.9 % memory)."""
+"""Highest load (%) of the processors before a run at which the machine's figures still reflect the
+run (the thesis's baseline: 0.8 % CPU, 25.9 % memory)."""
 
 
 def draw_figures(rows: Sequence[Row], folder: str) -> List[str]:
-    """Draw what the rows have the figures for, as SVG; the names of the files."""
+    """Draw the figures for which there are rows, as SVG; returns the names of the files."""
     import matplotlib
 
     matplotlib.use("Agg")

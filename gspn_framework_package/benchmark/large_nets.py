@@ -1,5 +1,4 @@
-"""Nets of any size that no table of the literature has: what the limits of an analysis are measured
-with."""
+"""Nets of any size, not from the literature, for measuring the limits of the analysis."""
 
 from __future__ import annotations
 
@@ -10,7 +9,7 @@ from gspn_framework_package.model.net import Arc, Net, Place, Transition
 
 
 def ring(n: int, tokens: int = 1) -> Net:
-    """``n`` places one after the other in a circle, with all tokens in the first."""
+    """A cycle of ``n`` places, with all tokens in the first."""
     places = [Place("p%d" % i, tokens if i == 0 else 0) for i in range(n)]
     transitions = [Transition("t%d" % i, timed=True) for i in range(n)]
     arcs = []
@@ -20,12 +19,12 @@ def ring(n: int, tokens: int = 1) -> Net:
 
 
 def chain(n: int) -> Net:
-    """``n`` places one after the other, with a token that ends in the last."""
+    """A sequence of ``n`` places, with a token that ends in the last."""
     return ring(n).without_transition("t%d" % (n - 1))
 
 
 def grid(n: int) -> Net:
-    """A token that walks over ``n`` times ``n`` places, from each to the four beside it."""
+    """A token that walks over a grid of ``n`` by ``n`` places, from each to its four neighbours."""
     places, transitions, arcs = [], [], []
     for y in range(n):
         for x in range(n):
@@ -45,7 +44,7 @@ def grid(n: int) -> Net:
 
 
 def star(n: int, tokens: int = 1) -> Net:
-    """``n`` users of one pool, who take from it and give back: a place with ``n`` arcs each way."""
+    """``n`` users who take from one pool and return to it: a place with ``n`` arcs each way."""
     places, transitions, arcs = [Place("pool", tokens)], [], []
     for i in range(n):
         places.append(Place("busy%d" % i))
@@ -74,8 +73,8 @@ def scattered(places: int, transitions: int, tokens: int = 20, seed: int = 1) ->
 
 
 def cells(n: int) -> Net:
-    """``n`` machines with three places each, which hand a part to the next when that one is free:
-    every third place is marked, so that the first marking alone has some ``n`` successors."""
+    """``n`` machines with three places each, which hand a part to the next machine when it is free.
+    Every third place is marked, so that the initial marking alone has about ``n`` successors."""
     places, transitions, arcs = [], [], []
     for i in range(n):
         places += [
@@ -98,8 +97,8 @@ def cells(n: int) -> Net:
 
 
 def workflow(size: int, seed: int = 1) -> Net:
-    """A workflow of about ``size`` places, from ``start`` to ``end`` and back again: sequences,
-    choices that join again, and forks of up to three branches that join again, one in another."""
+    """A workflow of about ``size`` places, from ``start`` to ``end`` and back: nested sequences,
+    choices, and forks of up to three branches; choices and forks join again."""
     return _Workflow(random.Random(seed)).build(size)
 
 
@@ -115,12 +114,12 @@ class _Workflow:
         return Net(self._places, self._transitions, self._arcs, "workflow_%d" % size)
 
     def _between(self, first: str, last: str, size: int, depth: int) -> None:
-        """Ways from place ``first`` to place ``last`` with about ``size`` places in between."""
+        """Add paths from place ``first`` to place ``last`` with about ``size`` places between."""
         if size < 2:
             self._step([first], [last])
             return
         kind = self._draw.random()
-        if kind < 0.6 or size < 8 or depth > 6:  # one part after the other
+        if kind < 0.6 or size < 8 or depth > 6:  # a sequence
             middle = self._place()
             share = self._draw.randrange(size)
             self._between(first, middle, share, depth)
@@ -153,8 +152,8 @@ class _Workflow:
 
 
 def endings(n: int, length: int) -> Net:
-    """A walk over ``length`` steps that may stop in each, in one of ``n`` ways, for good: as many
-    deadlocks as ``n * length``."""
+    """A walk of ``length`` steps that may stop for good at each of them, in one of ``n`` ways:
+    ``n * length`` deadlocks."""
     places = [Place("here%d" % i, int(i == 0)) for i in range(length)] + [
         Place("way%d" % i) for i in range(n)
     ]
@@ -172,8 +171,8 @@ def endings(n: int, length: int) -> Net:
 
 
 def switches(n: int, tokens: int) -> Net:
-    """``n`` switches, each thrown for good one way or the other, and a ring of six places with
-    ``tokens``: ``2 ** n`` recurrent classes among ``3 ** n`` settings."""
+    """``n`` switches, each of which is set once to one of two positions, and a ring of six places
+    with ``tokens``: ``2 ** n`` recurrent classes among ``3 ** n`` settings."""
     net = ring(6, tokens)
     places, transitions, arcs = list(net.places), list(net.transitions), list(net.arcs)
     for i in range(n):
@@ -201,4 +200,4 @@ LARGE: Mapping[str, Callable[[], Net]] = {
     "switches 9": lambda: switches(9, 1),
     "switches 10": lambda: switches(10, 1),
 }
-"""Name -> a function that makes the net."""
+"""Name -> a function that builds the net."""

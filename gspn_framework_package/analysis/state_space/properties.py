@@ -136,8 +136,8 @@ class Properties:
         return [name for name, level in self.liveness.items() if level is Liveness.L0]
 
     def way_to(self, states: Any) -> Optional[List[WitnessStep]]:
-        """A shortest firing sequence to one of ``states`` (a boolean array), or None if it is
-        empty."""
+        """A shortest firing sequence to one of ``states`` (a boolean array), or None if no state is
+        set in it."""
         found = np.flatnonzero(states)
         return self.space.witness(int(found[0])) if len(found) else None
 

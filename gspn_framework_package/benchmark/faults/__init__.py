@@ -1,2 +1,2 @@
-"""Real teams whose processes are killed, cut off while they write, stopped and restarted, and whose
-logs are then verified: every robot in turn, or at random for as long as one likes."""
+"""Fault injection on real teams: processes are killed, cut off in mid-write, stopped and restarted,
+for every robot in turn or at random for a given time. Their logs are then verified."""

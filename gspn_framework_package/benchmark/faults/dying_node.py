@@ -1,11 +1,11 @@
 """A robot's process that can be ordered to die while it writes its log.
 
-``python3 -m gspn_framework_package.benchmark.faults.dying_node`` is ``gspn_executor`` but for two
-signals. Nobody can kill a process from outside at the very moment of a write; so the process does
-it itself, with SIGKILL:
+``python3 -m gspn_framework_package.benchmark.faults.dying_node`` is ``gspn_executor`` with two
+additional signals. A process cannot be killed from outside at the exact moment of a write, so it
+kills itself with SIGKILL:
 
-- :data:`CUT`: in the next write, of which only a part gets into the file;
-- :data:`UNSENT`: after the next write, before anything that rests on it has left the process.
+- :data:`CUT`: in the next write, of which only a part reaches the file;
+- :data:`UNSENT`: after the next write, before the process sends anything that depends on it.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from gspn_framework_package.execution.event_log import EventLogWriter, Record
 CUT, UNSENT = signal.SIGUSR1, signal.SIGUSR2
 
 AT_ONCE = "--cut-the-first-write"
-"""An argument of the process: die in the first write of all."""
+"""An argument of the process: die in its very first write."""
 
 
 class DyingFile:
-    """A file whose next write is the last thing that this process does.
+    """A file whose next write ends this process.
 
     :param told: :data:`CUT` or :data:`UNSENT`.
     """
@@ -34,17 +34,17 @@ class DyingFile:
         self._file, self._told = file, told
 
     def write(self, data: bytes) -> int:
-        """Write a part of it, or all, and die."""
+        """Write part of ``data``, or all of it, and die."""
         size = random.randrange(1, len(data)) if self._told == CUT else len(data)
         self._file.write(data[:size])
         os.kill(os.getpid(), signal.SIGKILL)
-        return size  # never: SIGKILL does not wait
+        return size  # never reached
 
 
 def die_when_told(*told_already: int) -> None:
-    """Have every event log of this process end as the signals say.
+    """Make the event logs of this process end when one of the signals arrives.
 
-    :param told_already: what is told from the start.
+    :param told_already: the signals to treat as received from the start.
     """
     told: List[int] = list(told_already)
     append = EventLogWriter.append
@@ -60,7 +60,7 @@ def die_when_told(*told_already: int) -> None:
 
 
 def main() -> None:
-    """Run the execution node of a robot, its parameters as ROS gives them."""
+    """Run the execution node of a robot, with its parameters from ROS."""
     from gspn_framework_package.ros import node_main
     from gspn_framework_package.ros.transport import node_process
 

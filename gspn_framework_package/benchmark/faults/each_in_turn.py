@@ -1,7 +1,7 @@
-"""Every robot of a team in turn: killed in mid-plan, killed in the middle of a write of its log,
-killed between a write and what it would have sent, each time started again; stopped beyond its
-eviction. Then the ROS master is killed and started again, a robot joins (and is killed while it
-writes the first line of its log), and the first robot leaves."""
+"""Faults for every robot of a team in turn: it is killed in mid-plan, in the middle of a log write,
+and between a write and the messages that depend on it, and restarted each time; then it is stopped
+until after its eviction. Finally the ROS master is killed and restarted, a robot joins (and is
+killed while it writes the first line of its log), and the first robot leaves."""
 
 from __future__ import annotations
 
@@ -18,33 +18,34 @@ from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.model.plan import Synchronisation
 
 EVICT_AFTER = 8.0
-"""Long enough for a robot to be started again before it counts as lost."""
+"""Eviction time (s): long enough to restart a robot before it counts as lost."""
 
 MOVES = 3
-"""How often everybody must move before the next fault."""
+"""Number of moves that every robot must make before the next fault."""
 
 CONNECTED = 15
-"""Moves after which a robot is connected to all its action servers, and needs no master."""
+"""Moves after which a robot is connected to all its action servers, and no longer needs the
+master."""
 
 GRACE = 1.0
 """Seconds after a fault in which pending records may still be written."""
 
 HELD_UP = 3.0
-"""Seconds beyond the eviction time for which a team without a quorum is watched."""
+"""How long (s) a team without a quorum is observed beyond the eviction time."""
 
 Tell = Callable[[str], None]
 
 
 class EachInTurn:
-    """Does all of that to one team, and sees each time that it goes on as it must.
+    """Injects all these faults into one team, and checks each time that it continues as it must.
 
-    :param tell: receives each step.
+    :param tell: called with a description of each step.
 
-    :ivar injected: how often each fault was.
+    :ivar injected: how often each fault was injected.
     :ivar torn: the kinds of the records whose writes were cut, and how often.
-    :ivar unsent: the kinds of the records behind which nothing was sent any more, and how often.
-    :ivar back: seconds from the start of a killed robot's node to its first goal, each time.
-    :ivar woken: seconds from the end of a stop to the first goal, each time.
+    :ivar unsent: the kinds of the records after which nothing more was sent, and how often.
+    :ivar back: seconds from the restart of each killed robot's node to its first goal.
+    :ivar woken: seconds from the end of each stop to the first goal.
     """
 
     def __init__(
@@ -64,8 +65,10 @@ class EachInTurn:
         self.team = LaunchedTeam(robots, mode, EVICT_AFTER)
 
     def run(self) -> None:
-        """Inject every fault, then wait until the team rests. :raises ExecutionError: it did not go
-        on as it must."""
+        """Inject every fault, then wait until the team is at rest.
+
+        :raises ExecutionError: the team did not continue as it must.
+        """
         self.team.wait_until(self.team.is_complete, "the start")
         self.team.wait_for_moves(self.team.first, MOVES)
         for fault, kill in (
@@ -84,7 +87,7 @@ class EachInTurn:
         self.team.rest()
 
     def details(self) -> Dict[str, Any]:
-        """What was cut or not sent, and how long robots were away, in seconds."""
+        """The records that were cut or not sent, and how long robots were away (s)."""
         return {
             "torn": dict(self.torn),
             "unsent": dict(self.unsent),
@@ -111,8 +114,8 @@ class EachInTurn:
         return " (%s)" % kind
 
     def _kill(self, name: str, fault: str, kill: Callable[[str], str]) -> None:
-        """Kill a robot somehow, start it again, and see that it takes its visit up again."""
-        time.sleep(self._source.uniform(0.0, 0.3))  # anywhere in its actions
+        """Kill a robot with ``kill``, restart it, and check that it resumes its visit."""
+        time.sleep(self._source.uniform(0.0, 0.3))  # at a random point of its action
         how = kill(name)
         self.injected[fault] += 1
         goals = self.team.read(name).of("goal")
@@ -135,8 +138,8 @@ class EachInTurn:
         self._tell("%s %s%s, back after %.1f s" % (name, fault, how, self.back[-1]))
 
     def _stop_beyond_eviction(self, name: str) -> None:
-        """SIGSTOP: the others evict it and go on, or wait where they are no quorum; then
-        SIGCONT."""
+        """Send SIGSTOP; the others evict the robot and continue, or wait if they are no quorum.
+        Then send SIGCONT."""
         others = [n for n in self.team.present() if n != name]
         members = self.team.statuses()[others[0]]["members"]
         stopped, evicted = time.monotonic(), 0.0

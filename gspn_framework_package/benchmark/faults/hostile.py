@@ -1,6 +1,6 @@
-"""What a hostile or broken program on the ROS network can send to a team: messages of the protocol
-that are malformed, forged, replayed or come in a flood, rubbish in service calls, and bytes that
-are no ROS at all. After each kind every node must be alive and every robot must move on."""
+"""What a hostile or broken program on the ROS network can send to a team: malformed, forged or
+replayed protocol messages, floods of them, garbage in service calls, and bytes that are not ROS at
+all. After each kind every node must be alive and every robot must still move."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from gspn_framework_package.execution.ledger import Item, Origin
 from gspn_framework_package.model.plan import Synchronisation
 
 FLOOD = 3.0
-"""Seconds of each flood."""
+"""Duration (s) of each flood."""
 
 DEEP = 100_000
-"""Brackets in brackets: more than any reader of JSON takes."""
+"""Depth of nested brackets: more than any JSON parser accepts."""
 
 LARGE = 8_000_000
 """Characters of a large message."""
@@ -33,7 +33,7 @@ Body = Dict[str, Any]
 class Hostile:
     """Sends each kind to a team.
 
-    :param tell: receives each step.
+    :param tell: called with a description of each step.
 
     :ivar injected: how many messages of each kind were sent.
     """
@@ -46,8 +46,10 @@ class Hostile:
         self._early: List[Any] = []
 
     def run(self) -> None:
-        """Send everything, then wait until the team rests. :raises ExecutionError: it did not go on
-        as it must."""
+        """Send everything, then wait until the team is at rest.
+
+        :raises ExecutionError: the team did not continue as it must.
+        """
         import rospy
 
         from gspn_framework_package.msg import Agreement
@@ -177,7 +179,7 @@ class Hostile:
         return sent
 
     def _elsewhere(self) -> int:
-        """As if the services of every robot were where nobody answers."""
+        """Claim that every robot's services are at an address where nothing answers."""
         for name in self.team.first:
             self._publish(name, json.dumps(self._hello(name)), "rosrpc://127.0.0.1:9")
         return len(self.team.first)
@@ -216,7 +218,8 @@ class Hostile:
         return sent
 
     def _bytes(self) -> int:
-        """To the ports of each node: its XML-RPC server, and that of its topics and services."""
+        """Send bytes to the ports of each node: its XML-RPC server, and the server of its topics
+        and services."""
         import rosgraph
 
         master = rosgraph.Master("/gspn_hostile")
@@ -238,7 +241,7 @@ class Hostile:
                         (found.hostname or "", found.port or 0), 5
                     ) as connection:
                         connection.settimeout(0.5)
-                        with contextlib.suppress(OSError):  # it says nothing, or has hung up
+                        with contextlib.suppress(OSError):  # no answer, or connection closed
                             connection.sendall(data)
                             connection.recv(1000)
                     sent += 1

@@ -1,11 +1,10 @@
-"""The command: faults on teams of real nodes, and what the history checker says of their logs.
-Needs ROS.
+"""The command: injects faults into teams of real nodes, and checks their logs with the history
+checker. Needs ROS.
 
-``python3 -m gspn_framework_package.benchmark.faults --each-in-turn`` does everything of
-:mod:`.each_in_turn` to a team of each size in each mode, ``--operators ROUNDS`` everything of
-:mod:`.operators`, ``--hostile`` everything of :mod:`.hostile`; ``--minutes 30`` runs rounds of
-:mod:`.soak` with fresh teams until the time is over. The ROS master is the command's own. Each team
-ends paused, at rest, and verified.
+``python3 -m gspn_framework_package.benchmark.faults --each-in-turn`` runs :mod:`.each_in_turn` on a
+team of each size in each mode, ``--operators ROUNDS`` runs :mod:`.operators`, ``--hostile`` runs
+:mod:`.hostile`; ``--minutes 30`` runs rounds of :mod:`.soak` with fresh teams until the time is
+over. The command starts its own ROS master. Each team is finally paused, at rest, and verified.
 """
 
 from __future__ import annotations
@@ -30,15 +29,15 @@ from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.plan import Synchronisation
 
 Row = Dict[str, Any]
-"""What came of one team."""
+"""The result of one team."""
 
 MOST_COLUMNS = 12
-"""Kinds of faults that the table lists one by one; --json has all of them."""
+"""Most kinds of faults that get a column of their own in the table; --json lists all of them."""
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Run a scenario; 0: no violation, and every team came to rest, 1: not so, 2: wrong usage, or
-    no ROS."""
+    """Run a scenario; returns 0: no violation, and every team came to rest, 1: otherwise, 2: wrong
+    usage, or no ROS."""
     parser = argparse.ArgumentParser(
         prog="benchmark.faults",
         description="Kills, cuts off, stops and restarts the processes of robot teams, and "
@@ -92,7 +91,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
 
 
 def _report(args: argparse.Namespace) -> int:
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: in order
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends cleanly, as with Ctrl-C
     seed = args.seed if args.seed is not None else random.SystemRandom().randrange(2**32)
     _tell("seed %d" % seed)
     source = random.Random(seed)
@@ -196,7 +195,7 @@ def _scenario(
 
 
 def _run(scenario: Any, run: Callable[[], None], keep: bool) -> Row:
-    """Run a scenario and verify its team; the logs of a bad one are kept."""
+    """Run a scenario and verify its team; keeps the logs of a team that failed."""
     began = time.monotonic()
     row: Row = {"fault": "", "firings": 0, "slots": 0, "logs": 0, "folder": scenario.team.folder}
     try:

@@ -1,5 +1,5 @@
-"""What an operator does to a team that cannot help itself, again and again: a robot that is off is
-evicted by force, and comes back; the only robot that is left goes on alone, and the others return
+"""Repeated operator interventions in a team that cannot recover by itself: a robot that is off is
+evicted by force, and comes back; the only remaining robot continues alone, and the others return
 with more of the log than it knows; so many robots lose their logs that no quorum remembers."""
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ from gspn_framework_package.model.plan import Synchronisation
 
 
 class Operators:
-    """Does each of these to one team so many times, and sees each time that it goes on as it must.
+    """Does each of these to one team, and checks each time that it continues as it must.
 
     :param rounds: how many times.
-    :param tell: receives each step.
+    :param tell: called with a description of each step.
 
-    :ivar injected: how often each was.
+    :ivar injected: how often each was done.
     """
 
     def __init__(self, robots: int, mode: Synchronisation, rounds: int, tell: Tell) -> None:
         self._rounds, self._tell = rounds, tell
         self.injected: Counter[str] = Counter()
-        self.team = LaunchedTeam(
-            robots, mode, evict_after=0.0
-        )  # nobody is evicted but by the operator
+        self.team = LaunchedTeam(robots, mode, evict_after=0.0)  # only the operator evicts robots
 
     def run(self) -> None:
-        """Do it all, then wait until the team rests. :raises ExecutionError: it did not go on as it
-        must."""
+        """Do everything, then wait until the team is at rest.
+
+        :raises ExecutionError: the team did not continue as it must.
+        """
         team = self.team
         team.wait_until(team.is_complete, "the start")
         team.wait_for_moves(team.first, MOVES)
@@ -48,8 +48,8 @@ class Operators:
     # -- what is done ------------------------------------------------------------------------------
 
     def _restart_after_force(self, number: int) -> str:
-        """A robot dies, is evicted by force and joins again; another one restarts, and is left
-        alone for a while: it must not count quorums without the first any more."""
+        """A robot dies, is evicted by force and joins again. Another one restarts and is left alone
+        for a while: it must no longer count quorums without the first."""
         team = self.team
         names = self._turned(number)
         restarted, dead = names[0], names[-1]
@@ -75,16 +75,16 @@ class Operators:
         return "restarted after an eviction by force"
 
     def _return_with_more(self, number: int) -> str:
-        """All robots but one die, and that one knows least. It goes on alone, by the operator's
-        word, and restarts. Then the others return, with what it never heard of: they have to give
-        that up, and join."""
+        """All robots but one die, and that one knows least. By the operator's order it continues
+        alone, and restarts. Then the others return with log entries that it never received; they
+        have to give these up, and join."""
         team = self.team
         names = self._turned(number)
         left, others = names[0], names[1:]
         length = team.read(left).length
         team.signal(left, signal.SIGSTOP)
         began = time.monotonic()
-        time.sleep(GRACE)  # with full synchronisation the others, a quorum, go on
+        time.sleep(GRACE)  # with full synchronisation the others, a quorum, continue
         for name in others:
             team.kill(name)
         ahead = max(team.read(name).length for name in others) - length
@@ -95,7 +95,7 @@ class Operators:
         self._start(left)
         for name in others:
             team.start(name)
-        # not their moves: before they heard of it, they went on where they were
+        # do not wait for moves: until they heard of the restart, they continued where they were
         team.wait_until(
             lambda: not self._missing("join", others, left, began), "the others to join anew"
         )
@@ -104,8 +104,8 @@ class Operators:
         return "returned after the rest went on alone"
 
     def _lose_logs(self, number: int) -> str:
-        """A quorum loses its logs. Nobody may decide anything, and all say why, until the operator
-        switches those robots off, asserts it, and starts them again."""
+        """A quorum loses its logs. No robot may decide anything, and all report why, until the
+        operator switches those robots off, asserts that they are off, and restarts them."""
         team = self.team
         names = self._turned(number)
         quorum = len(names) // 2 + 1
@@ -139,19 +139,20 @@ class Operators:
     # -- steps -------------------------------------------------------------------------------------
 
     def _turned(self, number: int) -> List[str]:
-        """The robots, each time with another one first."""
+        """The robots, rotated so that each round begins with a different one."""
         names = self.team.first
         at = number % len(names)
         return names[at:] + names[:at]
 
     def _start(self, name: str) -> None:
-        """Start a robot again, and wait until it moves."""
+        """Restart a robot, and wait until it moves."""
         began = time.monotonic()
         self.team.start(name)
         self.team.wait_for_moves([name], MOVES, began)
 
     def _missing(self, kind: str, robots: List[str], at: str, since: float) -> List[str]:
-        """Those of the robots about which one robot's log has got no such entry after a time."""
+        """The ``robots`` about which the log of robot ``at`` has no entry of this kind after time
+        ``since``."""
         entries = self.team.read(at).entries(kind, since)
         found = {entry["robot"] for entry in entries}
         return [name for name in robots if name not in found]

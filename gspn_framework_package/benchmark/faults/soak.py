@@ -1,6 +1,6 @@
-"""A round of random faults: a robot is killed (anywhere, or while it writes) and restarted with or
-without its log, stopped for a moment or beyond its eviction, the ROS master is killed and
-restarted, a robot joins, one leaves."""
+"""A round of random faults: a robot is killed (at any time, or while it writes) and restarted with
+or without its log; a robot is stopped briefly, or until after its eviction; the ROS master is
+killed and restarted; a robot joins; a robot leaves."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from gspn_framework_package.model.plan import Synchronisation
 EVICT_AFTER = 3.0
 
 JOINERS = 2
-"""Robots that join in a round, at most."""
+"""Most robots that join in a round."""
 
 
 class Soak:
-    """Injects faults into a team, one after the other, each undone after some seconds.
+    """Injects faults into a team one at a time, and undoes each after some seconds.
 
-    :ivar injected: how often each fault was.
+    :ivar injected: how often each fault was injected.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class Soak:
         self._joined = 0
 
     def run(self, seconds: float) -> None:
-        """Inject faults for that long; then wait until the team rests."""
+        """Inject faults for ``seconds``; then wait until the team is at rest."""
         self.team.wait_until(self.team.is_complete, "the start")
         deadline = time.monotonic() + seconds
         faults: List[Callable[[], bool]] = [
@@ -56,7 +56,7 @@ class Soak:
             fault = self._source.choice(faults)
             if fault():
                 self.injected[fault.__name__.strip("_")] += 1
-            for name in self.team.ended():  # those that began while the master was away
+            for name in self.team.ended():  # those started while the master was away
                 self.team.start(name)
         self.team.rest()
 
@@ -77,21 +77,20 @@ class Soak:
         return self._kill_at_write(dying_node.UNSENT)
 
     def _kill_at_write(self, told: int) -> bool:
-        if not self._is_complete():  # one that only now starts does not know the signal
+        if not self._is_complete():  # a starting node does not handle the signal yet
             return False
         name = self._victim()
         self.team.signal(name, told)
         time.sleep(self._source.choice([0.5, 2.0]))
         in_write = name not in self.team.alive()
-        if not in_write:  # it has nothing to write, as when another has just left a team of two
+        if not in_write:  # nothing to write, e.g. the other one of two has left
             self.team.kill(name)
             self.injected["kill"] += 1
         self.team.start(name)
         return in_write
 
     def _kill_without_log(self) -> bool:
-        # only one at a time may have lost its memory, and the others must be able to let it in
-        # again
+        # only one robot at a time may have lost its log, and the others must be able to readmit it
         try:
             told = self.team.statuses()
         except ExecutionError:

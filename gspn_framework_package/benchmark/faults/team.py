@@ -1,5 +1,5 @@
-"""A ROS master and a team of real nodes, each a process that can be killed, stopped and started
-again."""
+"""A ROS master and a team of real nodes, each a process that can be killed, stopped and
+restarted."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ RUN = "faults"
 BRIEF = "gspn_framework_package.benchmark.load.brief"
 
 PATIENCE = 120.0
-"""Seconds after which what the team must do counts as not done."""
+"""Seconds within which the team must do what is expected."""
 
 QUIET = 1.5
-"""Seconds for which nothing may change in a team that rests."""
+"""Seconds without any change after which a team counts as at rest."""
 
 
 class RestartableMaster:
-    """A ROS master that can be killed, and comes back on its port."""
+    """A ROS master that can be killed and restarted on the same port."""
 
     def __init__(self) -> None:
         self._port = free_port()
@@ -79,18 +79,18 @@ class RestartableMaster:
 class LaunchedTeam:
     """The nodes of a team that executes ``plans/tokens`` with actions of a tenth of a second.
 
-    :param robots: how many begin: ``robot_1`` and so on.
+    :param robots: initial number of robots: ``robot_1`` and so on.
     :param evict_after: see :class:`~gspn_framework_package.model.plan.Timing`.
 
-    :ivar gone: robots that have left, and are not to be started again.
+    :ivar gone: robots that have left, and must not be restarted.
     """
 
     def __init__(self, robots: int, mode: Synchronisation, evict_after: float) -> None:
         self.folder = tempfile.mkdtemp(prefix="gspn_faults_")
         plan = tokens_plan().for_robots(robots)
         actions = {place: FunctionAction(BRIEF, place) for place in plan.actions}
-        # on a busy machine an action server may be slow to take a goal; by default its robot would
-        # wait for a person
+        # on a busy machine an action server may be slow to accept a goal; by default its robot
+        # would wait for the operator
         again = FailureRule(FailureKind.RETRY, 1000)
         plan = replace(
             plan,
@@ -111,8 +111,10 @@ class LaunchedTeam:
     # -- processes ---------------------------------------------------------------------------------
 
     def start(self, name: str, place: str = "", *arguments: str) -> None:
-        """Start a robot's node, again or for the first time; ``place``: where it comes in when it
-        joins."""
+        """Start or restart a robot's node.
+
+        :param place: the place that the robot enters when it joins.
+        """
         words = [
             "_plan:=" + self.folder,
             "_robot:=" + name,
@@ -135,7 +137,7 @@ class LaunchedTeam:
         return [name for name, process in self._processes.items() if process.poll() is None]
 
     def ended(self) -> List[str]:
-        """The robots whose processes have ended, though they have not left."""
+        """The robots whose processes have ended although they have not left."""
         return [
             n
             for n, process in self._processes.items()
@@ -147,13 +149,13 @@ class LaunchedTeam:
         self._processes[name].send_signal(number)
 
     def kill(self, name: str) -> None:
-        """SIGKILL, wherever it is."""
+        """Send SIGKILL to a robot's process, whatever it is doing."""
         self._processes[name].kill()
         self._processes[name].wait()
 
     def kill_at_write(self, name: str, told: int) -> str:
-        """SIGKILL in the middle of a write of its log, or right after one; what was written: the
-        kind of the record.
+        """Make a robot's process die in the middle of a log write, or right after one; returns the
+        kind of the record that it wrote.
 
         :param told: see :mod:`.dying_node`.
         :raises ExecutionError: it wrote nothing for a long time.
@@ -163,26 +165,27 @@ class LaunchedTeam:
         return self.last_written(name)
 
     def await_death(self, name: str, seconds: float = PATIENCE) -> int:
-        """Wait until a robot's process has ended; its exit code. :raises ExecutionError: it goes
-        on."""
+        """Wait until a robot's process has ended; returns its exit code.
+
+        :raises ExecutionError: it is still running after ``seconds``.
+        """
         try:
             return int(self._processes[name].wait(seconds))
         except subprocess.TimeoutExpired:
             raise ExecutionError("waited %g s for the end of %s" % (seconds, name)) from None
 
     def log_file(self, name: str) -> str:
-        """Where a robot's log is."""
+        """The path of a robot's log."""
         return os.path.join(self.folder, RUN, name + ".jsonl")
 
     def lose_log(self, name: str) -> None:
-        """The log of a robot that does not run is gone; it is kept beside, for the history
-        checker."""
+        """Move away the log of a robot that is not running; it is kept for the history checker."""
         log = self.log_file(name)
         if os.path.exists(log):
             os.replace(log, "%s.%d.jsonl" % (log[: -len(".jsonl")], time.monotonic_ns()))
 
     def last_written(self, name: str) -> str:
-        """The kind of the record at the end of a robot's log, which may be cut."""
+        """The kind of the last record of a robot's log; the record may be cut."""
         with open(self.log_file(name), "rb") as file:
             line = file.read().splitlines()[-1]
         found = re.match(rb'\{"kind":"(\w+)"', line)
@@ -202,15 +205,15 @@ class LaunchedTeam:
                 process.wait()
 
     def discard(self) -> None:
-        """Remove all that the nodes have written."""
+        """Remove everything that the nodes have written."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
     # -- questions and orders ----------------------------------------------------------------------
 
     def order(self, command: str, robot: str, at: str = "") -> bool:
-        """Give the team an order; whether it was carried out.
+        """Give the team an order; returns whether it was carried out.
 
-        :param at: the robot whose node is to take it; "" for any.
+        :param at: the robot whose node receives it; "" for any.
         """
         from gspn_framework_package.ros.operator_client import OperatorClient
 
@@ -224,7 +227,10 @@ class LaunchedTeam:
             return False
 
     def statuses(self) -> Dict[str, Dict[str, Any]]:
-        """The status of every living node. :raises ExecutionError: one of them does not answer."""
+        """The status of every living node.
+
+        :raises ExecutionError: one of them does not answer.
+        """
         from gspn_framework_package.ros.operator_client import OperatorClient
 
         with contextlib.closing(OperatorClient()) as client:
@@ -235,17 +241,20 @@ class LaunchedTeam:
         return {name: known["/" + name] for name in self.alive()}
 
     def is_complete(self) -> bool:
-        """Whether every node that is alive takes part."""
+        """Whether every living node is a member of the team."""
         return all(status["active"] for status in self.statuses().values())
 
     def read(self, name: str) -> LogTail:
-        """A robot's log as far as it is written."""
+        """A robot's log, as far as it has been written."""
         return self.logs[name].read()
 
     def wait_until(
         self, condition: Callable[[], bool], what: str, seconds: float = PATIENCE
     ) -> None:
-        """Wait for a condition on the team. :raises ExecutionError: it did not hold in time."""
+        """Wait for a condition on the team.
+
+        :raises ExecutionError: it did not hold in time.
+        """
         deadline = time.monotonic() + seconds
         last = ""
         while time.monotonic() < deadline:
@@ -262,7 +271,8 @@ class LaunchedTeam:
         return [name for name in self.logs if name not in self.gone]
 
     def wait_for_moves(self, names: Iterable[str], number: int, since: float = 0.0) -> None:
-        """Wait until each of these robots has moved so often after a time (0: from now on)."""
+        """Wait until each of these robots has moved ``number`` times after the time ``since`` (0:
+        from now on)."""
         begin = since or time.monotonic()
         for name in names:
             self.wait_until(
@@ -271,7 +281,7 @@ class LaunchedTeam:
             )
 
     def entries(self, kind: str, robot: str, since: float) -> List[Dict[str, Any]]:
-        """The entries of a kind about a robot that any log has got after a time."""
+        """The entries of a kind about a robot that any log has received after time ``since``."""
         return [
             entry
             for log in self.present()
@@ -280,7 +290,7 @@ class LaunchedTeam:
         ]
 
     def rest(self) -> None:
-        """Pause the team, and wait until nothing changes any more."""
+        """Pause the team, and wait until nothing changes."""
         self.wait_until(lambda: self.order("pause", ""), "a pause of the team")
         last: List[Any] = [None, 0.0]
 
@@ -295,7 +305,7 @@ class LaunchedTeam:
         self.wait_until(quiet, "all replicas to rest at one position")
 
     def tracebacks(self) -> List[str]:
-        """The robots whose nodes have printed one."""
+        """The robots whose nodes have printed a traceback."""
         found = []
         for name in self.logs:
             with open(os.path.join(self.folder, name + ".txt"), "rb") as file:
@@ -304,8 +314,8 @@ class LaunchedTeam:
         return found
 
     def verdict(self) -> Verdict:
-        """What the history checker says of all logs, once the team has come to rest and its nodes
-        have ended."""
+        """The verdict of the history checker on all logs; call it once the team is at rest and its
+        nodes have ended."""
         logs = [
             read_log(path) for path in sorted(glob.glob(os.path.join(self.folder, RUN, "*.jsonl")))
         ]
@@ -313,6 +323,9 @@ class LaunchedTeam:
 
 
 def require(holds: bool, otherwise: str) -> None:
-    """See that something holds. :raises ExecutionError: it does not."""
+    """Check that something holds.
+
+    :raises ExecutionError: it does not.
+    """
     if not holds:
         raise ExecutionError(otherwise)
