@@ -118,7 +118,7 @@ class Project:
         return execution
 
     def _take_note(self, which: Callable[[CutRun], bool]) -> None:
-        """Forget the cut-off runs that an operator now opens, or whose plan is started again."""
+        """Forget the cut-off runs that a user has opened, or whose plan is started again."""
         for run in [run for run in self._cut if which(run)]:
             run.forget()
             self._cut = [r for r in self._cut if r is not run]

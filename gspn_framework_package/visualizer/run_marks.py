@@ -28,7 +28,7 @@ class CutRun(NamedTuple):
     mark: str
 
     def forget(self) -> None:
-        """Remove the mark: an operator has taken note of the run."""
+        """Remove the mark: a user has taken note of the run."""
         with contextlib.suppress(OSError):
             os.remove(self.mark)
 
