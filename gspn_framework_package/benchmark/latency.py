@@ -3,17 +3,18 @@ team.
 
 ``python3 -m gspn_framework_package.benchmark.latency`` (needs ROS)
 
-*Latency*: from the result of an action in the robot's log to the goal of its next one there, on one
-monotonic clock. *Private* moves ask nobody (partial synchronisation); *coordinated* ones are agreed
-on. The loads:
+*Latency*: the time from the result of an action in the robot's log to the goal of its next one, on
+one monotonic clock. *Private* moves need no agreement (partial synchronisation); *coordinated* ones
+are agreed on. The loads:
 
 - ``light``: ``plans/tokens`` with actions of a tenth of a second;
-- ``instant``: the same, with actions that return at once, so that what limits is the machine;
+- ``instant``: the same, with actions that return at once, so that the machine is the limit;
 - ``private``: a ring in which every move is private, with actions that return at once (partial
   synchronisation only).
 
-A move that waits for its transition to become enabled is not counted: these plans have none.
-*Messages*: what robots send each other, heartbeats included; one to several robots counts once.
+A move that waits for its transition to become enabled would not count, but these plans have none.
+*Messages*: those that robots send each other, heartbeats included; a message to several robots
+counts once.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ RING = 7
 
 
 def latencies(records: Sequence[Dict[str, Any]], since: float) -> Tuple[List[float], List[float]]:
-    """(private, coordinated) latencies in milliseconds in the records of one robot's log after the
+    """The (private, coordinated) latencies (ms) in the records of one robot's log after the
     monotonic time ``since``."""
     private: List[float] = []
     coordinated: List[float] = []
@@ -65,12 +66,12 @@ def latencies(records: Sequence[Dict[str, Any]], since: float) -> Tuple[List[flo
 def measure(master: Master, plan: Plan, window: float, check: bool = False) -> Dict[str, Any]:
     """Run a plan and report its latencies and throughput over ``window`` seconds.
 
-    :param check: have the history checker look at the logs, too.
+    :param check: whether the history checker verifies the logs, too.
     """
     with TeamRun(master, plan) as run:
         if not run.wait_all_fired(120):
             return {"note": "not all robots fired"}
-        time.sleep(3.0)  # connections that are made in the background are not measured
+        time.sleep(3.0)  # exclude the connections made in the background
         sent, began = messages_sent(), time.monotonic()
         time.sleep(window)
         ended, sent = time.monotonic(), messages_sent() - sent
@@ -109,7 +110,7 @@ def evictions(logs: Sequence[EventLog]) -> Set[Tuple[int, str]]:
 
 
 def messages_sent() -> int:
-    """How many messages the robots that run have sent each other so far."""
+    """The number of messages that the running robots have sent each other so far."""
     from gspn_framework_package.ros.operator_client import OperatorClient
 
     with contextlib.closing(OperatorClient()) as client:
@@ -182,7 +183,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
     need_ros()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that the team under way is ended
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that the running team is ended
     modes = [Synchronisation(args.mode)] if args.mode else list(Synchronisation)
     rows: List[Dict[str, Any]] = []
     interrupted = False

@@ -1,5 +1,5 @@
-"""The actions of the benchmarks: the load of the thesis's scaling experiments (6.1), and none at
-all."""
+"""The actions of the benchmarks: the load of the thesis's scaling experiments (6.1), a brief one,
+and none at all."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def loop(is_cancelled) -> str:  # type: ignore[no-untyped-def]
 
 
 def brief(is_cancelled) -> str:  # type: ignore[no-untyped-def]
-    """A tenth of a second, more or less: a team that is busy but not out of breath."""
+    """Take about a tenth of a second: the team is busy but not overloaded."""
     is_cancelled.wait(random.uniform(0.05, 0.15))
     return ""
 
 
 def instant() -> str:
-    """Return at once: what is left is the cost of the framework itself."""
+    """Return at once, which leaves the cost of the framework itself."""
     return ""

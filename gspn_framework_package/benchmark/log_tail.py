@@ -10,7 +10,7 @@ from gspn_framework_package.execution.event_log import Record
 
 
 class LogTail:
-    """A robot's log as far as it is written.
+    """A robot's log, as far as it has been written.
 
     :ivar records: the records so far; call :meth:`read` for new ones.
     """
@@ -25,7 +25,7 @@ class LogTail:
         if os.path.exists(self.path):
             with open(self.path, "rb") as file:
                 number = os.fstat(file.fileno()).st_ino
-                if number != self._file:  # its robot has lost the one before
+                if number != self._file:  # its robot has lost the previous one
                     self._file, self._at = number, 0
                 file.seek(self._at)
                 whole, newline, _ = file.read().rpartition(b"\n")
@@ -39,7 +39,7 @@ class LogTail:
 
     @property
     def length(self) -> int:
-        """Slots that the log knows."""
+        """The number of slots in the log."""
         return 1 + max(
             (r["slot"] for r in self.records if r["kind"] in ("slot", "snapshot")), default=-1
         )
@@ -52,12 +52,12 @@ class LogTail:
         )
 
     def moves(self, begin: float = 0.0, end: float = float("inf")) -> int:
-        """How often the robot came into a place in that time: each is a first attempt at an
-        action."""
+        """How often the robot entered a place in that time, counted by the first attempts at
+        actions."""
         return sum(r["attempt"] == 1 for r in self.of("goal", begin, end))
 
     def entries(self, kind: str, begin: float = 0.0, end: float = float("inf")) -> Iterator[Record]:
-        """The entries of a kind in the slots that were written in that time, each with the slot's
+        """The entries of a kind in the slots written in that time, each with the slot's
         ``mono``."""
         for record in self.of("slot", begin, end):
             for entry in record["entries"]:
@@ -65,8 +65,8 @@ class LogTail:
                     yield dict(entry, mono=record["mono"])
 
     def commit_times(self, begin: float, end: float) -> List[float]:
-        """Seconds from a finished action of the robot, known to it alone, to its slot; of those
-        that finished in that time and got one."""
+        """For each action of the robot that finished in that time and got a slot: the seconds from
+        its end, known only to the robot, to the slot."""
         times: List[float] = []
         asked: Dict[Any, float] = {}
         for record in self.records:

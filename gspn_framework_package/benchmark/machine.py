@@ -1,4 +1,4 @@
-"""What a benchmark ran on: the machine and the versions, for the head of its output."""
+"""Describes the machine and the versions that a benchmark ran on, for the head of its output."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Dict, Iterable, List, Optional, Sequence
 import gspn_framework_package
 
 LIBRARIES = ("numpy", "scipy", "numba", "lxml", "psutil", "rospy", "actionlib", "matplotlib")
-"""Distributions whose versions are reported if they are installed."""
+"""Python distributions whose versions are reported if they are installed."""
 
 
 def describe_machine(libraries: Iterable[str] = LIBRARIES) -> Dict[str, str]:
@@ -31,14 +31,14 @@ def describe_machine(libraries: Iterable[str] = LIBRARIES) -> Dict[str, str]:
 
 
 def machine_line(described: Optional[Dict[str, str]] = None) -> str:
-    """The same in one line of text."""
+    """The machine and the versions in one line of text."""
     told = dict(described or describe_machine())
     head = "%s, %s cores, %s; %s" % tuple(told.pop(k) for k in ("cpu", "cores", "memory", "system"))
     return "%s; %s" % (head, ", ".join("%s %s" % item for item in told.items()))
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table with aligned columns: the first one to the left, numbers to the right."""
+    """A Markdown table with aligned columns: the first one left-aligned, numbers right-aligned."""
     cells = [list(head)] + [[_cell(value) for value in row] for row in rows]
     widths = [max(len(row[i]) for row in cells) for i in range(len(head))]
     lines: List[str] = []

@@ -1,4 +1,4 @@
-"""Every seeded fault, and after how many simulated teams it is caught.
+"""Reports, for every seeded fault, after how many simulated teams it is caught.
 
 ``python3 -m gspn_framework_package.benchmark.mutants``
 
@@ -17,7 +17,7 @@ from gspn_framework_package.model.errors import UsageError
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
-    """Hunt the mutants; the exit code."""
+    """Hunt the mutants; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help="only these")
     parser.add_argument(

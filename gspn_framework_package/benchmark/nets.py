@@ -1,4 +1,4 @@
-"""Nets of the literature, of any size: what analysis tools are measured with."""
+"""Nets from the literature, of any size, that serve as benchmarks of analysis tools."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ def flexible_manufacturing(n: int) -> Net:
     them.
 
     Three machines of the first kind, one of the second, two of the third; parts 1 and 2 may be
-    joined to a fourth kind. Transport takes 1 to 2 time units for each part by itself, finished
-    parts are shipped in one go and replaced.
+    joined to a fourth kind. Transport takes 1 to 2 time units for each part independently; finished
+    parts are shipped together and replaced.
     """
     net = NetBuilder("fms_%d" % n)
     for part in "123":
@@ -94,8 +94,7 @@ def flexible_manufacturing(n: int) -> Net:
             inputs="work" + part,
             outputs=["done" + part, machine],
         )
-    # Parts of kind 3 are made on the second machine when it has nothing else to do, and do not hold
-    # it.
+    # Parts of kind 3 are made on the second machine when it is idle, and do not occupy it.
     net.exponential("carry3", rate=1.0, servers=None, inputs="raw3", outputs="work3")
     net.exponential("make3", rate=0.5, inputs=["work3", "M2"], outputs=["done3", "M2"])
     for part, ship, join in (("1", 0.8, 0.2), ("2", 0.6, 0.4)):
@@ -114,9 +113,9 @@ def flexible_manufacturing(n: int) -> Net:
 
 
 def polling(n: int) -> Net:
-    """The polling system of Ibe and Trivedi (1990): one server goes round ``n`` stations with room
-    for one job each, and serves or passes by: ``3 n 2^(n-1)`` markings with every transition
-    exponential."""
+    """The polling system of Ibe and Trivedi (1990): one server visits ``n`` stations in turn, each
+    with room for one job, and serves or skips them. It has ``3 n 2^(n-1)`` markings with every
+    transition exponential."""
     net = NetBuilder("polling_%d" % n)
     for i in range(1, n + 1):
         net.place("idle%d" % i, tokens=1).place("job%d" % i)
@@ -147,13 +146,13 @@ def polling(n: int) -> Net:
 
 def courier(window: int, space: int = 1) -> Net:
     """The Courier protocol software of Woodside and Li (1991): a message goes from one application
-    to the other through session and transport layers, with at most ``window`` packets not yet
-    acknowledged and room for ``space`` messages in the sender's transport layer: 11700, 84600,
-    419400 ... tangible markings, 29010 in all for a window of 1.
+    to the other through session and transport layers, with at most ``window`` unacknowledged
+    packets and room for ``space`` messages in the sender's transport layer: 11700, 84600, 419400
+    ... tangible markings, 29010 in all for a window of 1.
 
-    Places and transitions have the paper's numbers (there is no ``p7``), rates its times. One
-    server each, and a message goes on in another fragment as often as it ends (the paper's ratio q1
-    : q2 is 1).
+    Places and transitions are numbered as in the paper (there is no ``p7``), and the rates follow
+    its times. Each transition has one server. A message continues in another fragment as often as
+    it ends (the paper's ratio q1 : q2 is 1).
     """
     net = NetBuilder("courier_%d" % window)
     tokens = dict.fromkeys((1, 3, 6, 10, 12, 32, 37, 39, 41, 44, 46), 1)
@@ -179,7 +178,7 @@ _COURIER: Tuple[Tuple[int, float, Tuple[int, ...], Tuple[int, ...]], ...] = (
     (5, 0, (8, 10), (6, 9)),
     (6, 0.57, (9, 12, 17), (10, 11)),
     (7, 2.88, (11,), (12, 13)),
-    (8, 0, (12, 13, 14), (13, 15)),  # a fragment that another one follows
+    (8, 0, (12, 13, 14), (13, 15)),  # a fragment followed by another
     (9, 0, (12, 13, 14), (16,)),  # the last fragment
     (10, 4.29, (15,), (12, 18)),
     (11, 4.29, (16,), (12, 19)),
@@ -189,7 +188,7 @@ _COURIER: Tuple[Tuple[int, float, Tuple[int, ...], Tuple[int, ...]], ...] = (
     (15, 0, (12, 23), (20,)),
     (16, 0.39, (21,), (12, 24)),
     (17, 0.39, (22,), (12, 17, 25)),
-    # The network: acknowledgements one way, fragments the other.
+    # The network: acknowledgements in one direction, fragments in the other.
     (18, 10.37, (26,), (23,)),
     (20, 10.37, (24,), (28,)),
     (21, 10.37, (25,), (29,)),
@@ -214,14 +213,14 @@ protocol."""
 
 
 def readers_writers(k: int) -> Net:
-    """``k`` processes that read (many at once) or write (alone) a data base and then use a network:
+    """``k`` processes that read (many at once) or write (alone) a database and then use a network:
     figure 5.3 of Ajmone Marsan et al. (1995), with the rates and weights of the Quantitative
     Verification Benchmark Set.
 
-    For 5 processes, all of them wait for the first time (for the data base or the network) after
-    263.0295997 on average. Thinking and reading go on for each process by itself; writing comes
-    before reading, that before the choice what to do, and last come the network and the choice to
-    go on, by their weights.
+    With 5 processes, the mean time until all of them wait (for the database or the network) for the
+    first time is 263.0295997. Processes think and read independently. Writing takes precedence over
+    reading, reading over the choice of what to do; the network and the choice to continue come
+    last, by their weights.
     """
     net = NetBuilder("readers_writers_%d" % k)
     net.place("think", tokens=k).place("database", tokens=1).place("network", tokens=1)

@@ -16,8 +16,8 @@ INSTANT = "gspn_framework_package.benchmark.load.instant"
 
 
 def tokens_plan(instant: bool = False) -> Plan:
-    """The plan of ``plans/tokens`` (thesis 6.1.1): seven places, six of them with an action, which
-    is one of :mod:`~gspn_framework_package.benchmark.load` here, so that the plan can be run from
+    """The plan of ``plans/tokens`` (thesis 6.1.1): seven places, six of them with an action. Here
+    the action is one of :mod:`~gspn_framework_package.benchmark.load`, so that the plan runs from
     any folder."""
     plan = read_plan(os.path.join(plans_folder(), "tokens"))
     function = INSTANT if instant else LOOP
@@ -25,8 +25,8 @@ def tokens_plan(instant: bool = False) -> Plan:
 
 
 def ring_plan(places: int, robots: int, instant: bool = False) -> Plan:
-    """A ring of ``places`` action places (thesis 6.1.2 and 6.1.3) with ``robots`` robots, dealt
-    over the places one after the other."""
+    """A ring of ``places`` action places (thesis 6.1.2 and 6.1.3) with ``robots`` robots,
+    distributed round-robin over the places."""
     names = ["p%d" % k for k in range(1, places + 1)]
     net = NetBuilder("ring_%d" % places)
     for k, name in enumerate(names):

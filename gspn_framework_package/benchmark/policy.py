@@ -1,8 +1,8 @@
-"""Policy look-up beside a linear scan, from 10 rows to 1,000,000: ``python3 -m
+"""Policy look-up compared with a linear scan, from 10 to 1,000,000 rows: ``python3 -m
 gspn_framework_package.benchmark.policy``.
 
 The table of ``n`` rows decides in one place of a net with twelve places: most rows are exact, one
-in ten has a wildcard or two, and markings are drawn among those that some row matches. Both ways
+in ten has a wildcard or two, and markings are drawn from those that some row matches. Both methods
 must give the same row, or the benchmark fails.
 """
 
@@ -27,7 +27,7 @@ CHOICES = ((("left", 0.25), ("right", 0.75)), (("left", 0.5), ("right", 0.5)))
 
 
 def decision_net() -> Net:
-    """A place ``decide`` with two immediate transitions, and places that the policy looks at."""
+    """A place ``decide`` with two immediate transitions, and places that the policy reads."""
     net = NetBuilder("decision").place("decide", tokens=1)
     for number in range(1, PLACES):
         net.place("p%d" % number)
@@ -56,8 +56,8 @@ def random_policy(net: Net, rows: int, source: random.Random) -> Policy:
 
 
 def scan(policy: Policy, marking: Sequence[int]) -> Optional[int]:
-    """Number of the row for ``marking``, found by going through all of them: fewest wildcards, then
-    file order."""
+    """Number of the row for ``marking``, found by scanning all rows: fewest wildcards, then file
+    order."""
     best, best_wildcards = None, len(marking) + 1
     for number, row in enumerate(policy.rows):
         wildcards = 0
@@ -75,7 +75,7 @@ def scan(policy: Policy, marking: Sequence[int]) -> Optional[int]:
 def measure(rows: int, budget: float) -> Dict[str, Any]:
     """Times for a policy of ``rows`` rows.
 
-    :param budget: seconds for the scans; at least three are made.
+    :param budget: time (s) for the scans; at least three are made.
     :raises AssertionError: look-up and scan disagree.
     """
     net = decision_net()
@@ -110,7 +110,7 @@ def measure(rows: int, budget: float) -> Dict[str, Any]:
 
 
 def _markings(policy: Policy, source: random.Random) -> List[Tuple[int, ...]]:
-    """Markings that rows of the policy match, from all over the table."""
+    """Markings that rows of the policy match, sampled from the whole table."""
     rows = [policy.rows[source.randrange(len(policy.rows))] for _ in range(1_000)]
     return [tuple(source.randrange(3) if c is None else c for c in row.counts) for row in rows]
 

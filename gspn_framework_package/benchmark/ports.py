@@ -1,4 +1,4 @@
-"""Ports for servers that a benchmark or a test starts, kills and starts again."""
+"""Ports for servers that a benchmark or a test starts, kills and restarts."""
 
 from __future__ import annotations
 
@@ -6,16 +6,19 @@ import random
 import socket
 
 _PORTS = range(20_000, 32_000)
-"""Below those that Linux hands out by itself (``net.ipv4.ip_local_port_range``, from 32768): one of
-these could go to a client while the server is away, and a client that calls a server on such a port
-can even get its own call."""
+"""Ports below those that Linux assigns automatically (``net.ipv4.ip_local_port_range``, from
+32768). One of those could go to a client while the server is down, and a client that calls a server
+on such a port can even connect to itself."""
 
 
 def free_port() -> int:
-    """A port of this machine on which nobody listens. :raises OSError: there is none."""
+    """A port of this machine on which nothing listens.
+
+    :raises OSError: there is none.
+    """
     for port in random.SystemRandom().sample(_PORTS, 1000):
         with socket.socket() as probe:
-            # old connections are no obstacle
+            # old connections must not block the port
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 probe.bind(("", port))

@@ -1,5 +1,5 @@
-"""What processes cost: the machine's figures as the thesis measures them, and those of processes
-exactly."""
+"""The cost of processes: the machine's figures as the thesis measures them, and exact figures per
+process."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ SAMPLES = 5
 
 
 class MachineLoad(NamedTuple):
-    """The two figures of the thesis: percent of all processors, percent of memory in use."""
+    """The two figures of the thesis: use of all processors (%), use of memory (%)."""
 
     cpu_percent: float
     memory_percent: float
 
 
 class ProcessCost(NamedTuple):
-    """Sums over processes. ``cpu_seconds``: since each began; ``pss_mb``: their proportional share
-    of memory, in MB of 10^6 bytes."""
+    """Sums over processes. ``cpu_seconds``: since each started; ``pss_mb``: their proportional
+    share of memory, in MB of 10^6 bytes."""
 
     processes: int
     cpu_seconds: float
@@ -42,7 +42,7 @@ def machine_load(period: float) -> MachineLoad:
 
 
 def descendants(pid: int) -> List[psutil.Process]:
-    """All processes that ``pid`` started, and theirs."""
+    """All child processes of ``pid``, and their children, recursively."""
     try:
         return psutil.Process(pid).children(recursive=True)
     except psutil.NoSuchProcess:
@@ -50,7 +50,7 @@ def descendants(pid: int) -> List[psutil.Process]:
 
 
 def cpu_seconds(processes: Iterable[psutil.Process]) -> Dict[int, float]:
-    """User and system time of each process so far, by process id."""
+    """User plus system time (s) of each process so far, by process id."""
     seconds = {}
     for process in processes:
         try:
@@ -62,7 +62,7 @@ def cpu_seconds(processes: Iterable[psutil.Process]) -> Dict[int, float]:
 
 
 def cost_of(processes: Iterable[psutil.Process]) -> ProcessCost:
-    """What the processes cost by now. Reading the shared memory takes a few milliseconds for
+    """The cost of the processes so far. Reading the shared memory takes a few milliseconds for
     each."""
     count, cpu, pss, threads, descriptors = 0, 0.0, 0, 0, 0
     for process in processes:

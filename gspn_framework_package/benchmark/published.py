@@ -1,10 +1,10 @@
-"""State counts of the literature, reproduced: ``python3 -m
+"""Reproduces state counts from the literature: ``python3 -m
 gspn_framework_package.benchmark.published``.
 
 Every net is explored in its own process, so that its peak memory is its own. A count that differs
 from the published one is reported, and the exit code is 1. The largest nets (Kanban 6 and 7) take
 minutes on a small machine and about 5 GB of memory: a net that would not fit into the free memory
-is left out, with a message.
+is skipped with a message.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from gspn_framework_package.model.net import Net
 
 
 class Published(NamedTuple):
-    """How many markings a net has, in all and tangible ones; None: not published. ``source``: by
-    whom."""
+    """The number of markings of a net, in total and tangible (None: not published), and the
+    ``source``."""
 
     family: str
     size: int
@@ -65,12 +65,12 @@ COUNTS: Sequence[Published] = (
 )
 
 BYTES_PER_STATE = 120
-"""Of the largest nets at their peak, as measured: what a net is expected to take before it is
-begun."""
+"""Measured on the largest nets at their peak; used to estimate the memory of a net before exploring
+it."""
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Explore the nets, and report which counts differ."""
+    """Explore the nets, and report the counts that differ."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,5 +1,5 @@
-"""The results of the scaling experiments in a folder, point by point, so that a run that was
-interrupted goes on."""
+"""Keeps the results of the scaling experiments in a folder, point by point, so that an interrupted
+run can resume."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from gspn_framework_package.model.errors import UsageError
 Row = Dict[str, Any]
 
 KEY = ("experiment", "mode", "robots", "places", "synchronisation")
-"""What makes a point different from every other one."""
+"""The fields that identify a point."""
 
 
 def key_of(row: Row) -> Tuple[Any, ...]:
-    """Which point a row is the result of."""
+    """The key of the point that a row belongs to."""
     return tuple(row.get(name) for name in KEY)
 
 
 class Results:
-    """Rows of figures; where there is a folder, ``results.json`` and ``results.csv`` in it hold
-    them after each point.
+    """Rows of figures, written to ``results.json`` and ``results.csv`` in the folder after each
+    point.
 
-    :param folder: "" to keep nothing. What is there already is taken up.
-    :raises UsageError: the folder holds other results than these.
+    :param folder: "" to write nothing. Existing results in the folder are loaded.
+    :raises UsageError: the folder holds results of a different kind.
     """
 
     def __init__(self, folder: str = "") -> None:
@@ -52,11 +52,11 @@ class Results:
                 )
 
     def has(self, row: Row) -> bool:
-        """Whether that point was measured, without a fault."""
+        """Whether the point of ``row`` was measured without a fault."""
         return any(key_of(known) == key_of(row) and not known.get("note") for known in self.rows)
 
     def add(self, row: Row) -> None:
-        """Keep a row, in the place of an older one of the same point."""
+        """Add a row, replacing an older one of the same point."""
         self.rows = [known for known in self.rows if key_of(known) != key_of(row)] + [row]
         self.write()
 

@@ -1,12 +1,13 @@
 """The critical room with 1 to 8 robots that really drive (thesis 6.2): ``python3 -m
 gspn_framework_package.benchmark.room``.
 
-The thesis's simulation works with one to three robots and fails with four: stuck, entangled, one
-overtaking another against the plan. Here each run is judged by a referee that sees the true poses:
-laps, touches between robots and with walls, minutes stuck, goals given up, distance, two in one
-location, overtakings against the plan; and what it costs: real-time factor, processor, memory.
+The thesis's simulation works with one to three robots and fails with four: they get stuck or
+entangled, or one overtakes another against the plan. Here a referee that sees the true poses judges
+each run: laps, touches between robots and with walls, minutes stuck, goals given up, distance, two
+robots in one location, overtakings against the plan. The cost is reported as well: real-time
+factor, processor, memory.
 
-By default the patrol is decided in one place and stepped as fast as it goes (``world.traffic``), so
+By default the patrol is decided centrally and stepped as fast as possible (``world.traffic``), so
 that this measures the world itself. With ``--ros`` the whole system runs: ``patrol.launch``, one
 execution node for each robot, which agree on every firing (needs ROS and the built package).
 """
@@ -28,7 +29,7 @@ from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.model.errors import ExecutionError
 
 TEAMS: Tuple[Tuple[int, int], ...] = ((1, 2), (2, 2), (3, 2), (4, 10), (6, 2), (8, 2))
-"""Robots, and how many seeds with so many."""
+"""Number of robots, and number of seeds for teams of that size."""
 
 MINUTES = 15.0
 LIBRARIES = ("numpy", "scipy", "pybullet", "rospy", "actionlib")
@@ -39,8 +40,8 @@ def measure(room: str, robots: int, seed: int, minutes: float) -> Dict[str, Any]
 
     :param room: the room file.
     :param robots: size of the team.
-    :param seed: of all that is drawn.
-    :param minutes: of world time.
+    :param seed: seed of all random draws.
+    :param minutes: world time (min).
     """
     import psutil
 
@@ -63,7 +64,7 @@ def measure(room: str, robots: int, seed: int, minutes: float) -> Dict[str, Any]
 
 
 def measure_apart(args: argparse.Namespace, robots: int, seed: int) -> Dict[str, Any]:
-    """The same in a separate process, so that memory and time are its own."""
+    """Call :func:`measure` in a separate process, so that memory and time are its own."""
     words = [sys.executable, "-m", __spec__.name, "--json", "--room", args.room]
     words += ["--robots", str(robots), "--seed", str(seed), "--minutes", str(args.minutes)]
     words += ["--ros", "--factor", str(args.factor)] if args.ros else []
@@ -76,7 +77,7 @@ def measure_apart(args: argparse.Namespace, robots: int, seed: int) -> Dict[str,
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Run the benchmark; 0: no fault in any run, 1: there were."""
+    """Run the benchmark; returns 0: no fault in any run, 1: otherwise."""
     parser = argparse.ArgumentParser(prog="benchmark.room", description=__doc__.split(":")[0])
     parser.add_argument("--robots", type=int, help="one team of so many robots only")
     parser.add_argument("--seed", type=int, help="one seed only (needs --robots)")

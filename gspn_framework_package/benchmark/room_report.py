@@ -1,4 +1,4 @@
-"""What a run in the critical room came to: its figures, its faults, and the table of all runs."""
+"""The outcome of a run in the critical room: its figures, its faults, and the table of all runs."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ FAULTS = (
 
 
 def figures(report: Dict[str, Any]) -> Dict[str, Any]:
-    """The referee's report with the laps of each robot, without the fields for programs."""
+    """The referee's report with the laps of each robot, without the machine-readable fields."""
     chosen = {k: v for k, v in report.items() if k not in ("robots", "entry_log", "laps")}
     chosen["laps"] = [tally["laps"] for tally in report["robots"].values()]
-    # parts of laps too: how far the robots came in all
+    # counts partial laps too: the total progress of the robots
     chosen["locations_per_robot"] = report["entries"] / max(len(report["robots"]), 1)
     return chosen
 

@@ -1,4 +1,4 @@
-"""The critical room with the whole system: ``patrol.launch``, watched from outside (see
+"""The critical room with the whole system: ``patrol.launch``, observed from outside (see
 :mod:`.room`)."""
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _PLACE = re.compile(r"(Check_Temperature|Alarm|Decide)_(\w+)$")
 
 
 class Watcher:
-    """Listens to a patrol: the referee's report, and what the plan grants."""
+    """Listens to a patrol: the referee's report, and the checks that the plan grants."""
 
     def __init__(self, room: Room) -> None:
         import rospy
@@ -86,14 +86,15 @@ class Watcher:
         return all(place.area.distance((x, y)) > 0.2 for place in self._room.locations.values())
 
     def entries(self, robot: str) -> Tuple[int, int]:
-        """Locations entered so far: by a robot, and by all others together."""
+        """The number of locations entered so far: by a robot, and by all others together."""
         with self._lock:
             tallies = self.report.get("robots", {})
         own = int(tallies[robot]["entries"]) if robot in tallies else 0
         return own, sum(int(tally["entries"]) for tally in tallies.values()) - own
 
     def grants(self) -> List[Tuple[str, str]]:
-        """Robot and location of each check that the plan granted, in the order of the log."""
+        """The robot and the location of each check that the plan granted, in the order of the
+        log."""
         with self._lock:
             fired = [self.firings[position] for position in sorted(self.firings)]
         found = [(robot, _CHECK.search(transition)) for transition, robot in fired]
@@ -101,12 +102,12 @@ class Watcher:
 
 
 class Loss:
-    """Kills the execution node of one robot in mid-patrol, and starts it again later.
+    """Kills the execution node of one robot in mid-patrol, and restarts it later.
 
-    It dies (SIGKILL) in the second third of the run, on its way between two locations, so that its
-    body is in the way of the others; it returns in the last third.
+    The node is killed (SIGKILL) in the second third of the run, while the robot is between two
+    locations, so that its body obstructs the others; it returns in the last third.
 
-    :param robot: the one that is lost, the second of the team.
+    :param robot: the robot that is lost, the second of the team.
     """
 
     def __init__(
@@ -119,7 +120,7 @@ class Loss:
         self.returned: Optional[Tuple[float, int, int]] = None
 
     def poll(self, watcher: Watcher, master: Master) -> None:
-        """Do what is due."""
+        """Kill or restart the node if it is time."""
         if self.killed is None and watcher.time > self._end / 3 and watcher.is_between(self.robot):
             os.kill(master.process_of("/%s/executor" % self.robot), signal.SIGKILL)
             self.killed = (watcher.time, *watcher.entries(self.robot))
@@ -134,12 +135,13 @@ class Loss:
             self.returned = (watcher.time, *watcher.entries(self.robot))
 
     def end(self) -> None:
-        """End the node that was started again."""
+        """End the restarted node."""
         if self._launch is not None:
             _end(self._launch)
 
     def report(self, watcher: Watcher) -> Dict[str, Any]:
-        """When it was lost, and how many locations were entered before, meanwhile, and after."""
+        """When the robot was lost, and how many locations were entered before, during and after the
+        loss."""
         if self.killed is None or self.returned is None:
             raise ExecutionError(
                 "%s was never between two locations" % self.robot, hint="give more minutes"
@@ -163,12 +165,13 @@ def measure_ros(
 
     :param room: the room file.
     :param robots: size of the team.
-    :param seed: names the run; what is drawn is drawn by the plan, how the threads meet by the
-      machine.
-    :param minutes: of world time.
-    :param factor: the real-time factor asked for.
-    :param lose: kill a robot in mid-patrol, and start it again: :class:`Loss`.
-    :raises UsageError: no ROS. :raises ExecutionError: the team does not start, or ends by itself.
+    :param seed: only names the run: the plan makes the random draws, and the machine determines how
+      the threads interleave.
+    :param minutes: world time (min).
+    :param factor: the requested real-time factor.
+    :param lose: whether to kill a robot in mid-patrol and restart it: :class:`Loss`.
+    :raises UsageError: ROS is missing.
+    :raises ExecutionError: the team does not start, or ends by itself.
     """
     need_ros()
     path = os.path.join(plans_folder(), "patrol", "room.json")
@@ -215,11 +218,11 @@ def measure_ros(
 
 
 def read_logs(folder: str) -> Dict[str, Any]:
-    """What the robots' own logs of a run say: whether they are consistent and valid (``gspn
-    verify``), failed actions."""
+    """The findings from the robots' own logs of a run: whether they are consistent and valid
+    (``gspn verify``), and failed actions."""
     logs = [read_log(os.path.join(folder, name)) for name in sorted(os.listdir(folder))]
     verdict = verify(logs)
-    # each robot has them all in its log, up to where it ended
+    # each robot's log has all of them, up to its own end
     failed = {
         tuple(entry[key] for key in ("robot", "incarnation", "visit", "attempt"))
         for log in logs
@@ -237,8 +240,8 @@ def read_logs(folder: str) -> Dict[str, Any]:
 
 
 def count_policy_misses(event_log: EventLog) -> int:
-    """How many transitions of a log were drawn by their weights, for want of a row of the
-    policy."""
+    """How many transitions of a log were drawn by their weights because no row of the policy
+    matched."""
     net, policy = event_log.plan.net, event_log.plan.policy.bind(event_log.plan.net)
     misses = 0
     for step in replay(event_log):
@@ -263,7 +266,7 @@ def _watch(
 ) -> Dict[str, Any]:
     begin = time.monotonic()
     first: Optional[Tuple[float, float, float]] = None
-    # from the first firing on: the start of a team is reported separately
+    # count from the first firing: the start-up of the team is reported separately
     while first is None or watcher.time < first[1] + minutes * 60:
         if launch.poll() is not None:
             raise ExecutionError("the patrol ended by itself", hint=_last_lines(output))

@@ -1,10 +1,10 @@
 """Robots in random tight places: ``python3 -m gspn_framework_package.benchmark.room_tight``.
 
-Doors and corridors that one or two robots fit through, with robots on both sides that want to the
-other one; crossings of narrow lanes; halls full of boxes. Two to six robots each, from random poses
-to random goals. Counted are touches, which there must not be; goals given up, which there may be
-where a robot that has arrived stands in the way of another; and robots that are still on their way
-after four minutes, which there must not be either.
+The places are doors and corridors that one or two robots fit through, with robots on both sides
+that want to get to the other; crossings of narrow lanes; halls full of boxes. Two to six robots
+drive from random poses to random goals. The benchmark counts touches, which must not occur; goals
+given up, which may occur if a robot that has arrived blocks another; and robots still on their way
+after four minutes, which must not occur either.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from gspn_framework_package.world.navigation import NavigationStatus
 from gspn_framework_package.world.room import Box, Point, Pose, Room
 
 LIMIT = 240.0
-"""Seconds of world time after which nobody may be on the way any more."""
+"""World time (s) by which every robot must have arrived or given up."""
 
 LENGTH, WIDTH = 5.0, 3.0
-"""Metres of the hall that the places are in."""
+"""Size (m) of the hall that contains the places."""
 
 APART = 0.26
-"""Metres between two starts, and between two goals."""
+"""Least distance (m) between two starts, and between two goals."""
 
 _FAULTS = ("touches", "touches_of_solids", "still_on_the_way")
 
@@ -66,7 +66,7 @@ PLACES: Dict[str, Callable[[random.Random], List[Box]]] = {
     "crossing": _crossing,
     "clutter": _clutter,
 }
-"""What stands in the hall, by kind of place."""
+"""The obstacles in the hall, by kind of place."""
 
 
 def make_room(boxes: Sequence[Box]) -> Room:
@@ -78,7 +78,8 @@ def make_room(boxes: Sequence[Box]) -> Room:
 def _points(
     free: Sequence[Point], sides: Sequence[int], source: random.Random
 ) -> Optional[List[Point]]:
-    """Free points apart from each other, west (-1) or east (1) of the middle, or anywhere (0)."""
+    """Free points with some distance between them, one for each of ``sides``: west (-1) or east (1)
+    of the middle, or anywhere (0)."""
     found: List[Point] = []
     for side in sides:
         fitting = [
@@ -93,7 +94,7 @@ def _points(
 
 
 def measure(kind: str, seed: int) -> Optional[Dict[str, Any]]:
-    """One trial; None where the place leaves no room for so many robots.
+    """One trial; None if the place has no room for this many robots.
 
     :param kind: a key of :data:`PLACES`.
     """
@@ -162,7 +163,7 @@ def summary(results: Sequence[Dict[str, Any]]) -> str:
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Run the benchmark; 0: nobody touched anything or failed to arrive, 1: somebody did."""
+    """Run the benchmark; returns 0: no robot touched anything or failed to arrive, 1: otherwise."""
     parser = argparse.ArgumentParser(prog="benchmark.room_tight", description=__doc__.split(":")[0])
     parser.add_argument("--trials", type=int, default=30, help="of each kind of place (30)")
     parser.add_argument("--place", choices=list(PLACES), help="one kind of place only")

@@ -1,5 +1,4 @@
-"""The scaling experiments of thesis 6.1, ten times further, and the throughput with instant
-actions.
+"""The scaling experiments of thesis 6.1, extended tenfold, and the throughput with instant actions.
 
 Each experiment is a list of points (robots, places); each point is one run with its own
 ``roslaunch`` on a master that the experiments share.
@@ -31,11 +30,11 @@ class Experiment(NamedTuple):
     quick: Tuple[Point, ...]
     plan: Callable[[int, int], Plan]
     timeout: float = 90.0
-    """Seconds until a point is given up whose robots have not all fired."""
+    """Seconds after which a point is given up if not all robots have fired."""
 
     def chosen(self, quick: bool, sizes: Sequence[int]) -> Tuple[Point, ...]:
         """The points to run: all, the quick ones, or those whose growing number is among ``sizes``,
-        which may go beyond the points that are listed."""
+        which may exceed the listed points."""
         if not sizes:
             return self.quick if quick else self.points
         robots, places = self.points[0]
@@ -98,7 +97,7 @@ EXPERIMENTS: Dict[str, Experiment] = {
         _instant,
     ),
 }
-"""By the name that the command line knows them by."""
+"""The experiments by their names on the command line."""
 
 
 THESIS_START = 1200.0
@@ -107,13 +106,13 @@ minutes", 6.1.1)."""
 
 
 def thesis_start(robots: int) -> Optional[float]:
-    """What the thesis says of the time to start in 6.1.1; None where it says nothing."""
+    """The start-up time (s) that the thesis reports in 6.1.1; None if it reports none."""
     return THESIS_START if robots > 13 else None
 
 
 class Result(NamedTuple):
-    """One point. ``servers``: place servers in the team; ``None`` in ``measured`` where the robots
-    did not start."""
+    """The result of one point. ``servers``: place servers in the team; ``measured`` is None if the
+    robots did not start."""
 
     experiment: str
     mode: str
@@ -163,10 +162,10 @@ def run_point(
     window: float,
     partial: bool = False,
 ) -> Result:
-    """Run one point of an experiment. One that fails is a result with a note.
+    """Run one point of an experiment. A point that fails gives a result with a note.
 
-    :param window: seconds that it is measured for.
-    :param partial: with partial synchronisation.
+    :param window: length (s) of the measurement.
+    :param partial: whether to use partial synchronisation.
     """
     experiment = EXPERIMENTS[name]
     plan = experiment.plan(robots, places)
@@ -217,6 +216,6 @@ def standalone_results(quick: bool, seconds: float, tell: Tell) -> List[Dict[str
 
 
 def baseline() -> MachineLoad:
-    """The machine before anything runs (the thesis's: 0.8 % of the processors, 25.9 % of the
-    memory)."""
+    """The load of the machine before anything runs (in the thesis: 0.8 % of the processors, 25.9 %
+    of the memory)."""
     return quiet_machine()

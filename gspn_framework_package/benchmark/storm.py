@@ -1,4 +1,4 @@
-"""Nets as Storm sees them; stormpy (from PyPI) is for the benchmark and the tests only."""
+"""Converts nets to models for Storm; only the benchmark and the tests use stormpy (from PyPI)."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from gspn_framework_package.model.net import Net
 
 
 def storm_jani(net: Net, *, clock: bool = False) -> Any:
-    """The net as a JANI model that Storm's own translation of GSPNs made.
+    """The net as a JANI model, made by Storm's own translation of GSPNs.
 
-    :param clock: with a clock on the side that ticks for ever and changes nothing else. Storm lets
-        no time pass in a deadlock, and takes the long run of a single state for 0; the clock keeps
-        both from happening.
+    :param clock: whether to add an independent clock that never stops ticking. Storm lets no time
+        pass in a deadlock, and computes 0 for the long run of a single state; the clock prevents
+        both.
     """
     from stormpy import gspn
 

@@ -1,8 +1,8 @@
 """Runs a team on ROS for a benchmark, with its own master and ``roslaunch``, and reads the robots'
 logs.
 
-Nothing subscribes: the times of the firings are read from the event logs, whose monotonic clock all
-processes of one host share. So the measurement adds no connection and no message.
+Nothing subscribes to topics: the times of the firings are read from the event logs, whose monotonic
+clock all processes of one host share. So the measurement adds no connections and no messages.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from gspn_framework_package.model.errors import ExecutionError, UsageError
 from gspn_framework_package.model.plan import Plan
 
 LAUNCH_FILES = {"process": "team.launch", "hosted": "hosted.launch"}
-"""Mode -> launch file: a process for each robot, or all robots hosted in one."""
+"""Mode -> launch file: one process per robot, or all robots hosted in one process."""
 
 
 class Measurement(NamedTuple):
-    """What one run showed. Times in seconds from the start of ``roslaunch``; costs are those of the
-    robots' processes over ``window`` seconds, without ``roslaunch`` and the master; ``firings`` a
-    second, of the whole team."""
+    """The measurements of one run. Times are in seconds from the start of ``roslaunch``; costs are
+    those of the robots' processes over ``window`` seconds, without ``roslaunch`` and the master;
+    ``firings`` are per second, of the whole team."""
 
     started: float
     first_goals: float
@@ -54,7 +54,10 @@ class Measurement(NamedTuple):
 
 
 def need_ros() -> None:
-    """Whether ROS and the package are there. :raises UsageError: they are not."""
+    """Check that ROS and the package are available.
+
+    :raises UsageError: they are not.
+    """
     if shutil.which("roslaunch") is None or shutil.which("roscore") is None:
         raise UsageError(
             "ROS is not sourced", hint="source the setup.bash of a workspace that has this package"
@@ -71,7 +74,7 @@ def need_ros() -> None:
 
 
 class Master:
-    """A ROS master on a free port, with a folder for everything that nodes write; ends with the
+    """A ROS master on a free port, with a folder for everything that nodes write; it ends with the
     ``with`` block."""
 
     def __enter__(self) -> Master:
@@ -124,7 +127,8 @@ class Master:
 
 
 class TeamRun:
-    """One run of a plan, from ``roslaunch`` to its end; ends with the ``with`` block.
+    """One run of a plan, from the start of ``roslaunch`` to its end; it ends with the ``with``
+    block.
 
     :param mode: a key of :data:`LAUNCH_FILES`.
     """
@@ -163,8 +167,8 @@ class TeamRun:
         _end(self._process)
 
     def wait_all_fired(self, timeout: float) -> bool:
-        """Wait until every robot has moved; whether they all did within ``timeout`` seconds of the
-        start."""
+        """Wait until every robot has moved; returns whether all did within ``timeout`` seconds of
+        the start."""
         waiting = list(self._tails)
         while waiting:
             waiting = [tail for tail in waiting if len(tail.read()) < 2]
@@ -188,8 +192,7 @@ class TeamRun:
             raise ExecutionError(
                 "no robot is running", file=self._output, hint=_last_lines(self._output)
             )
-        # what a node does once after its start (the connections that follow in the background) is
-        # not the run
+        # exclude what a node does once after its start (it makes connections in the background)
         time.sleep(min(2.0, window / 2))
         before, masters_before, began = cpu_seconds(robots), cpu_seconds(masters), time.monotonic()
         machine = machine_load(window)
@@ -200,7 +203,7 @@ class TeamRun:
             tail.read()
         moves = sum(1 for tail in self._tails for at in tail.visits[1:] if began <= at < ended)
         elapsed = ended - began
-        # a robot's first visit begins at its first goal, its second one with its first firing
+        # a robot's first visit begins with its first goal, its second with its first firing
         firsts = [tail.visits for tail in self._tails]
         headers = [tail.opened for tail in self._tails if tail.opened is not None]
         return Measurement(
@@ -225,15 +228,16 @@ class TeamRun:
             ]
 
     def violation(self) -> str:
-        """What the history checker has against the robots' logs, once they have ended; "" for
-        nothing."""
+        """The violation that the history checker finds in the robots' logs after they have ended;
+        "" if there is none."""
         paths = [tail.path for tail in self._tails if os.path.exists(tail.path)]
         found = verify([read_log(path) for path in paths]).violation
         return "" if found is None else str(found)
 
 
 class _Tail:
-    """Reads the times at which a robot's visits began from its log, as far as it is written."""
+    """Reads from a robot's log, as far as it has been written, the times at which its visits
+    began."""
 
     def __init__(self, path: str) -> None:
         self.visits: List[float] = []
@@ -278,7 +282,7 @@ def _start(command: Sequence[str], environment: Dict[str, str], output: str) -> 
 
 
 def _end(process: Any) -> None:
-    """End a process in order, and whatever is left of its children after half a minute."""
+    """End a process cleanly; after half a minute, end whatever is left of its children."""
     children = descendants(process.pid)
     if process.poll() is None:
         process.send_signal(signal.SIGINT)

@@ -1,9 +1,10 @@
 """Throughput of the token game, alone and with agents on threads: ``python3 -m
 gspn_framework_package.benchmark.token_game``.
 
-The net of the thesis's first experiment (``plans/tokens``) with actions that return at once. "Token
-game" hands each finished action straight back to it; "with event log" also chains and writes the
-log; "standalone" runs the plan as ``gspn run`` does, every agent on a thread.
+It runs the net of the thesis's first experiment (``plans/tokens``) with actions that return at
+once. "Token game" passes each finished action straight back to the game; "with event log" also
+chains and writes the log; "standalone" runs the plan as ``gspn run`` does, with every agent on a
+thread.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from gspn_framework_package.model.plan import Plan
 TEAMS = (1, 3, 5, 13, 100, 1_000)
 
 ANSWERS = {"p1": "t1", "p2": "t2", "p3": "t3", "p5": "t4", "p7": "t7"}
-"""What the actions of ``plans/tokens`` name; in p6 the policy decides."""
+"""The transitions that the actions of ``plans/tokens`` name; in p6 the policy decides."""
 
 
 class _Counter(Listener):

@@ -4,5 +4,5 @@ import sys
 
 from gspn_framework_package.benchmark.netns.main import main
 
-if __name__ == "__main__":  # the documents import every module
+if __name__ == "__main__":  # the documentation build imports every module
     sys.exit(main())

@@ -1,4 +1,4 @@
-"""One team in one network: what every scenario is made of."""
+"""One team in one network: the building block of every scenario."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ SETTLE = 0.5
 """Seconds after a cut in which pending records may still be written."""
 
 PATIENCE = 40.0
-"""Seconds until something that must happen counts as not happening."""
+"""Seconds within which an expected event must happen."""
 
 
 def plan_for(robots: int, mode: str, evict_after: float) -> Plan:
-    """The net of thesis Figure 6.1 with short actions: of its places, those before a resource or a
-    choice of the policy need the team's agreement in partial synchronisation, the others are
+    """The net of thesis Figure 6.1 with short actions. In partial synchronisation, the places
+    before a resource or a choice of the policy need the team's agreement; the others are
     private."""
     plan = tokens_plan().for_robots(robots)
     return replace(
@@ -42,12 +42,12 @@ def plan_for(robots: int, mode: str, evict_after: float) -> Plan:
 
 
 class PartitionExperiment:
-    """A team that works, in a network that can be cut; ends with the ``with`` block, which keeps
-    the logs of one that failed.
+    """A working team in a network that can be cut. It ends with the ``with`` block, which keeps the
+    logs of a failed experiment.
 
     :param mode: ``full`` or ``partial``.
     :param evict_after: see :class:`~gspn_framework_package.model.plan.Timing`.
-    :param delay: seconds from any node to any other.
+    :param delay: one-way delay (s) from any node to any other.
     """
 
     def __init__(
@@ -82,31 +82,33 @@ class PartitionExperiment:
             self._team.__exit__()
         finally:
             self.network.__exit__()
-            if kind is None or not issubclass(kind, Exception):  # well, or interrupted
+            if kind is None or not issubclass(kind, Exception):  # no failure, or interrupted
                 shutil.rmtree(self.folder, ignore_errors=True)
 
     # -- what the logs say -------------------------------------------------------------------------
 
     def read(self) -> Dict[str, LogTail]:
-        """The robots' logs by name, as far as they are written."""
+        """The robots' logs by name, as far as they have been written."""
         return self._team.read()
 
     def moves(self, robot: str, begin: float, end: float = float("inf")) -> int:
-        """Moves of a robot between two times."""
+        """The number of moves of a robot between two times."""
         return self.read()[robot].moves(begin, end)
 
     def slots(self, robots: Sequence[str], begin: float, end: float = float("inf")) -> int:
-        """Slots that got into the logs of these robots between two times, repetitions counted
-        once."""
+        """The number of distinct slots that entered the logs of these robots between two times."""
         logs = self.read()
         return len({s["slot"] for r in robots for s in logs[r].of("slot", begin, end)})
 
     # -- waiting -----------------------------------------------------------------------------------
 
     def wait(self, condition: Callable[[], bool], what: str, seconds: float = 0.0) -> float:
-        """Wait for a condition; when it came true. :raises ExecutionError: it did not within
-        ``seconds``, or the usual time: after a fault TCP may keep still for as long again as the
-        fault lasted."""
+        """Wait for a condition; returns when it became true.
+
+        :param seconds: longest wait; 0: the usual time. After a fault TCP may stay silent for as
+            long again as the fault lasted.
+        :raises ExecutionError: it did not become true in time.
+        """
         seconds = seconds or PATIENCE + self.healed_at - self.cut_at
         deadline = time.monotonic() + seconds
         while not condition():
@@ -118,7 +120,7 @@ class PartitionExperiment:
         return time.monotonic()
 
     def wait_for_moves(self, robots: Sequence[str], number: int, what: str) -> float:
-        """Wait until each of these robots has moved ``number`` times from now on; when that was."""
+        """Wait until each of these robots has moved ``number`` times from now on; returns when."""
         now = time.monotonic()
         return self.wait(
             lambda: all(self.moves(r, now) >= number for r in robots),
@@ -130,17 +132,17 @@ class PartitionExperiment:
         self.wait_for_moves(self.robots, moves, "of each robot before the fault")
 
     def all_were_everywhere(self) -> bool:
-        """Whether each robot has begun an action in every action place: it is connected to all of
-        its servers."""
+        """Whether each robot has begun an action in every action place, and so is connected to all
+        of its servers."""
         return all(
             {g["place"] for g in log.of("goal")} >= set(self._places)
             for log in self.read().values()
         )
 
     def pass_time(self, seconds: float, since: float = 0.0) -> Tuple[float, float]:
-        """Let time pass while the nodes are watched: (begin, end).
+        """Let time pass while watching the nodes; returns (begin, end).
 
-        :param since: when it began; 0: now.
+        :param since: the begin; 0: now.
         """
         begin = since or time.monotonic()
         self.wait(
@@ -157,7 +159,7 @@ class PartitionExperiment:
         self._cut(partition(groups))
 
     def drop(self, sources: Sequence[str], targets: Sequence[str]) -> None:
-        """Lose what goes from a source to a target; the other way stays open."""
+        """Drop everything from a source to a target; the other direction stays open."""
         self._cut(one_way(sources, targets))
 
     def _cut(self, cuts: Cuts) -> None:
@@ -177,8 +179,8 @@ class PartitionExperiment:
         self.network.verify()
 
     def fault(self) -> Tuple[float, float]:
-        """(begin, end) of the time in which nothing that was under way before the cut can still be
-        written."""
+        """(begin, end) of the cut, from the time at which nothing that was in progress before it
+        can still be written."""
         return self.cut_at + SETTLE, self.healed_at
 
     # -- what must hold ----------------------------------------------------------------------------
@@ -189,8 +191,8 @@ class PartitionExperiment:
             raise ExecutionError(what, file=self.folder)
 
     def catch_up(self, behind: Sequence[str], ahead: Sequence[str]) -> float:
-        """Wait until the logs of some robots hold all that others knew when the network was healed;
-        the seconds that it took from there."""
+        """Wait until the logs of ``behind`` contain everything that ``ahead`` knew when the network
+        was healed; returns the seconds from healing until then."""
         logs = self.read()
         known = max(
             1 + max((s["slot"] for s in logs[r].of("slot", 0, self.healed_at)), default=-1)
@@ -202,10 +204,10 @@ class PartitionExperiment:
         return caught - self.healed_at
 
     def finish(self) -> AgreedHistory:
-        """Have everybody move on, pause the team, see that all replicas end alike, end it, and
-        check the history.
+        """Let every robot move on, pause the team, check that all replicas end in the same state,
+        end the team, and check the history.
 
-        :raises GspnError: they do not, or the history is not a valid one.
+        :raises GspnError: the replicas differ, or the history is not valid.
         """
         self.wait_for_moves(self.robots, 5, "of each robot at the end")
         problem = ["not asked"]

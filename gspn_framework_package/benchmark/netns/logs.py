@@ -1,6 +1,6 @@
-"""What the event logs of a team say when all is over.
+"""Checks the event logs of a team after its run.
 
-The logs are files of one host, with one monotonic clock: they can be read without using the
+The logs are files of one host, with one monotonic clock, so they can be read without using the
 network.
 """
 
@@ -16,7 +16,7 @@ from gspn_framework_package.model.errors import ExecutionError
 
 
 class AgreedHistory(NamedTuple):
-    """What the logs agree on; ``marking`` is the last one, without empty places."""
+    """The history that the logs agree on; ``marking`` is the last one, without empty places."""
 
     slots: int
     firings: int
@@ -24,8 +24,8 @@ class AgreedHistory(NamedTuple):
 
 
 def check_history(paths: Sequence[str]) -> AgreedHistory:
-    """Replay each log, compare all pairwise, slot by slot, and have ``gspn verify`` check the
-    rules.
+    """Replay each log, compare all pairwise, slot by slot, and check the rules with ``gspn
+    verify``.
 
     :raises ExecutionError: they contradict each other, or do not end at the same slot and
       marking.

@@ -1,4 +1,4 @@
-"""The command: runs scenarios one after the other, and reports the results."""
+"""The command: runs scenarios in sequence, and reports the results."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ MODES = ("full", "partial")
 
 
 def why_not(scenarios: Sequence[str] = ()) -> str:
-    """Why these scenarios cannot run on this machine; "" where they can."""
+    """Why these scenarios cannot run on this machine; "" if they can."""
     delay = DELAY if NEED_DELAY & set(scenarios) else 0.0
     return why_no_ros() or why_impossible(delay)
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
-    """Run the scenarios; 0: the team did as it must in all, 1: it did not, 2: not possible here, or
-    wrong usage."""
+    """Run the scenarios; returns 0: the team behaved as it must in all of them, 1: it did not, 2:
+    not possible here, or wrong usage."""
     parser = argparse.ArgumentParser(
         prog="benchmark.netns",
         description="Cuts and slows the network of a robot team, each node in its own network "

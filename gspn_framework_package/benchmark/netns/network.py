@@ -1,5 +1,5 @@
-"""Network namespaces joined by a bridge. The bridge is in a namespace too: the host's own network
-is not touched."""
+"""Network namespaces joined by a bridge. The bridge is in a namespace too, so the host's own
+network is not touched."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gspn_framework_package.benchmark.netns.rules import Cuts, ruleset
 from gspn_framework_package.model.errors import ExecutionError
 
 PREFIX = "gspn-lab-"
-"""What the names of the namespaces begin with; then comes the process id of who made them."""
+"""Prefix of the names of the namespaces; the process id of their creator follows it."""
 
 SUBNET = "10.77.0."
 PROBE_PORT = 7777
@@ -29,16 +29,16 @@ _numbers = itertools.count(1)
 _libc = ctypes.CDLL(None, use_errno=True)
 
 ARRIVAL = 5.0
-"""Seconds that a datagram may take which must arrive, on a busy machine; what must not is not
-waited for as long."""
+"""Longest time (s) to wait for a datagram that must arrive, on a busy machine; the wait is shorter
+for one that must not."""
 
 
 class Network:
-    """Nodes with an address each, which can be kept from reaching one another; ends with the
-    ``with`` block, and with it whatever still runs in its namespaces.
+    """Nodes with an address each, which can be cut off from one another. The network ends with the
+    ``with`` block, as does everything that still runs in its namespaces.
 
     :param nodes: names, at most 15 characters each.
-    :param delay: seconds that a frame takes from any node to any other.
+    :param delay: time (s) that a frame takes from any node to any other.
     :raises ExecutionError: this machine does not allow it.
     """
 
@@ -78,7 +78,7 @@ class Network:
         _run("ip", "-n", self._hub, "link", "add", "name", "bridge", "type", "bridge")
         _run("ip", "-n", self._hub, "link", "set", "bridge", "up")
         if self.delay:
-            # each frame passes twice
+            # each frame passes the relay twice
             self._relay = relay.Relay([self._taps(n) for n in self.nodes], self.delay / 2)
             self._relay.start()
         for node in self.nodes:
@@ -123,7 +123,7 @@ class Network:
             self._relay = None
 
     def cut(self, cuts: Cuts) -> None:
-        """From now on nothing gets through between these, and everything between all others."""
+        """From now on, block the traffic of these pairs, and let all other traffic through."""
         _run("ip", "netns", "exec", self._hub, "nft", "-f", "-", given=ruleset(cuts))
         self.cuts = cuts
 
@@ -132,7 +132,7 @@ class Network:
         self.cut(frozenset())
 
     def command(self, node: str, words: Sequence[str]) -> List[str]:
-        """The command line that runs another one in a node's namespace, as the same process."""
+        """The command line that runs ``words`` in a node's namespace, as the same process."""
         return [_program("ip"), "netns", "exec", self.namespace(node), *words]
 
     def travel_time(self, source: str, target: str, patience: float = ARRIVAL) -> Optional[float]:
@@ -155,8 +155,10 @@ class Network:
             return time.monotonic() - sent
 
     def verify(self) -> None:
-        """Check that exactly the cut traffic does not get through. :raises ExecutionError: some
-        does, or other traffic does not."""
+        """Check that the cut traffic, and only that, is blocked.
+
+        :raises ExecutionError: some cut traffic gets through, or other traffic does not.
+        """
         for source in self.nodes:
             for target in self.nodes:
                 if source == target:
@@ -172,7 +174,7 @@ class Network:
 
 
 def why_impossible(delay: float = 0.0) -> str:
-    """Why there can be no such network on this machine; "" where there can be one."""
+    """Why such a network is impossible on this machine; "" if it is possible."""
     for program, package in (("ip", "iproute2"), ("nft", "nftables")):
         if shutil.which(program, path=_PATH) is None:
             return "there is no program '%s' (package %s)" % (program, package)
@@ -188,8 +190,8 @@ def why_impossible(delay: float = 0.0) -> str:
 
 @contextmanager
 def inside(namespace: str) -> Iterator[None]:
-    """This thread is in a network namespace for a while: sockets and devices that it makes there
-    stay there."""
+    """Put this thread into a network namespace during the ``with`` block. Sockets and devices that
+    it creates there stay there."""
     home = os.open("/proc/thread-self/ns/net", os.O_RDONLY)
     try:
         there = os.open("/run/netns/" + namespace, os.O_RDONLY)
@@ -212,7 +214,7 @@ def _enter(descriptor: int) -> None:
 
 
 def sweep() -> None:
-    """Remove what processes that are no more have left behind."""
+    """Remove what ended processes have left behind."""
     left = []
     for line in _run("ip", "netns", "list").splitlines():
         name = line.split(" ")[0]

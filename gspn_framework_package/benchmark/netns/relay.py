@@ -20,10 +20,10 @@ _TAP_WITHOUT_HEADER = 0x0002 | 0x1000  # IFF_TAP | IFF_NO_PI
 
 
 def open_tap(name: str) -> int:
-    """Make the TAP device ``name`` in the network namespace of this thread; it goes when the
-    descriptor is closed.
+    """Create the TAP device ``name`` in the network namespace of this thread and return its
+    descriptor; the device disappears when that is closed.
 
-    :raises OSError: not allowed, or the kernel has none.
+    :raises OSError: not allowed, or the kernel does not support TAP devices.
     """
     descriptor = os.open(DEVICE, os.O_RDWR | os.O_NONBLOCK)
     try:
@@ -39,7 +39,7 @@ def open_tap(name: str) -> int:
 class Relay(threading.Thread):
     """Carries every frame from one end of a link to the other, ``delay`` seconds later, in order.
 
-    :param links: pairs of TAP descriptors, which this closes at its end.
+    :param links: pairs of TAP descriptors, which the relay closes when it ends.
     """
 
     def __init__(self, links: Sequence[Tuple[int, int]], delay: float) -> None:
@@ -51,7 +51,7 @@ class Relay(threading.Thread):
         self._wake, self._waker = os.pipe()
 
     def close(self) -> None:
-        """End; what is under way is lost."""
+        """End the relay; frames in transit are lost."""
         os.close(self._waker)
         if self.is_alive():
             self.join()
@@ -73,7 +73,7 @@ class Relay(threading.Thread):
                 )
             while waiting and waiting[0][0] <= now:
                 _, descriptor, frame = waiting.popleft()
-                # its queue is full, or it is down: a network loses such a frame
+                # the queue is full, or the device is down: drop the frame, as a network would
                 with contextlib.suppress(OSError):
                     os.write(descriptor, frame)
 

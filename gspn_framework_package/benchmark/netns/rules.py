@@ -11,7 +11,7 @@ TABLE = "gspn_cuts"
 
 
 def one_way(sources: Iterable[str], targets: Iterable[str]) -> Cuts:
-    """Nothing gets from a source to a target; the other way is open.
+    """Nothing gets from a source to a target; the other direction is open.
 
     >>> sorted(one_way(["a"], ["a", "b"]))
     [('a', 'b')]
@@ -31,9 +31,8 @@ def partition(groups: Sequence[Sequence[str]]) -> Cuts:
 
 
 def ruleset(cuts: Cuts) -> str:
-    """The input of ``nft -f -`` that replaces, in one transaction, what was cut before. Each node's
-    port of the bridge has the node's name; whatever goes from port to port is dropped, ARP
-    included."""
+    """The input of ``nft -f -`` that replaces, in one transaction, the earlier cuts. Each node's
+    bridge port has the node's name; everything from port to port is dropped, ARP included."""
     lines = [
         "add table bridge " + TABLE,
         "delete table bridge " + TABLE,

@@ -1,4 +1,4 @@
-"""The scenarios: the faults of the network, and what the team must then do and not do."""
+"""The scenarios: the faults of the network, and how the team must and must not react."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gspn_framework_package.benchmark.netns.experiment import PartitionExperimen
 from gspn_framework_package.benchmark.netns.team import MASTER
 
 Numbers = Dict[str, Any]
-"""What a scenario measured: times in seconds."""
+"""The figures that a scenario measured; times in seconds."""
 
 HOLD = 4.0
 """Seconds for which the network stays cut, by default."""
@@ -35,8 +35,8 @@ def minority(mode: str, hold: float = HOLD) -> Numbers:
 
 
 def master_side(mode: str, hold: float = HOLD) -> Numbers:
-    """First the master is alone, and all robots go on; then it is with one robot, and the two
-    others without it behave as any majority."""
+    """First the master is alone, and all robots continue; then it is with one robot, and the two
+    others, without it, behave as any majority."""
     with _experiment(mode, hold) as lab:
         lab.warm_up()
         lab.part([MASTER], lab.robots)
@@ -48,8 +48,8 @@ def master_side(mode: str, hold: float = HOLD) -> Numbers:
 
 
 def eviction(mode: str, evict_after: float = 3.0) -> Numbers:
-    """One robot is cut off beyond ``evict_after``: it is evicted, the others go on, and after
-    healing it joins with a new incarnation."""
+    """One robot is cut off for longer than ``evict_after``: it is evicted, the others continue, and
+    after healing it joins with a new incarnation."""
     with PartitionExperiment(mode, evict_after=evict_after) as lab:
         lab.warm_up()
         lab.part([MASTER, "robot_1", "robot_2"], ["robot_3"])
@@ -100,8 +100,8 @@ def deaf(mode: str, hold: float = HOLD) -> Numbers:
 
 
 def mute(mode: str, hold: float = HOLD) -> Numbers:
-    """Nothing from robot_3 reaches the others, but it hears them: what it finishes cannot get
-    into the log."""
+    """Nothing from robot_3 reaches the others, but it hears them: the actions that it finishes
+    cannot enter the log."""
     return _one_way(mode, hold, hears=True)
 
 
@@ -141,8 +141,8 @@ def _finished(lab: PartitionExperiment, robot: str, begin: float, end: float) ->
 
 
 def scattered(mode: str, hold: float = HOLD) -> Numbers:
-    """All three robots and the master are alone: nothing is decided anywhere, and after healing all
-    go on."""
+    """All three robots and the master are isolated: nothing is decided anywhere, and after healing
+    all continue."""
     with _experiment(mode, hold) as lab:
         lab.warm_up()
         lab.part([MASTER], *([name] for name in lab.robots))
@@ -158,8 +158,8 @@ def scattered(mode: str, hold: float = HOLD) -> Numbers:
 
 
 def delay(mode: str, window: float = WINDOW) -> Numbers:
-    """50 ms from any node to any other: the team works, slower; beside it the same team in the same
-    layout without."""
+    """50 ms from any node to any other: the team works, but more slowly. The same team in the same
+    layout without delay is measured for comparison."""
     numbers: Numbers = {}
     for name, seconds in (("none", 0.0), ("delayed", DELAY)):
         with PartitionExperiment(mode, delay=seconds) as lab:
@@ -211,8 +211,8 @@ def _lose_robot_3(
 
 
 def _progress_of_others(lab: PartitionExperiment, others: List[str]) -> Numbers:
-    """What the majority did meanwhile. With full synchronisation it must go on; with partial
-    synchronisation it needs the answers of all that are not evicted."""
+    """What the majority did meanwhile. With full synchronisation it must continue; with partial
+    synchronisation it needs the answers of all robots that are not evicted."""
     begin, end = lab.fault()
     slots = lab.slots(others, begin, end)
     moves = {name: lab.moves(name, begin, end) for name in others}
@@ -246,8 +246,9 @@ SCENARIOS: Dict[str, Callable[..., Numbers]] = {
     "scattered": scattered,
     "delay": delay,
 }
-"""Name -> what is done, for a mode of synchronisation; those that take ``hold`` leave the network
-cut for so many seconds. :raises GspnError: the team did what it must not."""
+"""Name -> a function that runs the scenario in a mode of synchronisation. Those with a parameter
+``hold`` leave the network cut for that many seconds. They raise GspnError if the team did not
+behave as it must."""
 
 TAKE_HOLD = frozenset(SCENARIOS) - {"eviction", "delay"}
 NEED_DELAY = frozenset({"delay"})

@@ -20,7 +20,7 @@ from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.plan import Plan
 
 MASTER = "master"
-"""The master's node in the network; the robots' nodes have the robots' names."""
+"""The name of the master's node in the network; the robots' nodes have the robots' names."""
 
 MASTER_PORT = 11311
 RUN = "lab"
@@ -34,7 +34,7 @@ node_process.exit_with(node_main.run_execution_node())
 
 
 def why_no_ros() -> str:
-    """Why no team can run on ROS here; "" where it can."""
+    """Why no team can run on ROS here; "" if one can."""
     for program in ("rosmaster", "rosservice"):
         if shutil.which(program) is None:
             return "there is no program '%s': ROS is not installed, or not sourced" % program
@@ -48,10 +48,10 @@ def why_no_ros() -> str:
 
 
 class NamespaceTeam:
-    """The nodes of a team; ends with the ``with`` block.
+    """The nodes of a team; they end with the ``with`` block.
 
-    :param network: has the nodes ``master`` and one for each robot of the plan.
-    :param folder: for the plan, the logs, and what the nodes print.
+    :param network: has a node ``master`` and one for each robot of the plan.
+    :param folder: for the plan, the logs, and the output of the nodes.
     """
 
     def __init__(self, network: Network, plan: Plan, folder: str) -> None:
@@ -84,7 +84,10 @@ class NamespaceTeam:
         self.end()
 
     def read(self) -> Dict[str, LogTail]:
-        """All logs, as far as they are written. :raises ExecutionError: a node has ended."""
+        """All logs, as far as they have been written.
+
+        :raises ExecutionError: a node has ended.
+        """
         for name, process in self._processes.items():
             if process.poll() is not None:
                 raise ExecutionError(
@@ -95,8 +98,8 @@ class NamespaceTeam:
         return self.logs
 
     def order(self, robot: str, command: str) -> str:
-        """Give the team an operator's command through a robot, from that robot's own namespace; ""
-        when it was carried out, else why not."""
+        """Give the team an operator's command through a robot, from that robot's own namespace;
+        returns "" if it was carried out, otherwise why not."""
         words = self._network.command(
             robot, ["rosservice", "call", "/%s/command" % robot, "{command: %s}" % command]
         )

@@ -7,6 +7,6 @@ PAUSE = 0.05
 
 
 def work(is_cancelled) -> str:  # type: ignore[no-untyped-def]
-    """A short action; what follows is for the net and the policy to say."""
+    """A short action; the net and the policy decide what follows."""
     is_cancelled.wait(PAUSE)
     return ""

@@ -1,1 +1,1 @@
-"""The page under load: how fast it draws, how many viewers it serves, what it costs a team."""
+"""The page under load: its drawing speed, the number of viewers it serves, its cost to a team."""

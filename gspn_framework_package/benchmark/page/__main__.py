@@ -3,10 +3,10 @@
     python3 -m gspn_framework_package.benchmark.page [render] [viewers] [memory] [log] [team]
     [--json]
 
-*render*: first render, frames per second and firing to frame, in Chromium. *viewers*: many of them,
-without a screen. *memory*: of the server, with a viewer that has stalled. *log*: how a long event
-log opens. *team*: what the page costs five robots at full speed (needs ROS). Without a word, the
-first three.
+*render*: first render, frames per second and firing to frame, in Chromium. *viewers*: many headless
+viewers. *memory*: memory of the server, with a viewer that has stalled. *log*: opening a long event
+log. *team*: the cost of the page to five robots at full speed (needs ROS). By default, the first
+three run.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""What the page shows while it is measured: a net of any size whose transitions fire at a steady
-rate, served by a separate process."""
+"""The feed that the page shows while it is measured: a net of any size whose transitions fire at a
+steady rate, served by a separate process."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def workshop(nodes: int) -> Net:
 class Feed(Activity):
     """Fires at a steady rate; each firing carries the wall clock (ms) as ``w``.
 
-    :param rate: firings a second; 0 for as many as the hub takes.
+    :param rate: firings per second; 0 for as many as the hub accepts.
     """
 
     mode = "LIVE"
@@ -125,7 +125,10 @@ class Served(NamedTuple):
 
 @contextlib.contextmanager
 def served(nodes: int, rate: float) -> Iterator[Served]:
-    """A server in a separate process. :raises ExecutionError: it did not start."""
+    """A server in a separate process.
+
+    :raises ExecutionError: it did not start.
+    """
     port = free_port()
     command = [sys.executable, "-m", __name__, str(nodes), str(rate), str(port)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:

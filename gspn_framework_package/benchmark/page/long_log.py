@@ -1,5 +1,5 @@
-"""How a long event log opens on the page: the first picture, the reading, the memory of the
-server."""
+"""Opening a long event log on the page: time to the first picture, time to read it all, memory of
+the server."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ ENTRY_SECONDS = 0.05
 
 
 def write_log(path: str, entries: int, plan_path: str = PLAN, seed: int = 1) -> None:
-    """Write the event log of a run of so many entries, in which robots finish in a random order,
-    and now and then an action fails and is tried again."""
+    """Write the event log of a run with this many entries, in which robots finish in random order,
+    and an action occasionally fails and is retried."""
     plan = read_plan(plan_path)
     game, source = TokenGame(plan, agents=True), random.Random(seed)
     ledger = Ledger(game)
@@ -75,13 +75,13 @@ def _result(game: TokenGame, action: StartAction, source: random.Random) -> log_
 
 
 def measure_log(entries: int, path: str) -> Dict[str, Any]:
-    """Open a log of so many entries, written to ``path`` where there is none, in a server of its
-    own.
+    """Open a log with this many entries in a separate server. The log is written to ``path`` if
+    there is none.
 
     :returns: ``first_picture`` (s, from the start of the server to the marking and the first
-        events), ``read`` (s, until all of it has been read), both in processor time of the server
-        too (``..._cpu``); ``state`` (s, the slowest of some markings that were asked for while it
-        was read, ``state_after`` after that), ``server_mb`` (the most memory the server had).
+        events), ``read`` (s, until all of it has been read), both also in processor time of the
+        server (``..._cpu``); ``state`` (s, the slowest of some markings requested while the log was
+        read, ``state_after`` after that), ``server_mb`` (peak memory of the server).
     """
     if not os.path.exists(path):
         write_log(path, entries)
@@ -140,7 +140,7 @@ def _cpu(process: psutil.Process) -> float:
 
 
 def _lines(path: str) -> int:
-    """Entries of a log: its lines but the header."""
+    """The number of entries of a log: its lines without the header."""
     with open(path, "rb") as file:
         return sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 20), b"")) - 1
 

@@ -19,7 +19,7 @@ FLAGS = [
 SCREEN: Any = {"width": 1440, "height": 900}
 
 RENDERS = 5
-"""How often the page is opened; the median of the times to the first render is reported."""
+"""How often the page is opened; the median time to the first render is reported."""
 
 MEASURE = """async (seconds) => {
   const { model, page } = window.gspn;
@@ -42,7 +42,7 @@ MEASURE = """async (seconds) => {
 
 @contextlib.contextmanager
 def chromium() -> Iterator[Any]:
-    """A browser without a screen."""
+    """A headless browser."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
@@ -57,7 +57,7 @@ def measure_page(nodes: int, rate: float, seconds: float) -> Dict[str, Any]:
     """First render (ms), frames per second, 95th percentile of firing to frame (ms).
 
     The first render is the time from the answer that describes the net to the first frame that
-    shows its marking; the whole page load, from the click on a link, is reported beside it."""
+    shows its marking; the whole page load, from the click on a link, is reported as well."""
     with served(nodes, rate) as server, chromium() as browser:
         renders, loads = [], []
         for turn in range(RENDERS):
@@ -87,8 +87,8 @@ def measure_page(nodes: int, rate: float, seconds: float) -> Dict[str, Any]:
 
 
 def browser_seconds() -> float:
-    """Processor time of all of the browser's processes so far: unlike frames per second, it does
-    not depend on what else the machine does."""
+    """Processor time (s) of all of the browser's processes so far: unlike frames per second, it
+    does not depend on what else the machine does."""
     total = 0.0
     for process in psutil.Process().children(recursive=True):
         with contextlib.suppress(psutil.Error):
@@ -99,6 +99,6 @@ def browser_seconds() -> float:
 
 
 def percentile(values: Sequence[float], share: float) -> float:
-    """The value below which ``share`` percent of ``values`` are."""
+    """The value below which ``share`` percent of ``values`` lie."""
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, int(len(ordered) * share / 100))] if ordered else 0.0

@@ -1,13 +1,14 @@
-"""What the page costs a team of robots at full speed (plans/tokens, actions that return at once).
+"""The cost of the page to a team of robots at full speed (plans/tokens, actions that return at
+once).
 
-One run; the page comes and goes in it, so that windows without it and windows with it alternate.
-Firings are counted from the robots' logs afterwards, whose monotonic clock all processes of one
-host share.
+The page is opened and closed repeatedly during one run, so that windows without it and windows with
+it alternate. Firings are counted afterwards from the robots' logs, whose monotonic clock all
+processes of one host share.
 
-The browser is not measured: it belongs to another computer. So it has its own processor, and its
-share is excluded: in the windows *without* the page the same browser shows another page, of a feed
-that fires as often as the team does. The benchmark also reports firings per second of processor
-time *of the robots*, a figure that does not depend on who else uses their processor.
+The browser is not measured, since it would run on another computer. So it has its own processor,
+and its share is excluded: in the windows *without* the page the same browser shows another page, of
+a feed that fires as often as the team does. The benchmark also reports firings per second of
+processor time *of the robots*, a figure that does not depend on what else uses their processor.
 """
 
 from __future__ import annotations
@@ -42,10 +43,10 @@ ARRANGEMENTS = {
 }
 
 SETTLE = 2.0
-"""Seconds after a page has been opened, before a window begins."""
+"""Seconds between opening a page and the start of a window."""
 
 NODES = 17
-"""Size of the net that the browser shows instead: that of plans/tokens."""
+"""Size of the net that the browser shows instead, equal to that of plans/tokens."""
 
 START = 60.0
 
@@ -73,7 +74,7 @@ class Window(NamedTuple):
 
 
 def measure_team(robots: int, where: str, rounds: int, seconds: float) -> Dict[str, Any]:
-    """Firings a second without and with the page and a viewer, in turns.
+    """Firings per second without and with the page and a viewer, alternately.
 
     :param where: a key of :data:`ARRANGEMENTS`.
     :param rounds: windows with the page; there is one more without.
@@ -90,7 +91,7 @@ def measure_team(robots: int, where: str, rounds: int, seconds: float) -> Dict[s
         if not run.wait_all_fired(START):
             raise ExecutionError("not all robots fired within %g s" % START)
         others = {p.pid for p in [*descendants(master.pid), *_browser()]}
-        # with roslaunch, which only waits
+        # including roslaunch, which only waits
         team = [p for p in descendants(os.getpid()) if p.pid not in others]
         began = time.monotonic()
         time.sleep(seconds)
@@ -130,7 +131,7 @@ def _processors(where: str) -> Tuple[FrozenSet[int], FrozenSet[int], FrozenSet[i
 
 @contextlib.contextmanager
 def _on(cpus: FrozenSet[int]) -> Iterator[None]:
-    """Processes that are started meanwhile run on these processors."""
+    """Run the processes started during the ``with`` block on these processors."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, cpus)
     try:
@@ -175,7 +176,7 @@ class _Server:
         return sum(cpu_seconds([psutil.Process(self._process.pid)]).values())
 
     def end(self) -> None:
-        """End it, and wait until it has gone."""
+        """End the node, and wait until it is gone."""
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
             try:
@@ -188,7 +189,7 @@ class _Server:
 def _watched(
     port: int, server: Optional[_Server], browser: Any, team: List[psutil.Process], seconds: float
 ) -> Window:
-    """A window with the browser open at a page: that of the team, or another one (``server`` is
+    """A window in which the browser shows a page: that of the team, or another one (``server`` is
     None)."""
     page = browser.new_page(viewport=SCREEN)
     try:
@@ -228,7 +229,8 @@ def _browser() -> List[psutil.Process]:
 
 
 def _goals(folder: str) -> List[float]:
-    """Monotonic times at which robots entered places: a firing of this plan moves one robot."""
+    """Monotonic times (s) at which robots entered places; each firing of this plan moves one
+    robot."""
     times = []
     for path in glob.glob(os.path.join(folder, "*", "*.jsonl")):
         times += [
@@ -250,8 +252,8 @@ def _compared(goals: List[float], without: List[Window], with_page: List[Window]
         return firings(window) / max(window.robots_cpu, 1e-9)
 
     def slower(rate: Callable[[Window], float]) -> List[float]:
-        """Percent, for each window with the page, against the mean of the windows before and after
-        it."""
+        """The slowdown (%) of each window with the page against the mean of the windows before and
+        after it."""
         return [
             100 * (1 - rate(window) / ((rate(before) + rate(after)) / 2))
             for before, window, after in zip(without, with_page, without[1:])

@@ -1,5 +1,4 @@
-"""Viewers without a screen: many at once, and one that stalls while the server's memory is
-watched."""
+"""Headless viewers: many at once, and one that stalls while the server's memory is measured."""
 
 from __future__ import annotations
 
@@ -18,12 +17,15 @@ from gspn_framework_package.benchmark.page.rendering import percentile
 from gspn_framework_package.visualizer.hub import RING
 
 SAMPLE = 0.1
-"""Seconds between two looks at the memory."""
+"""Seconds between two measurements of the memory."""
 
 
 class Viewer:
-    """Reads the stream, and counts what a browser would show. ``gaps``: events that were missing
-    without a word; ``snapshots``: times that the server said that it fell behind."""
+    """Reads the stream, and counts what a browser would show.
+
+    :ivar gaps: events that were missing without notice.
+    :ivar snapshots: how often the server reported that the viewer fell behind.
+    """
 
     def __init__(self, port: int) -> None:
         self.seen, self.gaps, self.snapshots = -1, 0, 0
@@ -32,7 +34,7 @@ class Viewer:
         self._connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
 
     def follow(self) -> None:
-        """Read until told to stop."""
+        """Read until stopped."""
         self._connection.request("GET", "/api/stream?id=" + KEY)
         stream = self._connection.getresponse()
         while not self.stop.is_set():
@@ -83,12 +85,12 @@ def measure_viewers(viewers: int, rate: float, seconds: float) -> Dict[str, Any]
 
 
 def measure_memory(events: int, nodes: int = 100) -> Dict[str, Any]:
-    """Resident memory of the server (MB) over many events, which come as quickly as it takes them,
-    while one viewer reads and one has stalled.
+    """Resident memory of the server (MB) over many events, sent as fast as it accepts them, while
+    one viewer reads and one has stalled.
 
-    :returns: ``curve`` is pairs (events so far, MB), evenly spaced; ``grown_mb`` the difference of
-        the means over the last quarter and over the first quarter after the ring of recent events
-        was full.
+    :returns: ``curve``: pairs (events so far, MB), evenly spaced; ``grown_mb``: the difference
+        between the means over the last quarter and over the first quarter after the ring of recent
+        events was full.
     """
     samples: List[Tuple[int, float]] = []
     with served(nodes, 0) as server, socket.socket() as stalled, following(server.port, 1) as found:
