@@ -1,4 +1,4 @@
-"""Runs many simulated teams, each with its own seed, and verifies each with the history checker.
+"""Many simulated teams, each under its own seed, each verified by the history checker.
 
 ``python3 -m gspn_framework_package.benchmark.agreement --schedules 10000``
 

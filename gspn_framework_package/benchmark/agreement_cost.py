@@ -1,7 +1,7 @@
-"""The cost of agreement, counted in one-way delays and messages, in a simulated network where every
-message takes the same time and none is lost.
+"""What agreement costs, counted in one-way delays and messages, in a simulated network where every
+message takes the same time and nothing is lost.
 
-``python3 -m gspn_framework_package.benchmark.agreement_cost`` scales all timeouts to the delay;
+``python3 -m gspn_framework_package.benchmark.agreement_cost`` uses waits that suit the delay;
 ``--delay 0.05`` uses those of real nodes in a network with that delay, and actions of a twentieth
 of a second.
 """

@@ -3,11 +3,11 @@
 ``python3 -m gspn_framework_package.benchmark.analysis [--quick] [--part PART] [--markdown FILE]
 [--json FILE]``
 
-Every measurement runs in its own process, so that its peak memory is its own. Each is repeated,
-cycling through the engines (except those that take more than 10 s), and the fastest run counts.
-Times are wall-clock times: the numba engine uses all cores, Storm and numpy one, so close other
-programs. Compiled code is loaded before the clock starts. Storm builds with its sparse engine and
-maximal progress. If stormpy is not installed, its columns stay empty.
+Every measurement runs in its own process, so that its peak memory is its own; each is repeated,
+engine after engine (not those that take more than 10 s), and the fastest counts. Times are what a
+clock on the wall says: the numba engine uses all cores, Storm and numpy one, so close what else
+runs. Compiled code is loaded before the clock starts. Storm builds with its sparse engine and
+maximal progress. Where stormpy is not installed its columns stay empty.
 """
 
 from __future__ import annotations

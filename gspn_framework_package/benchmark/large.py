@@ -1,4 +1,4 @@
-"""Analysis of large nets: each by ``gspn analyse`` in its own process, including reading the file.
+"""How large nets are analysed: each by ``gspn analyse`` in its own process, including reading.
 
 ``python3 -m gspn_framework_package.benchmark.large [NAME ...]``
 """

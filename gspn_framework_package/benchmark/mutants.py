@@ -1,4 +1,4 @@
-"""Reports, for every seeded fault, after how many simulated teams it is caught.
+"""Every seeded fault, and after how many simulated teams it is caught.
 
 ``python3 -m gspn_framework_package.benchmark.mutants``
 

@@ -1,4 +1,4 @@
-"""Policy look-up compared with a linear scan, from 10 to 1,000,000 rows: ``python3 -m
+"""Policy look-up beside a linear scan, from 10 rows to 1,000,000: ``python3 -m
 gspn_framework_package.benchmark.policy``.
 
 The table of ``n`` rows decides in one place of a net with twelve places: most rows are exact, one

@@ -1,10 +1,10 @@
-"""Reproduces state counts from the literature: ``python3 -m
+"""State counts of the literature, reproduced: ``python3 -m
 gspn_framework_package.benchmark.published``.
 
 Every net is explored in its own process, so that its peak memory is its own. A count that differs
 from the published one is reported, and the exit code is 1. The largest nets (Kanban 6 and 7) take
 minutes on a small machine and about 5 GB of memory: a net that would not fit into the free memory
-is skipped with a message.
+is left out, with a message.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ COUNTS: Sequence[Published] = (
 )
 
 BYTES_PER_STATE = 120
-"""Measured on the largest nets at their peak; used to estimate the memory of a net before exploring
-it."""
+"""Peak memory per state, measured on the largest nets; used to estimate the memory of a net before
+exploring it."""
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:

@@ -28,7 +28,8 @@ class Results:
     point.
 
     :param folder: "" to write nothing. Existing results in the folder are loaded.
-    :raises UsageError: the folder holds results of a different kind.
+    :raises UsageError: the folder holds something other than such results, or those of another
+      machine.
     """
 
     def __init__(self, folder: str = "") -> None:

@@ -23,7 +23,7 @@ from gspn_framework_package.world.navigation import NavigationStatus
 from gspn_framework_package.world.room import Box, Point, Pose, Room
 
 LIMIT = 240.0
-"""World time (s) by which every robot must have arrived or given up."""
+"""World time (s) after which no robot may still be on its way."""
 
 LENGTH, WIDTH = 5.0, 3.0
 """Size (m) of the hall that contains the places."""

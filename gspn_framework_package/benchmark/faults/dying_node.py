@@ -42,7 +42,7 @@ class DyingFile:
 
 
 def die_when_told(*told_already: int) -> None:
-    """Make the event logs of this process end when one of the signals arrives.
+    """Make this process die at its next log write after one of the signals has arrived.
 
     :param told_already: the signals to treat as received from the start.
     """

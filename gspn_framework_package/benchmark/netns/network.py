@@ -136,8 +136,8 @@ class Network:
         return [_program("ip"), "netns", "exec", self.namespace(node), *words]
 
     def travel_time(self, source: str, target: str, patience: float = ARRIVAL) -> Optional[float]:
-        """Seconds that a datagram takes from one node to the other; None: it did not arrive within
-        ``patience``."""
+        """The time (s) that a datagram takes from one node to the other; None: it did not arrive
+        within ``patience`` seconds."""
         with inside(self.namespace(target)), socket.socket(
             socket.AF_INET, socket.SOCK_DGRAM
         ) as receiver:
