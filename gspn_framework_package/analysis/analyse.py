@@ -91,7 +91,7 @@ class Analysis:
         coverability tree shows which places grow without bound.
     :param engine: see :func:`~gspn_framework_package.analysis.state_space.space.explore`.
     :param progress: called with the progress of long computations.
-    :param cancel: called now and then; returns whether to stop.
+    :param cancel: called at intervals; returns whether to stop.
 
     Every part raises LimitError if it was not decided within the limit, and RefusedError if the
     net has no such thing (for example no Markov chain, because nothing resolves a choice).

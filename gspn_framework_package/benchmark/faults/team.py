@@ -241,7 +241,7 @@ class LaunchedTeam:
         return {name: known["/" + name] for name in self.alive()}
 
     def is_complete(self) -> bool:
-        """Whether every living node is a member of the team."""
+        """Whether every living node is active in the team."""
         return all(status["active"] for status in self.statuses().values())
 
     def read(self, name: str) -> LogTail:

@@ -186,7 +186,7 @@ def delay(mode: str, window: float = WINDOW) -> Numbers:
 
 
 def _experiment(mode: str, hold: float) -> PartitionExperiment:
-    """A team in which nobody is evicted while the network is cut for ``hold`` seconds."""
+    """A team in which no robot is evicted while the network is cut for ``hold`` seconds."""
     return PartitionExperiment(mode, evict_after=max(15.0, 3 * hold))
 
 
