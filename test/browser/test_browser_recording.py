@@ -11,7 +11,7 @@ from gspn_framework_package.visualizer import recording
 def test_a_log_is_shown_while_it_is_read(serve_folder, open_page, tmp_path, monkeypatch):
     write_log(str(tmp_path / "long.jsonl"), 600)
     half, go_on = threading.Event(), threading.Event()
-    keep = recording.RoomRecording._keep
+    keep = recording.Recording._keep
 
     def held(self, mark):
         keep(self, mark)
@@ -19,7 +19,7 @@ def test_a_log_is_shown_while_it_is_read(serve_folder, open_page, tmp_path, monk
             half.set()
             assert go_on.wait(60)
 
-    monkeypatch.setattr(recording.RoomRecording, "_keep", held)
+    monkeypatch.setattr(recording.Recording, "_keep", held)
     monkeypatch.setattr("gspn_framework_package.visualizer.replay.TELL", 0)
     site = serve_folder(tmp_path)
     page = open_page(site.address + "#file-long.jsonl")

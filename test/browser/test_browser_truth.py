@@ -128,6 +128,16 @@ def test_when_the_server_dies_in_mid_run_the_page_says_so_and_offers_the_log(
         page.click("#notice button:has-text('Replay its log')")
         page.wait_for_selector("body[data-mode='REPLAY'][data-ready]")
         page.wait_for_function("() => window.gspn.model.head.n > 12")
+        # what the server does not answer is reported to the person who asked for it
+        page.route("**/api/state*", lambda route: route.abort())
+        page.reload()
+        page.wait_for_function(
+            "() => window.gspn?.model?.head?.n > 12 && window.gspn.model.fetching === false"
+        )
+        for ask in (lambda: page.keyboard.press("ArrowLeft"), lambda: page.click("#view-back")):
+            ask()
+            page.wait_for_selector("#toast:has-text('the server does not answer')")
+            page.evaluate("() => { document.querySelector('#toast').hidden = true; }")
     finally:
         server.kill()
         server.wait()

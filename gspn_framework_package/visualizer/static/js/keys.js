@@ -1,6 +1,6 @@
 // The keyboard shortcuts of the page, and their table.
 
-import { $, h, ask, dialogOpen } from "./dom.js";
+import { $, h, ask, attempt, dialogOpen } from "./dom.js";
 
 const TABLE = [
   ["Space", "pause the view, play; run and stop a simulation"],
@@ -79,7 +79,7 @@ export function bindKeys(page) {
     const action = actionOf(event, page);
     if (!action) return;
     event.preventDefault();
-    action();
+    attempt(action);
   });
 }
 

@@ -74,7 +74,8 @@ export class Model extends EventTarget {
     this.playing = false;
     this.board = this.following ? board : copyOf(board);
     this.tell("reset", { another });
-    if (this.mode === "REPLAY") this.show(0);
+    // where the server does not answer, the connection says so, and the next reset asks again
+    if (this.mode === "REPLAY") this.show(0).catch(() => {});
     else this.fetchPast();
   }
 

@@ -1,7 +1,7 @@
 // The time line: a lane of firings, and below it a lane per robot in its colour (paler while it waits). A simulation
 // has no robots: the lanes show the token counts of places instead. The scrubber is below.
 
-import { $, h, natural, seconds } from "./dom.js";
+import { $, h, attempt, natural, seconds } from "./dom.js";
 import { colourOf } from "./colours.js";
 import { courseOf, lanesOf } from "./course.js";
 import { told, toldOf } from "./phases.js";
@@ -89,7 +89,7 @@ export class TimeLine extends EventTarget {
     if (!act || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
     event.stopPropagation();
-    act();
+    attempt(act);
   }
 
   /** Number of the last loaded event at or before `t`. */

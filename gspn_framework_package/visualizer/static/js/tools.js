@@ -272,9 +272,14 @@ export class Tools {
       ];
     } else {
       tools = [
-        button("view-back", "◂", () => this.model.stepView(-1), "Previous firing (←)"),
+        button(
+          "view-back",
+          "◂",
+          () => attempt(() => this.model.stepView(-1)),
+          "Previous firing (←)",
+        ),
         button("view-play", "", () => page.togglePause(), ""),
-        button("view-step", "▸", () => this.model.stepView(1), "Next firing (→)"),
+        button("view-step", "▸", () => attempt(() => this.model.stepView(1)), "Next firing (→)"),
         h(
           "label",
           {},
