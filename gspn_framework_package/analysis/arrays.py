@@ -3,7 +3,7 @@ see the element types."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Union
 
 import numpy as np
 
@@ -13,8 +13,12 @@ if TYPE_CHECKING:
     Floats = NDArray[np.floating[Any]]
     Indices = NDArray[np.integer[Any]]
     Booleans = NDArray[np.bool_]
+    Words = NDArray[np.unsignedinteger[Any]]
 else:
-    Floats = Indices = Booleans = np.ndarray
+    Floats = Indices = Booleans = Words = np.ndarray
+
+Selection = Union[Indices, Booleans, slice, None]
+"""What chooses rows: their numbers, a mask, a slice; None chooses all."""
 
 Matrix = Any
 """A SciPy sparse matrix; SciPy has no type annotations."""

@@ -10,10 +10,11 @@ transition itself).
 from __future__ import annotations
 
 import math
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 
+from gspn_framework_package.analysis.arrays import Booleans, Indices
 from gspn_framework_package.analysis.graph import ShortestWays, adjacency
 from gspn_framework_package.analysis.plan.structure import only_written, terminal_places
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
@@ -88,7 +89,7 @@ class PlanMarkings:
         """Whether all reachable markings were visited."""
         return self.space.complete
 
-    def _until(self) -> Any:
+    def _until(self) -> Booleans:
         if not self.plan.until:
             return np.zeros(len(self.space), dtype=bool)
         return self.space.holds(self.plan.until)
@@ -149,7 +150,7 @@ class PlanMarkings:
             if leaving and place.name not in self.plan.resource_places:
                 yield p, leaving
 
-    def _deciding(self, leaving: List[int], need: int) -> Any:
+    def _deciding(self, leaving: List[int], need: int) -> Indices:
         """States of an unfinished run in which at least ``need`` of the transitions ``leaving`` are
         enabled."""
         arcs = np.isin(self.space.transitions, leaving)
@@ -224,7 +225,7 @@ class PlanMarkings:
 
     # -- helpers -----------------------------------------------------------------------------------
 
-    def full_markings(self, states: Any) -> Any:
+    def full_markings(self, states: Indices) -> Indices:
         """Markings in the place order of the plan's net; omitted places are 0."""
         full = np.zeros((len(states), len(self.plan.net.places)), dtype=np.int64)
         full[:, [self._number[p] for p in range(len(self.net.places))]] = self.space.markings(
@@ -236,7 +237,7 @@ class PlanMarkings:
         """The number, in the plan's net, of place number ``p`` of the explored net."""
         return self._number[p]
 
-    def _findings(self, states: Any, place: Optional[int] = None) -> Iterator[Finding]:
+    def _findings(self, states: Indices, place: Optional[int] = None) -> Iterator[Finding]:
         for state in states.tolist():
             yield self._finding(state, place)
 
@@ -260,7 +261,7 @@ class _Answers:
         self._columns = [plan.net.place_number(p) for p in plan.policy.places]
         self._known: Dict[Tuple[Tuple[int, ...], int], Tuple[Optional[Distribution], bool]] = {}
 
-    def chosen(self, p: int, t: int, states: Any) -> Any:
+    def chosen(self, p: int, t: int, states: Indices) -> Booleans:
         """Boolean array: the ``states`` in which a robot in place ``p`` may choose transition
         ``t``."""
         weighty = self._markings.net.transitions[t].weight > 0
@@ -272,14 +273,16 @@ class _Answers:
 
         return self._per_state(p, states, verdict)
 
-    def silent(self, p: int, states: Any) -> Any:
+    def silent(self, p: int, states: Indices) -> Booleans:
         """Boolean array: the ``states`` in which no row of the policy matches for a robot in place
         ``p``."""
         return self._per_state(
             p, states, lambda distribution, matched: distribution is None and not matched
         )
 
-    def _per_state(self, p: int, states: Any, verdict: Any) -> Any:
+    def _per_state(
+        self, p: int, states: Indices, verdict: Callable[[Optional[Distribution], bool], bool]
+    ) -> Booleans:
         if not len(states):
             return np.zeros(0, dtype=bool)
         if not self._plan.policy.rows:
@@ -303,7 +306,7 @@ class _Answers:
         return result[of]
 
 
-def _distinct_rows(rows: Any) -> Tuple[Any, Any]:
+def _distinct_rows(rows: Indices) -> Tuple[Indices, Indices]:
     """The index of the first of each distinct row, and for each row the number of its distinct
     row."""
     spans = [int(n) + 1 for n in rows.max(axis=0)]

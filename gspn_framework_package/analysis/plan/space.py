@@ -17,10 +17,11 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
+from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.plan.structure import only_written
 from gspn_framework_package.analysis.state_space.exploration import (
     Allowance,
@@ -216,9 +217,9 @@ class PlanSpace(StateSpace):
         self,
         rules: PlanRules,
         graph: RawGraph,
-        markings: Any,
-        vanishing: Any,
-        values: Any,
+        markings: Indices,
+        vanishing: Booleans,
+        values: Floats,
         shortage: Tuple[str, str] = ("", ""),
     ) -> None:
         widths = [max(int(n).bit_length(), 1) for n in markings.max(axis=0)]
@@ -233,7 +234,7 @@ class PlanSpace(StateSpace):
         self._values = values
 
     @property
-    def is_vanishing(self) -> Any:
+    def is_vanishing(self) -> Booleans:
         """Boolean array: the robots move on in zero time."""
         return self._vanishing
 

@@ -22,6 +22,7 @@ from typing import Any, Dict, List, NamedTuple, Optional, Tuple, Union
 import numpy as np
 from scipy import stats
 
+from gspn_framework_package.analysis.arrays import Floats, Indices
 from gspn_framework_package.analysis.plan.space import PlanRules
 from gspn_framework_package.analysis.simulation.net_rules import NetRules
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
@@ -328,7 +329,7 @@ class _Runs:
                 watch.step("events", self.events)
         self._fold(spent)
 
-    def _follow(self, here: Any, arcs: Any) -> Any:
+    def _follow(self, here: Indices, arcs: Indices) -> Indices:
         targets = self.graph.targets[here, arcs]
         for i in np.flatnonzero(targets < 0).tolist():
             targets[i] = self.graph.target(int(here[i]), int(arcs[i]))
@@ -338,7 +339,7 @@ class _Runs:
         marking, _ = self.graph.key(int(state))
         return list(self.graph.rules.net.named(marking, zeros=False).items())
 
-    def _fold(self, spent: Any) -> None:
+    def _fold(self, spent: Floats) -> None:
         """Add the time spent in states to the shares of token counts."""
         states = np.flatnonzero(spent)
         for p, share in enumerate(self.shares):
@@ -349,7 +350,7 @@ class _Runs:
             ):
                 share[count] = share.get(count, 0.0) + seconds
 
-    def _forget(self, state: Any, active: Any) -> Any:
+    def _forget(self, state: Indices, active: Indices) -> Indices:
         """Forget all states except the current ones; returns their new numbers."""
         keys = {int(s): self.graph.key(int(s)) for s in np.unique(state[active])}
         self.graph.forget()
@@ -388,7 +389,7 @@ def _summary(runs: _Runs, net: Net, seed: int, confidence: float, conditional: b
     )
 
 
-def _estimate(samples: Any, confidence: float) -> Estimate:
+def _estimate(samples: Floats, confidence: float) -> Estimate:
     count = len(samples)
     mean = float(samples.mean())
     if count < 2:
@@ -397,7 +398,7 @@ def _estimate(samples: Any, confidence: float) -> Estimate:
     return Estimate(mean, quantile * float(samples.std(ddof=1)) / math.sqrt(count))
 
 
-def _ratio(amounts: Any, seconds: Any, confidence: float) -> Estimate:
+def _ratio(amounts: Floats, seconds: Floats, confidence: float) -> Estimate:
     """Amount per second, by the ratio estimator, since runs that end at a condition differ in
     length."""
     whole = float(seconds.sum())

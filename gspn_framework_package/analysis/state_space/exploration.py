@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, NamedTuple, Tuple
+from typing import NamedTuple, Optional, Tuple, Type
 
 import numpy as np
+
+from gspn_framework_package.analysis.arrays import Indices, Words
 
 
 class RawGraph(NamedTuple):
     """The graph that an engine found.
 
-    :ivar states: uint64 array of shape ``(n, words)``, the initial state first.
+    :ivar states: uint64 array of shape ``(n, words)``, the initial state first; None where the
+        markings are stored otherwise.
     :ivar offsets: the arcs of state ``s`` are ``offsets[s]:offsets[s + 1]``.
     :ivar targets: for each arc, the number of the state it leads to.
     :ivar labels: for each arc, its transition in engine order.
@@ -24,10 +27,10 @@ class RawGraph(NamedTuple):
         them, unless the limit or the allowance was exhausted.
     """
 
-    states: Any
-    offsets: Any
-    targets: Any
-    labels: Any
+    states: Optional[Words]
+    offsets: Indices
+    targets: Indices
+    labels: Indices
     explored: int
 
 
@@ -58,9 +61,9 @@ class FieldOverflowError(Exception):
 class Growing:
     """An array that grows in place along its first axis; only ``array[:used]`` is valid."""
 
-    def __init__(self, dtype: Any, columns: int = 0, capacity: int = 1024) -> None:
+    def __init__(self, dtype: Type[np.generic], columns: int = 0, capacity: int = 1024) -> None:
         self._columns = columns
-        self.array = np.empty((capacity, columns) if columns else capacity, dtype=dtype)
+        self.array: np.ndarray = np.empty((capacity, columns) if columns else capacity, dtype=dtype)
         self.used = 0
 
     def reserve(self, count: int) -> None:
@@ -70,13 +73,13 @@ class Growing:
             # a larger reserve would be filled with zeros, and so take memory
             self._resize(max(count, capacity + (capacity >> 2)))
 
-    def extend(self, rows: Any) -> None:
+    def extend(self, rows: np.ndarray) -> None:
         """Append ``rows``."""
         self.reserve(self.used + len(rows))
         self.array[self.used : self.used + len(rows)] = rows
         self.used += len(rows)
 
-    def finished(self) -> Any:
+    def finished(self) -> np.ndarray:
         """The array of the rows in use; the rest is released."""
         self._resize(self.used)
         return self.array
@@ -87,6 +90,6 @@ class Growing:
         self.array.resize(shape, refcheck=False)
 
 
-def label_type(transitions: int) -> Any:
+def label_type(transitions: int) -> Type[np.generic]:
     """The smallest integer type for transition numbers."""
     return np.uint8 if transitions <= 2**8 else np.int16 if transitions <= 2**15 else np.int32

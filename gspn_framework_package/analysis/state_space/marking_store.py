@@ -7,10 +7,11 @@ that differ from a base marking.
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Sequence
+from typing import Dict, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
+from gspn_framework_package.analysis.arrays import Floats, Indices, Selection, Words
 from gspn_framework_package.analysis.graph import flat_ranges
 from gspn_framework_package.analysis.state_space.packing import Packing
 
@@ -22,7 +23,7 @@ class PackedStore:
     :param words: uint64 array, one row per marking.
     """
 
-    def __init__(self, packing: Packing, words: Any) -> None:
+    def __init__(self, packing: Packing, words: Words) -> None:
         self.packing = packing
         self._words = words
 
@@ -34,17 +35,17 @@ class PackedStore:
         """Bytes that it takes."""
         return int(self._words.nbytes)
 
-    def rows(self, states: Any = None) -> Any:
+    def rows(self, states: Selection = None) -> Indices:
         """Markings as an int64 array, one row per state: all, or those selected by ``states``
         (numbers, slice or mask)."""
         return self.packing.unpack(self._words if states is None else self._words[states])
 
-    def column(self, place: int, states: Any = None) -> Any:
+    def column(self, place: int, states: Selection = None) -> Indices:
         """The token counts of place number ``place`` as an int64 array, in all states or in
         ``states``."""
         return self.packing.column(self._words if states is None else self._words[states], place)
 
-    def find(self, counts: Sequence[int]) -> Any:
+    def find(self, counts: Sequence[int]) -> Indices:
         """The numbers of the states with this marking."""
         if not self.packing.fits(counts):
             return np.zeros(0, dtype=np.int64)
@@ -54,12 +55,12 @@ class PackedStore:
         """The most tokens of each place."""
         return [int(self.column(p).max()) for p in range(len(self.packing.widths))]
 
-    def means(self, states: Any, weights: Any) -> List[float]:
+    def means(self, states: Indices, weights: Floats) -> List[float]:
         """For each place the sum of its counts in ``states`` (numbers), weighted by ``weights``
         (floats)."""
         return [float(weights @ self.column(p)[states]) for p in range(len(self.packing.widths))]
 
-    def distributions(self, states: Any, weights: Any) -> List[Dict[int, float]]:
+    def distributions(self, states: Indices, weights: Floats) -> List[Dict[int, float]]:
         """For each place: count -> total weight of the ``states`` that have it; without the counts
         of weight 0."""
         found = []
@@ -78,10 +79,16 @@ class SparseStore:
     :param counts: int array: its token count, which differs from that in ``base``.
     """
 
-    def __init__(self, base: Any, offsets: Any, places: Any, counts: Any) -> None:
+    def __init__(
+        self,
+        base: Union[Indices, Sequence[int]],
+        offsets: Indices,
+        places: Indices,
+        counts: Indices,
+    ) -> None:
         self._base = np.array(base, dtype=np.int64)
         self._offsets, self._places, self._counts = offsets, places, counts
-        self._by_place: Any = None
+        self._by_place: Optional[Tuple[Indices, Indices]] = None
 
     def __len__(self) -> int:
         return len(self._offsets) - 1
@@ -93,7 +100,7 @@ class SparseStore:
             self._offsets.nbytes + self._places.nbytes + self._counts.nbytes + self._base.nbytes
         )
 
-    def rows(self, states: Any = None) -> Any:
+    def rows(self, states: Selection = None) -> Indices:
         """See :meth:`PackedStore.rows`; the array is dense: a number for every place of every
         state."""
         chosen = self._chosen(states)
@@ -104,7 +111,7 @@ class SparseStore:
         ]
         return found
 
-    def column(self, place: int, states: Any = None) -> Any:
+    def column(self, place: int, states: Selection = None) -> Indices:
         """See :meth:`PackedStore.column`."""
         order, ends = self._sorted_by_place()
         entries = order[ends[place] : ends[place + 1]]
@@ -112,7 +119,7 @@ class SparseStore:
         found[np.searchsorted(self._offsets, entries, side="right") - 1] = self._counts[entries]
         return found if states is None else found[states]
 
-    def find(self, counts: Sequence[int]) -> Any:
+    def find(self, counts: Sequence[int]) -> Indices:
         """See :meth:`PackedStore.find`."""
         wanted = np.array(counts, dtype=np.int64)
         places = np.flatnonzero(wanted != self._base)
@@ -128,14 +135,14 @@ class SparseStore:
         unchanged = np.bincount(self._places, minlength=len(self._base)) < len(self)
         return np.where(unchanged, np.maximum(most, self._base), most).tolist()
 
-    def means(self, states: Any, weights: Any) -> List[float]:
+    def means(self, states: Indices, weights: Floats) -> List[float]:
         """See :meth:`PackedStore.means`."""
         entries, each = self._weighed(states, weights)
         places = self._places[entries]
         found = np.bincount(places, weights=each * self._counts[entries], minlength=len(self._base))
         return (found + self._base * self._unchanged(places, each, weights)).tolist()
 
-    def distributions(self, states: Any, weights: Any) -> List[Dict[int, float]]:
+    def distributions(self, states: Indices, weights: Floats) -> List[Dict[int, float]]:
         """See :meth:`PackedStore.distributions`."""
         entries, each = self._weighed(states, weights)
         places, counts = self._places[entries], self._counts[entries]
@@ -154,27 +161,27 @@ class SparseStore:
                 found[p][n] = v
         return [dict(sorted(counts.items())) for counts in found]
 
-    def _weighed(self, states: Any, weights: Any) -> Any:
+    def _weighed(self, states: Indices, weights: Floats) -> Tuple[Indices, Floats]:
         """The entries of the ``states`` with a non-zero weight, and the weight of each entry."""
         chosen = np.flatnonzero(weights)
         entries, lengths = self._entries(np.asarray(states)[chosen])
         return entries, np.repeat(weights[chosen], lengths)
 
-    def _unchanged(self, places: Any, each: Any, weights: Any) -> Any:
+    def _unchanged(self, places: Indices, each: Floats, weights: Floats) -> Floats:
         """For each place the weight of the states in which its count equals the base marking's."""
         changed = np.bincount(places, weights=each, minlength=len(self._base))
         everywhere = np.bincount(places, minlength=len(self._base)) == np.count_nonzero(weights)
         return np.where(everywhere, 0.0, np.maximum(weights.sum() - changed, 0.0))
 
-    def _chosen(self, states: Any) -> Any:
+    def _chosen(self, states: Selection) -> Indices:
         numbers = np.arange(len(self))
         return numbers if states is None else np.atleast_1d(numbers[states])
 
-    def _entries(self, states: Any) -> Any:
+    def _entries(self, states: Indices) -> Tuple[Indices, Indices]:
         begin, end = self._offsets[states], self._offsets[states + 1]
         return flat_ranges(begin, end), end - begin
 
-    def _sorted_by_place(self) -> Any:
+    def _sorted_by_place(self) -> Tuple[Indices, Indices]:
         if self._by_place is None:
             order = np.argsort(self._places, kind="stable")
             self._by_place = (

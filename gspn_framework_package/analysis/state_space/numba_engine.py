@@ -22,7 +22,8 @@ from typing import Any, List, NamedTuple, Tuple
 import numpy as np
 from numba import config
 
-from gspn_framework_package.analysis.compiling import compiled
+from gspn_framework_package.analysis.arrays import Indices, Words
+from gspn_framework_package.analysis.compiling import Function, compiled
 from gspn_framework_package.analysis.state_space.exploration import (
     ENDLESS,
     Allowance,
@@ -137,13 +138,13 @@ def explore(
 class _Rules(NamedTuple):
     """The parts of a packed net that the compiled code reads."""
 
-    need: Any
-    need_guard: Any
-    inhibit: Any
-    inhibit_guard: Any
-    change: Any
-    class_ends: Any
-    guard: Any
+    need: Words
+    need_guard: Words
+    inhibit: Words
+    inhibit_guard: Words
+    change: Words
+    class_ends: Indices
+    guard: Words
 
 
 class _Buffers(NamedTuple):
@@ -151,12 +152,12 @@ class _Buffers(NamedTuple):
     where the arcs of each state end; for the arcs whose target is not known, their numbers and the
     packed markings that they lead to."""
 
-    targets: Any
-    labels: Any
-    ends: Any
-    keys: Any
-    arcs: Any
-    overflow: Any
+    targets: Indices
+    labels: Indices
+    ends: Indices
+    keys: Words
+    arcs: Indices
+    overflow: Words
 
 
 def _new_buffers(
@@ -189,7 +190,7 @@ def _go_narrow(
     rules: _Rules,
     explored: int,
     limit: int,
-    table: Any,
+    table: Words,
     states: Growing,
     offsets: Growing,
     targets: Growing,
@@ -229,7 +230,7 @@ def _go_narrow(
 # states.
 
 
-def _with_room(table: Any, states: int) -> Any:
+def _with_room(table: Words, states: int) -> Words:
     """The table, or a larger one with the same entries, such that this many states fill at most
     half of it."""
     while 2 * states > len(table):
@@ -240,7 +241,7 @@ def _with_room(table: Any, states: int) -> Any:
 
 
 @compiled
-def _shift(table: Any) -> Any:
+def _shift(table: Words) -> np.uint64:
     """The number of bits to shift a hash right to get its first slot."""
     shift = np.uint64(64)
     size = len(table)
@@ -251,7 +252,7 @@ def _shift(table: Any) -> Any:
 
 
 @compiled
-def _refill(table: Any, larger: Any) -> None:
+def _refill(table: Words, larger: Words) -> None:
     shift, mask = _shift(larger), np.uint64(len(larger) - 1)
     for i in range(len(table)):
         entry = table[i]
@@ -263,7 +264,7 @@ def _refill(table: Any, larger: Any) -> None:
 
 
 @compiled
-def _hash(keys: Any, row: int, words: int) -> Any:
+def _hash(keys: Words, row: int, words: int) -> np.uint64:
     value = keys[row, 0] * _MIX_1
     for w in range(1, words):
         value ^= value >> _HALF
@@ -275,12 +276,19 @@ def _hash(keys: Any, row: int, words: int) -> Any:
 
 
 @lru_cache(maxsize=None)
-def _enter_for(words: int) -> Any:
+def _enter_for(words: int) -> Function:
     """Compile ``enter`` for markings of this many words: a constant, so that the compiler unrolls
     the loops over it."""
 
     @compiled
-    def enter(table: Any, states: Any, known: Any, keys: Any, arcs: Any, targets: Any) -> Any:
+    def enter(
+        table: Words,
+        states: Words,
+        known: np.integer[Any],
+        keys: Words,
+        arcs: Indices,
+        targets: Indices,
+    ) -> np.integer[Any]:
         """Number the states ``keys`` that are not known yet, from ``known`` on, and store the
         targets of ``arcs``; returns the number of states then known. The keys are entered even if
         there are no arcs."""
@@ -321,11 +329,13 @@ def _enter_for(words: int) -> Any:
 
 
 @lru_cache(maxsize=None)
-def _expand_for(words: int) -> Any:
+def _expand_for(words: int) -> Function:
     """Compile ``expand`` for markings of this many words."""
 
     @compiled
-    def expand(rules: Any, states: Any, table: Any, share: Any, found: Any) -> Any:
+    def expand(
+        rules: _Rules, states: Words, table: Words, share: Tuple[int, int], found: _Buffers
+    ) -> Tuple[int, int, np.uint64]:
         """Expand the states from the first of ``share`` up to the second; the results go into
         ``found``.
 
@@ -415,23 +425,23 @@ def _expand_for(words: int) -> Any:
 
 
 @lru_cache(maxsize=None)
-def _narrow_for(words: int) -> Any:
+def _narrow_for(words: int) -> Function:
     """Compile ``narrow``, for rounds of few states, for markings of this many words."""
     expand, enter = _expand_for(words), _enter_for(words)
 
     @compiled
     def narrow(
-        rules: Any,
-        explored: Any,
-        known: Any,
-        most: Any,
-        few: Any,
-        states: Any,
-        table: Any,
-        offsets: Any,
-        found: Any,
-        arcs: Any,
-    ) -> Any:
+        rules: _Rules,
+        explored: int,
+        known: int,
+        most: int,
+        few: int,
+        states: Words,
+        table: Words,
+        offsets: Indices,
+        found: _Buffers,
+        arcs: int,
+    ) -> Tuple[int, int, int]:
         """Continue while fewer than ``few`` states are waiting, at most ``most`` are known, and
         there is room for their successors. ``found`` holds all targets and labels, ``arcs`` of them
         at the start.

@@ -8,10 +8,11 @@ continues probing if another key won it.
 
 from __future__ import annotations
 
-from typing import Any, Optional, Tuple
+from typing import List, Optional, Tuple
 
 import numpy as np
 
+from gspn_framework_package.analysis.arrays import Booleans, Indices, Words
 from gspn_framework_package.analysis.state_space.exploration import (
     ENDLESS,
     Allowance,
@@ -89,7 +90,7 @@ def explore(
     )
 
 
-def _enabled(packed: PackedNet, block: Any) -> Tuple[Any, Any]:
+def _enabled(packed: PackedNet, block: Words) -> Tuple[Indices, Indices]:
     """Which transitions fire in which states: row numbers (ascending) and transitions in engine
     order."""
     size, transitions = len(block), len(packed.order)
@@ -98,7 +99,7 @@ def _enabled(packed: PackedNet, block: Any) -> Tuple[Any, Any]:
     else:
         mask = _mask_by_transition(packed, block)
     begin = 0
-    taken: Optional[Any] = None  # states in which a class of higher precedence is enabled
+    taken: Optional[Booleans] = None  # states in which a class of higher precedence is enabled
     for end in packed.class_ends[:-1].tolist():
         if taken is not None:
             mask[taken, begin:end] = False
@@ -114,7 +115,7 @@ def _enabled(packed: PackedNet, block: Any) -> Tuple[Any, Any]:
     return sources, found - sources * transitions
 
 
-def _mask_broadcast(packed: PackedNet, block: Any) -> Any:
+def _mask_broadcast(packed: PackedNet, block: Words) -> Booleans:
     mask = np.ones((len(block), len(packed.order)), dtype=bool)
     for w in range(packed.words):
         column = block[:, w, None]
@@ -127,14 +128,14 @@ def _mask_broadcast(packed: PackedNet, block: Any) -> Any:
     return mask
 
 
-def _mask_by_transition(packed: PackedNet, block: Any) -> Any:
+def _mask_by_transition(packed: PackedNet, block: Words) -> Booleans:
     """The enabled transitions as a mask, transition by transition, reading only the words that each
     needs."""
     mask = np.empty((len(packed.order), len(block)), dtype=bool)
     columns = [np.ascontiguousarray(block[:, w]) for w in range(packed.words)]
     work = np.empty(len(block), dtype=np.uint64)
     for row in range(len(packed.order)):
-        result: Optional[Any] = None
+        result: Optional[Booleans] = None
         for w in range(packed.words):
             for weights, guards, enabled in (
                 (packed.need, packed.need_guard, True),
@@ -170,15 +171,15 @@ class _Table:
         """Bytes that it takes."""
         return int(self._slots.nbytes)
 
-    def insert(self, keys: Any, states: Growing) -> Any:
+    def insert(self, keys: Words, states: Growing) -> Indices:
         """The numbers of ``keys``; new ones are appended to ``states`` in order of appearance."""
         known = states.used
         self._make_room(known + len(keys), states)
         slots = self._slots
         mask = len(slots) - 1
-        numbers = np.empty(len(keys), dtype=slots.dtype)
+        numbers: Indices = np.empty(len(keys), dtype=slots.dtype)
         at = _hash(keys) & mask
-        open_keys: Any = np.arange(len(keys), dtype=slots.dtype)
+        open_keys: Indices = np.arange(len(keys), dtype=slots.dtype)
         # Copy the keys behind the states, where their candidate numbers point, so that the number
         # in a slot always leads to its key.
         states.reserve(known + len(keys))
@@ -209,8 +210,14 @@ class _Table:
         return self._number(numbers, keys, fresh, known, at, states)
 
     def _number(
-        self, numbers: Any, keys: Any, fresh: Any, known: int, at: Any, states: Growing
-    ) -> Any:
+        self,
+        numbers: Indices,
+        keys: Words,
+        fresh: List[Indices],
+        known: int,
+        at: Indices,
+        states: Growing,
+    ) -> Indices:
         """Turn candidate numbers into state numbers."""
         if not fresh:
             return numbers
@@ -249,7 +256,7 @@ class _Table:
                 at[open_keys] = (at[open_keys] + step) & mask
 
 
-def _hash(keys: Any) -> Any:
+def _hash(keys: Words) -> Indices:
     value = keys[:, 0] * _MIX[0]
     for w in range(1, keys.shape[1]):
         value ^= value >> _SHIFT

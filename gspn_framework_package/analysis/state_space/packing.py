@@ -9,10 +9,11 @@ exploration then restarts with wider fields, so no count ever wraps silently.
 
 from __future__ import annotations
 
-from typing import Any, List, Optional, Sequence, Tuple
+from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
+from gspn_framework_package.analysis.arrays import Indices, Words
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
 
@@ -43,14 +44,14 @@ class Packing:
         self.words = word + 1
         """Number of words of a packed marking."""
 
-    def pack(self, marking: Sequence[int]) -> Any:
+    def pack(self, marking: Sequence[int]) -> Words:
         """The packed form of one marking: an array of ``words`` machine words."""
         words = [0] * self.words
         for p, count in enumerate(marking):
             words[self.word_of[p]] |= int(count) << self.shift_of[p]
         return np.array(words, dtype=np.uint64)
 
-    def pack_all(self, markings: Any) -> Any:
+    def pack_all(self, markings: Indices) -> Words:
         """Many markings (int array, one row each) packed, of shape ``(n, words)``."""
         states = np.zeros((len(markings), self.words), dtype=np.uint64)
         for p in range(len(self.widths)):
@@ -63,13 +64,13 @@ class Packing:
         """Whether every count of ``marking`` fits its field."""
         return all(0 <= count >> width == 0 for count, width in zip(marking, self.widths))
 
-    def column(self, states: Any, p: int) -> Any:
+    def column(self, states: Words, p: int) -> Indices:
         """Token counts of place number ``p`` in packed ``states`` (shape ``(n, words)``), as
         int64."""
         mask = np.uint64((1 << self.widths[p]) - 1)
         return ((states[:, self.word_of[p]] >> np.uint64(self.shift_of[p])) & mask).astype(np.int64)
 
-    def unpack(self, states: Any) -> Any:
+    def unpack(self, states: Words) -> Indices:
         """Packed states (shape ``(n, words)``) as an int64 array of shape ``(n, places)``."""
         markings = np.empty((len(states), len(self.widths)), dtype=np.int64)
         for p in range(len(self.widths)):

@@ -16,10 +16,11 @@ from __future__ import annotations
 
 import enum
 from functools import lru_cache
-from typing import Any, Dict, List, NamedTuple, Optional
+from typing import Dict, List, NamedTuple, Optional
 
 import numpy as np
 
+from gspn_framework_package.analysis.arrays import Indices
 from gspn_framework_package.analysis.graph import Components, components
 from gspn_framework_package.analysis.state_space.space import StateSpace, WitnessStep
 
@@ -97,7 +98,7 @@ class Properties:
         return self.components.number == 1
 
     @property
-    def home_states(self) -> Any:
+    def home_states(self) -> Indices:
         """Numbers of the home states: those that can be reached from every reachable marking."""
         found = self.components
         if int(found.bottom.sum()) != 1:
@@ -135,7 +136,7 @@ class Properties:
         """Transitions that can never fire."""
         return [name for name, level in self.liveness.items() if level is Liveness.L0]
 
-    def way_to(self, states: Any) -> Optional[List[WitnessStep]]:
+    def way_to(self, states: Indices) -> Optional[List[WitnessStep]]:
         """A shortest firing sequence to one of ``states`` (a boolean array), or None if no state is
         set in it."""
         found = np.flatnonzero(states)

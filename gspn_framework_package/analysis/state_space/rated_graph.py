@@ -8,10 +8,11 @@ the same.
 
 from __future__ import annotations
 
-from typing import Any, Iterator, NamedTuple, Tuple, Union
+from typing import Iterator, NamedTuple, Tuple, Union
 
 import numpy as np
 
+from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices, Selection
 from gspn_framework_package.analysis.state_space.marking_store import PackedStore, SparseStore
 from gspn_framework_package.analysis.state_space.space import StateSpace
 from gspn_framework_package.model.errors import RefusedError
@@ -33,21 +34,21 @@ class RatedGraph(NamedTuple):
     """
 
     net: Net
-    vanishing: Any
-    sources: Any
-    targets: Any
-    transitions: Any
-    values: Any
+    vanishing: Booleans
+    sources: Indices
+    targets: Indices
+    transitions: Indices
+    values: Floats
     store: Union[PackedStore, SparseStore]
 
     def __len__(self) -> int:
         return len(self.vanishing)
 
-    def markings(self, states: Any) -> Any:
+    def markings(self, states: Selection) -> Indices:
         """The markings of states (numbers) as an int64 array, one row per state."""
         return self.store.rows(states)
 
-    def column(self, place: int, states: Any = None) -> Any:
+    def column(self, place: int, states: Selection = None) -> Indices:
         """The token counts of place number ``place`` in all states, or in ``states``."""
         return self.store.column(place, states)
 
@@ -96,7 +97,7 @@ def rate(space: StateSpace) -> RatedGraph:
     )
 
 
-def _arcs_by_transition(transitions: Any) -> Iterator[Tuple[int, Any]]:
+def _arcs_by_transition(transitions: Indices) -> Iterator[Tuple[int, Indices]]:
     """The transitions that have arcs, each with the numbers of its arcs."""
     order = np.argsort(transitions, kind="stable")
     numbers, begin = np.unique(transitions[order], return_index=True)
@@ -105,14 +106,14 @@ def _arcs_by_transition(transitions: Any) -> Iterator[Tuple[int, Any]]:
         yield t, order[first:last]
 
 
-def _enabling_degree(space: StateSpace, t: int, states: Any) -> Any:
+def _enabling_degree(space: StateSpace, t: int, states: Indices) -> Indices:
     degree = np.full(len(states), np.iinfo(np.int64).max, dtype=np.int64)
     for p, weight in space.net.inputs[t]:
         np.minimum(degree, space.column(p, states) // weight, out=degree)
     return degree if space.net.inputs[t] else np.ones(len(states), dtype=np.int64)
 
 
-def _normalise(space: StateSpace, vanishing: Any, sources: Any, values: Any) -> None:
+def _normalise(space: StateSpace, vanishing: Booleans, sources: Indices, values: Floats) -> None:
     """Turn the weights of the arcs that leave vanishing states into probabilities."""
     arcs = np.flatnonzero(vanishing[sources])
     if not len(arcs):

@@ -17,10 +17,11 @@ import importlib.util
 import math
 import sys
 import time
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
+from gspn_framework_package.analysis.arrays import Booleans, Indices, Selection
 from gspn_framework_package.analysis.limits import STATE_LIMIT
 from gspn_framework_package.analysis.state_space import numpy_engine, sparse_engine
 from gspn_framework_package.analysis.state_space.exploration import (
@@ -84,7 +85,7 @@ class StateSpace:
         net: Net,
         store: Union[PackedStore, SparseStore],
         graph: RawGraph,
-        order: Any,
+        order: Indices,
         *,
         untimed: bool,
         engine: str,
@@ -102,7 +103,7 @@ class StateSpace:
         self.transitions = (
             graph.labels if in_file_order else order.astype(graph.labels.dtype)[graph.labels]
         )
-        self._parents: Optional[Any] = None
+        self._parents: Optional[Indices] = None
 
     def __len__(self) -> int:
         return len(self.store)
@@ -152,12 +153,12 @@ class StateSpace:
         """The marking of one state as place -> count, without the empty places."""
         return self.net.named(self.marking(state), zeros=False)
 
-    def markings(self, states: Any = None) -> Any:
+    def markings(self, states: Selection = None) -> Indices:
         """Markings as an int64 array, one row per state and one column per place; of all states, or
         of those selected by ``states`` (numbers, slice or mask)."""
         return self.store.rows(states)
 
-    def column(self, place: int, states: Any = None) -> Any:
+    def column(self, place: int, states: Selection = None) -> Indices:
         """Token counts of place number ``place`` in every state, or in ``states``, as an int64
         array."""
         return self.store.column(place, states)
@@ -169,7 +170,7 @@ class StateSpace:
         found = self.store.find(counts)
         return int(found[0]) if len(found) else None
 
-    def holds(self, condition: Union[str, Condition]) -> Any:
+    def holds(self, condition: Union[str, Condition]) -> Booleans:
         """Boolean array: the states in which a condition holds; it may contain ``deadlock``.
 
         :raises ExpressionError: the condition cannot be parsed.
@@ -192,14 +193,14 @@ class StateSpace:
     # -- kinds of states ---------------------------------------------------------------------------
 
     @property
-    def is_dead(self) -> Any:
+    def is_dead(self) -> Booleans:
         """Boolean array: no transition is enabled (known only for explored states)."""
         dead = np.diff(self.offsets) == 0
         dead[self.explored :] = False
         return dead
 
     @property
-    def is_vanishing(self) -> Any:
+    def is_vanishing(self) -> Booleans:
         """Boolean array: an immediate transition is enabled, so no time is spent there."""
         timed = np.array([t.timed for t in self.net.transitions] or [True])
         result = np.zeros(len(self), dtype=bool)
@@ -208,14 +209,14 @@ class StateSpace:
         return result
 
     @property
-    def deadlocks(self) -> Any:
+    def deadlocks(self) -> Indices:
         """Numbers of the states in which no transition is enabled."""
         return np.flatnonzero(self.is_dead)
 
     # -- arcs --------------------------------------------------------------------------------------
 
     @property
-    def sources(self) -> Any:
+    def sources(self) -> Indices:
         """int array: the state that each arc leaves."""
         return np.repeat(np.arange(len(self), dtype=self.targets.dtype), np.diff(self.offsets))
 
@@ -304,7 +305,7 @@ def explore(
     room = Allowance(memory, time.monotonic() + seconds)
 
     def space(
-        store: Union[PackedStore, SparseStore], graph: RawGraph, order: Any, name: str
+        store: Union[PackedStore, SparseStore], graph: RawGraph, order: Indices, name: str
     ) -> StateSpace:
         shortage = ("--limit", "")
         if len(store) <= limit:
@@ -325,6 +326,7 @@ def explore(
         except FieldOverflowError as overflow:
             widths = packed.wider(overflow.bits)
         else:
+            assert graph.states is not None  # these engines pack them
             return space(PackedStore(Packing(net, widths), graph.states), graph, packed.order, name)
 
 
@@ -336,7 +338,7 @@ def _is_sparse(net: Net) -> bool:
 
 def _run_sparse(
     net: Net, limit: int, watch: Watch, untimed: bool, room: Allowance
-) -> Tuple[SparseStore, RawGraph, Any]:
+) -> Tuple[SparseStore, RawGraph, Indices]:
     graph, store, order = sparse_engine.explore(
         net, limit, watch, by_priority=not untimed, room=room
     )
@@ -349,7 +351,7 @@ class _Columns:
     def __init__(self, space: StateSpace, part: slice) -> None:
         self._space, self._part = space, part
 
-    def __getitem__(self, place: int) -> Any:
+    def __getitem__(self, place: int) -> Indices:
         return self._space.column(place, self._part)
 
 
@@ -362,7 +364,8 @@ def _run(
         graph = numpy_engine.explore(
             packed, min(limit, _SMALL), watch, rounds=_FEW_ROUNDS, room=room
         )
-        if graph.explored == len(graph.states) or len(graph.states) > limit or not room.left(0):
+        known = len(graph.offsets) - 1
+        if graph.explored == known or known > limit or not room.left(0):
             return graph, "numpy"
     try:
         from gspn_framework_package.analysis.state_space import numba_engine

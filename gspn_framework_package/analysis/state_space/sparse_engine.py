@@ -8,10 +8,11 @@ changed. So the cost of a firing depends on what it changes, not on the size of 
 from __future__ import annotations
 
 from array import array
-from typing import Any, Dict, Iterable, List, Optional, Sequence, Set, Tuple
+from typing import Dict, Iterable, List, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
+from gspn_framework_package.analysis.arrays import Booleans, Indices
 from gspn_framework_package.analysis.graph import flat_ranges
 from gspn_framework_package.analysis.state_space.exploration import (
     ENDLESS,
@@ -50,7 +51,7 @@ initial one."""
 
 def explore(
     net: Net, limit: int, watch: Watch, *, by_priority: bool = True, room: Allowance = ENDLESS
-) -> Tuple[RawGraph, SparseStore, Any]:
+) -> Tuple[RawGraph, SparseStore, Indices]:
     """The reachability graph (without its ``states``), the markings, and the order of the
     transitions: engine order to number in the net.
 
@@ -302,5 +303,5 @@ def _store(net: Net, keys: List[bytes]) -> SparseStore:
     )
 
 
-def _grid(states: int, marked: Any, places: int) -> Any:
+def _grid(states: int, marked: Indices, places: int) -> Booleans:
     return (np.arange(states)[:, None] * places + marked[None, :]).reshape(-1)
