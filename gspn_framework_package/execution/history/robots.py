@@ -168,11 +168,11 @@ class RobotCheck:
                 if kind == "invoked":
                     self.invoked[origin] = float(record.get("mono", 0.0))
                 else:
-                    self._private_move(origin, record)
+                    self._local_transition(origin, record)
             elif kind == "goal":
                 self._goal(record)
         for origin, record in known.items():
-            self._fact(origin, record)
+            self._proposal(origin, record)
 
     def _ruled_out(self, origin: Origin, known: Mapping[Origin, Record]) -> None:
         """Check that a local transition is void only if the robot was lost or has left, or the run
@@ -193,7 +193,7 @@ class RobotCheck:
         where = self.proposals.where.get(origin)
         return where is not None and where[0] < self._length
 
-    def _fact(self, origin: Origin, record: Record) -> None:
+    def _proposal(self, origin: Origin, record: Record) -> None:
         where = self.proposals.where.get(origin)
         if where is None:
             private = record["kind"] == "private"
@@ -208,7 +208,7 @@ class RobotCheck:
                 4, "%s is in slot %d as something else" % (_name(origin), where[0])
             )
         elif record["kind"] == "private":
-            self._merged_move(origin, record, where[0])
+            self._merged_transition(origin, record, where[0])
 
     def _overtaken(self, origin: Origin) -> bool:
         """Whether a proposal of the same robot that is at least as new got into the log and made
@@ -232,7 +232,7 @@ class RobotCheck:
             place, visit, attempt = firing["moves"][0][2], visit + 1, 1
         return place, incarnation, visit, attempt, phase
 
-    def _private_move(self, origin: Origin, record: Record) -> None:
+    def _local_transition(self, origin: Origin, record: Record) -> None:
         entry, firing = record["entry"], record["firing"]
         at = self._position()
         what = "the local transition %s" % _name(origin)
@@ -242,7 +242,7 @@ class RobotCheck:
             raise BrokenRuleError(
                 10, "%s is of visit %d, the robot is at %d" % (what, entry["visit"], at[2])
             )
-        self._is_private(what, at[0], firing)
+        self._check_local(what, at[0], firing)
         if (
             not self._jumped
             and not self._void
@@ -261,7 +261,7 @@ class RobotCheck:
         marking[target] = marking.get(target, 0) + 1
         return {p: n for p, n in marking.items() if n}
 
-    def _is_private(self, what: str, place: str, firing: Record) -> None:
+    def _check_local(self, what: str, place: str, firing: Record) -> None:
         """Check that the transition moves this robot from its place and touches nothing else."""
         arcs = [a for a in self.plan.net.arcs if firing["transition"] in (a.source, a.target)]
         inputs = [a for a in arcs if a.target == firing["transition"]]
@@ -280,7 +280,7 @@ class RobotCheck:
                 % (what, firing["transition"], place),
             )
 
-    def _merged_move(self, origin: Origin, record: Record, slot: int) -> None:
+    def _merged_transition(self, origin: Origin, record: Record, slot: int) -> None:
         """Check that a local transition has the same effect in the agreed log as it had for its
         robot."""
         before = self.situations[slot - 1].get(self.robot) if slot else None

@@ -107,7 +107,7 @@ def a_slot_is_missing(logs: List[EventLog]) -> None:
     logs[0].records.remove(slots(logs[0])[3])
 
 
-def repeated_fact(logs: List[EventLog]) -> None:
+def repeated_proposal(logs: List[EventLog]) -> None:
     for log in logs:
         some = slots(log)
         some[5]["entries"].append(some[4]["entries"][0])
@@ -115,7 +115,7 @@ def repeated_fact(logs: List[EventLog]) -> None:
     rechain(logs)
 
 
-def another_fact(logs: List[EventLog]) -> None:
+def another_proposal(logs: List[EventLog]) -> None:
     record = next(r for r in logs[0].records if r["kind"] == "invoked")
     record["entry"]["result"] = "t7"
 
@@ -145,7 +145,7 @@ def no_votes(logs: List[EventLog]) -> None:
         log.records[:] = [r for r in log.records if r["kind"] != "accepted"]
 
 
-def forgotten_fact(logs: List[EventLog]) -> None:
+def forgotten_proposal(logs: List[EventLog]) -> None:
     origin = ["r1", 0, 999, "x"]
     entry = {"entry": "retry", "robot": "r1"}
     logs[0].records.append({"kind": "invoked", "entry": entry, "origin": origin, "mono": 2.0})
@@ -165,12 +165,12 @@ def forgotten_fact(logs: List[EventLog]) -> None:
         (everywhere(other_visit), {2}),
         (everywhere(teleport), {2}),
         (everywhere(no_firing), {2, 7}),
-        (repeated_fact, {4}),
-        (another_fact, {4}),
+        (repeated_proposal, {4}),
+        (another_proposal, {4}),
         (too_late, {5}),
         (wrong_goal, {8}),
         (second_goal, {8}),
-        (forgotten_fact, {9}),
+        (forgotten_proposal, {9}),
     ],
 )
 def test_a_lie_is_found(lie: Callable[[List[EventLog]], None], rules: Any) -> None:

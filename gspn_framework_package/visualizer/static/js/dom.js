@@ -75,6 +75,16 @@ export const isPressed = (element) =>
 const collator = new Intl.Collator("en", { numeric: true });
 export const natural = (a, b) => collator.compare(a, b);
 
+/** How far a key moves the choice in a list. */
+export const LIST_STEPS = {
+  ArrowDown: 1,
+  ArrowUp: -1,
+  PageDown: 10,
+  PageUp: -10,
+  Home: -Infinity,
+  End: Infinity,
+};
+
 /** Runs an action and shows its error, if any. */
 export async function attempt(action) {
   try {

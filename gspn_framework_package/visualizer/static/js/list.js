@@ -1,6 +1,6 @@
 // The list on the left: places and transitions, enabled ones first, searchable. Only the visible part is drawn.
 
-import { h, $, natural, isPressed } from "./dom.js";
+import { h, $, natural, isPressed, LIST_STEPS } from "./dom.js";
 
 const ROW = 26; // px, as in panels.css
 const ROWS_DRAWN = 150; // more are found by searching
@@ -47,14 +47,7 @@ export class NodeList extends EventTarget {
       }
     };
     this.list.onkeydown = (event) => {
-      const steps = {
-        ArrowDown: 1,
-        ArrowUp: -1,
-        PageDown: 10,
-        PageUp: -10,
-        Home: -Infinity,
-        End: Infinity,
-      }[event.key];
+      const steps = LIST_STEPS[event.key];
       if (steps) {
         event.preventDefault();
         event.stopPropagation();

@@ -1,7 +1,7 @@
 // The firing log: latest first, filtered by transition, robot or place. The arrow keys move through its lines,
 // Enter shows the net as it was after the selected one.
 
-import { h, $, seconds, isPressed } from "./dom.js";
+import { h, $, seconds, isPressed, LIST_STEPS } from "./dom.js";
 import { courseOf } from "./course.js";
 
 const ROWS = 120;
@@ -32,14 +32,7 @@ export class FiringLog extends EventTarget {
   key(event) {
     const rows = [...this.list.querySelectorAll("li[data-n]")];
     if (!rows.length) return;
-    const steps = {
-      ArrowDown: 1,
-      ArrowUp: -1,
-      PageDown: 10,
-      PageUp: -10,
-      Home: -Infinity,
-      End: Infinity,
-    }[event.key];
+    const steps = LIST_STEPS[event.key];
     const at = rows.findIndex((row) => Number(row.dataset.n) === this.chosen);
     if (steps)
       this.choose(
