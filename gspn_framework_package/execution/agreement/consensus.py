@@ -221,10 +221,15 @@ class Consensus:
         else:
             batch = self.proposals.batch(attempt.frozen)
             if self.config.partial:
+                # an eviction of an earlier incarnation has no effect: the robot stays, and has to
+                # be asked for its local transitions
+                robots = state.ledger.state.robots
                 evicted = {
                     item.entry.robot
                     for item in map(Item.from_json, batch)
                     if isinstance(item.entry, log_entries.Evict)
+                    and item.entry.robot in robots
+                    and item.entry.incarnation == robots[item.entry.robot].incarnation
                 }
                 if any(
                     m not in attempt.answered and m not in evicted
