@@ -47,7 +47,18 @@ import os
 import platform
 import re
 import time
-from typing import Any, BinaryIO, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import (
+    Any,
+    BinaryIO,
+    Callable,
+    Dict,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import Firing, firing_from_json
@@ -66,7 +77,14 @@ Record = Dict[str, Any]
 
 
 def header(
-    plan: Plan, run: str, robot: str, log_id: str, *, agents: bool = False, host: str = ""
+    plan: Plan,
+    run: str,
+    robot: str,
+    log_id: str,
+    *,
+    agents: bool = False,
+    host: str = "",
+    virtual: bool = False,
 ) -> Record:
     """The first line of a log.
 
@@ -79,8 +97,9 @@ def header(
         tokens.
     :param host: the host and boot that the monotonic clock belongs to (the writer fills it in).
         Times of different hosts or boots are not compared.
+    :param virtual: whether the run is simulated: its clocks are virtual, and start at 0.
     """
-    return {
+    first = {
         "kind": "header",
         "format": FORMAT,
         "version": VERSION,
@@ -92,6 +111,7 @@ def header(
         "plan_hash": plan.hash(),
         "plan": plan_to_json(plan),
     }
+    return {**first, "clock": "virtual"} if virtual else first
 
 
 def first_hash(plan: Plan) -> str:
@@ -117,11 +137,20 @@ class EventLogWriter:
     :param first: the header for a new file (see :func:`header`).
     :param fsync: wait until durable records are on the disk, so that they also survive a power
         failure.
+    :param clocks: returns the wall clock and the monotonic clock (s).
     :raises LogError: the file belongs to another run, robot or plan, or cannot be written.
     """
 
-    def __init__(self, path: str, first: Record, *, fsync: bool = False) -> None:
+    def __init__(
+        self,
+        path: str,
+        first: Record,
+        *,
+        fsync: bool = False,
+        clocks: Callable[[], Tuple[float, float]] = lambda: (time.time(), time.monotonic()),
+    ) -> None:
         self.path = path
+        self._clocks = clocks
         self._fsync = fsync
         self._sum: Optional[str] = ""
         self._host = _host()
@@ -156,7 +185,8 @@ class EventLogWriter:
             are on the disk.
         :raises LogError: the file cannot be written.
         """
-        clocks = {"wall": round(time.time(), 6), "mono": round(time.monotonic(), 6)}
+        wall, mono = self._clocks()
+        clocks = {"wall": round(wall, 6), "mono": round(mono, 6)}
         data = "".join(self._line({**r, **clocks}) for r in records).encode()
         try:
             while data:

@@ -10,7 +10,12 @@ from gspn_framework_package.formats import thesis_input
 from gspn_framework_package.formats.draft import ReadOptions
 from gspn_framework_package.formats.format import is_xml
 from gspn_framework_package.formats.json_file import JsonDocument, read_document
-from gspn_framework_package.formats.plan_json import check_schema, plan_from_json, policy_from_json
+from gspn_framework_package.formats.plan_json import (
+    LEARNED,
+    check_schema,
+    plan_from_json,
+    policy_from_json,
+)
 from gspn_framework_package.formats.registry import (
     AS_THE_FILE_SAYS,
     read_net,
@@ -179,7 +184,9 @@ def _line(document: JsonDocument, element: str) -> Optional[int]:
     found = re.match(r"(place|transition) '(.*)'$", element)
     net = document.data["net"]
     if found is None:
-        return document.line(element.split(".")) if element else None
+        key, dot, name = element.partition(".")
+        path = [key, name] if dot and key in LEARNED else element.split(".")
+        return document.line(path) if element else None
     if isinstance(net, dict):
         for number, node in enumerate(net.get(found.group(1) + "s", ())):
             if node["name"] == found.group(2):

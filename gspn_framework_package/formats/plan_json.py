@@ -12,6 +12,7 @@ import jsonschema
 from gspn_framework_package.formats.json_file import JsonDocument
 from gspn_framework_package.formats.net_json import net_from_json, net_to_json
 from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.duration import Duration, Evidence, duration_from_json
 from gspn_framework_package.model.errors import ExpressionError, PlanError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import (
@@ -138,6 +139,7 @@ def plan_from_json(
         net = net_from_json(data["net"])
     if policy is None:
         policy = policy_from_json(data["policy"]) if "policy" in data else Policy()
+    net = _with_rates(net, data.get("rates", {}))
     agreement = data.get("agreement", {})
     resources = frozenset(data.get("resource_places", ()))
     robots = _robots(data.get("robots"), file)
@@ -165,6 +167,11 @@ def plan_from_json(
         on_lost=_lost_rule(data.get("on_lost", "hold")),
         on_evict=data.get("on_evict", {}),
         until=until,
+        durations={p: _duration(p, d) for p, d in data.get("durations", {}).items()},
+        outcomes={p: o["probabilities"] for p, o in data.get("outcomes", {}).items()},
+        failures={p: f["probability"] for p, f in data.get("failures", {}).items()},
+        rates={t: float(r["rate"]) for t, r in data.get("rates", {}).items()},
+        evidence=_evidence(data),
         timing=Timing(
             float(agreement.get("evict_after", Timing().evict_after)),
             float(agreement.get("fence_after", Timing().fence_after)),
@@ -175,6 +182,45 @@ def plan_from_json(
         file=file,
     )
     return plan.validate()
+
+
+LEARNED = ("durations", "outcomes", "failures", "rates")
+"""The keys whose entries may say ``of`` what they were learned."""
+
+
+def _with_rates(net: Net, rates: Mapping[str, Any]) -> Net:
+    """The net with the rates of the plan. An unknown or immediate transition is left to
+    :meth:`Plan.validate`."""
+    if not rates:
+        return net
+    transitions = [
+        t._replace(rate=float(rates[t.name]["rate"])) if t.timed and t.name in rates else t
+        for t in net.transitions
+    ]
+    return Net(net.places, transitions, net.arcs, net.name)
+
+
+def _duration(place: str, data: Dict[str, Any]) -> Duration:
+    try:
+        return duration_from_json(data)
+    except PlanError as error:
+        error.element = "durations.%s" % place
+        raise
+
+
+def _evidence(data: Dict[str, Any]) -> Dict[Tuple[str, str], Evidence]:
+    found = {}
+    for key in LEARNED:
+        for name, entry in data.get(key, {}).items():
+            of = entry.get("of")
+            if of is not None:
+                interval = of.get("interval")
+                found[key, name] = Evidence(
+                    of["observations"],
+                    tuple(of.get("logs", ())),
+                    None if interval is None else (float(interval[0]), float(interval[1])),
+                )
+    return found
 
 
 def policy_from_json(data: Dict[str, Any]) -> Policy:
@@ -288,6 +334,25 @@ def plan_to_json(plan: Plan) -> Dict[str, Any]:
     }
     if plan.until is not None:
         data["until"] = plan.until
+    values: Dict[str, Dict[str, Dict[str, Any]]] = {
+        "durations": {p: d.to_json() for p, d in plan.durations.items()},
+        "outcomes": {p: {"probabilities": dict(o)} for p, o in plan.outcomes.items()},
+        "failures": {p: {"probability": f} for p, f in plan.failures.items()},
+        "rates": {t: {"rate": r} for t, r in plan.rates.items()},
+    }
+    for (key, name), evidence in plan.evidence.items():
+        values[key][name]["of"] = evidence_to_json(evidence)
+    data.update({key: entries for key, entries in values.items() if entries})
+    return data
+
+
+def evidence_to_json(evidence: Evidence) -> Dict[str, Any]:
+    """Return the ``of`` of an entry of a plan file."""
+    data: Dict[str, Any] = {"observations": evidence.observations}
+    if evidence.logs:
+        data["logs"] = list(evidence.logs)
+    if evidence.interval is not None:
+        data["interval"] = list(evidence.interval)
     return data
 
 

@@ -66,7 +66,7 @@ class NetBuilder:
     ) -> NetBuilder:
         """Add an exponential transition (``rate`` in 1/s; ``servers`` None for infinitely many) and
         its arcs."""
-        self._transitions.append(Transition(name, True, rate, 1.0, 1, servers, position))
+        self._transitions.append(Transition(name, True, float(rate), 1.0, 1, servers, position))
         return self._connect(name, inputs, outputs, inhibitors)
 
     def arc(self, source: str, target: str, weight: int = 1) -> NetBuilder:

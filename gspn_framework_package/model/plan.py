@@ -9,6 +9,7 @@ from __future__ import annotations
 import enum
 import hashlib
 import json
+import math
 from dataclasses import dataclass, field, replace
 from typing import (
     Any,
@@ -24,9 +25,10 @@ from typing import (
     Union,
 )
 
+from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.policy import Policy
+from gspn_framework_package.model.policy import SUM_TOLERANCE, Policy
 
 MAX_ROBOTS = 10_000
 """Maximum number of robots in a team: a larger number is a typo, and would exhaust the memory."""
@@ -181,6 +183,11 @@ class Plan:
     :ivar on_lost: what robots do when they wait for a lost robot.
     :ivar on_evict: place -> {resource place: tokens given back when a robot is evicted there}.
     :ivar until: a condition on the marking that ends the run, or None.
+    :ivar durations: place -> how long its action takes, for analysis and simulation.
+    :ivar outcomes: place -> {transition that its action names, or "" for none: probability}.
+    :ivar failures: place -> probability that an attempt of its action fails.
+    :ivar rates: transition -> rate (1/s) that replaces the one in the net's file; ``net`` has it.
+    :ivar evidence: (key of the plan file, place or transition) -> where that value was learned.
     :ivar timing: times of the agreement protocol.
     :ivar fsync: whether promises and votes are on the disk before they are sent.
     :ivar witness: names of nodes that vote and have no token.
@@ -206,6 +213,11 @@ class Plan:
     on_lost: LostRule = LostRule()
     on_evict: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     until: Optional[str] = None
+    durations: Mapping[str, Duration] = field(default_factory=dict)
+    outcomes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    failures: Mapping[str, float] = field(default_factory=dict)
+    rates: Mapping[str, float] = field(default_factory=dict)
+    evidence: Mapping[Tuple[str, str], Evidence] = field(default_factory=dict)
     timing: Timing = Timing()
     fsync: bool = False
     witness: Tuple[str, ...] = ()
@@ -343,6 +355,9 @@ class Plan:
             ("timeout", self.timeouts),
             ("on_evict", self.on_evict),
             ("spawn", self.spawn),
+            ("durations", self.durations),
+            ("outcomes", self.outcomes),
+            ("failures", self.failures),
         ):
             for place in places:
                 if place != "*" or what not in ("on_failure", "timeout"):
@@ -369,7 +384,45 @@ class Plan:
                     )
         self._validate_routing()
         self._validate_robots()
+        self._validate_times()
         return self
+
+    def _validate_times(self) -> None:
+        for key in ("durations", "outcomes", "failures"):
+            for place in getattr(self, key):
+                if place in self.resource_places:
+                    raise self._error(
+                        key, place, "a resource place has no action", "remove the entry"
+                    )
+        for place, chances in self.outcomes.items():
+            leaving = self._leaving(place)
+            for transition, chance in chances.items():
+                if transition and transition not in leaving:
+                    raise self._error(
+                        "outcomes",
+                        place,
+                        "'%s' does not leave that place" % transition,
+                        "choose from: %s" % ", ".join(leaving),
+                    )
+                if not 0 <= chance <= 1:
+                    raise self._error("outcomes", place, "%g is not a probability" % chance)
+            total = math.fsum(chances.values())
+            if abs(total - 1.0) > SUM_TOLERANCE:
+                raise self._error(
+                    "outcomes", place, "the probabilities sum to %g, not to 1" % total
+                )
+        for place, chance in self.failures.items():
+            if not 0 <= chance < 1:
+                raise self._error(
+                    "failures", place, "%g is not a possible probability" % chance, "0 <= p < 1"
+                )
+        for name in self.rates:
+            self._known_transition(name, "rates")
+            if not self.net.transition(name).timed:
+                raise self._error("rates", name, "an immediate transition has no rate")
+
+    def _error(self, key: str, name: str, message: str, hint: Optional[str] = None) -> PlanError:
+        return PlanError(message, file=self.file, element="%s.%s" % (key, name), hint=hint)
 
     def _validate_routing(self) -> None:
         for transition, routes in self.routing.items():

@@ -1,0 +1,275 @@
+"""A plan in virtual time: the token game as it is executed, with durations drawn instead of waited
+for.
+
+:class:`VirtualRun` is the reference for every other simulation and for the analysis: it uses the
+token game itself (``token_game``), so its policy draws, priorities, failure rules and time-outs are
+those of a run. Its log is a real event log, whose clocks start at 0.
+
+>>> from gspn_framework_package.model.builder import NetBuilder
+>>> from gspn_framework_package.model.duration import Duration
+>>> from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+>>> net = (NetBuilder().place("a", 1).place("b").exponential("t", rate=1, inputs="a", outputs="b")
+...        .exponential("u", rate=1, inputs="b", outputs="a").build())
+>>> act = FunctionAction("actions.work", "work")
+>>> plan = Plan(net, actions={"a": act, "b": act}, robots=(RobotSpec("r", "a"),),
+...             durations={"a": Duration.deterministic(2.0), "b": Duration.deterministic(3.0)})
+>>> result = VirtualRun(plan).run(time=50.0)
+>>> result.firings["t"], result.mean_tokens["a"]
+(10, 0.4)
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+import random
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.environment import Environment
+from gspn_framework_package.execution.event_log import EventLogWriter
+from gspn_framework_package.execution.firing import CancelAction, Command, Ended, StartAction
+from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
+
+Slowness = Callable[[str, str, float], float]
+"""Called with (robot, place, time in seconds) when an attempt starts; returns the factor by which
+its duration is longer."""
+
+
+class VirtualResult(NamedTuple):
+    """What happened in a virtual run, after its warm-up.
+
+    :ivar time: when it ended (s).
+    :ivar seconds: how long it was observed: without the warm-up.
+    :ivar firings: transition -> number of firings.
+    :ivar mean_tokens: place -> time-averaged number of tokens.
+    :ivar slots: number of log slots.
+    :ivar ended: why the run ended; None if the time or the number of firings was reached.
+    """
+
+    time: float
+    seconds: float
+    firings: Dict[str, int]
+    mean_tokens: Dict[str, float]
+    slots: int
+    ended: Optional[Ended]
+
+    def throughput(self, transition: str) -> float:
+        """Firings per second of a transition."""
+        return self.firings[transition] / self.seconds
+
+
+class VirtualRun:
+    """One run of a plan in virtual time.
+
+    :param plan: a validated plan.
+    :param seed: seed of the durations, outcomes and failures, and of the policy; by default that of
+        the plan.
+    :param agents: whether transitions may create and destroy agents, as in a standalone run.
+    :param loss_rate: how often a robot is lost, per second and robot.
+    :param slowness: makes actions slower; for experiments.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        *,
+        seed: Optional[int] = None,
+        agents: bool = True,
+        loss_rate: float = 0.0,
+        slowness: Optional[Slowness] = None,
+    ) -> None:
+        import numpy as np
+
+        self.plan = plan if seed is None else plan.with_seed(seed)
+        self.timing = PlanTiming(plan)
+        self.game = TokenGame(self.plan, agents=agents)
+        self._ledger = Ledger(self.game)
+        self.state = self._ledger.state
+        self.now = 0.0
+        """The virtual time (s)."""
+        self.result: Optional[Ended] = None
+        """How the run ended; None while it goes on."""
+        self._random = np.random.Generator(np.random.PCG64(self.plan.seed % 2**64))
+        self._environment = Environment(self.game, random.Random(self.plan.seed))
+        self._loss_rate = loss_rate
+        self._slowness = slowness
+        self._log: Optional[EventLogWriter] = None
+        self._heap: List[Tuple[float, int, Optional[StartAction], log_entries.Entry]] = []
+        self._numbers = itertools.count()
+        self._running: Dict[str, Tuple[int, int]] = {}  # robot -> visit, attempt
+        self._choices: Dict[int, Tuple[List[str], List[float]]] = {}
+        self._firings = [0] * len(plan.net.transitions)
+        self._tokens = [0.0] * len(plan.net.places)
+        self._counted_from = 0.0
+
+    def record_to(self, event_log: EventLogWriter) -> None:
+        """Record the run in this log, whose ``clocks`` should be :meth:`clocks`."""
+        self._log = event_log
+
+    def clocks(self) -> Tuple[float, float]:
+        """The virtual time, as the wall clock and as the monotonic clock (s)."""
+        return self.now, self.now
+
+    def run(
+        self,
+        time: float = math.inf,
+        *,
+        firings: Optional[int] = None,
+        warmup: float = 0.0,
+        while_running: Optional[Callable[[int], None]] = None,
+    ) -> VirtualResult:
+        """Run until the plan ends or a limit is reached; once.
+
+        :param time: latest virtual time (s).
+        :param firings: stop after the slot that brings the number of firings to this limit.
+        :param warmup: time (s) at the start that the result leaves out.
+        :param while_running: called with the number of slots at intervals; may raise, to cancel.
+        :raises UsageError: it would never end, or was run before.
+        """
+        if self._ledger.length:
+            raise UsageError("this run was started before", hint="make a new one")
+        self._counted_from = warmup
+        self._reduce([self.game.start_entry()])
+        if self._loss_rate > 0:
+            self._schedule_losses()
+        left = math.inf if firings is None else firings
+        while self.result is None and left > 0:
+            before = sum(self._firings) if firings is not None else 0
+            if not self._step(time):
+                break
+            if firings is not None:
+                left -= sum(self._firings) - before
+            if while_running is not None and self._ledger.length % 1024 == 0:
+                while_running(self._ledger.length)
+        if self.result is None and math.isfinite(time) and left > 0:
+            self._advance(time)
+        if self._log is not None and self.result is None:
+            self._reduce([log_entries.Stop("the end of the simulated time")])
+        return self._summary()
+
+    def _step(self, time: float) -> bool:
+        """The next event, if there is one within ``time``."""
+        fire_at = self._environment.next_time(self.state, self.now)
+        due = self._heap[0][0] if self._heap else math.inf
+        if fire_at is not None and fire_at < due:
+            if fire_at > time:
+                return False
+            self._advance(fire_at)
+            transition = self._environment.due(self.state, fire_at)
+            if transition is not None:
+                self._reduce([log_entries.Fire(transition)])
+            return True
+        if due > time or not self._heap:
+            return False
+        when, _, command, entry = heapq.heappop(self._heap)
+        if command is not None:
+            if self._running.get(command.robot) != (command.visit, command.attempt):
+                return True  # cancelled in the meantime
+            del self._running[command.robot]
+        self._advance(when)
+        self._reduce([entry])
+        return True
+
+    def _advance(self, when: float) -> None:
+        seconds = when - max(self.now, self._counted_from)
+        if seconds > 0:
+            for p, count in enumerate(self.state.marking):
+                if count:
+                    self._tokens[p] += count * seconds
+        self.now = when
+
+    def _reduce(self, entries: List[log_entries.Entry]) -> None:
+        slot = self._ledger.length
+        step = self.game.reduce(self.state, slot, entries)
+        if self._log is not None:
+            self._log.append(self._ledger.record(slot, entries, [], step))
+        if self.now >= self._counted_from:
+            for firing in step.firings:
+                self._firings[self.plan.net.transition_index[firing.transition]] += 1
+        for command in step.commands:
+            self._carry_out(command)
+
+    def _carry_out(self, command: Command) -> None:
+        if isinstance(command, StartAction):
+            self._start(command)
+        elif isinstance(command, CancelAction):
+            self._running.pop(command.robot, None)
+        elif isinstance(command, Ended):
+            self.result = command
+            if self._log is not None:
+                self._log.append(
+                    {"kind": "ended", "reason": command.reason, "finished": command.finished}
+                )
+
+    def _start(self, command: StartAction) -> None:
+        """Draw how long the attempt takes and how it ends."""
+        p = self.plan.net.place_index[command.place]
+        timing = self.timing.of(command.robot, p)
+        seconds = timing.duration.sample(self._random)
+        if self._slowness is not None:
+            seconds *= self._slowness(command.robot, command.place, self.now)
+        timeout = self.plan.timeout(command.place)
+        entry: log_entries.Entry
+        if timeout is not None and seconds > timeout:
+            entry = _failed(command, "timeout", "no result within %g s" % timeout)
+            seconds = timeout
+        elif timing.failure > 0 and self._random.random() < timing.failure:
+            entry = _failed(command, "aborted", "a simulated failure")
+        else:
+            entry = log_entries.Done(
+                command.robot, command.incarnation, command.visit, self._outcome(p, timing.outcomes)
+            )
+        self._running[command.robot] = command.visit, command.attempt
+        self._at(self.now + command.delay + seconds, entry, command)
+
+    def _outcome(self, p: int, outcomes: Tuple[Tuple[int, float], ...]) -> str:
+        if len(outcomes) < 2:
+            return self._result(outcomes[0][0]) if outcomes else ""
+        if p not in self._choices:
+            self._choices[p] = (
+                [self._result(t) for t, _ in outcomes],
+                list(itertools.accumulate(chance for _, chance in outcomes)),
+            )
+        names, levels = self._choices[p]
+        number = self._random.random() * levels[-1]
+        return next((n for n, level in zip(names, levels) if number < level), names[-1])
+
+    def _result(self, t: int) -> str:
+        return "" if t == POLICY else self.plan.net.transitions[t].name
+
+    def _at(
+        self, when: float, entry: log_entries.Entry, command: Optional[StartAction] = None
+    ) -> None:
+        heapq.heappush(self._heap, (when, next(self._numbers), command, entry))
+
+    def _schedule_losses(self) -> None:
+        for robot in self.state.active():
+            when = self._random.exponential(1 / self._loss_rate)
+            self._at(when, log_entries.Evict(robot.name, robot.incarnation))
+
+    def _summary(self) -> VirtualResult:
+        net = self.plan.net
+        seconds = max(self.now - self._counted_from, 0.0)
+        return VirtualResult(
+            self.now,
+            seconds,
+            {t.name: n for t, n in zip(net.transitions, self._firings)},
+            {
+                p.name: total / seconds if seconds else math.nan
+                for p, total in zip(net.places, self._tokens)
+            },
+            self._ledger.length,
+            self.result,
+        )
+
+
+def _failed(command: StartAction, reason: str, detail: str) -> Any:
+    return log_entries.Failed(
+        command.robot, command.incarnation, command.visit, command.attempt, reason, detail
+    )

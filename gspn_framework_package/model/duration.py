@@ -1,0 +1,516 @@
+"""How long an action takes: the distributions that a plan can give to the visits of a place.
+
+A :class:`Duration` is immutable. Its times are in seconds and never negative. The functions of a
+time accept a number or a numpy array, and return the same.
+
+>>> wait = Duration.erlang(4, mean=2.0)
+>>> round(wait.variance, 6), round(wait.cdf(2.0), 3), wait.describe()
+(1.0, 0.567, 'Erlang, mean 2 s, 4 phases')
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+
+from gspn_framework_package.model.errors import PlanError
+
+MAX_PHASES = 1_000_000
+"""Most phases of an Erlang distribution, and most entries of a list."""
+
+Times = Any
+"""A time in seconds (>= 0), or a numpy array of such times."""
+
+
+class Kind(enum.Enum):
+    """The family of a distribution; the value is its name in a plan file."""
+
+    EXPONENTIAL = "exponential"
+    ERLANG = "erlang"
+    GAMMA = "gamma"
+    LOGNORMAL = "lognormal"
+    DETERMINISTIC = "deterministic"
+    UNIFORM = "uniform"
+    EMPIRICAL = "empirical"
+    HYPER_ERLANG = "hyper-erlang"
+
+
+class Branch(NamedTuple):
+    """A branch of a hyper-Erlang distribution: with ``probability``, ``phases`` exponential phases
+    follow each other, each at ``rate`` (1/s)."""
+
+    probability: float
+    phases: int
+    rate: float
+
+
+class Evidence(NamedTuple):
+    """Where a value of a plan was learned: the number of ``observations``, the names of the
+    ``logs``, and the 95 % confidence ``interval`` of the value (for a duration: of its mean, in
+    seconds); None if there is none."""
+
+    observations: int
+    logs: Tuple[str, ...] = ()
+    interval: Optional[Tuple[float, float]] = None
+
+
+@dataclass(frozen=True)
+class Duration:
+    """The distribution of a time. Create one with the class methods, which check the parameters.
+
+    :ivar kind: the family.
+    :ivar mean: the mean (s).
+    :ivar parameters: what the family needs besides the mean: Erlang ``(phases,)``, gamma
+        ``(shape,)``, lognormal ``(sigma,)`` (the standard deviation of the logarithm), uniform
+        ``(low, high)`` (s), empirical: quantiles (s) at equal steps of probability from 0 to 1,
+        between which it is uniform; hyper-Erlang: probability, phases and mean (s) of each branch,
+        one after the other.
+    """
+
+    kind: Kind
+    mean: float
+    parameters: Tuple[float, ...] = ()
+
+    # -- making ------------------------------------------------------------------------------------
+
+    @classmethod
+    def none(cls) -> Duration:
+        """No time at all."""
+        return cls(Kind.DETERMINISTIC, 0.0)
+
+    @classmethod
+    def exponential(cls, mean: float) -> Duration:
+        """An exponential distribution. :raises PlanError: the mean is not a positive number."""
+        return cls(Kind.EXPONENTIAL, _positive(mean, "mean"))
+
+    @classmethod
+    def erlang(cls, phases: int, mean: float) -> Duration:
+        """The sum of ``phases`` exponential times. :raises PlanError: a number is out of range."""
+        return cls(Kind.ERLANG, _positive(mean, "mean"), (_phases(phases),))
+
+    @classmethod
+    def gamma(cls, shape: float, mean: float) -> Duration:
+        """A gamma distribution. :raises PlanError: a number is not positive."""
+        return cls(Kind.GAMMA, _positive(mean, "mean"), (_positive(shape, "shape"),))
+
+    @classmethod
+    def lognormal(cls, sigma: float, mean: float) -> Duration:
+        """A lognormal distribution. :raises PlanError: a number is not positive, or ``sigma``
+        exceeds 10."""
+        if sigma > 10.0:
+            raise PlanError("a sigma of %g is too large" % sigma, hint="at most 10")
+        return cls(Kind.LOGNORMAL, _positive(mean, "mean"), (_positive(sigma, "sigma"),))
+
+    @classmethod
+    def deterministic(cls, mean: float) -> Duration:
+        """Always the same time. :raises PlanError: it is not a number of at least 0."""
+        return cls(Kind.DETERMINISTIC, _at_least_0(mean, "mean"))
+
+    @classmethod
+    def uniform(cls, low: float, high: float) -> Duration:
+        """A uniform distribution. :raises PlanError: not 0 <= low < high."""
+        if not _at_least_0(low, "low") < _positive(high, "high"):
+            raise PlanError("low (%g) is not below high (%g)" % (low, high))
+        return cls(Kind.UNIFORM, low + (high - low) / 2, (float(low), float(high)))
+
+    @classmethod
+    def empirical(cls, quantiles: Sequence[float]) -> Duration:
+        """A distribution given by its quantiles at equal steps of probability from 0 to 1.
+
+        :raises PlanError: there are fewer than two, they fall, or all are equal.
+        """
+        if not 2 <= len(quantiles) <= MAX_PHASES:
+            raise PlanError("%d quantiles are no distribution" % len(quantiles))
+        values = tuple(float(_at_least_0(q, "quantile")) for q in quantiles)
+        if any(a > b for a, b in zip(values, values[1:])) or values[0] == values[-1]:
+            raise PlanError(
+                "the quantiles do not rise", hint="list them from the shortest time to the longest"
+            )
+        mean = math.fsum((a + b) / 2 for a, b in zip(values, values[1:])) / (len(values) - 1)
+        return cls(Kind.EMPIRICAL, mean, values)
+
+    @classmethod
+    def hyper_erlang(cls, branches: Sequence[Tuple[float, int, float]]) -> Duration:
+        """A mixture of Erlang distributions.
+
+        :param branches: (probability, phases, mean in seconds) of each.
+        :raises PlanError: there is none, a number is out of range, or the probabilities do not sum
+            to 1.
+        """
+        if not 1 <= len(branches) <= MAX_PHASES:
+            raise PlanError("%d branches are no distribution" % len(branches))
+        total = math.fsum(_positive(p, "probability") for p, _, _ in branches)
+        if abs(total - 1.0) > 1e-6:
+            raise PlanError("the probabilities of the branches sum to %g, not to 1" % total)
+        flat: List[float] = []
+        for probability, phases, mean in branches:
+            flat += [probability / total, _phases(phases), _positive(mean, "mean")]
+        mean = math.fsum(flat[i] * flat[i + 2] for i in range(0, len(flat), 3))
+        return cls(Kind.HYPER_ERLANG, mean, tuple(flat))
+
+    # -- moments -----------------------------------------------------------------------------------
+
+    @property
+    def variance(self) -> float:
+        """The variance (s^2)."""
+        if self.kind is Kind.EXPONENTIAL:
+            return self.mean**2
+        if self.kind in (Kind.ERLANG, Kind.GAMMA):
+            return self.mean**2 / self.parameters[0]
+        if self.kind is Kind.LOGNORMAL:
+            return self.mean**2 * math.expm1(self.parameters[0] ** 2)
+        if self.kind is Kind.UNIFORM:
+            low, high = self.parameters
+            return (high - low) ** 2 / 12
+        if self.kind is Kind.EMPIRICAL:
+            steps = list(zip(self.parameters, self.parameters[1:]))
+            square = math.fsum((a * a + a * b + b * b) / 3 for a, b in steps) / len(steps)
+            return max(square - self.mean**2, 0.0)
+        if self.kind is Kind.HYPER_ERLANG:
+            square = math.fsum(p * m * m * (1 + 1 / k) for p, k, m in self._mixture())
+            return max(square - self.mean**2, 0.0)
+        return 0.0
+
+    @property
+    def variation(self) -> float:
+        """The coefficient of variation: the standard deviation divided by the mean."""
+        return math.sqrt(self.variance) / self.mean if self.mean > 0 else 0.0
+
+    @property
+    def branches(self) -> Optional[Tuple[Branch, ...]]:
+        """The exponential phases that it is made of; None if it is not made of any."""
+        if self.kind is Kind.EXPONENTIAL:
+            return (Branch(1.0, 1, 1 / self.mean),)
+        if self.kind is Kind.ERLANG:
+            phases = int(self.parameters[0])
+            return (Branch(1.0, phases, phases / self.mean),)
+        if self.kind is Kind.HYPER_ERLANG:
+            return tuple(Branch(p, int(k), k / m) for p, k, m in self._mixture())
+        return None
+
+    def _mixture(self) -> List[Tuple[float, float, float]]:
+        p = self.parameters
+        return [(p[i], p[i + 1], p[i + 2]) for i in range(0, len(p), 3)]
+
+    def scaled(self, factor: float) -> Duration:
+        """The distribution of the time multiplied by ``factor`` (> 0)."""
+        parameters = self.parameters
+        if self.kind in (Kind.UNIFORM, Kind.EMPIRICAL):
+            parameters = tuple(value * factor for value in parameters)
+        elif self.kind is Kind.HYPER_ERLANG:
+            parameters = tuple(
+                value * factor if i % 3 == 2 else value for i, value in enumerate(parameters)
+            )
+        return Duration(self.kind, self.mean * factor, parameters)
+
+    # -- functions of a time -----------------------------------------------------------------------
+
+    def cdf(self, x: Times) -> Any:
+        """The probability of a time of at most ``x``."""
+        return self._of(x, self._cdf)
+
+    def survival(self, x: Times) -> Any:
+        """The probability of a time above ``x``."""
+        return self._of(x, self._survival)
+
+    def log_density(self, x: Times) -> Any:
+        """The logarithm of the density (1/s) at ``x``; -inf where there is none. A deterministic
+        time has no density: infinity at its value."""
+        return self._of(x, self._log_density)
+
+    def hazard_integral(self, x: Times) -> Any:
+        """The integral of the hazard from 0 to ``x``, which is -log of the survival; infinite where
+        no time is longer."""
+        return self._of(x, lambda y: abs(self._hazard_integral(y)))  # abs: no -0.0
+
+    def quantile(self, p: Times) -> Any:
+        """The time that is not exceeded with probability ``p`` in [0, 1]."""
+        return self._of(p, self._quantile)
+
+    def sample(self, generator: Any, size: Optional[int] = None) -> Any:
+        """Draw a time, or an array of ``size`` times.
+
+        :param generator: a ``numpy.random.Generator``.
+        """
+        import numpy as np
+
+        count = 1 if size is None else size
+        if self.kind is Kind.EXPONENTIAL:
+            drawn = generator.exponential(self.mean, count)
+        elif self.kind in (Kind.ERLANG, Kind.GAMMA):
+            shape = self.parameters[0]
+            drawn = generator.gamma(shape, self.mean / shape, count)
+        elif self.kind is Kind.LOGNORMAL:
+            drawn = generator.lognormal(self._mu, self.parameters[0], count)
+        elif self.kind is Kind.UNIFORM:
+            drawn = generator.uniform(*self.parameters, count)
+        elif self.kind is Kind.EMPIRICAL:
+            drawn = self._quantile(generator.random(count))
+        elif self.kind is Kind.HYPER_ERLANG:
+            mixture = np.array(self._mixture())
+            chosen = mixture[generator.choice(len(mixture), count, p=mixture[:, 0])]
+            drawn = generator.gamma(chosen[:, 1], chosen[:, 2] / chosen[:, 1])
+        else:
+            drawn = np.full(count, self.mean)
+        return float(drawn[0]) if size is None else drawn
+
+    @property
+    def _mu(self) -> float:
+        return math.log(self.mean) - self.parameters[0] ** 2 / 2
+
+    def _of(self, x: Times, function: Any) -> Any:
+        import numpy as np
+
+        with np.errstate(divide="ignore", invalid="ignore"):
+            values = function(np.atleast_1d(np.asarray(x, dtype=np.float64)))
+        return float(values[0]) if np.ndim(x) == 0 else values
+
+    def _cdf(self, x: Any) -> Any:
+        import numpy as np
+        from scipy import special
+
+        if self.kind is Kind.EXPONENTIAL:
+            return -np.expm1(-x / self.mean)
+        if self.kind in (Kind.ERLANG, Kind.GAMMA):
+            shape = self.parameters[0]
+            return special.gammainc(shape, x * shape / self.mean)
+        if self.kind is Kind.LOGNORMAL:
+            return special.ndtr((np.log(x) - self._mu) / self.parameters[0])
+        if self.kind is Kind.UNIFORM:
+            low, high = self.parameters
+            return np.clip((x - low) / (high - low), 0.0, 1.0)
+        if self.kind is Kind.EMPIRICAL:
+            # where quantiles are equal, interp takes the last one: right-continuous, as it must be
+            levels = np.linspace(0.0, 1.0, len(self.parameters))
+            return np.interp(x, np.array(self.parameters), levels, left=0.0, right=1.0)
+        if self.kind is Kind.HYPER_ERLANG:
+            return sum(p * special.gammainc(k, x * k / m) for p, k, m in self._mixture())
+        return (x >= self.mean).astype(np.float64)
+
+    def _survival(self, x: Any) -> Any:
+        import numpy as np
+        from scipy import special
+
+        if self.kind is Kind.EXPONENTIAL:
+            return np.exp(-x / self.mean)
+        if self.kind in (Kind.ERLANG, Kind.GAMMA):
+            shape = self.parameters[0]
+            return special.gammaincc(shape, x * shape / self.mean)
+        if self.kind is Kind.LOGNORMAL:
+            return special.ndtr(-(np.log(x) - self._mu) / self.parameters[0])
+        if self.kind is Kind.HYPER_ERLANG:
+            return sum(p * special.gammaincc(k, x * k / m) for p, k, m in self._mixture())
+        return 1.0 - self._cdf(x)
+
+    def _hazard_integral(self, x: Any) -> Any:
+        import numpy as np
+        from scipy import special
+
+        if self.kind is Kind.EXPONENTIAL:
+            return x / self.mean
+        if self.kind is Kind.LOGNORMAL:
+            return -special.log_ndtr(-(np.log(x) - self._mu) / self.parameters[0])
+        if self.kind in (Kind.ERLANG, Kind.GAMMA):
+            shape = self.parameters[0]
+            return -_log_gamma_survival(shape, x * shape / self.mean)
+        if self.kind is Kind.HYPER_ERLANG:
+            parts = [math.log(p) + _log_gamma_survival(k, x * k / m) for p, k, m in self._mixture()]
+            return -special.logsumexp(np.array(parts), axis=0)
+        return -np.log(self._survival(x))
+
+    def _log_density(self, x: Any) -> Any:
+        import numpy as np
+        from scipy import special
+
+        if self.kind is Kind.EXPONENTIAL:
+            return -x / self.mean - math.log(self.mean)
+        if self.kind in (Kind.ERLANG, Kind.GAMMA):
+            return _log_gamma_density(self.parameters[0], self.mean, x)
+        if self.kind is Kind.LOGNORMAL:
+            sigma = self.parameters[0]
+            z = (np.log(x) - self._mu) / sigma
+            found = -(z**2) / 2 - np.log(x) - math.log(sigma * math.sqrt(2 * math.pi))
+            return np.where(x > 0, found, -np.inf)
+        if self.kind is Kind.UNIFORM:
+            low, high = self.parameters
+            return np.where((x >= low) & (x <= high), -math.log(high - low), -np.inf)
+        if self.kind is Kind.EMPIRICAL:
+            values = np.array(self.parameters)
+            i = np.clip(np.searchsorted(values, x, side="right") - 1, 0, len(values) - 2)
+            inside = (x >= values[0]) & (x <= values[-1])
+            width = values[i + 1] - values[i]
+            return np.where(inside, -np.log(width * (len(values) - 1)), -np.inf)
+        if self.kind is Kind.HYPER_ERLANG:
+            parts = [math.log(p) + _log_gamma_density(k, m, x) for p, k, m in self._mixture()]
+            return special.logsumexp(np.array(parts), axis=0)
+        return np.where(x == self.mean, np.inf, -np.inf)
+
+    def _quantile(self, p: Any) -> Any:
+        import numpy as np
+        from scipy import special
+
+        if self.kind is Kind.EXPONENTIAL:
+            return -self.mean * np.log1p(-p)
+        if self.kind in (Kind.ERLANG, Kind.GAMMA):
+            shape = self.parameters[0]
+            return special.gammaincinv(shape, p) * self.mean / shape
+        if self.kind is Kind.LOGNORMAL:
+            return np.exp(self._mu + self.parameters[0] * special.ndtri(p))
+        if self.kind is Kind.UNIFORM:
+            low, high = self.parameters
+            return low + p * (high - low)
+        if self.kind is Kind.EMPIRICAL:
+            steps = len(self.parameters) - 1
+            return np.interp(p * steps, np.arange(steps + 1), np.array(self.parameters))
+        if self.kind is Kind.HYPER_ERLANG:
+            return self._quantile_by_bisection(p)
+        return np.full_like(p, self.mean)
+
+    def _quantile_by_bisection(self, p: Any) -> Any:
+        import numpy as np
+
+        low = np.zeros_like(p)
+        high = np.full_like(p, max(m for _, _, m in self._mixture()))
+        while (self._cdf(high) < np.minimum(p, 1 - 1e-15)).any():
+            high = np.where(self._cdf(high) < p, high * 2, high)
+        for _ in range(60):
+            middle = (low + high) / 2
+            below = self._cdf(middle) < p
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return np.where(p >= 1, np.inf, np.where(p <= 0, 0.0, high))
+
+    # -- for people and files ----------------------------------------------------------------------
+
+    def describe(self) -> str:
+        """The distribution in a few words, for people."""
+        mean = "mean %.4g s" % self.mean
+        if self.kind is Kind.ERLANG:
+            return "Erlang, %s, %d phases" % (mean, self.parameters[0])
+        if self.kind is Kind.GAMMA:
+            return "gamma, %s, shape %.4g" % (mean, self.parameters[0])
+        if self.kind is Kind.LOGNORMAL:
+            return "lognormal, %s, sigma %.4g" % (mean, self.parameters[0])
+        if self.kind is Kind.UNIFORM:
+            return "uniform, from %.4g s to %.4g s" % self.parameters
+        if self.kind is Kind.EMPIRICAL:
+            return "empirical, %s, %d quantiles" % (mean, len(self.parameters))
+        if self.kind is Kind.HYPER_ERLANG:
+            return "hyper-Erlang, %s, %d branches" % (mean, len(self._mixture()))
+        if self.kind is Kind.DETERMINISTIC and self.mean == 0:
+            return "no time"
+        return "%s, %s" % (self.kind.value, mean)
+
+    def to_json(self) -> Dict[str, Any]:
+        """The distribution as in a plan file."""
+        data: Dict[str, Any] = {"mean": self.mean, "distribution": self.kind.value}
+        if self.kind is Kind.HYPER_ERLANG:
+            data["branches"] = [
+                {"probability": p, "phases": int(k), "mean": m} for p, k, m in self._mixture()
+            ]
+        elif self.kind is Kind.EMPIRICAL:
+            data["quantiles"] = list(self.parameters)
+        else:
+            for key, value in zip(_KEYS[self.kind], self.parameters):
+                data[key] = int(value) if key == "phases" else value
+        return data
+
+
+_KEYS: Mapping[Kind, Tuple[str, ...]] = {
+    Kind.EXPONENTIAL: (),
+    Kind.ERLANG: ("phases",),
+    Kind.GAMMA: ("shape",),
+    Kind.LOGNORMAL: ("sigma",),
+    Kind.DETERMINISTIC: (),
+    Kind.UNIFORM: ("low", "high"),
+    Kind.EMPIRICAL: ("quantiles",),
+    Kind.HYPER_ERLANG: ("branches",),
+}
+"""What a plan file gives for each family besides the mean."""
+
+_FOLLOWS = (Kind.UNIFORM, Kind.EMPIRICAL, Kind.HYPER_ERLANG)
+"""Families whose other parameters determine the mean; a plan file need not give it."""
+
+
+def duration_from_json(data: Mapping[str, Any]) -> Duration:
+    """The distribution in an object of a plan file that fits the schema.
+
+    :raises PlanError: a parameter is missing, does not belong to the family, or is out of range;
+        the mean contradicts the other parameters.
+    """
+    kind = Kind(data.get("distribution", Kind.EXPONENTIAL.value))
+    keys = _KEYS[kind] + (() if kind in _FOLLOWS else ("mean",))
+    missing = [key for key in keys if key not in data]
+    known = {"mean", "distribution", "of", *keys}
+    foreign = sorted(set(data) - known)
+    if missing or foreign:
+        raise PlanError(
+            "'%s' is missing" % missing[0]
+            if missing
+            else "'%s' does not belong to this distribution" % foreign[0],
+            hint="%s takes: %s" % (kind.value, ", ".join(sorted(set(keys) | {"mean"}))),
+        )
+    if kind is Kind.HYPER_ERLANG:
+        found = Duration.hyper_erlang(
+            [(b["probability"], b["phases"], b["mean"]) for b in data["branches"]]
+        )
+    elif kind is Kind.EMPIRICAL:
+        found = Duration.empirical(data["quantiles"])
+    elif kind is Kind.UNIFORM:
+        found = Duration.uniform(data["low"], data["high"])
+    elif kind is Kind.ERLANG:
+        found = Duration.erlang(data["phases"], data["mean"])
+    elif kind is Kind.GAMMA:
+        found = Duration.gamma(data["shape"], data["mean"])
+    elif kind is Kind.LOGNORMAL:
+        found = Duration.lognormal(data["sigma"], data["mean"])
+    elif kind is Kind.EXPONENTIAL:
+        found = Duration.exponential(data["mean"])
+    else:
+        found = Duration.deterministic(data["mean"])
+    mean = data.get("mean", found.mean)
+    if abs(mean - found.mean) > 0.01 * found.mean:
+        raise PlanError(
+            "the mean is given as %g s, but follows as %g s" % (mean, found.mean),
+            hint="leave it out",
+        )
+    return found
+
+
+def _log_gamma_survival(shape: float, x: Any) -> Any:
+    """The logarithm of the regularised upper incomplete gamma function, also where the function
+    itself is too small for a float (first term of its asymptotic series, DLMF 8.11.2)."""
+    import numpy as np
+    from scipy import special
+
+    plain = special.gammaincc(shape, x)
+    far = (shape - 1) * np.log(x) - x - special.gammaln(shape) - np.log1p((1 - shape) / x)
+    return np.where(plain > 1e-290, np.log(plain), far)
+
+
+def _log_gamma_density(shape: float, mean: float, x: Any) -> Any:
+    from scipy import special
+
+    rate = shape / mean
+    return (
+        special.xlogy(shape, rate) + special.xlogy(shape - 1, x) - rate * x - special.gammaln(shape)
+    )
+
+
+def _positive(value: float, what: str) -> float:
+    if not (math.isfinite(value) and value > 0):
+        raise PlanError("%g is not a possible %s" % (value, what), hint="give a positive number")
+    return float(value)
+
+
+def _at_least_0(value: float, what: str) -> float:
+    if not (math.isfinite(value) and value >= 0):
+        raise PlanError("%g is not a possible %s" % (value, what), hint="give a number >= 0")
+    return float(value)
+
+
+def _phases(value: float) -> float:
+    if value != int(value) or not 1 <= value <= MAX_PHASES:
+        raise PlanError("%g phases are not possible" % value, hint="from 1 to %d" % MAX_PHASES)
+    return float(int(value))

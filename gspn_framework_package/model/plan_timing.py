@@ -1,0 +1,202 @@
+"""The times of a plan as it runs: a robot is *doing* the action of its place for a duration, then
+*done* with an outcome, and the transition that it asks for fires as soon as it can.
+
+The duration and the outcomes of a place come from the plan (``durations``, ``outcomes``,
+``failures``). Where it gives none, the net does: with exponential transitions of the rates r_1,
+r_2, ... leaving the place, the duration is exponential with the mean 1 / (r_1 + r_2 + ...), and
+outcome j has the probability r_j / (r_1 + r_2 + ...). A robot in a decision place takes no time
+then, and the policy decides. A place without an action takes no time in any case.
+
+This is the same as the classical reading of the net, in which exponential transitions race while
+they are enabled, wherever nothing but the robot's own token can disable them, since exponential
+times have no memory. :attr:`PlanTiming.splits` names the places where the two differ.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, List, NamedTuple, Optional, Tuple
+
+from gspn_framework_package.model.duration import Duration, Kind
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
+
+POLICY = -1
+"""The outcome of an action that names no transition: the policy decides."""
+
+
+class PlaceTiming(NamedTuple):
+    """What a robot in an action place does with its time.
+
+    :ivar duration: how long an attempt at the action takes, if the timeout does not cut it off.
+    :ivar outcomes: pairs (transition number or :data:`POLICY`, probability); empty if no
+        transition leaves the place.
+    :ivar failure: the probability that an attempt fails.
+    :ivar blocked: why a transition that the robot asks for may have to wait, for people; empty if
+        nothing but the robot's own token can disable any of them.
+    """
+
+    duration: Duration
+    outcomes: Tuple[Tuple[int, float], ...]
+    failure: float
+    blocked: str
+
+
+class PlanTiming:
+    """The times of a plan's places.
+
+    :param plan: a validated plan.
+
+    :ivar places: number of each action place -> its timing, with the action of the team.
+    :ivar assumptions: what the plan leaves open and this class had to assume: sentences for people.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._net = plan.net
+        self.assumptions: List[str] = []
+        self.places: Dict[int, PlaceTiming] = {
+            self._net.place_index[name]: self._timing(name) for name in plan.action_places
+        }
+        self._idle = {
+            p: timing._replace(
+                duration=Duration.none(), outcomes=self._asked_at_once(p), failure=0.0
+            )
+            for p, timing in self.places.items()
+        }
+        self._assume()
+
+    def of(self, robot: str, place: int) -> PlaceTiming:
+        """The timing of ``robot`` in action place number ``place``, with the action of its own if
+        it has one."""
+        if self._plan.action(robot, self._net.places[place].name) is None:
+            return self._idle[place]
+        return self.places[place]
+
+    @property
+    def splits(self) -> Dict[str, str]:
+        """Place -> why the run differs there from the classical reading of the net: the places
+        where *doing* and *done* must be told apart."""
+        found = {}
+        for p, timing in self.places.items():
+            name = self._net.places[p].name
+            if self._plan.actions.get(name) is None:
+                timing = self._idle[p]
+            why = self._why_split(p, timing)
+            if why:
+                found[name] = why
+        return found
+
+    def _why_split(self, p: int, timing: PlaceTiming) -> str:
+        leaving = self._net.consumers[p]
+        timed = [t for t in leaving if self._net.transitions[t].timed]
+        if not leaving:
+            return ""
+        if timing.duration.mean == 0:
+            return "its action takes no time" if timed else ""
+        if timing.duration.kind is not Kind.EXPONENTIAL:
+            return "its action takes a time that is not exponential (%s)" % (
+                timing.duration.describe()
+            )
+        if len(timed) < len(leaving):
+            return "its action takes time before the policy decides"
+        return timing.blocked
+
+    # -- one place ---------------------------------------------------------------------------------
+
+    def _timing(self, name: str) -> PlaceTiming:
+        plan, net = self._plan, self._net
+        p = net.place_index[name]
+        if plan.actions.get(name) is None and not any(name in r.actions for r in plan.robots):
+            return PlaceTiming(Duration.none(), self._asked_at_once(p), 0.0, self._blocked(p))
+        given = plan.durations.get(name)
+        rates = [(t, net.transitions[t].rate) for t in net.consumers[p] if net.transitions[t].timed]
+        decides = len(rates) < len(net.consumers[p])
+        total = sum(rate for _, rate in rates)
+        if given is not None:
+            duration = given
+        elif decides or not rates:
+            duration = Duration.none()
+        else:
+            duration = Duration.exponential(1 / total)
+        outcomes = plan.outcomes.get(name)
+        if outcomes is not None:
+            pairs = tuple(
+                (net.transition_index[t] if t else POLICY, chance)
+                for t, chance in outcomes.items()
+                if chance > 0
+            )
+        elif decides:
+            pairs = ((POLICY, 1.0),)
+        else:
+            pairs = tuple((t, rate / total) for t, rate in rates)
+        return PlaceTiming(duration, pairs, plan.failures.get(name, 0.0), self._blocked(p))
+
+    def _asked_at_once(self, p: int) -> Tuple[Tuple[int, float], ...]:
+        """What a robot asks for in a place without an action (``docs/semantics.md``): the policy if
+        it has a say, else the only transition."""
+        leaving = self._net.consumers[p]
+        if any(not self._net.transitions[t].timed for t in leaving):
+            return ((POLICY, 1.0),)
+        return ((leaving[0], 1.0),) if len(leaving) == 1 else ()
+
+    def _blocked(self, p: int) -> str:
+        for t in self._net.consumers[p]:
+            if self._net.transitions[t].timed:
+                why = why_blocked(self._net, t, p)
+                if why:
+                    return "%s %s" % (self._net.transitions[t].name, why)
+        return ""
+
+    # -- what was assumed --------------------------------------------------------------------------
+
+    def _assume(self) -> None:
+        plan, net = self._plan, self._net
+        no_time: List[str] = []
+        by_rates: List[str] = []
+        for p, timing in self.places.items():
+            name = net.places[p].name
+            if plan.actions.get(name) is None or not net.consumers[p]:
+                continue
+            if name not in plan.durations:
+                (no_time if timing.duration.mean == 0 else by_rates).append(name)
+        if no_time:
+            self.assumptions.append(
+                "the actions of %s take no time, since the plan gives no durations for them"
+                % _listed(no_time)
+            )
+        if by_rates:
+            self.assumptions.append(
+                "the actions of %s take exponential times, by the rates of the net"
+                % _listed(by_rates)
+            )
+        decided = [
+            net.places[p].name
+            for p, timing in self.places.items()
+            if timing.outcomes == ((POLICY, 1.0),)
+            and net.places[p].name not in plan.outcomes
+            and plan.actions.get(net.places[p].name) is not None
+        ]
+        if decided:
+            self.assumptions.append("the policy, not the action, decides in %s" % _listed(decided))
+
+
+def why_blocked(net: Net, t: int, place: int) -> str:
+    """What may disable transition number ``t`` besides the one token in ``place`` that asks for it,
+    for people; empty if nothing can."""
+    for p, weight in net.inputs[t]:
+        if p != place:
+            return "also takes from %s" % net.places[p].name
+        if weight > 1:
+            return "takes %d tokens" % weight
+    for p, _ in net.inhibitors[t]:
+        return "has an inhibitor arc from %s" % net.places[p].name
+    for p, change in net.effect(t):
+        if change > 0 and net.places[p].capacity is not None:
+            return "leads to %s, which has a capacity" % net.places[p].name
+    return ""
+
+
+def _listed(names: List[str], most: int = 5) -> str:
+    """The first names of a list, and how many more there are."""
+    more: Optional[str] = "and %d more" % (len(names) - most) if len(names) > most else None
+    return ", ".join(names[:most]) + (", " + more if more else "")
