@@ -37,7 +37,7 @@ class Kind(enum.Enum):
     HYPER_ERLANG = "hyper-erlang"
 
 
-class Branch(NamedTuple):
+class ErlangBranch(NamedTuple):
     """A branch of a hyper-Erlang distribution: with ``probability``, ``phases`` exponential phases
     follow each other, each at ``rate`` (1/s)."""
 
@@ -179,15 +179,15 @@ class Duration:
         return math.sqrt(self.variance) / self.mean if self.mean > 0 else 0.0
 
     @property
-    def branches(self) -> Optional[Tuple[Branch, ...]]:
+    def branches(self) -> Optional[Tuple[ErlangBranch, ...]]:
         """The exponential phases that it is made of; None if it is not made of any."""
         if self.kind is Kind.EXPONENTIAL:
-            return (Branch(1.0, 1, 1 / self.mean),)
+            return (ErlangBranch(1.0, 1, 1 / self.mean),)
         if self.kind is Kind.ERLANG:
             phases = int(self.parameters[0])
-            return (Branch(1.0, phases, phases / self.mean),)
+            return (ErlangBranch(1.0, phases, phases / self.mean),)
         if self.kind is Kind.HYPER_ERLANG:
-            return tuple(Branch(p, int(k), k / m) for p, k, m in self._mixture())
+            return tuple(ErlangBranch(p, int(k), k / m) for p, k, m in self._mixture())
         return None
 
     def _mixture(self) -> List[Tuple[float, float, float]]:
