@@ -5,7 +5,8 @@ The duration and the outcomes of a place come from the plan (``durations``, ``ou
 ``failures``). Where it gives none, the net does: with exponential transitions of the rates r_1,
 r_2, ... leaving the place, the duration is exponential with the mean 1 / (r_1 + r_2 + ...), and
 outcome j has the probability r_j / (r_1 + r_2 + ...). A robot in a decision place takes no time
-then, and the policy decides. A place without an action takes no time in any case.
+then, and the policy decides. A place that is mapped to no action (``null``) takes no time in any
+case; one that the plan does not map at all is treated as if it had an action.
 
 This is the same as the classical reading of the net, in which exponential transitions race while
 they are enabled, wherever nothing but the robot's own token can disable them, since exponential
@@ -68,9 +69,7 @@ class PlanTiming:
     def of(self, robot: str, place: int) -> PlaceTiming:
         """The timing of ``robot`` in action place number ``place``, with the action of its own if
         it has one."""
-        if self._plan.action(robot, self._net.places[place].name) is None:
-            return self._idle[place]
-        return self.places[place]
+        return self._idle[place] if self._is_idle(place, robot) else self.places[place]
 
     @property
     def splits(self) -> Dict[str, str]:
@@ -78,13 +77,18 @@ class PlanTiming:
         where *doing* and *done* must be told apart."""
         found = {}
         for p, timing in self.places.items():
-            name = self._net.places[p].name
-            if self._plan.actions.get(name) is None:
-                timing = self._idle[p]
-            why = self._why_split(p, timing)
+            why = self._why_split(p, self._idle[p] if self._is_idle(p) else timing)
             if why:
-                found[name] = why
+                found[self._net.places[p].name] = why
         return found
+
+    def _is_idle(self, p: int, robot: str = "") -> bool:
+        """Whether the place is mapped to no action: for the robot, or for the team."""
+        name = self._net.places[p].name
+        for spec in self._plan.robots:
+            if spec.name == robot and name in spec.actions:
+                return spec.actions[name] is None
+        return name in self._plan.actions and self._plan.actions[name] is None
 
     def _why_split(self, p: int, timing: PlaceTiming) -> str:
         leaving = self._net.consumers[p]
@@ -106,7 +110,7 @@ class PlanTiming:
     def _timing(self, name: str) -> PlaceTiming:
         plan, net = self._plan, self._net
         p = net.place_index[name]
-        if plan.actions.get(name) is None and not any(name in r.actions for r in plan.robots):
+        if self._is_idle(p) and not any(name in r.actions for r in plan.robots):
             return PlaceTiming(Duration.none(), self._asked_at_once(p), 0.0, self._blocked(p))
         given = plan.durations.get(name)
         rates = [(t, net.transitions[t].rate) for t in net.consumers[p] if net.transitions[t].timed]
@@ -155,7 +159,7 @@ class PlanTiming:
         by_rates: List[str] = []
         for p, timing in self.places.items():
             name = net.places[p].name
-            if plan.actions.get(name) is None or not net.consumers[p]:
+            if self._is_idle(p) or not net.consumers[p]:
                 continue
             if name not in plan.durations:
                 (no_time if timing.duration.mean == 0 else by_rates).append(name)
@@ -174,7 +178,7 @@ class PlanTiming:
             for p, timing in self.places.items()
             if timing.outcomes == ((POLICY, 1.0),)
             and net.places[p].name not in plan.outcomes
-            and plan.actions.get(net.places[p].name) is not None
+            and not self._is_idle(p)
         ]
         if decided:
             self.assumptions.append("the policy, not the action, decides in %s" % _listed(decided))
