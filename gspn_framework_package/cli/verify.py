@@ -5,11 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from typing import List
 
-from gspn_framework_package.execution.event_log import DamagedLogError, read_log
+from gspn_framework_package.execution.event_log import DamagedLogError, log_files, read_log
 from gspn_framework_package.execution.history import Verdict, Violation, verify
-from gspn_framework_package.model.errors import LogError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check the logs and print the verdict."""
-    files = _files(args.logs)
+    files = log_files(args.logs)
     sizes = [os.path.getsize(path) if os.path.exists(path) else None for path in files]
     try:
         logs = [read_log(path, size) for path, size in zip(files, sizes)]
@@ -58,16 +56,3 @@ def run(args: argparse.Namespace) -> int:
         else:
             print("valid")
     return 0 if verdict.violation is None else 1
-
-
-def _files(paths: List[str]) -> List[str]:
-    found = []
-    for path in paths:
-        if os.path.isdir(path):
-            inside = sorted(os.path.join(path, f) for f in os.listdir(path) if f.endswith(".jsonl"))
-            if not inside:
-                raise LogError("holds no event logs (*.jsonl)", file=path)
-            found += inside
-        else:
-            found.append(path)
-    return found

@@ -61,7 +61,7 @@ from typing import (
 )
 
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.firing import Firing, firing_from_json
+from gspn_framework_package.execution.firing import Command, Firing, firing_from_json
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
@@ -438,6 +438,53 @@ class LogFile:
         except OSError as error:
             raise LogError("cannot be read (%s)" % error.strerror, file=self.path) from None
 
+    def checked_records(self) -> Iterator[Record]:
+        """Yield all records, and compare the running hash of every line with the recorded one.
+
+        A log that is still being written and a truncated last line are handled as by
+        :meth:`records`.
+
+        :raises LogError: a line is not a record or does not follow from the lines before it, or the
+            file can no longer be read.
+        """
+        self.cut = False
+        try:
+            with self.open() as file:
+                first = file.readline(LONGEST_LINE)
+                unsummed = self.header["version"] == UNSUMMED
+                chain = "" if unsummed else _follow("", first, self.path, 1)
+                left = self.size - len(first)
+                for number, line in enumerate(file, 2):
+                    left -= len(line)
+                    if left < 0:
+                        break
+                    if not line.endswith(b"\n"):
+                        self.cut = True
+                        break
+                    record = _record(line, self.path, number)
+                    if chain:
+                        chain = _follow(chain, line, self.path, number)
+                    yield record
+        except OSError as error:
+            raise LogError("cannot be read (%s)" % error.strerror, file=self.path) from None
+
+
+def log_files(paths: Sequence[str]) -> List[str]:
+    """The logs that are meant: files as they are, and the logs (``*.jsonl``) in each folder.
+
+    :raises LogError: a folder holds none.
+    """
+    found: List[str] = []
+    for path in paths:
+        if not os.path.isdir(path):
+            found.append(path)
+            continue
+        inside = [name for name in sorted(os.listdir(path)) if name.endswith(".jsonl")]
+        if not inside:
+            raise LogError("holds no event logs (*.jsonl)", file=path)
+        found += [os.path.join(path, name) for name in inside]
+    return found
+
 
 DAMAGED = (
     "a line was changed, dropped or put in; "
@@ -495,9 +542,56 @@ def _header(line: bytes, path: str) -> Record:
     return head
 
 
+class LogClock:
+    """Seconds on a log's own clock, which never decrease: the host's monotonic clock, continued by
+    the wall clock when the host restarts.
+
+    :param t: where to begin (s); by default, at the monotonic time of the first record, so that the
+        logs of one boot of one host share their times.
+    :param mono: the monotonic time of the last record that was read, if any.
+    :param wall: the wall time of that record.
+    :param host: the host and boot that the monotonic time belongs to.
+    """
+
+    def __init__(
+        self,
+        t: Optional[float] = None,
+        mono: Optional[float] = None,
+        wall: Optional[float] = None,
+        host: str = "",
+    ) -> None:
+        self._t, self._mono, self._wall, self._host = t, mono, wall, host
+
+    def read(self, record: Record) -> float:
+        """The time of the next record (s)."""
+        mono, wall = _seconds(record.get("mono")), _seconds(record.get("wall"))
+        host = str(record.get("host") or self._host)
+        if self._t is None:
+            self._t = mono if mono is not None else wall or 0.0
+        gone = None
+        same = host == self._host or not self._host
+        if mono is not None and self._mono is not None and mono >= self._mono and same:
+            gone = mono - self._mono
+        elif wall is not None and self._wall is not None:
+            gone = wall - self._wall
+        self._t += max(0.0, gone or 0.0)
+        self._mono = mono if mono is not None else self._mono
+        self._wall = wall if wall is not None else self._wall
+        self._host = host
+        return self._t
+
+    def to_json(self) -> List[Any]:
+        """The arguments of a clock that goes on from here."""
+        return [self._t, self._mono, self._wall, self._host]
+
+
+def _seconds(value: object) -> Optional[float]:
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
 class Replayed(NamedTuple):
     """A replayed slot of a log. ``state`` is the state after it; replaying the next slot changes it
-    in place.
+    in place. ``commands`` is what it had the robots do.
 
     If the log took over a snapshot instead, ``snapshot`` is true and ``entries`` is empty.
     """
@@ -508,6 +602,7 @@ class Replayed(NamedTuple):
     state: TeamState
     record: Record
     snapshot: bool = False
+    commands: Sequence[Command] = ()
 
 
 class Replayer:
@@ -567,8 +662,8 @@ def _replay_slot(game: TokenGame, state: TeamState, record: Record) -> Replayed:
     if slot != state.next_slot:
         raise LogError("slot %s follows where slot %d should" % (slot, state.next_slot))
     batch = tuple(log_entries.from_json(e) for e in record["entries"])
-    firings = game.reduce(state, slot, batch).firings
+    firings, commands = game.reduce(state, slot, batch)
     recorded = [firing_from_json(f, game.net) for f in record["firings"]]
     if firings != recorded:
         raise LogError("slot %d leads to other firings than it recorded" % slot)
-    return Replayed(slot, batch, firings, state, record)
+    return Replayed(slot, batch, firings, state, record, commands=commands)

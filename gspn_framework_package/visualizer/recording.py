@@ -17,7 +17,7 @@ from bisect import bisect_right
 from collections import OrderedDict
 from typing import BinaryIO, Iterator, List, NamedTuple, Optional, Tuple
 
-from gspn_framework_package.execution.event_log import LogFile, Record, Replayer
+from gspn_framework_package.execution.event_log import LogClock, LogFile, Record, Replayer
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import GspnError, LogError
@@ -46,33 +46,6 @@ class Mark(NamedTuple):
     packed: bytes
 
 
-class _Clock:
-    """Seconds since the run began, according to its log: by the host's monotonic clock, or by the
-    wall clock across a restart of the host. They never decrease."""
-
-    def __init__(
-        self, t: float = 0.0, mono: Optional[float] = None, wall: Optional[float] = None
-    ) -> None:
-        self.t, self.mono, self.wall = t, mono, wall
-
-    def read(self, record: Record) -> float:
-        """The time of a record."""
-        mono, wall = _number(record.get("mono")), _number(record.get("wall"))
-        gone = None
-        if mono is not None and self.mono is not None and mono >= self.mono:
-            gone = mono - self.mono
-        elif wall is not None and self.wall is not None:
-            gone = wall - self.wall
-        self.t += max(0.0, gone or 0.0)
-        self.mono = mono if mono is not None else self.mono
-        self.wall = wall if wall is not None else self.wall
-        return self.t
-
-
-def _number(value: object) -> Optional[float]:
-    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
-
-
 class _Reader:
     """Reads the lines of a log from a mark on, and turns them into events.
 
@@ -84,7 +57,7 @@ class _Reader:
         self._game = TokenGame(file.plan, agents=bool(file.header.get("agents")))
         self._events = TeamEvents(self._game)
         self.board = self._events.board(running=False, run=str(file.header["run"]))
-        self._clock = _Clock()
+        self._clock = LogClock(0.0)
         self.line, self.offset = 2, file.begin
         state = None
         if mark is not None:
@@ -92,7 +65,7 @@ class _Reader:
             self.line, self.offset = mark.line, mark.offset
             self.board = Board.from_json(kept["board"])
             self._events.restore(kept["events"])
-            self._clock = _Clock(*kept["clock"])
+            self._clock = LogClock(*kept["clock"])
             state = TeamState.from_json(kept["state"], file.plan.net)
         self._replayer = Replayer(self._game, state)
 
@@ -106,7 +79,7 @@ class _Reader:
         kept = {
             "board": self.board.to_json(),
             "events": self._events.to_json(),
-            "clock": [self._clock.t, self._clock.mono, self._clock.wall],
+            "clock": self._clock.to_json(),
             "state": self._replayer.state.to_json(self._file.plan.net),
         }
         packed = zlib.compress(json.dumps(kept, separators=(",", ":")).encode(), 1)

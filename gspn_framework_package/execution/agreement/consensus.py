@@ -39,7 +39,7 @@ from gspn_framework_package.execution.agreement.messages import (
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.proposals import Proposals
 from gspn_framework_package.execution.agreement.quorum import Ballot
-from gspn_framework_package.execution.agreement.state import Attempt, ReplicaState
+from gspn_framework_package.execution.agreement.state import BallotAttempt, ReplicaState
 from gspn_framework_package.execution.ledger import Item
 
 LONGEST_ROUND_TRIP = 1.0
@@ -141,12 +141,12 @@ class Consensus:
         if self.leads():
             batch = self.proposals.batch(False)
             if batch:
-                state.attempt = Attempt(slot, state.promised, False, now, now)
+                state.attempt = BallotAttempt(slot, state.promised, False, now, now)
                 self._second_phase(batch)
             return
         ballot = Ballot(state.highest.counter + 1, self.config.name, state.log_id)
         state.followers = None
-        state.attempt = attempt = Attempt(slot, ballot, frozen, now, now)
+        state.attempt = attempt = BallotAttempt(slot, ballot, frozen, now, now)
         # until the slot is decided, even if this attempt is beaten: its batch may still win
         if frozen:
             state.frozen_by = ballot
@@ -199,7 +199,7 @@ class Consensus:
             answered = state.votes.get(state.attempt.ballot, set())
         return [m for m in self.electorate.members() if m not in answered]
 
-    def _send_attempt(self, attempt: Attempt, to: List[str]) -> None:
+    def _send_attempt(self, attempt: BallotAttempt, to: List[str]) -> None:
         body: Union[Prepare, Accept]
         if attempt.batch is None:
             body = Prepare(attempt.slot, attempt.ballot, attempt.frozen)
@@ -386,7 +386,7 @@ class Consensus:
         self.abandon()
         return True
 
-    def _measure(self, attempt: Attempt, now: float) -> None:
+    def _measure(self, attempt: BallotAttempt, now: float) -> None:
         """Add an answer to the mean round trip, as TCP does (RFC 6298). After a retransmission, an
         answer cannot be matched to one of the transmissions; it is then ignored, and the longer
         wait stays until an answer can be matched (Karn)."""
@@ -397,7 +397,7 @@ class Consensus:
         took = min(now - attempt.began, LONGEST_ROUND_TRIP)
         state.round_trip += (took - state.round_trip) / (8 if state.round_trip else 1)
 
-    def _answers(self, message: Envelope, body: Promise, attempt: Attempt) -> bool:
+    def _answers(self, message: Envelope, body: Promise, attempt: BallotAttempt) -> bool:
         return (
             body.slot == attempt.slot
             and message.hash == self.state.ledger.hash

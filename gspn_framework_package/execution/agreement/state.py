@@ -33,7 +33,7 @@ class Proposal(NamedTuple):
 
 
 @dataclass
-class Attempt:
+class BallotAttempt:
     """A running attempt of ours to get a batch into ``slot``."""
 
     slot: int
@@ -171,7 +171,7 @@ class ReplicaState:
     """What was accepted in the open slot, and under which ballot."""
     highest: Ballot = _owned("consensus", Ballot(0, ""))
     """The highest ballot that was seen; who proposed under it leads."""
-    attempt: Optional[Attempt] = _owned("consensus")
+    attempt: Optional[BallotAttempt] = _owned("consensus")
     """Our own running attempt."""
     frozen_by: Optional[Ballot] = _owned("consensus")
     """The attempt for which local transitions wait until the open slot is decided."""

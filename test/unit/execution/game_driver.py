@@ -18,7 +18,7 @@ def make_plan(
 ) -> Plan:
     """A plan whose robots a, b, c ... start in the given places."""
     actions = {
-        p.name: None if p.name in idle else FunctionAction("f", p.name)
+        p.name: None if p.name in idle else FunctionAction("actions.f", p.name)
         for p in net.places
         if p.name not in resources
     }

@@ -1,0 +1,680 @@
+"""The attempts at actions that event logs tell of: when each began and ended, and what came of it.
+
+An attempt begins when its action starts: with the ``goal`` record in the log of the robot itself,
+otherwise with the slot that moved the robot, plus the delay of a retry. It ends with the slot that
+holds its ``Done`` or ``Failed``, or with the ``private`` record of a local transition; what the
+robot waits for afterwards is not part of it. The moment that a team needs to agree on the slot is
+part of it, because every action of the run has it; an outage is not (see :data:`OUTAGE`). A pause
+changes nothing: actions go on, and their ends are logged.
+
+An attempt whose end is not known is *censored*: it lasted at least until then. That is so at the
+end of the log or of the run, when the operator moves the robot or takes it out of the team, and
+when its node ends. If not even the start is known, for example while a robot learns the log from
+the others, the attempt is left out.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import (
+    Callable,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
+
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.event_log import (
+    LogClock,
+    LogFile,
+    Record,
+    Replayed,
+    Replayer,
+)
+from gspn_framework_package.execution.firing import CancelAction, StartAction
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.execution.turn import ASKS_POLICY
+from gspn_framework_package.model.errors import LogError, NetError
+from gspn_framework_package.model.plan import FailureKind, Plan, Synchronisation
+
+Progress = Callable[[str, int, float], None]
+"""Called from time to time with what is counted, the count, and the seconds so far."""
+
+OUTAGE = 1.0
+"""Seconds. If a team takes longer than this to agree that an action has ended, for example because
+there is no quorum, the attempt ends when the robot's own log says so (its ``invoked`` record)."""
+
+_BETWEEN = 2_000
+"""Records between two reports of progress."""
+
+
+class Attempt(NamedTuple):
+    """An attempt at the action of a place, by ``robot`` in its ``visit``.
+
+    ``start`` and ``end`` are seconds on the clock of the log; for a censored attempt ``end`` is
+    when it was last known to go on. ``completed``: the end is known. ``result`` is the transition
+    that the action named, "" if it named none, and only tells something if the attempt is
+    completed and did not fail. ``failed`` is the reason of a failure, otherwise "". ``log`` is the
+    index of the log among those given.
+    """
+
+    robot: str
+    place: str
+    visit: int
+    attempt: int
+    start: float
+    end: float
+    completed: bool
+    result: str = ""
+    failed: str = ""
+    log: int = 0
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the start to the end."""
+        return self.end - self.start
+
+
+class EventCount(NamedTuple):
+    """How often a transition of the environment fired, and its *exposure*: the time (s) in which it
+    could fire, multiplied by the number of its busy servers. The rate is the quotient."""
+
+    firings: int
+    exposure: float
+
+
+class _Going(NamedTuple):
+    """An attempt that goes on. ``start`` is None if it is not known."""
+
+    place: str
+    incarnation: int
+    visit: int
+    attempt: int
+    start: Optional[float]
+
+
+class AttemptFollower:
+    """Follows one log, or the slots of a live team, record by record.
+
+    :param plan: the plan in the header of the log.
+    :param robot: the robot that keeps the log; "" for a standalone run or a live team, whose slots
+        are all timed by when they are decided.
+    :param agents: whether it is a standalone run (as in the header).
+    :param own_only: follow only the robot that keeps the log. This is faster, because nothing is
+        replayed.
+    :param log: the index that the attempts get.
+
+    :ivar now: the time of the newest record (s).
+    :ivar step: what the newest record changed, as replayed; None if it holds no slot.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        robot: str = "",
+        *,
+        agents: bool = False,
+        own_only: bool = False,
+        log: int = 0,
+    ) -> None:
+        self.plan = plan
+        self.robot = robot
+        self.now = 0.0
+        self.step: Optional[Replayed] = None
+        self._log = log
+        self._clock = LogClock()
+        self._game = TokenGame(plan, agents=agents)
+        self._replayer = None if own_only else Replayer(self._game)
+        self._going: Dict[str, _Going] = {}
+        self._live = not robot
+        """Whether slots come when they are decided. It is false while the robot learns the log."""
+        self._life = 0
+        self._own_end: Optional[Tuple[float, log_entries.Entry]] = None
+        """When the own robot's attempt ended and how, before the team has agreed on it."""
+        self._delay = 0.0
+        """Seconds for which the next goal of the log's own robot waits before it starts."""
+        self._counted: Dict[int, Tuple[int, float]] = dict.fromkeys(
+            self._game.environment_transitions, (0, 0.0)
+        )
+
+    @property
+    def events(self) -> Dict[str, EventCount]:
+        """The transitions of the environment, by name, with what was counted so far."""
+        names = self.plan.net.transitions
+        return {names[t].name: EventCount(*counted) for t, counted in self._counted.items()}
+
+    def take(self, record: Record) -> List[Attempt]:
+        """Take in the next record, and return the attempts that ended with it.
+
+        :raises LogError: the record does not follow from those before it, or is damaged.
+        """
+        try:
+            return self._take(record)
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+            raise LogError("the record is damaged (%r)" % error) from None
+        except NetError as error:
+            raise LogError("the record is not of this plan (%s)" % error) from None
+
+    def running(self, now: float) -> List[Attempt]:
+        """The attempts that still go on at ``now`` (s, on the clock of the log), as censored
+        ones."""
+        return [
+            a for robot, going in self._going.items() for a in self._censored(robot, going, now)
+        ]
+
+    # -- records -----------------------------------------------------------------------------------
+
+    def _take(self, record: Record) -> List[Attempt]:
+        before, self.now = self.now, self._clock.read(record)
+        kind = record["kind"]
+        self._count_exposure(self.now - before)
+        self.step = self._replayer.take(record) if self._replayer is not None else None
+        if kind == "slot":
+            return self._slot(record)
+        if kind == "snapshot":
+            if self.step is not None:
+                self._jump()
+        elif kind == "goal":
+            return self._goal(record)
+        elif kind == "cancel":
+            going = self._going.get(self.robot)
+            if going is not None and going.visit <= record["visit"]:
+                return self._cut(self.robot, self.now)
+        elif kind == "private":
+            return self._end(log_entries.from_json(record["entry"]))
+        elif kind == "invoked":
+            entry = log_entries.from_json(record["entry"])
+            if self._ends(entry, self._going.get(self.robot)):
+                self._own_end = self.now, entry
+        elif kind == "life":
+            return self._new_life(record, before)
+        elif kind == "active":
+            self._live = True
+        elif kind == "reset":
+            self._live = False
+            self._forget_others()
+        elif kind == "ended":
+            return self._cut_all()
+        return []
+
+    def _slot(self, record: Record) -> List[Attempt]:
+        ended: List[Attempt] = []
+        entries = (
+            self.step.entries
+            if self.step is not None
+            else tuple(log_entries.from_json(entry) for entry in record["entries"])
+        )
+        for entry in entries:
+            ended += self._end(entry)
+            if isinstance(entry, log_entries.Fire) and self._live:
+                self._count_firing(entry.transition)
+        if self.step is not None:
+            ended += self._commands(self.step)
+        return ended
+
+    def _commands(self, step: Replayed) -> List[Attempt]:
+        ended: List[Attempt] = []
+        for command in step.commands:
+            if isinstance(command, CancelAction) and command.robot != self.robot:
+                ended += self._cut(command.robot, self.now)
+            elif isinstance(command, StartAction) and command.robot != self.robot:
+                robot = step.state.robots.get(command.robot)
+                if (
+                    robot is not None
+                    and robot.phase is Phase.DOING
+                    and (robot.visit, robot.attempt) == (command.visit, command.attempt)
+                ):
+                    self._going[command.robot] = _Going(
+                        command.place,
+                        command.incarnation,
+                        command.visit,
+                        command.attempt,
+                        self.now + command.delay if self._live else None,
+                    )
+        for name in [name for name in self._going if name != self.robot]:
+            if name not in step.state.robots:  # an agent that a join destroyed
+                del self._going[name]
+        if step.state.ended is not None:
+            ended += self._cut_all()
+        return ended
+
+    def _end(self, entry: log_entries.Entry) -> List[Attempt]:
+        """Take in an entry that may end an attempt."""
+        if isinstance(entry, (log_entries.Done, log_entries.Failed)):
+            going = self._going.get(entry.robot)
+            if going is None or not self._ends(entry, going):
+                return []
+            del self._going[entry.robot]
+            end = self.now
+            if entry.robot == self.robot:
+                if self._own_end is not None and end - self._own_end[0] > OUTAGE:
+                    end = self._own_end[0]
+                self._own_end = None
+            return self._completed(entry, going, end)
+        if isinstance(entry, log_entries.Retry):
+            if entry.robot == self.robot:
+                self._delay = 0.0
+        elif isinstance(entry, log_entries.Join):
+            if entry.robot == self.robot:
+                self._live = self._live or entry.incarnation >= self._life
+            else:  # its node restarted: how long the attempt went on is not known
+                self._going.pop(entry.robot, None)
+        elif isinstance(entry, (log_entries.SetPlace, log_entries.Leave)):
+            if entry.robot != self.robot:
+                return self._cut(entry.robot, self.now)
+        elif isinstance(entry, log_entries.Evict) and entry.robot != self.robot:
+            silent = self.plan.timing.evict_after
+            going = self._going.get(entry.robot)
+            if going is not None and going.incarnation == entry.incarnation:
+                # nobody has heard the robot for so long
+                return self._cut(entry.robot, self.now - silent)
+        return []
+
+    @staticmethod
+    def _ends(entry: log_entries.Entry, going: Optional[_Going]) -> bool:
+        """Whether an entry is the end of this attempt."""
+        if going is None or not isinstance(entry, (log_entries.Done, log_entries.Failed)):
+            return False
+        if isinstance(entry, log_entries.Failed) and entry.attempt != going.attempt:
+            return False
+        return (entry.incarnation, entry.visit) == (going.incarnation, going.visit)
+
+    def _is_bad(self, place: str, result: str) -> bool:
+        """Whether an action of this place cannot have that result, which is then a failure."""
+        net = self.plan.net
+        p = net.place_number(place)
+        leaving = net.consumers[p]
+        if result:
+            return bool(leaving) and net.transition_index.get(result) not in leaving
+        return len(leaving) > 1 and all(net.transitions[t].timed for t in leaving)
+
+    def _goal(self, record: Record) -> List[Attempt]:
+        """The robot's own node starts an action."""
+        going = _Going(
+            record["place"], record["incarnation"], record["visit"], record["attempt"], None
+        )
+        self.plan.net.place_number(going.place)
+        delay, self._delay = self._delay, 0.0
+        known = self._going.get(self.robot)
+        ended = self._cut(self.robot, self.now) if known is not None else []
+        self._going[self.robot] = going._replace(start=self.now + delay)
+        return ended
+
+    def _new_life(self, record: Record, before: float) -> List[Attempt]:
+        """The node of the log's own robot has started (again)."""
+        self._life = record["incarnation"]
+        self._live = False
+        self._delay = 0.0
+        self._forget_others()
+        return self._cut(self.robot, before)
+
+    def _jump(self) -> None:
+        """A snapshot was taken over: what happened until then has no times."""
+        assert self.step is not None
+        for name in [name for name in self._going if name != self.robot]:
+            robot = self.step.state.robots.get(name)
+            going = self._going[name]
+            if robot is None or (robot.incarnation, robot.visit, robot.attempt) != going[1:4]:
+                del self._going[name]
+
+    # -- attempts ----------------------------------------------------------------------------------
+
+    def _completed(
+        self, entry: Union[log_entries.Done, log_entries.Failed], going: _Going, end: float
+    ) -> List[Attempt]:
+        """The attempt that ended with ``entry``; none if its times are not known."""
+        result = failed = ""
+        if isinstance(entry, log_entries.Failed):
+            failed = entry.reason or "failed"
+        else:
+            result = "" if entry.result in ASKS_POLICY else entry.result
+            if self._is_bad(going.place, result):
+                result, failed = "", "bad result"
+        if entry.robot == self.robot:
+            rule = self.plan.failure_rule(going.place)
+            self._delay = rule.delay if failed and rule.kind is FailureKind.RETRY else 0.0
+        return self._attempt(entry.robot, going, end, True, result, failed)
+
+    def _cut(self, robot: str, end: float) -> List[Attempt]:
+        """The attempt of a robot, if it has one, is over without a known end."""
+        going = self._going.get(robot)
+        found = self._censored(robot, going, end) if going is not None else []
+        self._going.pop(robot, None)
+        if robot == self.robot:
+            self._own_end = None
+        return found
+
+    def _cut_all(self) -> List[Attempt]:
+        return [a for robot in list(self._going) for a in self._cut(robot, self.now)]
+
+    def _censored(self, robot: str, going: _Going, end: float) -> List[Attempt]:
+        if robot == self.robot and self._own_end is not None:
+            # the action had ended; only the team has not heard of it
+            ended, entry = self._own_end
+            assert isinstance(entry, (log_entries.Done, log_entries.Failed))
+            return self._completed(entry, going, ended)
+        return self._attempt(robot, going, end, False)
+
+    def _attempt(
+        self,
+        robot: str,
+        going: _Going,
+        end: float,
+        completed: bool,
+        result: str = "",
+        failed: str = "",
+    ) -> List[Attempt]:
+        timed = self._live or robot == self.robot
+        if going.start is None or not timed or end < going.start:
+            return []
+        return [
+            Attempt(
+                robot,
+                going.place,
+                going.visit,
+                going.attempt,
+                going.start,
+                end,
+                completed,
+                result,
+                failed,
+                self._log,
+            )
+        ]
+
+    def _forget_others(self) -> None:
+        self._going = {r: going for r, going in self._going.items() if r == self.robot}
+
+    # -- the environment ---------------------------------------------------------------------------
+
+    def _count_exposure(self, seconds: float) -> None:
+        """Count the time since the last record for the transitions that could fire in it."""
+        if self._replayer is None or not self._live or seconds <= 0:
+            return
+        state = self._replayer.state
+        if state.paused or state.ended is not None or not state.robots:
+            return
+        net = self.plan.net
+        for t, (firings, exposure) in self._counted.items():
+            rate = net.transitions[t].rate
+            if rate > 0:
+                busy = net.effective_rate(state.marking, t) / rate
+                self._counted[t] = firings, exposure + busy * seconds
+
+    def _count_firing(self, transition: str) -> None:
+        t = self.plan.net.transition_index.get(transition)
+        fired = self.step.firings if self.step is not None else []
+        if t in self._counted and any(f.transition == transition and not f.robot for f in fired):
+            firings, exposure = self._counted[t]
+            self._counted[t] = firings + 1, exposure
+
+
+# -- several logs ----------------------------------------------------------------------------------
+
+
+class Gathered(NamedTuple):
+    """What several logs tell together.
+
+    :ivar plan: the plan of the first log.
+    :ivar attempts: every attempt once, run by run and robot by robot in the order of time.
+    :ivar events: the transitions of the environment, by name, over all runs.
+    :ivar logs: the files, as the attempts number them.
+    :ivar runs: for each run, the indices of its logs in ``logs``, the longest first.
+    :ivar notes: what a person should know about the logs.
+    """
+
+    plan: Plan
+    attempts: List[Attempt]
+    events: Dict[str, EventCount]
+    logs: Tuple[str, ...]
+    runs: Tuple[Tuple[int, ...], ...]
+    notes: Tuple[str, ...]
+
+
+class _Log(NamedTuple):
+    """A log among those given; ``length`` is the number of its slots."""
+
+    number: int
+    file: LogFile
+    length: int
+    hashes: Dict[int, str]
+
+    @property
+    def robot(self) -> str:
+        return str(self.file.header["robot"])
+
+
+def read_attempts(paths: Sequence[str]) -> List[Attempt]:
+    """The attempts in some logs, each once; see :func:`gather`."""
+    return gather(paths).attempts
+
+
+def gather(
+    paths: Sequence[str], plan: Optional[Plan] = None, progress: Optional[Progress] = None
+) -> Gathered:
+    """Read logs of one or several runs of a plan: of standalone runs, or of the robots of teams.
+
+    Of a team, each robot's attempts come from its own log. If that is not among the logs, they come
+    from another's, with the times of its slots; in partial synchronisation, where those times say
+    little, they are left out. A log that is given twice counts once.
+
+    :param plan: the plan that they must be runs of, as far as its net goes; by default that of the
+        first log.
+    :param progress: called as the logs are read.
+    :raises LogError: a log cannot be read or is damaged, or its plan has another net.
+    """
+    count = _Counter(progress)
+    notes: List[str] = []
+    logs: List[_Log] = []
+    names = tuple(paths)
+    for number, path in enumerate(names):
+        file = LogFile(path)
+        reference, whose = (
+            (plan, plan.file or "the plan")
+            if plan is not None
+            else (logs[0].file.plan, names[0])
+            if logs
+            else (file.plan, path)
+        )
+        difference = net_difference(reference, file.plan)
+        if difference:
+            raise LogError(
+                "it is a log of another net than that of %s: %s" % (whose, difference),
+                file=path,
+                hint="give logs of runs of the same net only",
+            )
+        hashes: Dict[int, str] = {}
+        for line, record in enumerate(count(file.checked_records()), 2):
+            if record["kind"] in ("slot", "snapshot"):
+                slot = record.get("slot")
+                if type(slot) is not int:
+                    raise LogError("the record is damaged (no slot)", file=path, line=line)
+                hashes[slot] = str(record.get("hash"))
+        if file.cut:
+            notes.append("the last line of %s was cut off; it is left out" % path)
+        logs.append(_Log(number, file, len(hashes), hashes))
+    attempts: List[Attempt] = []
+    events: Dict[str, EventCount] = {}
+    runs = _runs(logs, notes)
+    for run in runs:
+        found, counted = _read_run(run, count, notes)
+        attempts += found
+        for name, event in counted.items():
+            known = events.get(name, EventCount(0, 0.0))
+            events[name] = EventCount(
+                known.firings + event.firings, known.exposure + event.exposure
+            )
+    return Gathered(
+        logs[0].file.plan if plan is None else plan,
+        attempts,
+        events,
+        names,
+        tuple(
+            tuple(log.number for log in sorted(run, key=lambda log: -log.length)) for run in runs
+        ),
+        tuple(notes),
+    )
+
+
+def _runs(logs: Sequence[_Log], notes: List[str]) -> List[List[_Log]]:
+    """Group the logs by run. Logs of teams are of one run if the run has the same name and the
+    first slot that they share is the same; a standalone log is a run of its own."""
+    runs: List[List[_Log]] = []
+    for log in logs:
+        same = [
+            run
+            for run in runs
+            if any(_is_copy(log, other) or _is_of_run(log, other) for other in run)
+        ]
+        if not same:
+            runs.append([log])
+            continue
+        run = same[0]
+        twin = next((other for other in run if _is_copy(log, other)), None)
+        if twin is None:
+            run.append(log)
+            continue
+        longer, shorter = (log, twin) if log.length > twin.length else (twin, log)
+        run[run.index(twin)] = longer
+        notes.append(
+            "%s and %s are the same log; %s is left out"
+            % (twin.file.path, log.file.path, shorter.file.path)
+        )
+    return runs
+
+
+def _is_copy(log: _Log, other: _Log) -> bool:
+    return bool(log.file.header["log"] == other.file.header["log"] and log.robot == other.robot)
+
+
+def _is_of_run(log: _Log, other: _Log) -> bool:
+    if not log.robot or not other.robot or log.file.header["run"] != other.file.header["run"]:
+        return False
+    shared = log.hashes.keys() & other.hashes.keys()
+    first = min(shared, default=None)
+    return first is None or log.hashes[first] == other.hashes[first]
+
+
+def _read_run(
+    run: Sequence[_Log], count: _Counter, notes: List[str]
+) -> Tuple[List[Attempt], Dict[str, EventCount]]:
+    """The attempts of one run, and what its longest log tells of the environment."""
+    plan = run[0].file.plan
+    own: Set[str] = {log.robot for log in run}
+    others = any(robot.name not in own for robot in plan.robots) or len(own - {""}) < 1
+    needs_replay = others or bool(TokenGame(plan).environment_transitions) or not own - {""}
+    longest = max(run, key=lambda log: log.length)
+    found: Dict[Tuple[str, int, int], Attempt] = {}
+    events: Dict[str, EventCount] = {}
+    late: Set[str] = set()
+    for log in sorted(run, key=lambda log: log is not longest):
+        follower = AttemptFollower(
+            log.file.plan,
+            log.robot,
+            agents=bool(log.file.header.get("agents")),
+            own_only=bool(log.robot) and not (needs_replay and log is longest),
+            log=log.number,
+        )
+        for attempt in _follow(follower, log.file, count):
+            if attempt.robot != log.robot and attempt.robot in own:
+                continue
+            if log.robot and attempt.robot != log.robot:
+                late.add(attempt.robot)
+                if plan.synchronisation is Synchronisation.PARTIAL:
+                    continue
+            key = attempt.robot, attempt.visit, attempt.attempt
+            known = found.get(key)
+            if known is None or (attempt.completed and not known.completed):
+                found[key] = attempt
+        if log is longest:
+            events = follower.events
+    if late:
+        partial = plan.synchronisation is Synchronisation.PARTIAL
+        notes.append(
+            "the own logs of %s are not here: %s"
+            % (
+                ", ".join(sorted(late)),
+                "in partial synchronisation, the logs of others do not tell when its actions end, "
+                "so it is left out"
+                if partial
+                else "its times are those at which %s heard of them" % longest.robot,
+            )
+        )
+    ordered = sorted(found.values(), key=lambda a: (a.robot, a.visit, a.attempt))
+    return ordered, events
+
+
+def _follow(follower: AttemptFollower, file: LogFile, count: _Counter) -> Iterator[Attempt]:
+    for line, record in enumerate(count(file.checked_records()), 2):
+        try:
+            yield from follower.take(record)
+        except LogError as error:
+            raise error.located(file=file.path, line=line) from None
+    yield from follower.running(follower.now)
+
+
+class _Counter:
+    """Counts records as they are read, and reports progress."""
+
+    def __init__(self, progress: Optional[Progress]) -> None:
+        self._progress = progress
+        self._count = 0
+        self._begin = time.monotonic()
+
+    def __call__(self, records: Iterable[Record]) -> Iterator[Record]:
+        for record in records:
+            self._count += 1
+            if self._progress is not None and self._count % _BETWEEN == 0:
+                self._progress("records read", self._count, time.monotonic() - self._begin)
+            yield record
+
+
+# -- nets ------------------------------------------------------------------------------------------
+
+
+def net_difference(plan: Plan, other: Plan) -> str:
+    """How the nets of two plans differ, in words; "" if they agree. Rates, weights and tokens may
+    differ: runs with different ones teach about the same actions."""
+    for what, one, two in (
+        ("place", _places(plan), _places(other)),
+        ("transition", _transitions(plan), _transitions(other)),
+    ):
+        for name in one:
+            if name not in two:
+                return "it has no %s '%s'" % (what, name)
+        for name in two:
+            if name not in one:
+                return "only it has a %s '%s'" % (what, name)
+        for name in one:
+            if one[name] != two[name]:
+                return "the %s '%s' is %s there, and %s here" % (what, name, two[name], one[name])
+    arcs, others = set(plan.net.arcs), set(other.net.arcs)
+    if arcs != others:
+        arc = min(arcs ^ others, key=str)
+        return "an arc differs: from '%s' to '%s'" % (arc[0], arc[1])
+    return ""
+
+
+def _places(plan: Plan) -> Dict[str, str]:
+    return {
+        place.name: (
+            "a resource place" if place.name in plan.resource_places else "an action place"
+        )
+        + (" with capacity %d" % place.capacity if place.capacity is not None else "")
+        for place in plan.net.places
+    }
+
+
+def _transitions(plan: Plan) -> Dict[str, str]:
+    return {
+        t.name: "exponential" if t.timed else "immediate with priority %d" % t.priority
+        for t in plan.net.transitions
+    }
