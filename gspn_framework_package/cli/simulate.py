@@ -15,6 +15,7 @@ from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
+from gspn_framework_package.cli.virtual_log import simulate_to_log
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,6 +24,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.add_argument(
         "--csv", metavar="FILE", help="write the numbers to FILE: measure, name, mean, half width"
+    )
+    parser.add_argument(
+        "--log",
+        metavar="FILE",
+        help="run a plan once, with the token game itself, and record it as an event log "
+        "(a new file) for verify, replay and fit",
     )
     parser.add_argument(
         "--time",
@@ -67,6 +74,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate, and print the means."""
     subject, notes = read_subject(args)
+    if args.log:
+        return simulate_to_log(subject, notes, args)
     with ProgressLine() as progress:
         result = simulate(
             subject,

@@ -94,3 +94,30 @@ def test_a_net_is_told_as_a_net(tmp_path, capsys):
 def _net(folder):
     (folder / "plan.json").write_text(json.dumps(PLAN))
     return str(folder / "plan.json")
+
+
+@pytest.mark.parametrize(("mean", "said"), [(1.3, False), (5.0, True)])
+def test_a_duration_that_contradicts_the_rates_is_a_warning(tmp_path, capsys, mean, said):
+    (tmp_path / "plan.json").write_text(json.dumps({**PLAN, "durations": {"P": {"mean": mean}}}))
+    (tmp_path / "work.py").write_text("def go():\n    pass\n")
+    assert main(["check", str(tmp_path)]) == 0
+    assert ("P takes 5 s on average, 1 s by the rates" in capsys.readouterr().out) == said
+
+
+def test_a_simulated_log_is_valid_and_never_overwrites(tmp_path, capsys):
+    (tmp_path / "plan.json").write_text(
+        json.dumps({**PLAN, "durations": {"P": {"mean": 2, "distribution": "deterministic"}}})
+    )
+    log = str(tmp_path / "run.jsonl")
+    command = ["simulate", str(tmp_path), "--log", log, "--seed", "4", "--json"]
+    assert main(command) == 2
+    assert "how long is the run?" in capsys.readouterr().err
+    assert main([*command, "--time", "101"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["firings"] == {"T": 50, "U": 50}
+    assert main(["verify", log]) == 0
+    assert main([*command, "--time", "101"]) == 2
+    assert "exists already" in capsys.readouterr().err
+    net = tmp_path / "net.json"
+    net.write_text(json.dumps(PLAN["net"]))
+    assert main(["simulate", str(net), "--format", "json", "--log", log]) == 2

@@ -36,6 +36,7 @@ class NameChecks:
         self._look_at_overlaps()
         self._look_at_idle_places()
         self._look_at_decision_places()
+        self._look_at_times()
 
     def _look_at_actions(self) -> None:
         plan = self.plan
@@ -67,6 +68,28 @@ class NameChecks:
         if not unmapped and not mapped_resources:
             self._list.add(
                 "actions", Severity.OK, "every action place is mapped, and no resource place is"
+            )
+
+    def _look_at_times(self) -> None:
+        """Report durations whose mean contradicts the rates of the net: analysis and simulation use
+        the durations, and the rates are probably out of date."""
+        net = self.net
+        differing = []
+        for name, duration in self.plan.durations.items():
+            leaving = [net.transitions[t] for t in net.consumers[net.place_number(name)]]
+            rate = sum(t.rate for t in leaving if t.timed)
+            if rate and all(t.timed for t in leaving) and not 0.5 < duration.mean * rate < 2:
+                differing.append(
+                    "%s takes %.4g s on average, %.4g s by the rates"
+                    % (name, duration.mean, 1 / rate)
+                )
+        if differing:
+            self._list.add(
+                "durations",
+                Severity.WARNING,
+                "durations and rates of the net differ more than twofold: %s; the durations apply"
+                % "; ".join(differing[:LISTED]),
+                places=[text.split(" takes ")[0] for text in differing],
             )
 
     def _look_at_initial(self) -> None:

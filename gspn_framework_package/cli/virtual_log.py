@@ -1,0 +1,88 @@
+"""``gspn simulate --log``: one run of a plan in virtual time, recorded as an event log."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import sys
+import uuid
+from dataclasses import replace
+from typing import Any, Dict, Iterator, List, Union
+
+from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.cli.net_input import print_notes
+from gspn_framework_package.cli.progress import ProgressLine
+from gspn_framework_package.execution.event_log import EventLogWriter, header
+from gspn_framework_package.execution.virtual_time import VirtualResult, VirtualRun
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
+
+
+def simulate_to_log(subject: Union[Net, Plan], notes: List[str], args: argparse.Namespace) -> int:
+    """Run the plan once, record it in ``args.log``, and print what happened.
+
+    :raises UsageError: the subject is a net, the run would have no end, or the file exists.
+    """
+    if not isinstance(subject, Plan):
+        raise UsageError("--log records the run of a plan, and this is a net")
+    plan = subject.with_seed(args.seed)
+    if args.until is not None:
+        both = "(%s) or (%s)" % (plan.until, args.until) if plan.until else args.until
+        plan = replace(plan, until=both).validate()
+    if math.isinf(args.time) and plan.until is None:
+        raise UsageError("how long is the run?", hint="give --time, or --until")
+    if os.path.exists(args.log):
+        raise UsageError(
+            "it exists already", file=args.log, hint="give --log the name of a new file"
+        )
+    run = VirtualRun(plan)
+    first = header(plan, plan.name, "", uuid.uuid4().hex, agents=True, virtual=True)
+    writer = EventLogWriter(args.log, first, clocks=run.clocks)
+    run.record_to(writer)
+    try:
+        with ProgressLine() as progress:
+            watch = Watch(progress, None)
+            result = run.run(
+                args.time,
+                warmup=args.warmup,
+                while_running=lambda slots: watch.step("slots", slots),
+            )
+    finally:
+        writer.close()
+    if args.json:
+        json.dump({**_json(result), "log": args.log, "notes": list(notes)}, sys.stdout, indent=2)
+        print()
+    else:
+        print_notes(notes)
+        print("\n".join(_text(result, args.log)))
+    return 0
+
+
+def _json(result: VirtualResult) -> Dict[str, Any]:
+    return {
+        "time": result.time,
+        "seconds": result.seconds,
+        "slots": result.slots,
+        "firings": result.firings,
+        "mean_tokens": {p: None if math.isnan(n) else n for p, n in result.mean_tokens.items()},
+        "ended": result.ended.reason if result.ended else None,
+    }
+
+
+def _text(result: VirtualResult, log: str) -> Iterator[str]:
+    yield "one run of %.6g s, %d firings, recorded in %s" % (
+        result.time,
+        sum(result.firings.values()),
+        log,
+    )
+    if result.ended is not None:
+        yield "it ended: %s" % result.ended.reason
+    yield "%-32s %s" % ("place", "mean tokens")
+    for name, mean in result.mean_tokens.items():
+        yield "%-32s %.6g" % (name, mean)
+    yield "%-32s %s" % ("transition", "firings")
+    for name, count in result.firings.items():
+        yield "%-32s %d" % (name, count)
