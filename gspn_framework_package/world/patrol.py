@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import zlib
-from typing import Dict, Generator, Optional, Protocol, Sequence
+from typing import Dict, Generator, Optional, Protocol, Sequence, Tuple
 
 from gspn_framework_package.execution.actions import ActionFailed
 from gspn_framework_package.world.room import Location, Pose, Room
@@ -47,6 +47,23 @@ class Robot(Protocol):
 
     def stop(self) -> None:
         """Drop the goal."""
+
+
+PLACE = re.compile(r"^p(\d+):(?P<what>Check_Temperature|Alarm|Decide|Wait)_(?P<location>\w+)$")
+"""The names of the patrol's action places (thesis 6.2.2)."""
+
+
+def temperature_transitions(number: int, location: str) -> Tuple[str, str]:
+    """The transitions that a check names if it was too hot, and if it was not.
+
+    The net has four numbered places and six numbered transitions per location (thesis 6.2.2): p1 to
+    p4 and t1 to t6, p5 to p8 and t7 to t12, ...
+
+    :param number: the number of the place.
+    """
+    first = (number - 1) // 4 * 6 + 1
+    high = "t%d:Temperature_High_%s" % (first, location)
+    return high, "t%d:Temperature_Low_%s" % (first + 2, location)
 
 
 def occupant(location: Location, robots: Dict[str, Pose], radius: float) -> Optional[str]:

@@ -11,7 +11,6 @@ Celsius above which a location is too hot, 30), ``patrol/alarm_seconds`` (5),
 
 from __future__ import annotations
 
-import re
 import threading
 from typing import Any, Callable, Dict, Optional, Tuple
 
@@ -28,8 +27,6 @@ from gspn_framework_package.world.room_file import load_room
 Feedback = Callable[..., None]
 IsCancelled = Callable[[], bool]
 
-_PLACE = re.compile(r"^p(\d+):(?P<what>Check_Temperature|Alarm|Decide|Wait)_(?P<location>\w+)$")
-
 _lock = threading.Lock()
 _clients: Dict[str, BaseClient] = {}
 _rooms: Dict[str, Room] = {}
@@ -42,10 +39,7 @@ def check_temperature(
     number, location = _read(place)
     client, room = _connect(robot, location)
     threshold = float(_parameter("patrol/threshold", 30.0))
-    # the net has six numbered transitions per location (thesis 6.2.2): t1 to t6, t7 to t12, ...
-    first = (number - 1) // 4 * 6 + 1
-    high = "t%d:Temperature_High_%s" % (first, location)
-    low = "t%d:Temperature_Low_%s" % (first + 2, location)
+    high, low = patrol.temperature_transitions(number, location)
     steps = patrol.check_temperature(client, room, location, threshold, high, low)
     return _run(steps, client, place, feedback, is_cancelled)
 
@@ -79,7 +73,7 @@ def _read(place: str) -> Tuple[int, str]:
 
     :raises ActionFailed: it is no place of the patrol.
     """
-    match = _PLACE.match(place)
+    match = patrol.PLACE.match(place)
     if match is None:
         raise ActionFailed(
             "'%s' is not a place of the patrol, such as p1:Check_Temperature_L1" % place

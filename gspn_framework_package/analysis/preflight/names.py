@@ -71,14 +71,17 @@ class NameChecks:
             )
 
     def _look_at_times(self) -> None:
-        """Report durations whose mean contradicts the rates of the net: analysis and simulation use
-        the durations, and the rates are probably out of date."""
+        """Report durations whose mean contradicts the rates of the net, unless they were learned
+        from a run: analysis and simulation use the durations, and one of the two is wrong."""
         net = self.net
         differing = []
         for name, duration in self.plan.durations.items():
             leaving = [net.transitions[t] for t in net.consumers[net.place_number(name)]]
             rate = sum(t.rate for t in leaving if t.timed)
-            if rate and all(t.timed for t in leaving) and not 0.5 < duration.mean * rate < 2:
+            learned = ("durations", name) in self.plan.evidence
+            if learned or not (rate and all(t.timed for t in leaving)):
+                continue
+            if not 0.5 < duration.mean * rate < 2:
                 differing.append(
                     "%s takes %.4g s on average, %.4g s by the rates"
                     % (name, duration.mean, 1 / rate)
