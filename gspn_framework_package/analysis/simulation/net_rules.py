@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import List, Optional, Tuple
 
-from gspn_framework_package.analysis.plan.space import Branch
+from gspn_framework_package.analysis.plan.rules import Branch
 from gspn_framework_package.model.condition import Condition
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Marking, Net
@@ -13,7 +13,7 @@ from gspn_framework_package.model.net import Marking, Net
 
 class NetRules:
     """The rules of a net, in the form of
-    :class:`~gspn_framework_package.analysis.plan.space.PlanRules`."""
+    :class:`~gspn_framework_package.analysis.plan.rules.PlanRules`."""
 
     def __init__(self, net: Net, until: Optional[Condition] = None) -> None:
         self.net = net

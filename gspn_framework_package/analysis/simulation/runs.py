@@ -23,7 +23,7 @@ import numpy as np
 from scipy import stats
 
 from gspn_framework_package.analysis.arrays import Floats, Indices
-from gspn_framework_package.analysis.plan.space import PlanRules
+from gspn_framework_package.analysis.plan.rules import PlanRules
 from gspn_framework_package.analysis.simulation.net_rules import NetRules
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.condition import parse_condition

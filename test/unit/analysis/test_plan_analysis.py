@@ -8,7 +8,8 @@ from hypothesis import HealthCheck, assume, given, settings
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain import Chain
-from gspn_framework_package.analysis.plan.space import WAITING, PlanRules, explore_plan
+from gspn_framework_package.analysis.plan.rules import PlanRules
+from gspn_framework_package.analysis.plan.space import WAITING, explore_plan
 from gspn_framework_package.analysis.solution.measures import Measures
 from gspn_framework_package.analysis.solution.steady_state import steady_state
 from gspn_framework_package.analysis.state_space import explore
