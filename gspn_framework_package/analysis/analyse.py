@@ -33,6 +33,7 @@ import numpy as np
 
 from gspn_framework_package.analysis.chain.markov_chain import Chain
 from gspn_framework_package.analysis.limits import Limits, states_of
+from gspn_framework_package.analysis.plan.reading import NET, RUN, TimingNotes, checked_reading
 from gspn_framework_package.analysis.plan.space import PlanSpace, explore_plan
 from gspn_framework_package.analysis.solution.measures import Measures
 from gspn_framework_package.analysis.solution.passage import Passage, first_passage
@@ -45,9 +46,10 @@ from gspn_framework_package.analysis.structure.invariants import bounds_of
 from gspn_framework_package.analysis.structure.net_structure import Structure
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.condition import parse_condition
-from gspn_framework_package.model.errors import LimitError
+from gspn_framework_package.model.errors import LimitError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan_timing import PlanTiming
 
 _SEARCHED = 100_000
 """Number of markings to search for a given one in a net that has infinitely many."""
@@ -87,6 +89,8 @@ class Analysis:
     :param subject: a net or a validated plan.
     :param limit: most markings to visit; shorthand for ``limits`` with this many states.
     :param limits: how far each part may go.
+    :param timing: how to read the time of a plan: ``run`` (default), as it runs, or ``net``, by the
+        rates of its net alone. A net has the latter.
     :param structure: whether P-invariants may be used for bounds. Without them, only the
         coverability tree shows which places grow without bound.
     :param engine: see :func:`~gspn_framework_package.analysis.state_space.space.explore`.
@@ -103,6 +107,7 @@ class Analysis:
         *,
         limit: Optional[int] = None,
         limits: Limits = Limits(),  # noqa: B008 (immutable)
+        timing: Optional[str] = None,
         structure: bool = True,
         engine: str = "auto",
         progress: Optional[Progress] = None,
@@ -110,6 +115,9 @@ class Analysis:
     ) -> None:
         self.plan = subject if isinstance(subject, Plan) else None
         self.net: Net = subject.net if isinstance(subject, Plan) else subject
+        self._reading = checked_reading(timing or (RUN if self.plan is not None else NET))
+        if self.plan is None and self._reading != NET:
+            raise UsageError("a net has no run: only a plan is read as it runs")
         nodes = len(self.net.places) + len(self.net.transitions)
         self.limit: int = states_of(nodes)
         for given in (limits.states, limit):
@@ -152,6 +160,11 @@ class Analysis:
         if self._known_tree is None:
             self._known_tree = self._tree(self.limits.tree, self.limits.memory)
         return self._known_tree
+
+    @property
+    def timing(self) -> TimingNotes:
+        """How time is read, and what is assumed for that."""
+        return self.space.notes if isinstance(self.space, PlanSpace) else TimingNotes(NET, {}, [])
 
     def _tree(self, limit: int, memory: int) -> CoverabilityTree:
         return CoverabilityTree(
@@ -236,6 +249,7 @@ class Analysis:
     def _visit_plan(self, plan: Plan, limit: int) -> PlanSpace:
         return explore_plan(
             plan,
+            timing=PlanTiming(plan) if self._reading == RUN else None,
             limit=limit,
             progress=self._progress,
             cancel=self._cancel,
@@ -337,7 +351,7 @@ class Analysis:
     def _most_gained(self, place: str) -> int:
         """The most tokens that a firing sequence can put into a counter that no cycle feeds."""
         space = self.space
-        gain = np.zeros(len(self.net.transitions) + 1, dtype=np.int64)
+        gain = np.zeros(len(self.net.transitions) + space.further_steps, dtype=np.int64)
         p = self.net.place_number(place)
         for t in range(len(self.net.transitions)):
             gain[t] = sum(w for q, w in self.net.outputs[t] if q == p)
@@ -370,7 +384,8 @@ class Analysis:
         space = self.space
         found = np.flatnonzero(space.holds(condition))
         if len(found):
-            return Reachability(True, len(found), space.witness(int(found[0])))
+            number = len(space.distinct(found))
+            return Reachability(True, number, space.witness(int(found[0])))
         return Reachability(False if space.complete else None, 0, None)
 
     def _search(self, condition: str) -> Reachability:

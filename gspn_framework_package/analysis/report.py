@@ -260,6 +260,7 @@ class _Report:
                 else "not decided within %s (%s)" % (space.extent, space.hint)
             )
         self.data["left_out"] = list(analysis.left_out)
+        self.data["timing"] = analysis.timing._asdict()
         self.data["engine"] = space.engine
         self.data["memory_bytes"] = space.memory
         found = analysis.boundedness

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, List, Mapping, Sequence, Tuple
 
 from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.plan.reading import READINGS, RUN
 from gspn_framework_package.analysis.report import Part, Questions, keys_of, report, rows, titled
 from gspn_framework_package.analysis.state_space import ENGINES
 from gspn_framework_package.analysis.watch import Cancel, Progress
@@ -94,6 +95,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-structure", action="store_true", help="leave out invariants, siphons and traps"
     )
     asking.add_argument("--no-time", action="store_true", help="leave out the steady state")
+    asking.add_argument(
+        "--timing",
+        choices=READINGS,
+        help="how to read the time of a plan: as it runs (default), or as its net alone; docs/"
+        "analysis.md",
+    )
     effort = parser.add_argument_group("effort")
     add_limit_arguments(effort)
     effort.add_argument(
@@ -131,6 +138,7 @@ def _run(args: argparse.Namespace) -> int:
         analysis = Analysis(
             subject,
             limits=limits,
+            timing=args.timing,
             structure=questions.structure,
             engine=args.engine,
             progress=progress,
@@ -307,6 +315,8 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
             data["memory_bytes"] / 1e6,
             data["engine"],
         )
+    if data["kind"] == "plan":
+        yield from _timing_text(data["timing"])
     if data["left_out"]:
         yield "left out, because only written: %s" % ", ".join(data["left_out"])
     yield "bounded: %s; bounds: %s" % (_answer(data["bounded"]), _map(data["bounds"]))
@@ -332,6 +342,21 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
         yield "liveness: %s" % _map(data["liveness"])
     if home:
         yield "home states%s: %d" % (" without %s" % left_out if left_out else "", home["count"])
+
+
+def _timing_text(timing: Mapping[str, Any]) -> Iterator[str]:
+    as_it_runs = timing["reading"] == RUN
+    yield "time: %s" % ("as the plan runs" if as_it_runs else "as in its net alone (--timing net)")
+    if as_it_runs:
+        splits = timing["splits"]
+        yield "    doing and done are told apart in%s" % (
+            ":" if splits else " no place: the net is the same chain"
+        )
+        for place, why in list(splits.items())[:SHOWN]:
+            yield "        %s: %s" % (place, why)
+        yield from _more(splits)
+    for assumption in timing["assumptions"]:
+        yield "    assumed: %s" % assumption
 
 
 def _reach_text(entry: Any, word: str) -> Iterator[str]:

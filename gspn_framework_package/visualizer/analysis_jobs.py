@@ -34,6 +34,7 @@ QUESTIONS = (
     "structure",
     "timing",
     "policy",
+    "reading",
     "at",
     "reach",
     "cover",

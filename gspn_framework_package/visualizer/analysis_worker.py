@@ -71,7 +71,13 @@ def _analyse(request: Dict[str, Any]) -> None:
     limits = Limits(
         states=request["limit"], seconds=float(request["seconds"]), memory=MEMORY_BYTES // 2
     )
-    analysis = Analysis(subject, limits=limits, structure=questions.structure, progress=progress)
+    analysis = Analysis(
+        subject,
+        limits=limits,
+        timing=_reading(request) if isinstance(subject, Plan) else None,
+        structure=questions.structure,
+        progress=progress,
+    )
     if questions.structure or questions.timing:
         first = Questions(structure=questions.structure, timing=False)
         _say(part=report(analysis, first))  # the page shows the quick results first
@@ -130,6 +136,13 @@ def _likely_states(analysis: Analysis) -> List[Dict[str, Any]]:
             }
         )
     return found
+
+
+def _reading(request: Dict[str, Any]) -> Optional[str]:
+    reading = request.get("reading")
+    if reading is not None and not isinstance(reading, str):
+        raise UsageError("'reading' is run or net")
+    return reading
 
 
 def _subject(request: Dict[str, Any]) -> Union[Net, Plan]:

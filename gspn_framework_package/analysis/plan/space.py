@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Dict, List, Optional, Tuple
+from typing import Any, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
+from gspn_framework_package.analysis.plan.phases import MOST_PHASES
+from gspn_framework_package.analysis.plan.reading import NET, TimingNotes, net_notes, run_notes
 from gspn_framework_package.analysis.plan.rules import PlanRules
+from gspn_framework_package.analysis.plan.run_rules import Arc, RunRules, State
 from gspn_framework_package.analysis.state_space.exploration import (
     Allowance,
     Growing,
@@ -22,8 +25,10 @@ from gspn_framework_package.analysis.state_space.packing import Packing
 from gspn_framework_package.analysis.state_space.rated_graph import RatedGraph
 from gspn_framework_package.analysis.state_space.space import StateSpace
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
-from gspn_framework_package.model.net import Marking
+from gspn_framework_package.model.errors import LimitError
+from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan_timing import PlanTiming
 
 PLAN_STATE_LIMIT = 200_000
 """Default limit on the states of a plan's exploration."""
@@ -35,31 +40,122 @@ WAITING = "(waits)"
 """Entry of a firing sequence at which robots wait, having drawn transitions that are not
 enabled."""
 
+GOES_ON = "(goes on)"
+"""Name of a step in which nothing fires: a phase of an action ends, or the action is done."""
+
+
+class _Step(NamedTuple):
+    """A step of the exploration: to state ``target``, with the number of a transition or of a step
+    in which nothing fires, and a rate or probability."""
+
+    target: Hashable
+    label: int
+    value: float
+
+
+class _NetSteps:
+    """The states of the classical reading: pairs (marking, whether the robots wait in it)."""
+
+    def __init__(self, rules: PlanRules) -> None:
+        self._rules = rules
+        self.width = len(rules.net.places)
+        self.start: Hashable = (rules.net.initial_marking, False)
+
+    def expand(self, state: Any) -> Tuple[bool, List[_Step]]:
+        """Whether the state is vanishing, and its steps."""
+        rules, net = self._rules, self._rules.net
+        marking, waiting = state
+        if rules.is_over(marking):
+            return False, []
+        outcomes = [] if waiting else rules.outcomes(marking)
+        if outcomes:
+            return True, [
+                _Step((marking, True), len(net.transitions), probability)
+                if t is None
+                else _Step((net.fire(marking, t), False), t, probability)
+                for t, probability in outcomes
+            ]
+        return False, [
+            _Step((net.fire(marking, t), False), t, rate) for t, rate in rules.timed(marking)
+        ]
+
+    def markings(self, states: Sequence[Any]) -> Indices:
+        """The markings of states, one row each."""
+        found = np.array([marking for marking, _ in states], dtype=np.int64)
+        return found.reshape(len(states), -1)
+
+
+class _RunSteps:
+    """The states of a plan as it runs, each in its one form."""
+
+    _BEGIN = ()
+
+    def __init__(self, rules: RunRules) -> None:
+        self._rules = rules
+        self.width = rules.width
+        self._settled: Dict[State, State] = {}
+        self._at_once: Dict[State, List[Arc]] = {}  # of vanishing states that are not expanded yet
+        self.start: Hashable = (
+            self._settle(rules.begin[0][0]) if len(rules.begin) == 1 else self._BEGIN
+        )
+
+    def _settle(self, state: State) -> State:
+        found = self._settled.get(state)
+        if found is None:
+            found, arcs = self._rules.settle(state)
+            self._settled[state] = found
+            if arcs:
+                self._at_once[found] = arcs
+        return found
+
+    def expand(self, state: Any) -> Tuple[bool, List[_Step]]:
+        """Whether the state is vanishing, and its steps."""
+        if state == self._BEGIN:
+            return True, [
+                _Step(self._settle(first), self._rules.ends, v) for first, v in self._rules.begin
+            ]
+        at_once = self._at_once.pop(state, None)
+        arcs = self._rules.steps(state) if at_once is None else at_once
+        return at_once is not None, [_Step(self._settle(a.target), a.label, a.value) for a in arcs]
+
+    def markings(self, states: Sequence[Any]) -> Indices:
+        """The markings of states, one row each."""
+        first = self._rules.begin[0][0]
+        columns = np.array([state or first for state in states], dtype=np.int64)
+        return np.add.reduceat(columns.reshape(len(states), -1), self._rules.first_columns, axis=1)
+
 
 class PlanSpace(StateSpace):
     """The markings that a plan reaches under its policy, and the firings between them; made by
-    :func:`explore_plan`.
+    :func:`explore_plan`. Where it follows the run, several states may have one marking.
 
     :ivar counters: the omitted places, which are only written.
+    :ivar notes: how time was read, and what was assumed.
+    :ivar refusal: why there is no Markov chain although all markings are known; empty if there is
+      one.
     """
 
     def __init__(
         self,
-        rules: PlanRules,
+        net: Net,
+        counters: Tuple[str, ...],
         graph: RawGraph,
         markings: Indices,
         vanishing: Booleans,
         values: Floats,
+        *,
+        notes: TimingNotes,
         shortage: Tuple[str, str] = ("", ""),
+        refusal: str = "",
     ) -> None:
         widths = [max(int(n).bit_length(), 1) for n in markings.max(axis=0)]
-        packing = Packing(rules.net, widths)
-        order = np.arange(len(rules.net.transitions) + 1)  # the last one: the robots wait
+        packing = Packing(net, widths)
+        order = np.arange(len(net.transitions) + self.further_steps)
         store = PackedStore(packing, packing.pack_all(markings))
-        super().__init__(
-            rules.net, store, graph, order, untimed=False, engine="plan", shortage=shortage
-        )
-        self.counters = rules.counters
+        super().__init__(net, store, graph, order, untimed=False, engine="plan", shortage=shortage)
+        self.counters = counters
+        self.notes = notes
+        self.refusal = refusal
         self._vanishing = vanishing
         self._values = values
 
@@ -69,19 +165,49 @@ class PlanSpace(StateSpace):
         return self._vanishing
 
     def transition_name(self, transition: int) -> str:
-        """The name of a transition, or WAITING."""
-        return (
-            WAITING
-            if transition == len(self.net.transitions)
-            else super().transition_name(transition)
-        )
+        """The name of a transition, WAITING or GOES_ON."""
+        nothing = transition - len(self.net.transitions)
+        return (WAITING, GOES_ON)[nothing] if nothing >= 0 else super().transition_name(transition)
+
+    def _way_to(self, state: int) -> List[Tuple[int, int]]:
+        ends = len(self.net.transitions) + 1
+        return [(t, s) for t, s in super()._way_to(state) if t != ends]
+
+    further_steps = 2  # WAITING and GOES_ON
+
+    @property
+    def starts(self) -> Booleans:
+        """Boolean array: the states with the initial marking."""
+        if self.notes.reading == NET:
+            return super().starts
+        found = np.zeros(len(self), dtype=bool)
+        found[self.store.find(self.net.initial_marking)] = True
+        return found
+
+    def distinct(self, states: Indices) -> Indices:
+        """The first of each of the markings of ``states`` (numbers, ascending)."""
+        if self.notes.reading == NET or not len(states):
+            return states
+        _, first = np.unique(self.markings(states), axis=0, return_index=True)
+        return states[np.sort(first)]
+
+    @property
+    def deadlocks(self) -> Indices:
+        """Numbers of states in which nothing goes on any more, one for each marking."""
+        return self.distinct(super().deadlocks)
 
     def rated(self) -> RatedGraph:
         """The graph with rates and probabilities.
 
-        :raises LimitError: it is not complete.
+        :raises LimitError: it is not complete, or the durations would need too many states.
         """
         self.require_complete("its Markov chain")
+        if self.refusal:
+            raise LimitError(
+                self.refusal,
+                element="its Markov chain",
+                hint="gspn simulate follows the durations themselves",
+            )
         return RatedGraph(
             self.net,
             self._vanishing,
@@ -96,6 +222,7 @@ class PlanSpace(StateSpace):
 def explore_plan(
     plan: Plan,
     *,
+    timing: Optional[PlanTiming] = None,
     limit: int = PLAN_STATE_LIMIT,
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
@@ -105,6 +232,7 @@ def explore_plan(
     """Find the markings that a plan reaches under its policy.
 
     :param plan: a validated plan.
+    :param timing: its durations, to follow the run; None: the classical reading of its net.
     :param limit: stop soon after this many states are known; the result is then not ``complete``.
     :param progress: receives the number of states at intervals.
     :param cancel: called at intervals; returns whether to stop.
@@ -113,70 +241,95 @@ def explore_plan(
     :raises CancelledError: ``cancel`` returned true.
     """
     room = Allowance(memory, time.monotonic() + seconds)
-    shortage = ("--limit", "")
-    rules = PlanRules(plan)
-    net = rules.net
-    watch = Watch(progress, cancel)
-    wait = len(net.transitions)
-    index: Dict[Tuple[Marking, bool], int] = {(net.initial_marking, False): 0}
-    order: List[Tuple[Marking, bool]] = [(net.initial_marking, False)]
-    vanishing: List[bool] = []
-    offsets = Growing(np.int64)
-    offsets.extend(np.zeros(1, dtype=np.int64))
-    targets: List[int] = []
-    labels: List[int] = []
-    values: List[float] = []
+    work = _Exploration(limit, Watch(progress, cancel), room, seconds)
+    if timing is None:
+        net_rules = PlanRules(plan)
+        return work.explore(
+            net_rules.net, net_rules.counters, _NetSteps(net_rules), net_notes(plan)
+        )
+    rules = RunRules(plan, timing, phases=False)
+    notes = run_notes(plan, timing, rules.splits, rules.assumptions)
+    space = work.explore(rules.net, rules.counters, _RunSteps(rules), notes)
+    if not space.complete or rules.most_phases <= 1:
+        return space
+    # With one phase for each duration, the same markings are reached. How many states there would
+    # be with all phases is known before they are visited.
+    needed = rules.states_with_phases(work.states)
+    if needed > limit or rules.most_phases > MOST_PHASES:
+        space.refusal = "not decided: %s" % rules.why_so_many(needed, limit)
+        notes.assumptions.append(
+            "for all answers that need no rates, every duration is taken as exponential"
+        )
+        return space
+    notes.assumptions.extend(rules.matches())
+    rules = RunRules(plan, timing)
+    return work.explore(rules.net, rules.counters, _RunSteps(rules), notes)
 
-    def add(marking: Marking, waiting: bool, label: int, value: float) -> None:
-        key = marking, waiting
-        number = index.get(key)
-        if number is None:
-            number = index[key] = len(order)
-            order.append(key)
-        targets.append(number)
-        labels.append(label)
-        values.append(value)
 
-    explored = 0
-    while explored < len(order) <= limit:
-        marking, waiting = order[explored]
-        over = rules.is_over(marking)
-        outcomes = [] if waiting or over else rules.outcomes(marking)
-        vanishing.append(bool(outcomes))
-        for transition, probability in outcomes:
-            if transition is None:
-                add(marking, True, wait, probability)
-            else:
-                add(net.fire(marking, transition), False, transition, probability)
-        if not outcomes and not over:
-            for t, rate in rules.timed(marking):
-                add(net.fire(marking, t), False, t, rate)
-        explored += 1
-        offsets.extend(np.array([len(targets)]))
-        if explored % 256 == 0:
-            watch.step("states", len(order))
-            if not room.left(
-                len(order) * (16 * len(net.places) + _STATE_BYTES) + len(targets) * _ARC_BYTES
-            ):
-                shortage = ("--limit-memory", "%.3g GB" % (memory / 1e9))
-                if not room.left(0):
-                    shortage = ("--limit-time", "%g s" % seconds)
-                break
-    vanishing += [False] * (len(order) - explored)
-    offsets.extend(np.full(len(order) - explored, len(targets), dtype=np.int64))
-    graph = RawGraph(
-        None,
-        offsets.finished(),
-        np.array(targets, dtype=np.int32),
-        np.array(labels, dtype=label_type(wait + 1)),
-        explored,
-    )
-    markings = np.array([marking for marking, _ in order], dtype=np.int64).reshape(len(order), -1)
-    return PlanSpace(
-        rules,
-        graph,
-        markings,
-        np.array(vanishing, dtype=bool),
-        np.array(values, dtype=np.float64),
-        shortage,
-    )
+class _Exploration:
+    """Visits states, breadth-first.
+
+    :ivar states: those of the last exploration.
+    """
+
+    def __init__(self, limit: int, watch: Watch, room: Allowance, seconds: float) -> None:
+        self._limit, self._watch, self._room, self._seconds = limit, watch, room, seconds
+        self.states: List[Any] = []
+
+    def explore(
+        self,
+        net: Net,
+        counters: Tuple[str, ...],
+        steps: Union[_NetSteps, _RunSteps],
+        notes: TimingNotes,
+    ) -> PlanSpace:
+        shortage = ("--limit", "")
+        index: Dict[Hashable, int] = {steps.start: 0}
+        self.states = order = [steps.start]
+        vanishing: List[bool] = []
+        offsets = Growing(np.int64)
+        offsets.extend(np.zeros(1, dtype=np.int64))
+        targets: List[int] = []
+        labels: List[int] = []
+        values: List[float] = []
+        bytes_per_state = 16 * steps.width + _STATE_BYTES
+        explored = 0
+        while explored < len(order) <= self._limit:
+            at_once, found = steps.expand(order[explored])
+            vanishing.append(at_once)
+            for target, label, value in found:
+                number = index.get(target)
+                if number is None:
+                    number = index[target] = len(order)
+                    order.append(target)
+                targets.append(number)
+                labels.append(label)
+                values.append(value)
+            explored += 1
+            offsets.extend(np.array([len(targets)]))
+            if explored % 256 == 0:
+                self._watch.step("states", len(order))
+                if not self._room.left(len(order) * bytes_per_state + len(targets) * _ARC_BYTES):
+                    shortage = ("--limit-memory", "%.3g GB" % (self._room.memory / 1e9))
+                    if not self._room.left(0):
+                        shortage = ("--limit-time", "%g s" % self._seconds)
+                    break
+        vanishing += [False] * (len(order) - explored)
+        offsets.extend(np.full(len(order) - explored, len(targets), dtype=np.int64))
+        graph = RawGraph(
+            None,
+            offsets.finished(),
+            np.array(targets, dtype=np.int32),
+            np.array(labels, dtype=label_type(len(net.transitions) + PlanSpace.further_steps)),
+            explored,
+        )
+        return PlanSpace(
+            net,
+            counters,
+            graph,
+            steps.markings(order),
+            np.array(vanishing, dtype=bool),
+            np.array(values, dtype=np.float64),
+            notes=notes,
+            shortage=shortage,
+        )

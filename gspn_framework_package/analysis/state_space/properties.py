@@ -21,7 +21,7 @@ from typing import Dict, List, NamedTuple, Optional
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Indices
-from gspn_framework_package.analysis.graph import Components, components
+from gspn_framework_package.analysis.graph import Components, can_reach, components
 from gspn_framework_package.analysis.state_space.space import StateSpace, WitnessStep
 
 
@@ -95,7 +95,10 @@ class Properties:
     @property
     def reversible(self) -> bool:
         """Whether the initial marking can be reached again from every reachable marking."""
-        return self.components.number == 1
+        space = self.space
+        if self.components.number == 1:
+            return True
+        return bool(can_reach(len(space), space.sources, space.targets, space.starts).all())
 
     @property
     def home_states(self) -> Indices:
@@ -109,7 +112,7 @@ class Properties:
     def liveness(self) -> Dict[str, Liveness]:
         """The liveness level of every transition."""
         space, found = self.space, self.components
-        count = len(space.net.transitions) + 1  # the last: a plan's robots wait (plan.space)
+        count = len(space.net.transitions) + space.further_steps
         level = np.zeros(count, dtype=np.int64)
         level[np.unique(space.transitions)] = Liveness.L1
         sources = space.sources

@@ -209,9 +209,24 @@ class StateSpace:
         return result
 
     @property
+    def starts(self) -> Booleans:
+        """Boolean array: the states that count as the beginning."""
+        found = np.zeros(len(self), dtype=bool)
+        found[0] = True
+        return found
+
+    def distinct(self, states: Indices) -> Indices:
+        """One of ``states`` (numbers, ascending) for each of their markings."""
+        return states
+
+    @property
     def deadlocks(self) -> Indices:
         """Numbers of the states in which no transition is enabled."""
         return np.flatnonzero(self.is_dead)
+
+    further_steps = 0
+    """How many kinds of steps there are in which no transition fires; their numbers follow those of
+    the transitions."""
 
     # -- arcs --------------------------------------------------------------------------------------
 

@@ -227,7 +227,7 @@ def test_a_reason_is_told_once_with_what_it_concerns(run):
     lines = out.splitlines()
     told = [line for line in lines if "raise --limit" in line]
     assert code == 0 and len(told) == 1, out
-    concerned = re.match("not decided: ([^:]*): within 101 states", told[0]).group(1).split(", ")
+    concerned = re.match("not decided: ([^:]*): within 104 states", told[0]).group(1).split(", ")
     assert concerned == [
         "states",
         "bounded",

@@ -156,6 +156,22 @@ def test_the_present_marking_is_that_which_is_shown_and_keeps_the_policy(ask):
     assert start(client, **{"from": "marking", "event": "x"}).status_code == 400
 
 
+def test_a_plan_is_read_as_it_runs_or_as_its_net(ask):
+    plan = read_plan("plans/rendezvous")
+    client = ask(plan.net, plan)
+
+    def found(**fields):
+        report = ended(client, start(client, policy=True, **fields))
+        return report["result"] or report["error"]
+
+    run, net = found(), found(reading="net")
+    assert list(run["timing"]["splits"]) == ["At_Dock", "Docked"]
+    assert (run["timing"]["reading"], net["timing"]["reading"]) == ("run", "net")
+    assert run["states"]["total"] > net["states"]["total"]
+    assert "no reading 'walk'" in found(reading="walk")
+    assert "'reading' is" in found(reading=[1])
+
+
 @pytest.mark.parametrize(
     ("worker", "told"),
     [

@@ -59,6 +59,12 @@ export class AnalysisPanel extends EventTarget {
         h("option", { value: "initial", text: "the initial marking" }),
         h("option", { value: "marking", text: "the current marking" }),
       ),
+      reading: h(
+        "select",
+        { id: "an-reading" },
+        h("option", { value: "run", text: "as the plan runs" }),
+        h("option", { value: "net", text: "as in its net alone" }),
+      ),
       policy: h("input", {
         id: "an-policy",
         type: "checkbox",
@@ -120,7 +126,12 @@ export class AnalysisPanel extends EventTarget {
           ...field("an-limit", "Max. states", this.settings.limit),
           ...field("an-seconds", "Max. seconds", this.settings.seconds),
           ...field("an-from", "Start from", this.settings.from),
-          ...(plan ? field("an-policy", "Under the policy", this.settings.policy) : []),
+          ...(plan
+            ? [
+                ...field("an-policy", "Under the policy", this.settings.policy),
+                ...field("an-reading", "Time", this.settings.reading),
+              ]
+            : []),
         ),
       ),
       question(
@@ -247,7 +258,7 @@ export class AnalysisPanel extends EventTarget {
       this.status.replaceChildren();
       return;
     }
-    const { limit, seconds: most, from, policy } = this.settings;
+    const { limit, seconds: most, from, policy, reading } = this.settings;
     const plan = Boolean(this.model.scene.plan);
     const body = {
       ...request,
@@ -255,6 +266,7 @@ export class AnalysisPanel extends EventTarget {
       seconds: Number(most.value),
       from: from.value,
       policy: policy.checked && plan,
+      ...(plan ? { reading: reading.value } : {}),
       event: this.model.board.n,
     };
     const about = h("span", { class: "muted" });

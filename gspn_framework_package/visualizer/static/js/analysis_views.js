@@ -303,6 +303,24 @@ export class AnswerViews {
     );
   }
 
+  /** How time was read, and what was assumed; nothing for a net. */
+  timing(timing, body) {
+    if (!timing || !body.policy) return [];
+    const split = Object.keys(timing.splits);
+    return [
+      ["Time", timing.reading === "run" ? "as the plan runs" : "as in its net alone"],
+      split.length > 0 && ["Doing and done told apart in", this.names(split)],
+      timing.assumptions.length > 0 && [
+        "Assumed",
+        h(
+          "ul",
+          {},
+          timing.assumptions.map((text) => h("li", { text })),
+        ),
+      ],
+    ];
+  }
+
   behaviour(result, body) {
     const { states, deadlocks } = result;
     const live = Object.entries(result.liveness || {});
@@ -360,6 +378,7 @@ export class AnswerViews {
         ],
         ["Dead transitions", dead ? this.names(dead) : this.answer(result, "dead_transitions")],
         ...this.titled(result, "behaviour"),
+        ...this.timing(result.timing, body),
         result.left_out?.length > 0 && [
           "Left out",
           `${result.left_out.join(", ")}: only written to`,

@@ -1,0 +1,98 @@
+"""How the analysis reads the time of a plan, and what it assumes; in words for people.
+
+``run`` follows the run: a robot is doing its action for a duration, then done, and moves as soon as
+it can. ``net`` is the classical reading of the plan's net: an exponential transition races while it
+is enabled.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, List, NamedTuple
+
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan_timing import PlanTiming
+
+RUN, NET = "run", "net"
+
+READINGS = (RUN, NET)
+
+
+class TimingNotes(NamedTuple):
+    """What a report says about time.
+
+    :ivar reading: RUN or NET.
+    :ivar splits: place -> why doing and done are told apart there.
+    :ivar assumptions: sentences for people.
+    """
+
+    reading: str
+    splits: Dict[str, str] = {}
+    assumptions: List[str] = []
+
+
+def checked_reading(reading: str) -> str:
+    """The reading itself. :raises UsageError: there is no such reading."""
+    if reading not in READINGS:
+        raise UsageError(
+            "there is no reading '%s' of time" % reading, hint="choose %s" % " or ".join(READINGS)
+        )
+    return reading
+
+
+def net_notes(plan: Plan) -> TimingNotes:
+    """The notes on the classical reading."""
+    assumptions = ["the clock of an exponential transition runs only while it is enabled"]
+    if _decides_with_action(plan):
+        assumptions.append("robots take no time in a place with immediate outputs")
+    if plan.durations or plan.outcomes:
+        assumptions.append("durations and outcomes in the plan are left out: the rates count")
+    return TimingNotes(NET, {}, assumptions + _of_both(plan))
+
+
+def run_notes(
+    plan: Plan, timing: PlanTiming, splits: Dict[str, str], more: List[str]
+) -> TimingNotes:
+    """The notes on the reading as the plan runs, with ``more`` assumptions."""
+    assumptions = [*timing.assumptions, *more]
+    failing = [p for p, chance in plan.failures.items() if chance > 0]
+    if failing:
+        assumptions.append(
+            "actions always succeed: the failures of %s are left out, and so is what on_failure "
+            "says (the simulation has both)" % ", ".join(failing)
+        )
+    if plan.timeouts:
+        assumptions.append("actions are never cut off by a timeout (the simulation has timeouts)")
+    return TimingNotes(RUN, splits, assumptions + _of_both(plan))
+
+
+def _decides_with_action(plan: Plan) -> bool:
+    return any(
+        not plan.net.transitions[t].timed and plan.actions.get(plan.net.places[p].name) is not None
+        for p, leaving in enumerate(plan.net.consumers)
+        for t in leaving
+    )
+
+
+def _of_both(plan: Plan) -> List[str]:
+    """The assumptions of both readings."""
+    net = plan.net
+    robots = [
+        any(net.places[p].name not in plan.resource_places for p, _ in arcs) for arcs in net.inputs
+    ]
+    assumptions = []
+    if sum(p.tokens for p in net.places if p.name not in plan.resource_places) > 1 and any(
+        not t.timed for t in net.transitions
+    ):
+        assumptions.append(
+            "if several robots could fire at once, each is equally likely to go first (in a run, "
+            "the first to finish does)"
+        )
+    if not plan.simulate_environment and any(
+        t.timed and not moves for t, moves in zip(net.transitions, robots)
+    ):
+        assumptions.append(
+            "exponential transitions that only take resources fire at their rates (in a run, only "
+            "with environment: simulate)"
+        )
+    return assumptions

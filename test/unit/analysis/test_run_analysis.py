@@ -1,0 +1,409 @@
+"""A plan is analysed as it runs: doing, then done, and off as soon as it can."""
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.chain import Chain
+from gspn_framework_package.analysis.plan.phases import number_of_phases, phases_of
+from gspn_framework_package.analysis.plan.space import explore_plan
+from gspn_framework_package.execution.virtual_time import VirtualRun
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.duration import Duration
+from gspn_framework_package.model.errors import LimitError, UsageError
+from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan_timing import PlanTiming
+from gspn_framework_package.model.policy import Policy, PolicyRow
+
+exponential, erlang = Duration.exponential, Duration.erlang
+
+
+def plan_of(net, durations=None, rows=(), **more):
+    """A plan whose actions take these times; ``rows`` of the policy hold for any marking."""
+    places = [p.name for p in net.places if p.name not in more.get("resource_places", ())]
+    actions = {name: FunctionAction("actions.work", "work") for name in places}
+    policy = Policy([], [PolicyRow((), tuple(choices.items())) for choices in rows])
+    robots = [
+        RobotSpec("%s_%d" % (p.name, i), p.name)
+        for p in net.places
+        if p.name in places
+        for i in range(p.tokens)
+    ]
+    return Plan(
+        net=net,
+        actions=actions,
+        durations=durations or {},
+        policy=policy,
+        robots=tuple(robots),
+        **more,
+    ).validate()
+
+
+def pair():
+    """A robot in ``a`` and one in ``b`` go on together."""
+    return (
+        NetBuilder("pair")
+        .place("a", tokens=1)
+        .place("b", tokens=1)
+        .exponential("meet", rate=1, inputs=["a", "b"], outputs=["a", "b"])
+        .build()
+    )
+
+
+def test_a_join_waits_for_the_later_of_two():
+    plan = plan_of(pair(), {"a": exponential(1.0), "b": exponential(0.5)})
+    analysis = Analysis(plan)
+    assert analysis.measures.throughput["meet"] == pytest.approx(1 / (1 + 1 / 2 - 1 / 3))
+    assert set(analysis.timing.splits) == {"a", "b"}
+    assert Analysis(plan, timing="net").measures.throughput["meet"] == pytest.approx(1.0)
+
+
+def test_a_join_of_erlang_times():
+    plan = plan_of(pair(), {"a": erlang(2, 1.0), "b": erlang(3, 2.0)})
+    times = np.linspace(0, 40, 400_001)
+    longer = 1 - plan.durations["a"].cdf(times) * plan.durations["b"].cdf(times)
+    later = float(((longer[1:] + longer[:-1]) / 2 * np.diff(times)).sum())  # mean of the maximum
+    assert Analysis(plan).measures.throughput["meet"] == pytest.approx(1 / later, rel=1e-8)
+
+
+def test_an_inhibitor_holds_a_robot_that_is_done():
+    net = (
+        NetBuilder()
+        .place("wait", tokens=1)
+        .place("busy", tokens=1)
+        .place("off")
+        .place("free")
+        .exponential("leave", rate=1, inputs="wait", outputs="off", inhibitors="busy")
+        .exponential("end", rate=1 / 2, inputs="busy", outputs="free")
+        .build()
+    )
+    plan = plan_of(net)
+    assert list(Analysis(plan).timing.splits) == ["wait"]
+    # the later of the two, for the robot is doing its action while the other one is busy
+    assert Analysis(plan).first_passage("off == 1").mean_time == pytest.approx(1 + 2 - 1 / 1.5)
+    net_only = Analysis(plan, timing="net")
+    assert net_only.first_passage("off == 1").mean_time == pytest.approx(2 + 1)
+
+
+def test_a_decision_that_takes_time():
+    net = (
+        NetBuilder()
+        .place("work", tokens=1)
+        .place("decide")
+        .exponential("done", rate=2, inputs="work", outputs="decide")
+        .immediate("again", inputs="decide", outputs="work")
+        .build()
+    )
+    plan = plan_of(net, {"decide": exponential(0.1)})
+    analysis = Analysis(plan)
+    assert analysis.measures.throughput["again"] == pytest.approx(1 / 0.6)
+    assert analysis.measures.mean_tokens["decide"] == pytest.approx(0.1 / 0.6)
+    assert analysis.properties.live and analysis.reversible
+    without = Analysis(replace(plan, durations={}))
+    assert without.measures.throughput["again"] == pytest.approx(2)
+    assert without.timing.splits == {}
+
+
+def meeting(**more):
+    """Two robots deliberate: each goes alone, or wants to meet the other."""
+    net = (
+        NetBuilder("meeting")
+        .place("d", tokens=2)
+        .place("alone")
+        .place("together")
+        .immediate("go", inputs="d", outputs="alone")
+        .immediate("meet", inputs={"d": 2}, outputs={"together": 2})
+        .build()
+    )
+    return plan_of(net, {"d": exponential(1.0)}, [{"meet": 0.9, "go": 0.1}], **more)
+
+
+def test_a_draw_is_held_while_the_partner_is_doing():
+    """The first robot to finish wants to meet with 0.9. It then holds that, and the second cannot
+    override it; if it goes alone, the second may wait for ever."""
+    analysis = Analysis(meeting())
+    reached = analysis.first_passage
+    assert reached("together == 2").probability == pytest.approx(0.9)
+    assert reached("alone == 2").probability == pytest.approx(0.01)
+    assert reached("d == 1 and deadlock").probability == pytest.approx(0.09)
+    assert analysis.properties.deadlock_summary().number == 3
+    way = analysis.reach("d == 1 and deadlock").witness
+    assert [step.transition for step in way] == ["go", "(waits)"]
+    # the first of the two takes 1/2 s, the other one 1 s more
+    assert reached("d == 0 or (d == 1 and deadlock)").mean_time == pytest.approx(1.5)
+
+
+def test_what_an_action_named_is_not_overridden():
+    """In ``d`` the action names ``go`` with 0.1; otherwise the policy lets the robot meet."""
+    plan = replace(
+        meeting(), outcomes={"d": {"go": 0.1, "": 0.9}}, policy=Policy([], [])
+    ).validate()
+    rows = Policy([], [PolicyRow((), (("meet", 1.0),))])
+    reached = Analysis(replace(plan, policy=rows)).first_passage
+    assert reached("together == 2").probability == pytest.approx(0.81)
+    assert reached("alone == 2").probability == pytest.approx(0.01)
+
+
+def test_a_named_robot_is_left_when_two_of_three_meet():
+    """Two of three named ``go``, which is inhibited; the third lets the policy decide: nobody is
+    free to meet it."""
+    net = (
+        NetBuilder()
+        .place("d", tokens=3)
+        .place("closed", tokens=1)
+        .place("alone")
+        .place("together")
+        .immediate("go", inputs="d", outputs="alone", inhibitors="closed")
+        .immediate("meet", inputs={"d": 2}, outputs={"together": 2})
+        .build()
+    )
+    plan = plan_of(net, {"d": exponential(1.0)}, resource_places=frozenset(["closed"]))
+    plan = replace(plan, outcomes={"d": {"go": 0.4, "": 0.6}}).validate()
+    reached = Analysis(plan).first_passage
+    assert reached("together == 2").probability == pytest.approx(0.6**3 + 3 * 0.6**2 * 0.4)
+    space = Analysis(plan).space
+    assert len(space.deadlocks) == 2  # by marking: three states, or two, or one, named ``go``
+
+
+def test_several_done_robots_and_priorities():
+    """A robot that is done with an exponential request gives way to an immediate one."""
+    net = (
+        NetBuilder()
+        .place("a", tokens=1)
+        .place("b", tokens=1)
+        .place("gate", tokens=1)
+        .place("tool")
+        .place("first")
+        .place("second")
+        .exponential("open", rate=0.001, inputs="gate", outputs="tool")
+        .exponential("slow", rate=10, inputs=["a", "tool"], outputs="first")
+        .immediate("quick", inputs=["b", "tool"], outputs="second")
+        .build()
+    )
+    plan = plan_of(
+        net, {"b": exponential(0.1)}, resource_places=frozenset(["gate", "tool"]), until="tool > 9"
+    )
+    # both are done long before the tool is there, but for a chance of about 1e-4
+    assert Analysis(plan).first_passage("second == 1").probability == pytest.approx(1, abs=3e-4)
+
+
+@pytest.mark.parametrize(
+    "duration",
+    [
+        exponential(2.0),
+        erlang(4, 2.0),
+        Duration.hyper_erlang([(0.3, 1, 5.0), (0.7, 3, 0.5)]),
+    ],
+    ids=lambda d: d.kind.value,
+)
+def test_exact_phases_have_the_distribution(duration):
+    net = (
+        NetBuilder()
+        .place("a", tokens=1)
+        .place("b")
+        .exponential("t", rate=0.5, inputs="a", outputs="b")
+        .build()
+    )
+    times = [0.1, 0.5, 1.0, 3.0, 9.0]
+    passage = Analysis(plan_of(net, {"a": duration})).first_passage("b == 1", times)
+    assert passage.mean_time == pytest.approx(duration.mean)
+    assert passage.within == pytest.approx(duration.cdf(np.array(times)).tolist(), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "duration",
+    [
+        Duration.gamma(4.0, 2.0),
+        Duration.gamma(4.3, 2.0),
+        Duration.gamma(1.0, 2.0),
+        Duration.gamma(0.4, 2.0),
+        Duration.lognormal(0.3, 2.0),
+        Duration.lognormal(1.5, 2.0),
+        Duration.uniform(1.0, 3.0),
+        Duration.empirical([1.0, 1.5, 1.7, 4.0]),
+    ],
+    ids=lambda d: d.describe(),
+)
+def test_matched_phases_have_the_same_mean_and_variance(duration):
+    phases = phases_of(duration)
+    count = len(phases.rates)
+    assert count == number_of_phases(duration) and phases.matched
+    assert sum(v for _, v in phases.start) == pytest.approx(1)
+    # moments of the time to absorption
+    inner = np.zeros((count, count))
+    for i, (rate, following) in enumerate(zip(phases.rates, phases.following)):
+        inner[i, i] = -rate
+        if following >= 0:
+            inner[i, following] = rate
+    start = np.zeros(count)
+    for phase, v in phases.start:
+        start[phase] = v
+    inverse = np.linalg.inv(-inner)
+    mean = start @ inverse @ np.ones(count)
+    square = 2 * start @ inverse @ inverse @ np.ones(count)
+    assert mean == pytest.approx(duration.mean)
+    assert square - mean**2 == pytest.approx(duration.variance)
+
+
+def test_what_was_matched_is_said():
+    plan = plan_of(pair(), {"a": Duration.gamma(2.5, 1.0), "b": exponential(1.0)})
+    told = [text for text in Analysis(plan).timing.assumptions if "replaced" in text]
+    assert len(told) == 1 and "a (gamma" in told[0] and "Erlang with 2 or 3 phases" in told[0]
+
+
+def test_the_same_chain_where_no_split_is_due():
+    for name in ("plans/tokens", "plans/measure"):
+        plan = read_plan(name).for_robots(3)
+        run, net = Analysis(plan), Analysis(plan, timing="net")
+        assert run.timing.splits == {} and len(run.space) == len(net.space)
+        assert run.space.arcs == net.space.arcs
+        for one, other in (
+            (run.measures.throughput, net.measures.throughput),
+            (run.measures.mean_tokens, net.measures.mean_tokens),
+        ):
+            assert one == pytest.approx(other, rel=1e-12, abs=1e-14)
+
+
+def checks(throughput):
+    return sum(value for name, value in throughput.items() if "Temperature" in name)
+
+
+def patrol_with(times):
+    """The patrol with the mean durations of its actions and the outcomes that it draws."""
+    plan = read_plan("plans/patrol")
+    durations = {p: times(p) for p in plan.action_places}
+    outcomes = {
+        p: {
+            plan.net.transitions[t].name: 0.15 if "High" in plan.net.transitions[t].name else 0.85
+            for t in plan.net.consumers[plan.net.place_number(p)]
+        }
+        for p in plan.action_places
+        if "Check" in p
+    }
+    return replace(plan, durations=durations, outcomes=outcomes).validate()
+
+
+def seconds(place):
+    return 1.2 if "Check" in place else 0.1 if "Decide" in place else 0.5
+
+
+def test_the_patrol():
+    plan = read_plan("plans/patrol")
+    assert checks(Analysis(plan, timing="net").measures.throughput) == pytest.approx(
+        1.194798945367, rel=1e-12
+    )
+    analysis = Analysis(plan)
+    assert sorted(analysis.timing.splits) == sorted(p for p in plan.action_places if "Wait" in p)
+    assert checks(analysis.measures.throughput) > 1.28
+
+
+def agrees(plan, time, runs=12):
+    """The exact measures are those of runs in virtual time, within their spread."""
+    far = stats.t.ppf(1 - 1e-7, runs - 1)
+    analysis = Analysis(plan)
+    exact = {**analysis.measures.throughput, **analysis.measures.mean_tokens}
+    found = [VirtualRun(plan, seed=seed).run(time=time, warmup=time / 20) for seed in range(runs)]
+    for name, value in exact.items():
+        samples = np.array(
+            [r.throughput(name) if name in r.firings else r.mean_tokens[name] for r in found]
+        )
+        error = samples.std(ddof=1) / math.sqrt(runs)
+        assert abs(samples.mean() - value) <= far * error + 1e-9, name
+
+
+def test_the_patrol_with_fitted_times_as_it_runs():
+    plan = patrol_with(lambda place: exponential(seconds(place)))
+    assert checks(Analysis(plan).measures.throughput) == pytest.approx(1.675231, rel=1e-6)
+    agrees(plan, 100)
+
+
+@pytest.mark.parametrize("phases", [1, 2])
+def test_meetings_and_resources_as_they_run(phases):
+    plan = read_plan("plans/rendezvous")
+    timing = PlanTiming(plan)
+    durations = {
+        plan.net.places[p].name: erlang(phases, one.duration.mean)
+        for p, one in timing.places.items()
+        if one.duration.mean > 0
+    }
+    agrees(replace(plan, durations=durations).validate(), 200)
+
+
+def test_too_many_phases_are_refused_with_their_number():
+    plan = patrol_with(lambda place: Duration.gamma(59.0, seconds(place)))
+    analysis = Analysis(plan)
+    with pytest.raises(LimitError) as refused:
+        analysis.chain  # noqa: B018
+    told = str(refused.value)
+    assert "gspn simulate" in told and "59 phases" in told and "states, more than" in told
+    # what does not depend on the phases is known all the same
+    assert analysis.properties.live and analysis.boundedness.bounded
+
+
+def test_the_number_of_states_is_foreseen():
+    plan = patrol_with(lambda place: erlang(2, seconds(place))).for_robots(2)
+    found = len(explore_plan(plan, timing=PlanTiming(plan)))
+    space = explore_plan(plan, timing=PlanTiming(plan), limit=found - 1)
+    foreseen = re.search(r"about (\d+) states", space.refusal)
+    assert space.complete and foreseen
+    assert found <= int(foreseen.group(1)) <= 1.05 * found
+
+
+def test_a_time_that_never_varies_has_no_phases():
+    plan = plan_of(pair(), {"a": Duration.deterministic(1.0), "b": exponential(1.0)})
+    with pytest.raises(LimitError, match="never vary.*that of a"):
+        Analysis(plan).chain  # noqa: B018
+
+
+def test_a_condition_on_a_counter():
+    net = (
+        NetBuilder()
+        .place("work", tokens=1)
+        .place("think")
+        .place("done")
+        .exponential("do", rate=2, inputs="work", outputs=["think", "done"])
+        .immediate("again", inputs="think", outputs="work")
+        .build()
+    )
+    plan = plan_of(net, {"think": erlang(2, 1.0)}, resource_places=frozenset(["done"]))
+    analysis = Analysis(plan)
+    assert analysis.left_out == ("done",)
+    assert analysis.first_passage("done >= 3").mean_time == pytest.approx(3 * 0.5 + 2 * 1.0)
+
+
+def test_an_action_that_never_says_what_to_do():
+    """No action in ``a``, and two ways out: the robot is stuck there."""
+    net = (
+        NetBuilder()
+        .place("b", tokens=1)
+        .place("a")
+        .exponential("come", rate=1, inputs="b", outputs="a")
+        .exponential("one", rate=1, inputs="a", outputs="b")
+        .exponential("two", rate=1, inputs="a", outputs="b")
+        .build()
+    )
+    plan = plan_of(net)
+    plan = replace(plan, actions={**plan.actions, "a": None}).validate()
+    assert Analysis(plan).properties.deadlock_summary().marking == {"a": 1}
+
+
+def test_robots_that_differ_are_told():
+    plan = read_plan("plans/rendezvous")
+    slow = plan.robots[0]._replace(actions={"Fetch": None})
+    told = Analysis(replace(plan, robots=(slow, *plan.robots[1:])).validate()).timing.assumptions
+    assert any("every robot in Fetch" in text for text in told)
+
+
+def test_a_net_has_no_run():
+    with pytest.raises(UsageError):
+        Analysis(pair(), timing="run")
+    with pytest.raises(UsageError):
+        Analysis(plan_of(pair()), timing="walk")
+    assert Analysis(pair()).timing.reading == "net"
+    assert len(Chain.of(explore_plan(plan_of(pair())))) == 1
