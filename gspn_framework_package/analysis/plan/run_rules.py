@@ -64,7 +64,7 @@ _TINY = 1e-12
 """A probability below this is a rounding error."""
 
 
-class Arc(NamedTuple):
+class RunArc(NamedTuple):
     """A step to ``target``: ``label`` is the number of the transition that fires, or ``waits`` or
     ``ends`` of the rules; ``value`` is a rate (1/s), or a probability in zero time."""
 
@@ -375,7 +375,7 @@ class RunRules:
             return state
         return tuple([sum(state[a:b]) if b - a > 1 else state[a] for a, b in self._parts])
 
-    def settle(self, state: State) -> Tuple[State, List[Arc]]:
+    def settle(self, state: State) -> Tuple[State, List[RunArc]]:
         """The state in its one form, and its steps in zero time, if there are any."""
         marking = self.marking(state)
         if not self._rules.is_over(marking):
@@ -396,19 +396,19 @@ class RunRules:
                     counts[column] = 0
         return state if counts is None else tuple(counts)
 
-    def steps(self, state: State) -> List[Arc]:
+    def steps(self, state: State) -> List[RunArc]:
         """What happens in a settled state, in which nothing happens in zero time: arcs with
         rates."""
         marking = self.marking(state)
         if self._rules.is_over(marking):
             return []
-        arcs: List[Arc] = []
+        arcs: List[RunArc] = []
         for column, rates in self._racing:
             robots = state[column]
             if robots:
                 for t, rate in rates:
                     for target, v in self._after(state, t, ((column, 1),)):
-                        arcs.append(Arc(target, t, robots * rate * v))
+                        arcs.append(RunArc(target, t, robots * rate * v))
         for p, columns in self._working:
             for column, rate, following in zip(columns.phases, columns.rates, columns.following):
                 robots = state[column]
@@ -418,25 +418,25 @@ class RunRules:
                     counts = list(state)
                     counts[column] -= 1
                     counts[following] += 1
-                    arcs.append(Arc(tuple(counts), self.ends, robots * rate))
+                    arcs.append(RunArc(tuple(counts), self.ends, robots * rate))
                     continue
                 if not columns.outcomes:
                     counts = list(state)
                     counts[column] -= 1
                     counts[columns.stuck] += 1
-                    arcs.append(Arc(tuple(counts), self.ends, robots * rate))
+                    arcs.append(RunArc(tuple(counts), self.ends, robots * rate))
                 for request, v in columns.outcomes:
                     arcs += self._done(state, marking, p, column, request, robots * rate * v)
         for t in self._environment:
             if self.net.is_enabled(marking, t):
                 rate = self.net.effective_rate(marking, t)
                 for target, v in self._after(state, t, ()):
-                    arcs.append(Arc(target, t, rate * v))
+                    arcs.append(RunArc(target, t, rate * v))
         return arcs
 
     def _done(
         self, state: State, marking: Marking, p: int, column: int, request: int, rate: float
-    ) -> Iterator[Arc]:
+    ) -> Iterator[RunArc]:
         """The steps, at ``rate`` in all, when a robot in ``column`` of place ``p`` is done and
         makes a request."""
         columns = self._columns[p]
@@ -449,12 +449,12 @@ class RunRules:
         asked = self._ask_again(state, marking, counts, self._watching[p])
         target = tuple(counts)
         if request == POLICY or asked or not self._can_fire(target, marking, request):
-            yield Arc(target, self.ends, rate)
+            yield RunArc(target, self.ends, rate)
             return
         # Whoever waited could not fire before, so only this request can fire now.
         for taken, v in self._takings(target, request, columns.named[request]):
             for after, u in self._after(target, request, taken):
-                yield Arc(after, request, rate * v * u)
+                yield RunArc(after, request, rate * v * u)
 
     def _ask_again(
         self,
@@ -508,17 +508,20 @@ class RunRules:
         """The immediate transitions that can fire."""
         return {t for t in self._immediate if self._can_fire(state, marking, t)}
 
-    def _at_once(self, state: State, marking: Marking) -> List[Arc]:
+    def _at_once(self, state: State, marking: Marking) -> List[RunArc]:
         """The steps in zero time."""
         net = self.net
         spontaneous = [t for t in self._spontaneous if net.is_enabled(marking, t)]
         if spontaneous:
             return [
-                Arc(target, t, chance * v)
+                RunArc(target, t, chance * v)
                 for t, chance in self._rules.by_weight(spontaneous)
                 if t is not None
                 for target, v in self._after(state, t, ())
             ]
+        # One robot that has just finished either moves on, or is taken by a partner whose draw it
+        # made possible: its own draw is never needed again unless it waits for it.
+        keeps = self._keeps_draws and any(state[c.asking] for _, c in self._deciding)
         groups: List[Requests] = []
         columns_of: List[int] = []  # the column of each group
         drawing: List[_Drawing] = []
@@ -540,18 +543,18 @@ class RunRules:
                     (columns.holding[t], v)
                     for t, v in draw
                     if t in columns.holding
-                    and (self._keeps_draws or t not in ready)
+                    and (keeps or t not in ready)
                     and net.is_enabled(marking, t)
                 ]
-                rest = 1.0 if self._keeps_draws else 1.0 - sum(able.values())
+                rest = 1.0 if keeps else 1.0 - sum(able.values())
                 drawing.append(_Drawing(column, columns.idle, kept, rest))
                 if able:
                     groups.append(Requests(state[column], able, column == columns.newest))
                     columns_of.append(column)
         keep = any(robots.kept for robots in drawing)
-        if keep and (self._keeps_draws or not groups):
+        if keep and (keeps or not groups):
             return self._draw_all(state, drawing, 1.0)
-        arcs: List[Arc] = []
+        arcs: List[RunArc] = []
         whole = 0.0
         for column, first in zip(columns_of, first_to_fire(groups, self._rules.urgency)):
             for t, chance in first.items():
@@ -559,12 +562,12 @@ class RunRules:
                 if chance > 0:
                     for taken, v in self._takings(state, t, column):
                         for target, u in self._after(state, t, taken):
-                            arcs.append(Arc(target, t, chance * v * u))
+                            arcs.append(RunArc(target, t, chance * v * u))
         if arcs and 1.0 - whole > _TINY:
             return arcs + self._draw_all(state, drawing, 1.0 - whole)
-        return [Arc(target, t, value / whole) for target, t, value in arcs]
+        return [RunArc(target, t, value / whole) for target, t, value in arcs]
 
-    def _draw_all(self, state: State, drawing: Sequence[_Drawing], chance: float) -> List[Arc]:
+    def _draw_all(self, state: State, drawing: Sequence[_Drawing], chance: float) -> List[RunArc]:
         """The steps, with a probability of ``chance`` in all, when all that ask the policy have
         drawn what they keep."""
         found: List[Tuple[List[int], float]] = [(list(state), chance)]
@@ -577,7 +580,7 @@ class RunRules:
             for counts, _ in found:
                 counts[column] -= robots
             found = _spread(found, entry, robots)
-        return [Arc(tuple(counts), self.waits, v) for counts, v in found]
+        return [RunArc(tuple(counts), self.waits, v) for counts, v in found]
 
     # -- firing ------------------------------------------------------------------------------------
 

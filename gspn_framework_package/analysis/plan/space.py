@@ -13,7 +13,7 @@ from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.plan.phases import MOST_PHASES
 from gspn_framework_package.analysis.plan.reading import NET, TimingNotes, net_notes, run_notes
 from gspn_framework_package.analysis.plan.rules import PlanRules
-from gspn_framework_package.analysis.plan.run_rules import Arc, RunRules, State
+from gspn_framework_package.analysis.plan.run_rules import RunArc, RunRules, State
 from gspn_framework_package.analysis.state_space.exploration import (
     Allowance,
     Growing,
@@ -94,7 +94,9 @@ class _RunSteps:
         self._rules = rules
         self.width = rules.width
         self._settled: Dict[State, State] = {}
-        self._at_once: Dict[State, List[Arc]] = {}  # of vanishing states that are not expanded yet
+        self._at_once: Dict[
+            State, List[RunArc]
+        ] = {}  # of vanishing states that are not expanded yet
         self.start: Hashable = (
             self._settle(rules.begin[0][0]) if len(rules.begin) == 1 else self._BEGIN
         )
