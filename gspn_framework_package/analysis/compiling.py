@@ -3,20 +3,26 @@ writable. The import fails if numba is not installed."""
 
 from __future__ import annotations
 
-from typing import Any, Callable
+from typing import Any, Callable, Dict
 
 from numba import njit
 
 Function = Callable[..., Any]
 
 
-def compiled(function: Function) -> Any:
+def compiled(function: Function, allocates: bool = True) -> Any:
     """``function``, compiled by numba on its first call.
+
+    A function that creates no array may say so (``allocates``): it then counts no references to its
+    arrays, which would take most of the time of a small function.
 
     The machine code is cached next to the source file, or in the user's cache directory. If neither
     is writable (a read-only installation, a user without a home), every process compiles it again.
     """
+    options: Dict[str, Any] = {"nogil": True}
+    if not allocates:
+        options["_nrt"] = False
     try:
-        return njit(cache=True, nogil=True)(function)
+        return njit(cache=True, **options)(function)
     except RuntimeError:  # numba found no writable cache directory
-        return njit(nogil=True)(function)
+        return njit(**options)(function)

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Iterator, Tuple
 
-from gspn_framework_package.analysis.simulation import Simulation, simulate
+from gspn_framework_package.analysis.simulation import TIMINGS, Simulation, simulate
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.progress import ProgressLine
@@ -51,9 +51,43 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--replications",
         type=numbers.replications,
-        default=1000,
         metavar="N",
-        help="runs (default %(default)s)",
+        help="runs (default 1000); with --precision, the most (default a million)",
+    )
+    parser.add_argument(
+        "--timing",
+        choices=TIMINGS,
+        default="run",
+        help="how to read a plan: as it runs (default), or as the race of its net's rates; a net "
+        "always has the latter",
+    )
+    parser.add_argument(
+        "--precision",
+        type=numbers.number(0.0, 1.0, above=0.0),
+        metavar="R",
+        help="stop when every interval is at most this part of its mean wide on either side, e.g. "
+        "0.01",
+    )
+    parser.add_argument(
+        "--measure",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="with --precision: the transition (throughput) or place (mean tokens) that matters; "
+        "may be repeated (default: the throughputs of at least a hundredth of the largest)",
+    )
+    parser.add_argument(
+        "--batches",
+        type=numbers.whole(2, numbers.MOST_REPLICATIONS),
+        metavar="N",
+        help="one long run of a plan in place of many, divided into N batches",
+    )
+    parser.add_argument(
+        "--losses",
+        type=numbers.number(0.0, 1e6),
+        default=0.0,
+        metavar="RATE",
+        help="of a plan: how often each robot is lost (1/s)",
     )
     parser.add_argument(
         "--seed",
@@ -85,6 +119,11 @@ def run(args: argparse.Namespace) -> int:
             warmup=args.warmup,
             until=args.until,
             confidence=args.confidence,
+            timing=args.timing,
+            losses=args.losses,
+            precision=args.precision,
+            measures=args.measure,
+            batches=args.batches,
             progress=progress,
         )
     if args.csv:
@@ -93,10 +132,11 @@ def run(args: argparse.Namespace) -> int:
             writer.writerow(("measure", "name", "mean", "half_width"))
             writer.writerows(_rows(result))
     if args.json:
-        json.dump({**result.to_json(), "notes": notes}, sys.stdout, indent=2, allow_nan=False)
+        data = {**result.to_json(), "notes": [*notes, *result.notes]}
+        json.dump(data, sys.stdout, indent=2, allow_nan=False)
         print()
     else:
-        print_notes(notes)
+        print_notes([*notes, *result.notes])
         print("\n".join(_text(result)))
     return 0
 
@@ -113,13 +153,21 @@ def _rows(result: Simulation) -> Iterator[Tuple[str, str, float, float]]:
 
 
 def _text(result: Simulation) -> Iterator[str]:
-    yield "%d runs%s, seed %d, %s events; intervals of %g %% confidence" % (
-        result.replications,
+    yield "%s%s, seed %d, %s firings; intervals of %g %% confidence" % (
+        "%d runs" % result.replications
+        if result.batches is None
+        else "%d batches of a run" % result.batches,
         " of %g s" % result.time if math.isfinite(result.time) else "",
         result.seed,
         format(result.events, ","),
         100 * result.confidence,
     )
+    if result.precision is not None:
+        wanted, reached = result.precision["wanted"], result.precision["reached"]
+        yield "relative precision: %s, of %g wanted" % (
+            "%.2g" % reached if reached is not None else "none",
+            wanted,
+        )
     yield "%-32s %s" % ("place", "mean tokens")
     for name, value in result.mean_tokens.items():
         yield "%-32s %s" % (name, value)

@@ -34,11 +34,16 @@ def simulate_to_log(subject: Union[Net, Plan], notes: List[str], args: argparse.
         plan = replace(plan, until=both).validate()
     if math.isinf(args.time) and plan.until is None:
         raise UsageError("how long is the run?", hint="give --time, or --until")
+    for option in ("replications", "precision", "batches", "measure"):
+        if getattr(args, option):
+            raise UsageError("--log records a single run, which has no --%s" % option)
+    if args.timing != "run":
+        raise UsageError("--log records a plan as it runs, not as a net")
     if os.path.exists(args.log):
         raise UsageError(
             "it exists already", file=args.log, hint="give --log the name of a new file"
         )
-    run = VirtualRun(plan)
+    run = VirtualRun(plan, loss_rate=args.losses)
     first = header(plan, plan.name, "", uuid.uuid4().hex, agents=True, virtual=True)
     writer = EventLogWriter(args.log, first, clocks=run.clocks)
     run.record_to(writer)

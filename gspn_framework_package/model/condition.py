@@ -92,6 +92,7 @@ class Condition:
     :ivar text: the condition as written.
     :ivar places: names of the places that the condition refers to.
     :ivar labels: names of the labels that the condition refers to.
+    :ivar program: the condition as steps of a stack machine: (operation, argument).
 
     >>> condition = parse_condition("a >= 1 and a + b == 3", ["a", "b"])
     >>> condition.holds((1, 2)), condition.holds((0, 3))
@@ -101,12 +102,12 @@ class Condition:
     def __init__(self, text: str, tree: Any, place_index: Mapping[str, int]) -> None:
         self.text = text
         self._tree = tree
-        self._program = _compile(tree, place_index)
+        self.program = _compile(tree, place_index)
         self.places: Tuple[str, ...] = tuple(
-            name for name, i in place_index.items() if ("place", i) in set(self._program)
+            name for name, i in place_index.items() if ("place", i) in set(self.program)
         )
         self.labels: Tuple[str, ...] = tuple(
-            sorted({str(a) for op, a in self._program if op == "label"})
+            sorted({str(a) for op, a in self.program if op == "label"})
         )
 
     def holds(self, marking: Sequence[int], labels: Mapping[str, bool] = {}) -> bool:
@@ -116,7 +117,7 @@ class Condition:
 
         :param labels: truth values of the labels in this marking, e.g. ``{"deadlock": False}``.
         """
-        return bool(_run(self._program, marking, labels, _SCALAR))
+        return bool(_run(self.program, marking, labels, _SCALAR))
 
     def holds_in(self, markings: Any, labels: Mapping[str, Any] = {}) -> Any:
         """Evaluate the condition in many markings at once.
@@ -137,7 +138,7 @@ class Condition:
         import numpy
 
         with numpy.errstate(all="ignore"):
-            result = _run(self._program, columns, labels, _vector_functions())
+            result = _run(self.program, columns, labels, _vector_functions())
         return numpy.broadcast_to(numpy.asarray(result, dtype=bool), (rows,)).copy()
 
     def enough(self) -> List[Tuple[str, int]]:

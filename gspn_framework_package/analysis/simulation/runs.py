@@ -1,8 +1,4 @@
-"""Discrete-event simulation of a net, or of a plan under its policy, with confidence intervals.
-
-Many independent replications advance in step: one round draws the next event of each of them. Each
-marking is evaluated once, when a replication first reaches it, so that a round takes only a few
-array operations.
+"""Simulation of a net, or of a plan as it runs, with confidence intervals.
 
 >>> from gspn_framework_package.model.builder import NetBuilder
 >>> net = (NetBuilder().place("up", tokens=1).place("down")
@@ -16,131 +12,145 @@ True
 from __future__ import annotations
 
 import math
+import time as clock
 from dataclasses import replace
-from typing import Any, Dict, List, NamedTuple, Optional, Tuple, Union
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
-from scipy import stats
 
-from gspn_framework_package.analysis.arrays import Floats, Indices
 from gspn_framework_package.analysis.plan.rules import PlanRules
+from gspn_framework_package.analysis.simulation import estimates, kernel, machine
+from gspn_framework_package.analysis.simulation.estimates import Estimate, Samples, Simulation
+from gspn_framework_package.analysis.simulation.marking_table import MarkingTable, TableRuns
 from gspn_framework_package.analysis.simulation.net_rules import NetRules
+from gspn_framework_package.analysis.simulation.plan_run import PlanRun
+from gspn_framework_package.analysis.simulation.plan_tables import PlanTables
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import RefusedError, UsageError
-from gspn_framework_package.model.net import Marking, Net
+from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan_timing import PlanTiming
 
-REMEMBERED = 500_000
-"""Most markings in the cache before it is cleared."""
+TIMINGS = ("run", "net")
+"""How the times of a plan are read: as it runs, or as a race of the net's rates."""
 
-TIMELESS_FIRINGS = 10_000
-"""More consecutive firings in zero time than this are treated as a timeless cycle."""
+MOST_REPLICATIONS = 10**6
+"""Most replications until a wanted precision is given up."""
 
-_WAIT = -1  # the transition of an arc on which robots only wait
+FIRST_REPLICATIONS = 30
+"""Replications before the precision is looked at."""
 
+RARE = 0.01
+"""By default, the precision is wanted of all throughputs of at least this part of the largest."""
 
-class Estimate(NamedTuple):
-    """A mean over the replications, with the half width of its confidence interval (infinite for
-    one replication)."""
+_COMPILED_EVENTS = 500_000
+_PLAIN_EVENTS = 5_000
+"""Events between two looks at the watch."""
 
-    mean: float
-    half_width: float
-
-    def __str__(self) -> str:
-        return "%.6g ± %.2g" % (self.mean, self.half_width)
-
-
-class Simulation(NamedTuple):
-    """The results of the replications.
-
-    :ivar mean_tokens: place -> time-averaged number of tokens.
-    :ivar throughput: transition -> firings per second.
-    :ivar token_distribution: place -> number of tokens -> share of time.
-    :ivar end_time: when a replication ended (s): at the condition, or at ``time``.
-    :ivar reached: share of the replications that reached the condition; None without one.
-    :ivar time_to_condition: when (s) those replications reached it; None without a condition, or if
-      none did.
-    :ivar events: total number of firings.
-    """
-
-    time: float
-    warmup: float
-    replications: int
-    seed: int
-    confidence: float
-    mean_tokens: Dict[str, Estimate]
-    throughput: Dict[str, Estimate]
-    token_distribution: Dict[str, Dict[int, float]]
-    end_time: Estimate
-    reached: Optional[Estimate]
-    time_to_condition: Optional[Estimate]
-    events: int
-
-    def to_json(self) -> Dict[str, Any]:
-        """Everything, as plain JSON values."""
-        data = dict(self._asdict())
-        for key in ("end_time", "reached", "time_to_condition"):
-            data[key] = None if data[key] is None else _estimate_json(data[key])
-        for key in ("mean_tokens", "throughput"):
-            data[key] = {name: _estimate_json(value) for name, value in data[key].items()}
-        data["token_distribution"] = {
-            place: {str(n): share for n, share in counts.items()}
-            for place, counts in self.token_distribution.items()
-        }
-        data["time"] = self.time if math.isfinite(self.time) else None
-        return data
+_PLAIN_SECONDS = 5.0
+"""The compiled kernel takes over if plain Python would need this much longer."""
 
 
 def simulate(
     subject: Union[Net, Plan],
     *,
     time: float = math.inf,
-    replications: int = 1000,
+    replications: Optional[int] = None,
     seed: int = 0,
     warmup: float = 0.0,
     until: Optional[str] = None,
     confidence: float = 0.95,
+    timing: str = "run",
+    losses: float = 0.0,
+    precision: Optional[float] = None,
+    measures: Sequence[str] = (),
+    batches: Optional[int] = None,
+    samples: bool = False,
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
 ) -> Simulation:
-    """Simulate many independent runs from the initial marking.
+    """Simulate many independent runs from the initial marking, or one long run.
 
     :param subject: a net, or a validated plan, which then follows its policy.
     :param time: length of a run (s).
-    :param replications: number of runs.
-    :param seed: the same seed gives the same result.
+    :param replications: number of runs (default 1000); with ``precision``, the most.
+    :param seed: the same seed gives the same result, whichever form of the kernel runs.
     :param warmup: time (s) at the start of each run that the means exclude.
     :param until: a condition that ends a run; for a net, it may contain ``deadlock``.
     :param confidence: level of the confidence intervals.
+    :param timing: for a plan: ``run`` plays the token game as it is executed, with the durations of
+        the plan; ``net`` lets the rates of the net race. A net always has the latter.
+    :param losses: how often a robot is lost, per second and robot (only with ``run``).
+    :param precision: stop when the half widths, relative to the means, are at most this.
+    :param measures: names of the transitions (throughput) and places (mean tokens) whose precision
+        counts; by default all throughputs of at least a hundredth of the largest, or the time to
+        the condition.
+    :param batches: divide one run, after its warm-up, into so many batches (batch means).
+    :param samples: whether the result has the values of each run.
     :raises UsageError: a number makes no sense, or neither ``time`` nor a condition is given.
     :raises ExpressionError: the condition cannot be parsed.
-    :raises RefusedError: nothing decides a choice, or there is a timeless cycle.
+    :raises RefusedError: nothing decides a choice, there is a timeless cycle, or a run neither ends
+        nor goes on.
     :raises CancelledError: ``cancel`` returned true.
     """
-    _check_numbers(subject, time, replications, warmup, until, confidence)
     plan = subject if isinstance(subject, Plan) else None
-    if plan is not None:
-        condition = (
-            until
-            if plan.until is None
-            else plan.until
-            if until is None
-            else "(%s) or (%s)" % (plan.until, until)
-        )
-        rules: Union[PlanRules, NetRules] = PlanRules(replace(plan, until=condition))
+    if timing not in TIMINGS:
+        raise UsageError("there is no timing '%s'" % timing, hint="choose from run and net")
+    as_run = plan is not None and timing == "run"
+    most = replications
+    if most is None:
+        most = 1000 if precision is None else MOST_REPLICATIONS
+    _check_numbers(subject, time, most, warmup, until, confidence)
+    _check_options(as_run, time, replications, losses, precision, measures, batches)
+    condition = _condition(plan, until)
+    watch = Watch(progress, cancel)
+    runner: Union[_PlanRunner, _TableRunner]
+    if plan is not None and as_run:
+        runner = _PlanRunner(plan, time, warmup, condition, losses, seed, watch)
     else:
-        assert isinstance(subject, Net)
-        names = [p.name for p in subject.places]
-        condition = until
-        rules = NetRules(
-            subject, parse_condition(until, names, ["deadlock"]) if until is not None else None
-        )
-    runs = _Runs(
-        _Graph(rules), replications, time, warmup, np.random.Generator(np.random.PCG64(seed))
+        runner = _TableRunner(subject, time, warmup, condition, seed, watch)
+    known = set(runner.net.place_index) | set(runner.net.transition_index)
+    for name in measures:
+        if name not in known:
+            raise UsageError(
+                "there is no place or transition '%s'" % name, hint="--measure takes their names"
+            )
+    notes = runner.notes
+    if batches is not None:
+        assert isinstance(runner, _PlanRunner)
+        runner.batch(batches)
+        notes += _correlated(runner.samples())
+        reached = None
+    elif precision is None:
+        runner.add(most)
+        reached = None
+    else:
+        reached = _add_until(runner, most, precision, measures, condition, confidence)
+    found = runner.samples()
+    result = estimates.summary(
+        runner.net,
+        found,
+        runner.shares(),
+        condition is not None,
+        events=runner.events,
+        time=time,
+        warmup=warmup,
+        replications=1 if batches is not None else len(found.clock),
+        seed=seed,
+        confidence=confidence,
+        timing="run" if as_run else "net",
+        batches=batches,
+        precision=reached,
+        notes=tuple(notes),
     )
-    runs.go(Watch(progress, cancel))
-    return _summary(runs, rules.net, seed, confidence, condition is not None)
+    return result._replace(samples=found) if samples else result
+
+
+def _condition(plan: Optional[Plan], until: Optional[str]) -> Optional[str]:
+    if plan is None or plan.until is None:
+        return until
+    return plan.until if until is None else "(%s) or (%s)" % (plan.until, until)
 
 
 def _check_numbers(
@@ -165,251 +175,300 @@ def _check_numbers(
         )
 
 
-class _Graph:
-    """The markings that the runs have reached so far, as arrays; states are numbered in order of
-    discovery."""
+def _check_options(
+    as_run: bool,
+    time: float,
+    replications: Optional[int],
+    losses: float,
+    precision: Optional[float],
+    measures: Sequence[str],
+    batches: Optional[int],
+) -> None:
+    if not (math.isfinite(losses) and losses >= 0):
+        raise UsageError("%g losses per second are not possible" % losses)
+    if losses and not as_run:
+        raise UsageError("only a plan that is simulated as it runs can lose robots")
+    if precision is not None and not 0 < precision < 1:
+        raise UsageError(
+            "a relative precision of %g is not possible" % precision,
+            hint="give a number between 0 and 1, e.g. 0.01",
+        )
+    if measures and precision is None:
+        raise UsageError("measures are for a wanted precision", hint="give --precision as well")
+    if batches is None:
+        return
+    if not as_run:
+        raise UsageError("batches are for a plan that is simulated as it runs")
+    if batches < 2:
+        raise UsageError("%d batches make no interval" % batches, hint="take 20 or more")
+    if math.isinf(time):
+        raise UsageError("how long is the run?", hint="give a time as well")
+    if precision is not None or replications is not None:
+        raise UsageError("batches divide one run: they exclude a precision and replications")
 
-    def __init__(self, rules: Union[PlanRules, NetRules]) -> None:
-        self.rules = rules
-        self.forget()
 
-    def forget(self) -> None:
-        """Forget all states."""
-        places = len(self.rules.net.places)
-        self._index: Dict[Tuple[Marking, bool], int] = {}
-        self._keys: List[Tuple[Marking, bool]] = []
-        capacity, width = 64, 4
-        self.markings = np.zeros((capacity, places), dtype=np.int64)
-        self.exit = np.zeros(capacity)
-        """Exit rate (1/s) of each state; infinite for vanishing states, 0 for absorbing ones."""
-        self.over = np.zeros(capacity, dtype=bool)
-        self.steps = np.full((capacity, width), 2.0)  # cumulative probabilities, padded with 2
-        self.targets = np.full((capacity, width), -1, dtype=np.int64)
-        self.transitions = np.full((capacity, width), _WAIT, dtype=np.int64)
+# -- how many ------------------------------------------------------------------------------------
 
-    def __len__(self) -> int:
-        return len(self._keys)
 
-    def key(self, state: int) -> Tuple[Marking, bool]:
-        """The marking of a state, and whether robots wait in it."""
-        return self._keys[state]
+def _add_until(
+    runner: Any,
+    most: int,
+    precision: float,
+    measures: Sequence[str],
+    condition: Optional[str],
+    confidence: float,
+) -> Dict[str, Any]:
+    """Add replications until the precision is reached or there are ``most``."""
+    done = 0
+    reached = math.inf
+    while done < most and not reached <= precision:
+        runner.add(min(max(FIRST_REPLICATIONS, done // 2), most - done))
+        found = runner.samples()
+        done = len(found.clock)
+        names, values = _wanted(runner.net, found, measures, condition, confidence)
+        reached = estimates.relative(values)
+    return {
+        "wanted": precision,
+        "reached": reached if math.isfinite(reached) else None,
+        "measures": names,
+    }
 
-    def number(self, marking: Marking, waiting: bool) -> int:
-        """The number of a state, which is evaluated if it is new."""
-        key = marking, waiting
-        known = self._index.get(key)
-        if known is not None:
-            return known
-        number = self._index[key] = len(self._keys)
-        self._keys.append(key)
-        if number == len(self.exit):
-            self._grow()
-        self.markings[number] = marking
-        self._work_out(number, marking, waiting)
-        return number
 
-    def target(self, state: int, arc: int) -> int:
-        """Where an arc leads, which is evaluated on first use."""
-        if self.targets[state, arc] < 0:
-            marking, _ = self._keys[state]
-            t = int(self.transitions[state, arc])
-            if t == _WAIT:
-                number = self.number(marking, True)
-            else:
-                number = self.number(self.rules.net.fire(marking, t), False)
-            self.targets[state, arc] = number
-        return int(self.targets[state, arc])
-
-    def _work_out(self, number: int, marking: Marking, waiting: bool) -> None:
-        rules = self.rules
-        if rules.is_over(marking):
-            self.over[number] = True
-            return
-        outcomes = [] if waiting else rules.outcomes(marking)
-        if outcomes:
-            arcs = [
-                (_WAIT if o.transition is None else o.transition, o.probability) for o in outcomes
-            ]
-            self.exit[number] = math.inf
-            total = 1.0
+def _wanted(
+    net: Net,
+    samples: Samples,
+    measures: Sequence[str],
+    condition: Optional[str],
+    confidence: float,
+) -> Tuple[List[str], List[Estimate]]:
+    names: List[str] = list(measures)
+    if not names:
+        if condition is not None and samples.over.all():
+            return ["time_to_condition"], [estimates.mean(samples.clock, confidence)]
+        counts = samples.firings.sum(axis=0)
+        often = np.flatnonzero((counts > 0) & (counts >= RARE * counts.max(initial=0)))
+        names = [net.transitions[t].name for t in often.tolist()]
+    values = []
+    for name in names:
+        if name in net.transition_index:
+            amounts = samples.firings[:, net.transition_index[name]]
         else:
-            arcs = rules.timed(marking)
-            total = sum(rate for _, rate in arcs)
-            self.exit[number] = total
-        while len(arcs) > self.steps.shape[1]:
-            self._widen()
-        if arcs:
-            chances = np.cumsum([value for _, value in arcs]) / total
-            chances[-1] = 2.0  # rounding must not lead beyond the last one
-            self.steps[number, : len(arcs)] = chances
-            self.transitions[number, : len(arcs)] = [t for t, _ in arcs]
-
-    def _grow(self) -> None:
-        for name in ("markings", "exit", "over", "steps", "targets", "transitions"):
-            array = getattr(self, name)
-            fill = {"steps": 2.0, "targets": -1, "transitions": _WAIT}.get(name, 0)
-            more = np.full_like(array, fill)
-            setattr(self, name, np.concatenate([array, more]))
-
-    def _widen(self) -> None:
-        for name, fill in (("steps", 2.0), ("targets", -1), ("transitions", _WAIT)):
-            array = getattr(self, name)
-            setattr(self, name, np.concatenate([array, np.full_like(array, fill)], axis=1))
+            amounts = samples.tokens[:, net.place_index[name]]
+        values.append(estimates.ratio(amounts, samples.seconds, confidence))
+    return names, values
 
 
-class _Runs:
-    """The state of all replications."""
+def _correlated(samples: Samples) -> List[str]:
+    """A note if neighbouring batches are too much alike to be taken for independent ones."""
+    rates = samples.firings.sum(axis=1)
+    rates = rates - rates.mean()
+    square = float((rates**2).sum())
+    if square == 0:
+        return []
+    lag = float((rates[1:] * rates[:-1]).sum()) / square
+    if lag <= 2 / math.sqrt(len(rates)):
+        return []
+    return [
+        "neighbouring batches are alike (correlation %.2f), so that the intervals are too narrow: "
+        "take fewer batches or a longer run" % lag
+    ]
+
+
+# -- a plan as it runs -----------------------------------------------------------------------------
+
+
+class _PlanRunner:
+    """Replications of a plan by the kernel."""
 
     def __init__(
-        self, graph: _Graph, count: int, time: float, warmup: float, random: np.random.Generator
+        self,
+        plan: Plan,
+        time: float,
+        warmup: float,
+        condition: Optional[str],
+        losses: float,
+        seed: int,
+        watch: Watch,
     ) -> None:
-        net = graph.rules.net
-        self.graph = graph
-        self.time, self.warmup = time, warmup
-        self.count = count
-        self._random = random
-        self.clock = np.zeros(count)
-        self.tokens = np.zeros((count, len(net.places)))  # tokens times seconds, after the warm-up
-        self.firings = np.zeros((count, len(net.transitions)))  # after the warm-up
-        self.over = np.zeros(count, dtype=bool)
-        self.shares: List[Dict[int, float]] = [{} for _ in net.places]
+        reading = PlanTiming(plan)
+        self.net = plan.net
+        self.notes = list(reading.assumptions)
         self.events = 0
+        self._time, self._warmup, self._seed, self._watch = time, warmup, seed, watch
+        self._run = PlanRun(PlanTables(plan, reading, condition, losses))
+        self._began = clock.monotonic()
+        self._compile: Optional[Callable[[], None]] = None
+        if machine.may_compile():
+            if machine.is_loaded():
+                self._run.compile()
+            else:
+                self._compile = self._run.compile
+        self._rows: List[Tuple[float, float, Any, Any, bool]] = []
+        self._spent: List[Dict[int, float]] = [{} for _ in plan.net.places]
+        self._capped = [False] * len(plan.net.places)
 
-    def go(self, watch: Watch) -> None:
-        """Run all replications to their ends."""
-        graph = self.graph
-        state = np.full(self.count, graph.number(graph.rules.net.initial_marking, False))
-        timeless = np.zeros(self.count, dtype=np.int64)
-        active = np.arange(self.count)
-        spent = np.zeros(len(graph.exit))  # seconds in each state, over all runs
-        rounds = 0
-        while len(active):
-            if len(graph) > REMEMBERED:
-                self._fold(spent)
-                state, spent = self._forget(state, active), np.zeros(len(graph.exit))
-            here = state[active]
-            over = graph.over[here]
-            if over.any():
-                self.over[active[over]] = True
-                active, here = active[~over], here[~over]
-                continue
-            rates = graph.exit[here]
-            with np.errstate(divide="ignore"):
-                stay = self._random.standard_exponential(len(active)) / rates
-            before = self.clock[active]
-            after = np.minimum(before + stay, self.time)
-            counted = np.maximum(after - np.maximum(before, self.warmup), 0.0)
-            if np.isinf(after).any():
+    def add(self, count: int) -> None:
+        """Run so many further replications."""
+        total = len(self._rows) + count
+        for number in range(len(self._rows), total):
+            self._begin(number)
+            status = kernel.AT_STOP
+            if self._warmup > 0:
+                status = self._go(self._warmup, total)
+                self._run.forget()
+            if status == kernel.AT_STOP:
+                status = self._go(self._time, total)
+            self._keep(max(self._run.now - self._warmup, 0.0), status)
+            self.events += self._run.firings_so_far
+
+    def batch(self, count: int) -> None:
+        """Run once, in so many batches."""
+        self._begin(0)
+        if self._warmup > 0:
+            self._expect(self._go(self._warmup, 1))
+            self._run.forget()
+        length = (self._time - self._warmup) / count
+        for k in range(count):
+            self._expect(self._go(self._warmup + (k + 1) * length, 1))
+            self._keep(length, kernel.AT_STOP)
+            self._run.forget()
+        self.events = self._run.firings_so_far
+
+    def _begin(self, number: int) -> None:
+        words = np.random.SeedSequence(self._seed % 2**64, spawn_key=(number,)).generate_state(
+            4, np.uint32
+        )
+        self._run.begin(words.tolist())
+
+    def _expect(self, status: int) -> None:
+        if status != kernel.AT_STOP:
+            raise RefusedError(
+                "the run ends after %g s, so that it has no batches" % self._run.now,
+                hint="take replications instead",
+            )
+
+    def _go(self, stop: float, total: int) -> int:
+        """Go on until ``stop`` or the end of the run; ``total`` replications are planned."""
+        run = self._run
+        while True:
+            status = run.go(stop, _COMPILED_EVENTS if run.compiled else _PLAIN_EVENTS)
+            firings = self.events + run.firings_so_far
+            self._watch.step("firings", firings)
+            if self._compile is not None and firings > machine.WORTH_COMPILING:
+                part = len(self._rows) / total
+                if math.isfinite(self._time):
+                    part += run.now / self._time / total
+                spent = clock.monotonic() - self._began
+                if math.isinf(self._time) or spent / max(part, 1e-9) - spent > _PLAIN_SECONDS:
+                    self._compile()
+                    self._compile = None
+            if status == kernel.STUCK:
+                marking = run.state.level[: len(self.net.places)]
                 raise RefusedError(
                     "a run stays in (%s) without end, which does not satisfy the end condition"
-                    % ", ".join("%s: %d" % i for i in self._stuck(here[np.isinf(after)][0])),
+                    % ", ".join(
+                        "%s: %d" % item
+                        for item in self.net.named(tuple(marking), zeros=False).items()
+                    ),
                     hint="give a time as well",
                 )
-            if len(spent) < len(graph.exit):
-                spent = np.concatenate([spent, np.zeros(len(graph.exit) - len(spent))])
-            np.add.at(spent, here, counted)
-            self.tokens[active] += counted[:, None] * graph.markings[here]
-            self.clock[active] = after
-            goes_on = before + stay <= self.time
-            active, here = active[goes_on], here[goes_on]
-            arcs = (graph.steps[here] <= self._random.random(len(here))[:, None]).sum(axis=1)
-            fired = graph.transitions[here, arcs]
-            late = (self.clock[active] >= self.warmup) & (fired != _WAIT)
-            self.firings[active[late], fired[late]] += 1
-            self.events += int((fired != _WAIT).sum())
-            state[active] = self._follow(here, arcs)
-            timeless[active] = np.where(np.isinf(graph.exit[here]), timeless[active] + 1, 0)
-            if len(active) and timeless[active].max() > TIMELESS_FIRINGS:
-                raise RefusedError(
-                    "more than %d firings without time between them" % TIMELESS_FIRINGS,
-                    hint="a cycle of immediate transitions must have a way out",
-                )
-            rounds += 1
-            if rounds % 64 == 0:
-                watch.step("events", self.events)
-        self._fold(spent)
+            if status != kernel.MORE:
+                return status
 
-    def _follow(self, here: Indices, arcs: Indices) -> Indices:
-        targets = self.graph.targets[here, arcs]
-        for i in np.flatnonzero(targets < 0).tolist():
-            targets[i] = self.graph.target(int(here[i]), int(arcs[i]))
-        return targets
+    def _keep(self, seconds: float, status: int) -> None:
+        state = self._run.state
+        self._rows.append(
+            (
+                self._run.now,
+                seconds,
+                np.array(state.firings, dtype=np.float64),
+                np.array(state.area),
+                status == kernel.UNTIL,
+            )
+        )
+        spent = np.array(state.spent)
+        starts = np.array(state.spent_from)
+        for k in np.flatnonzero(spent).tolist():
+            p = int(np.searchsorted(starts, k, side="right")) - 1
+            count = k - int(starts[p])
+            self._spent[p][count] = self._spent[p].get(count, 0.0) + float(spent[k])
 
-    def _stuck(self, state: int) -> List[Tuple[str, int]]:
-        marking, _ = self.graph.key(int(state))
-        return list(self.graph.rules.net.named(marking, zeros=False).items())
+    def samples(self) -> Samples:
+        """The values of each replication so far."""
+        return Samples(
+            np.array([row[0] for row in self._rows]),
+            np.array([row[1] for row in self._rows]),
+            np.array([row[2] for row in self._rows]),
+            np.array([row[3] for row in self._rows]),
+            np.array([row[4] for row in self._rows], dtype=bool),
+        )
 
-    def _fold(self, spent: Floats) -> None:
-        """Add the time spent in states to the shares of token counts."""
-        states = np.flatnonzero(spent)
-        for p, share in enumerate(self.shares):
-            counts = self.graph.markings[states, p]
-            values, of = np.unique(counts, return_inverse=True)
-            for count, seconds in zip(
-                values.tolist(), np.bincount(of.reshape(-1), weights=spent[states]).tolist()
-            ):
-                share[count] = share.get(count, 0.0) + seconds
-
-    def _forget(self, state: Indices, active: Indices) -> Indices:
-        """Forget all states except the current ones; returns their new numbers."""
-        keys = {int(s): self.graph.key(int(s)) for s in np.unique(state[active])}
-        self.graph.forget()
-        fresh = {old: self.graph.number(*key) for old, key in keys.items()}
-        renumbered = np.zeros_like(state)
-        renumbered[active] = [fresh[int(s)] for s in state[active]]
-        return renumbered
+    def shares(self) -> List[Dict[int, float]]:
+        """For each place, number of tokens -> seconds; empty where counts were too large."""
+        whole = sum(row[1] for row in self._rows)
+        return [spent if sum(spent.values()) > 0.999999 * whole else {} for spent in self._spent]
 
 
-def _summary(runs: _Runs, net: Net, seed: int, confidence: float, conditional: bool) -> Simulation:
-    seconds = np.maximum(runs.clock - runs.warmup, 0.0)
-    whole = seconds.sum()
-    reached = _estimate(runs.over.astype(np.float64), confidence) if conditional else None
-    came = runs.clock[runs.over]
-    return Simulation(
-        time=runs.time,
-        warmup=runs.warmup,
-        replications=runs.count,
-        seed=seed,
-        confidence=confidence,
-        mean_tokens={
-            p.name: _ratio(runs.tokens[:, i], seconds, confidence) for i, p in enumerate(net.places)
-        },
-        throughput={
-            t.name: _ratio(runs.firings[:, i], seconds, confidence)
-            for i, t in enumerate(net.transitions)
-        },
-        token_distribution={
-            p.name: {n: s / whole for n, s in sorted(runs.shares[i].items())} if whole > 0 else {}
-            for i, p in enumerate(net.places)
-        },
-        end_time=_estimate(runs.clock, confidence),
-        reached=reached,
-        time_to_condition=_estimate(came, confidence) if conditional and len(came) else None,
-        events=runs.events,
-    )
+# -- a race ----------------------------------------------------------------------------------------
 
 
-def _estimate(samples: Floats, confidence: float) -> Estimate:
-    count = len(samples)
-    mean = float(samples.mean())
-    if count < 2:
-        return Estimate(mean, math.inf)
-    quantile = float(stats.t.ppf(0.5 + confidence / 2, count - 1))
-    return Estimate(mean, quantile * float(samples.std(ddof=1)) / math.sqrt(count))
+class _TableRunner:
+    """Replications of a net, or of a plan read like one, by the table of markings."""
+
+    def __init__(
+        self,
+        subject: Union[Net, Plan],
+        time: float,
+        warmup: float,
+        condition: Optional[str],
+        seed: int,
+        watch: Watch,
+    ) -> None:
+        rules: Union[PlanRules, NetRules]
+        if isinstance(subject, Plan):
+            rules = PlanRules(replace(subject, until=condition))
+        else:
+            names = [p.name for p in subject.places]
+            rules = NetRules(
+                subject,
+                parse_condition(condition, names, ["deadlock"]) if condition is not None else None,
+            )
+        self.net = rules.net
+        self.notes: List[str] = []
+        self._table = MarkingTable(rules)
+        self._time, self._warmup, self._watch = time, warmup, watch
+        self._random = np.random.Generator(np.random.PCG64(seed))
+        self._runs: List[TableRuns] = []
+
+    def add(self, count: int) -> None:
+        """Run so many further replications."""
+        runs = TableRuns(self._table, count, self._time, self._warmup, self._random)
+        runs.go(self._watch)
+        self._runs.append(runs)
+
+    @property
+    def events(self) -> int:
+        """The number of firings so far."""
+        return sum(runs.events for runs in self._runs)
+
+    def samples(self) -> Samples:
+        """The values of each replication so far."""
+
+        def joined(name: str) -> Any:
+            return np.concatenate([getattr(runs, name) for runs in self._runs])
+
+        ends = joined("clock")
+        seconds = np.maximum(ends - self._warmup, 0.0)
+        return Samples(ends, seconds, joined("firings"), joined("tokens"), joined("over"))
+
+    def shares(self) -> List[Dict[int, float]]:
+        """For each place, number of tokens -> seconds."""
+        whole: List[Dict[int, float]] = [{} for _ in self.net.places]
+        for runs in self._runs:
+            for share, more in zip(whole, runs.shares):
+                for count, seconds in more.items():
+                    share[count] = share.get(count, 0.0) + seconds
+        return whole
 
 
-def _ratio(amounts: Floats, seconds: Floats, confidence: float) -> Estimate:
-    """Amount per second, by the ratio estimator, since runs that end at a condition differ in
-    length."""
-    whole = float(seconds.sum())
-    if whole <= 0:
-        return Estimate(math.nan, math.inf)
-    ratio = float(amounts.sum()) / whole
-    spread = _estimate(amounts - ratio * seconds, confidence).half_width
-    return Estimate(ratio, spread * len(seconds) / whole)
-
-
-def _estimate_json(estimate: Estimate) -> Dict[str, Optional[float]]:
-    return {
-        key: value if math.isfinite(value) else None for key, value in estimate._asdict().items()
-    }
+__all__ = ["Estimate", "Samples", "Simulation", "simulate"]

@@ -8,8 +8,7 @@ import pytest
 from scipy import stats
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.simulation import runs as simulation
-from gspn_framework_package.analysis.simulation import simulate
+from gspn_framework_package.analysis.simulation import marking_table, simulate
 from gspn_framework_package.benchmark.nets import flexible_manufacturing, kanban, philosophers
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
@@ -58,7 +57,13 @@ def test_long_runs_agree_with_the_steady_state(subject):
     measures = Analysis(subject).measures
     settled = Analysis(subject).time_to_steady_state(1e-4)
     result = simulate(
-        subject, time=6 * settled, warmup=settled, replications=1500, seed=1, confidence=0.99999
+        subject,
+        time=6 * settled,
+        warmup=settled,
+        replications=1500,
+        seed=1,
+        confidence=0.99999,
+        timing="net",
     )
     for name, exact in measures.mean_tokens.items():
         estimate = result.mean_tokens[name]
@@ -76,14 +81,13 @@ def test_long_runs_agree_with_the_steady_state(subject):
 def test_first_passage_of_a_counter():
     subject = plan("measure")
     exact = Analysis(subject).first_passage("P3 >= 4", [2.0])
-    result = simulate(subject, until="P3 >= 4", replications=4000, seed=3, confidence=0.99999)
+    settings = {"replications": 4000, "seed": 3, "confidence": 0.99999, "timing": "net"}
+    result = simulate(subject, until="P3 >= 4", **settings)
     assert result.reached.mean == 1.0
     assert (
         abs(result.time_to_condition.mean - exact.mean_time) <= result.time_to_condition.half_width
     )
-    short = simulate(
-        subject, until="P3 >= 4", time=2.0, replications=4000, seed=3, confidence=0.99999
-    )
+    short = simulate(subject, until="P3 >= 4", time=2.0, **settings)
     assert abs(short.reached.mean - exact.within[0]) <= short.reached.half_width
 
 
@@ -110,7 +114,7 @@ def test_the_same_seed_gives_the_same_result():
 
 def test_forgetting_markings_changes_nothing(monkeypatch):
     whole = simulate(kanban(1), time=50, replications=20, seed=5)
-    monkeypatch.setattr(simulation, "REMEMBERED", 40)
+    monkeypatch.setattr(marking_table, "REMEMBERED", 40)
     forgetful = simulate(kanban(1), time=50, replications=20, seed=5)
     assert forgetful.mean_tokens == whole.mean_tokens and forgetful.throughput == whole.throughput
     for place, shares in whole.token_distribution.items():

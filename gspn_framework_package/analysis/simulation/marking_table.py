@@ -1,0 +1,228 @@
+"""The race of a net, or of a plan read like one, over a table of the markings that occur.
+
+Many independent replications advance in step: one round draws the next event of each of them. Each
+marking is evaluated once, when a replication first reaches it, so that a round takes only a few
+array operations.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Dict, List, Tuple, Union
+
+import numpy as np
+
+from gspn_framework_package.analysis.arrays import Floats, Indices
+from gspn_framework_package.analysis.plan.rules import PlanRules
+from gspn_framework_package.analysis.simulation.net_rules import NetRules
+from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.model.errors import RefusedError
+from gspn_framework_package.model.net import Marking
+
+REMEMBERED = 500_000
+"""Most markings in the cache before it is cleared."""
+
+TIMELESS_FIRINGS = 10_000
+"""More consecutive firings in zero time than this are treated as a timeless cycle."""
+
+_WAIT = -1  # the transition of an arc on which robots only wait
+
+
+class MarkingTable:
+    """The markings that the runs have reached so far, as arrays; states are numbered in order of
+    discovery."""
+
+    def __init__(self, rules: Union[PlanRules, NetRules]) -> None:
+        self.rules = rules
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget all states."""
+        places = len(self.rules.net.places)
+        self._index: Dict[Tuple[Marking, bool], int] = {}
+        self._keys: List[Tuple[Marking, bool]] = []
+        capacity, width = 64, 4
+        self.markings = np.zeros((capacity, places), dtype=np.int64)
+        self.exit = np.zeros(capacity)
+        """Exit rate (1/s) of each state; infinite for vanishing states, 0 for absorbing ones."""
+        self.over = np.zeros(capacity, dtype=bool)
+        self.steps = np.full((capacity, width), 2.0)  # cumulative probabilities, padded with 2
+        self.targets = np.full((capacity, width), -1, dtype=np.int64)
+        self.transitions = np.full((capacity, width), _WAIT, dtype=np.int64)
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def key(self, state: int) -> Tuple[Marking, bool]:
+        """The marking of a state, and whether robots wait in it."""
+        return self._keys[state]
+
+    def number(self, marking: Marking, waiting: bool) -> int:
+        """The number of a state, which is evaluated if it is new."""
+        key = marking, waiting
+        known = self._index.get(key)
+        if known is not None:
+            return known
+        number = self._index[key] = len(self._keys)
+        self._keys.append(key)
+        if number == len(self.exit):
+            self._grow()
+        self.markings[number] = marking
+        self._work_out(number, marking, waiting)
+        return number
+
+    def target(self, state: int, arc: int) -> int:
+        """Where an arc leads, which is evaluated on first use."""
+        if self.targets[state, arc] < 0:
+            marking, _ = self._keys[state]
+            t = int(self.transitions[state, arc])
+            if t == _WAIT:
+                number = self.number(marking, True)
+            else:
+                number = self.number(self.rules.net.fire(marking, t), False)
+            self.targets[state, arc] = number
+        return int(self.targets[state, arc])
+
+    def _work_out(self, number: int, marking: Marking, waiting: bool) -> None:
+        rules = self.rules
+        if rules.is_over(marking):
+            self.over[number] = True
+            return
+        outcomes = [] if waiting else rules.outcomes(marking)
+        if outcomes:
+            arcs = [
+                (_WAIT if o.transition is None else o.transition, o.probability) for o in outcomes
+            ]
+            self.exit[number] = math.inf
+            total = 1.0
+        else:
+            arcs = rules.timed(marking)
+            total = sum(rate for _, rate in arcs)
+            self.exit[number] = total
+        while len(arcs) > self.steps.shape[1]:
+            self._widen()
+        if arcs:
+            chances = np.cumsum([value for _, value in arcs]) / total
+            chances[-1] = 2.0  # rounding must not lead beyond the last one
+            self.steps[number, : len(arcs)] = chances
+            self.transitions[number, : len(arcs)] = [t for t, _ in arcs]
+
+    def _grow(self) -> None:
+        for name in ("markings", "exit", "over", "steps", "targets", "transitions"):
+            array = getattr(self, name)
+            fill = {"steps": 2.0, "targets": -1, "transitions": _WAIT}.get(name, 0)
+            more = np.full_like(array, fill)
+            setattr(self, name, np.concatenate([array, more]))
+
+    def _widen(self) -> None:
+        for name, fill in (("steps", 2.0), ("targets", -1), ("transitions", _WAIT)):
+            array = getattr(self, name)
+            setattr(self, name, np.concatenate([array, np.full_like(array, fill)], axis=1))
+
+
+class TableRuns:
+    """The state of all replications."""
+
+    def __init__(
+        self,
+        graph: MarkingTable,
+        count: int,
+        time: float,
+        warmup: float,
+        random: np.random.Generator,
+    ) -> None:
+        net = graph.rules.net
+        self.graph = graph
+        self.time, self.warmup = time, warmup
+        self.count = count
+        self._random = random
+        self.clock = np.zeros(count)
+        self.tokens = np.zeros((count, len(net.places)))  # tokens times seconds, after the warm-up
+        self.firings = np.zeros((count, len(net.transitions)))  # after the warm-up
+        self.over = np.zeros(count, dtype=bool)
+        self.shares: List[Dict[int, float]] = [{} for _ in net.places]
+        self.events = 0
+
+    def go(self, watch: Watch) -> None:
+        """Run all replications to their ends."""
+        graph = self.graph
+        state = np.full(self.count, graph.number(graph.rules.net.initial_marking, False))
+        timeless = np.zeros(self.count, dtype=np.int64)
+        active = np.arange(self.count)
+        spent = np.zeros(len(graph.exit))  # seconds in each state, over all runs
+        rounds = 0
+        while len(active):
+            if len(graph) > REMEMBERED:
+                self._fold(spent)
+                state, spent = self._forget(state, active), np.zeros(len(graph.exit))
+            here = state[active]
+            over = graph.over[here]
+            if over.any():
+                self.over[active[over]] = True
+                active, here = active[~over], here[~over]
+                continue
+            rates = graph.exit[here]
+            with np.errstate(divide="ignore"):
+                stay = self._random.standard_exponential(len(active)) / rates
+            before = self.clock[active]
+            after = np.minimum(before + stay, self.time)
+            counted = np.maximum(after - np.maximum(before, self.warmup), 0.0)
+            if np.isinf(after).any():
+                raise RefusedError(
+                    "a run stays in (%s) without end, which does not satisfy the end condition"
+                    % ", ".join("%s: %d" % i for i in self._stuck(here[np.isinf(after)][0])),
+                    hint="give a time as well",
+                )
+            if len(spent) < len(graph.exit):
+                spent = np.concatenate([spent, np.zeros(len(graph.exit) - len(spent))])
+            np.add.at(spent, here, counted)
+            self.tokens[active] += counted[:, None] * graph.markings[here]
+            self.clock[active] = after
+            goes_on = before + stay <= self.time
+            active, here = active[goes_on], here[goes_on]
+            arcs = (graph.steps[here] <= self._random.random(len(here))[:, None]).sum(axis=1)
+            fired = graph.transitions[here, arcs]
+            late = (self.clock[active] >= self.warmup) & (fired != _WAIT)
+            self.firings[active[late], fired[late]] += 1
+            self.events += int((fired != _WAIT).sum())
+            state[active] = self._follow(here, arcs)
+            timeless[active] = np.where(np.isinf(graph.exit[here]), timeless[active] + 1, 0)
+            if len(active) and timeless[active].max() > TIMELESS_FIRINGS:
+                raise RefusedError(
+                    "more than %d firings without time between them" % TIMELESS_FIRINGS,
+                    hint="a cycle of immediate transitions must have a way out",
+                )
+            rounds += 1
+            if rounds % 64 == 0:
+                watch.step("events", self.events)
+        self._fold(spent)
+
+    def _follow(self, here: Indices, arcs: Indices) -> Indices:
+        targets = self.graph.targets[here, arcs]
+        for i in np.flatnonzero(targets < 0).tolist():
+            targets[i] = self.graph.target(int(here[i]), int(arcs[i]))
+        return targets
+
+    def _stuck(self, state: int) -> List[Tuple[str, int]]:
+        marking, _ = self.graph.key(int(state))
+        return list(self.graph.rules.net.named(marking, zeros=False).items())
+
+    def _fold(self, spent: Floats) -> None:
+        """Add the time spent in states to the shares of token counts."""
+        states = np.flatnonzero(spent)
+        for p, share in enumerate(self.shares):
+            counts = self.graph.markings[states, p]
+            values, of = np.unique(counts, return_inverse=True)
+            for count, seconds in zip(
+                values.tolist(), np.bincount(of.reshape(-1), weights=spent[states]).tolist()
+            ):
+                share[count] = share.get(count, 0.0) + seconds
+
+    def _forget(self, state: Indices, active: Indices) -> Indices:
+        """Forget all states except the current ones; returns their new numbers."""
+        keys = {int(s): self.graph.key(int(s)) for s in np.unique(state[active])}
+        self.graph.forget()
+        fresh = {old: self.graph.number(*key) for old, key in keys.items()}
+        renumbered = np.zeros_like(state)
+        renumbered[active] = [fresh[int(s)] for s in state[active]]
+        return renumbered

@@ -1,0 +1,177 @@
+"""Random small plans for Hypothesis, with everything that a run knows: durations of every kind,
+outcomes, failures and their rules, timeouts, policies with wildcards, priorities, weights,
+inhibitor arcs, capacities, resources, an environment, routing, actions of single robots, agents
+that come and go."""
+
+from hypothesis import strategies as st
+
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.duration import Duration
+from gspn_framework_package.model.plan import (
+    FailureKind,
+    FailureRule,
+    FunctionAction,
+    LostKind,
+    LostRule,
+    Plan,
+    RobotSpec,
+)
+from gspn_framework_package.model.policy import Policy, PolicyRow
+
+ACT = FunctionAction("actions.work", "work")
+
+DURATIONS = [
+    Duration.exponential(1.0),
+    Duration.erlang(3, 0.8),
+    Duration.erlang(40, 1.1),
+    Duration.gamma(0.6, 0.7),
+    Duration.gamma(7.5, 1.3),
+    Duration.lognormal(0.5, 0.9),
+    Duration.deterministic(1.0),
+    Duration.deterministic(0.0),
+    Duration.uniform(0.2, 1.4),
+    Duration.empirical([0.1, 0.3, 0.4, 2.0]),
+    Duration.hyper_erlang([(0.3, 2, 0.4), (0.7, 1, 1.6)]),
+]
+
+
+def _spread(draw, total, places):
+    weights = {}
+    for _ in range(total):
+        place = draw(st.sampled_from(places))
+        weights[place] = weights.get(place, 0) + 1
+    return weights
+
+
+@st.composite
+def small_plans(draw):
+    """A plan of up to five action places and two resources, with one to four robots."""
+    builder = NetBuilder("generated")
+    acts = ["a%d" % i for i in range(draw(st.integers(2, 5)))]
+    resources = ["r%d" % i for i in range(draw(st.integers(0, 2)))]
+    robots = [draw(st.sampled_from(acts)) for _ in range(draw(st.integers(1, 4)))]
+    capacities = {}
+    for place in acts:
+        if draw(st.integers(0, 7)) == 0:
+            capacities[place] = max(robots.count(place), draw(st.integers(1, 3)))
+        builder.place(place, tokens=robots.count(place), capacity=capacities.get(place))
+    for place in resources:
+        builder.place(
+            place, tokens=draw(st.integers(0, 2)), capacity=draw(st.sampled_from([None, 3]))
+        )
+    moves = {}  # transition -> its action places: from, to
+    immediates = []
+    names = ["t%d" % i for i in range(draw(st.integers(2, 7)))]
+    for i, name in enumerate(names):
+        total = draw(st.sampled_from([1, 1, 1, 1, 2, 2, 0])) if i else 1
+        into = total
+        if total and draw(st.integers(0, 9)) == 0:
+            into = draw(st.integers(0, total + 1))
+        inputs, outputs = _spread(draw, total, acts), _spread(draw, into, acts)
+        moves[name] = (list(inputs), list(outputs))
+        for place in resources:
+            side = draw(st.sampled_from([None, None, inputs, outputs]))
+            if side is not None:
+                side[place] = 1
+        inhibitors = {}
+        if draw(st.integers(0, 4)) == 0:
+            inhibitors = {draw(st.sampled_from(acts + resources)): draw(st.integers(1, 2))}
+        if not inputs and not outputs:
+            continue
+        if draw(st.booleans()):
+            immediates.append(name)
+            builder.immediate(
+                name,
+                weight=draw(st.sampled_from([0.0, 1.0, 1.0, 3.0])),
+                priority=draw(st.integers(1, 2)),
+                inputs=inputs,
+                outputs=outputs,
+                inhibitors=inhibitors,
+            )
+        else:
+            builder.exponential(
+                name,
+                rate=draw(st.sampled_from([0.5, 1.0, 2.0])),
+                servers=draw(st.sampled_from([1, 2, None])),
+                inputs=inputs,
+                outputs=outputs,
+                inhibitors=inhibitors,
+            )
+    net = builder.build()
+    policy = Policy()
+    if immediates and draw(st.booleans()):
+        places = draw(
+            st.lists(st.sampled_from(acts + resources), min_size=1, max_size=3, unique=True)
+        )
+        rows = []
+        for _ in range(draw(st.integers(1, 5))):
+            counts = tuple(draw(st.sampled_from([None, None, 0, 1, 2])) for _ in places)
+            chosen = draw(
+                st.lists(st.sampled_from(immediates), min_size=1, max_size=2, unique=True)
+            )
+            chances = [1.0] if len(chosen) == 1 else draw(st.sampled_from([[0.5, 0.5], [0.1, 0.9]]))
+            rows.append(PolicyRow(counts, tuple(zip(chosen, chances))))
+        policy = Policy(places, rows)
+    leaving = {
+        p: [t for t in moves if t in net.transition_index and p in moves[t][0]] for p in acts
+    }
+    outcomes, failures, rules, timeouts = {}, {}, {}, {}
+    for place in acts:
+        if leaving[place] and draw(st.integers(0, 2)) == 0:
+            named = draw(
+                st.lists(
+                    st.sampled_from([*leaving[place], ""]), min_size=1, max_size=2, unique=True
+                )
+            )
+            outcomes[place] = dict(zip(named, [1.0] if len(named) == 1 else [0.4, 0.6]))
+        if draw(st.integers(0, 3)) == 0:
+            failures[place] = draw(st.sampled_from([0.1, 0.5]))
+        if draw(st.integers(0, 3)) == 0:
+            timeouts[place] = draw(st.sampled_from([0.5, 1.0, 1.5]))
+        rule = draw(
+            st.sampled_from(
+                [None, FailureKind.RETRY, FailureKind.RETRY, FailureKind.FIRE, FailureKind.STOP]
+            )
+        )
+        if rule is FailureKind.FIRE and leaving[place]:
+            rules[place] = FailureRule(rule, transition=draw(st.sampled_from(leaving[place])))
+        elif rule is FailureKind.RETRY:
+            rules[place] = FailureRule(
+                rule, draw(st.integers(1, 3)), draw(st.sampled_from([0.0, 0.3]))
+            )
+        elif rule is FailureKind.STOP and draw(st.integers(0, 3)) == 0:
+            rules[place] = FailureRule(rule)
+    routing = {}
+    for name, (sources, targets) in moves.items():
+        if name in net.transition_index and sources and targets and draw(st.integers(0, 2)) == 0:
+            routing[name] = {draw(st.sampled_from(sources)): draw(st.sampled_from(targets))}
+    own = {}
+    if draw(st.integers(0, 3)) == 0:
+        own = {draw(st.sampled_from(acts)): draw(st.sampled_from([None, ACT]))}
+    lost = draw(st.sampled_from([LostRule(), LostRule(LostKind.STOP), None]))
+    if lost is None:
+        lost = LostRule(LostKind.FIRE, draw(st.sampled_from(list(net.transition_index))))
+    evict = {}
+    if resources and draw(st.booleans()):
+        evict = {draw(st.sampled_from(acts)): {draw(st.sampled_from(resources)): 1}}
+    return Plan(
+        net,
+        policy=policy,
+        actions={p: ACT if draw(st.integers(0, 4)) else None for p in acts},
+        resource_places=frozenset(resources),
+        robots=tuple(
+            RobotSpec("robot_%d" % (k + 1), place, own if k == 0 else {})
+            for k, place in enumerate(robots)
+        ),
+        strict=draw(st.integers(0, 4)) == 0,
+        on_failure=rules,
+        timeouts=timeouts,
+        routing=routing,
+        simulate_environment=draw(st.booleans()),
+        on_lost=lost,
+        on_evict=evict,
+        until=draw(st.sampled_from([None, None, "a0 >= 3", "min(a0, a1) >= 1 and not a0 == a1"])),
+        durations={p: draw(st.sampled_from(DURATIONS)) for p in acts if draw(st.integers(0, 3))},
+        outcomes=outcomes,
+        failures=failures,
+    ).validate()
