@@ -10,7 +10,8 @@ import sys
 from pathlib import Path
 from typing import Iterator, Tuple
 
-from gspn_framework_package.analysis.simulation import TIMINGS, Simulation, simulate
+from gspn_framework_package.analysis.plan.reading import READINGS, RUN
+from gspn_framework_package.analysis.simulation import Simulation, simulate
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.progress import ProgressLine
@@ -56,8 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--timing",
-        choices=TIMINGS,
-        default="run",
+        choices=READINGS,
+        default=RUN,
         help="how to read a plan: as it runs (default), or as the race of its net's rates; a net "
         "always has the latter",
     )

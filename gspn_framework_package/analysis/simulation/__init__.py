@@ -7,6 +7,6 @@ of ``net_rules`` or of a plan read like a net.
 """
 
 from gspn_framework_package.analysis.simulation.estimates import Estimate, Samples, Simulation
-from gspn_framework_package.analysis.simulation.runs import TIMINGS, simulate
+from gspn_framework_package.analysis.simulation.runs import simulate
 
-__all__ = ["TIMINGS", "Estimate", "Samples", "Simulation", "simulate"]
+__all__ = ["Estimate", "Samples", "Simulation", "simulate"]

@@ -65,7 +65,11 @@ class PlanRun:
             left = int(end - numbers[kernel.EVENTS])
             if left <= 0:
                 return kernel.MORE
-            status = self._functions["play"](self._rules, self._book, self.state, stop, left)
+            # plain tuples: numba's cache on the disk could not be read where a class of its types
+            # has been renamed since
+            status = self._functions["play"](
+                tuple(self._rules), tuple(self._book), tuple(self.state), stop, left
+            )
             numbers = self.state.numbers
             if status == kernel.GROW:
                 self._grow()

@@ -18,6 +18,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
+from gspn_framework_package.analysis.plan.reading import NET, RUN, checked_reading
 from gspn_framework_package.analysis.plan.rules import PlanRules
 from gspn_framework_package.analysis.simulation import estimates, kernel, machine
 from gspn_framework_package.analysis.simulation.estimates import Estimate, Samples, Simulation
@@ -31,9 +32,6 @@ from gspn_framework_package.model.errors import RefusedError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
-
-TIMINGS = ("run", "net")
-"""How the times of a plan are read: as it runs, or as a race of the net's rates."""
 
 MOST_REPLICATIONS = 10**6
 """Most replications until a wanted precision is given up."""
@@ -61,7 +59,7 @@ def simulate(
     warmup: float = 0.0,
     until: Optional[str] = None,
     confidence: float = 0.95,
-    timing: str = "run",
+    timing: str = RUN,
     losses: float = 0.0,
     precision: Optional[float] = None,
     measures: Sequence[str] = (),
@@ -95,9 +93,7 @@ def simulate(
     :raises CancelledError: ``cancel`` returned true.
     """
     plan = subject if isinstance(subject, Plan) else None
-    if timing not in TIMINGS:
-        raise UsageError("there is no timing '%s'" % timing, hint="choose from run and net")
-    as_run = plan is not None and timing == "run"
+    as_run = checked_reading(timing) == RUN and plan is not None
     most = replications
     if most is None:
         most = 1000 if precision is None else MOST_REPLICATIONS
@@ -139,7 +135,7 @@ def simulate(
         replications=1 if batches is not None else len(found.clock),
         seed=seed,
         confidence=confidence,
-        timing="run" if as_run else "net",
+        timing=RUN if as_run else NET,
         batches=batches,
         precision=reached,
         notes=tuple(notes),

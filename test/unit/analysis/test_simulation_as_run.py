@@ -316,7 +316,7 @@ def test_a_run_ends_when_every_robot_is_inactive():
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"timing": "other", "time": 1}, UsageError, "no timing 'other'"),
+        ({"timing": "other", "time": 1}, UsageError, "no reading 'other'"),
         ({"losses": -1, "time": 1}, UsageError, "losses"),
         ({"losses": 1, "time": 1, "timing": "net"}, UsageError, "lose robots"),
         ({"precision": 2, "time": 1}, UsageError, "precision"),
