@@ -6,7 +6,7 @@ line number."""
 
 from __future__ import annotations
 
-from typing import Dict, List, Mapping, NamedTuple, NoReturn, Optional, Sequence, Union
+from typing import Dict, List, Mapping, NamedTuple, NoReturn, Optional, Sequence, Tuple, Union
 
 from gspn_framework_package.model.errors import ExpressionError, GspnError, NetError, NoValueError
 from gspn_framework_package.model.expression import evaluate, shorten, whole
@@ -60,13 +60,9 @@ class _Node(NamedTuple):
     item: Union[Place, Transition]
 
 
-class _ArcLine(NamedTuple):
-    identifier: str
-    source: str
-    target: str
-    weight: int
-    inhibitor: bool
-    line: Optional[int]
+_ArcLine = Tuple[str, str, str, int, bool, Optional[int]]
+"""Id, source, target, weight, whether it is an inhibitor arc, and line of an arc. A plain tuple,
+because a file may have 200,000 arcs."""
 
 
 class NetDraft:
@@ -157,7 +153,7 @@ class NetDraft:
         if not source or not target:
             element = "arc '%s'" % shorten(identifier) if identifier else "arc"
             self.fail("it has no %s" % ("target" if source else "source"), element, line)
-        self._arcs.append(_ArcLine(identifier or "", source, target, weight, inhibitor, line))
+        self._arcs.append((identifier or "", source, target, weight, inhibitor, line))
 
     def _add(
         self, identifier: str, name: str, item: Union[Place, Transition], line: Optional[int]
@@ -216,7 +212,8 @@ class NetDraft:
         :raises NetError: the net is not well formed; the message has the file and the line.
         """
         names = self._names()
-        by_name: Dict[str, str] = {n.name: i for i, n in self._nodes.items() if n.name}
+        ends = {node.name: names[i] for i, node in self._nodes.items() if node.name}
+        ends.update(names)  # an id takes precedence over an equal name of another node
         places: List[Place] = []
         transitions: List[Transition] = []
         for identifier, node in self._nodes.items():
@@ -228,17 +225,16 @@ class NetDraft:
             else:
                 transitions.append(item)
         arcs = []
-        for arc in self._arcs:
-            source = names.get(arc.source) or names.get(by_name.get(arc.source, ""))
-            target = names.get(arc.target) or names.get(by_name.get(arc.target, ""))
-            if source is None or target is None:
+        for identifier, source, target, weight, inhibitor, line in self._arcs:
+            try:
+                arcs.append(Arc(ends[source], ends[target], weight, inhibitor))
+            except KeyError as error:
                 self.fail(
-                    "there is no place or transition '%s'" % (arc.target if source else arc.source),
-                    "arc '%s' from '%s' to '%s'" % (arc.identifier, arc.source, arc.target),
-                    arc.line,
+                    "there is no place or transition '%s'" % error.args[0],
+                    "arc '%s' from '%s' to '%s'" % (identifier, source, target),
+                    line,
                     "an arc joins a place and a transition of the same net",
                 )
-            arcs.append(Arc(source, target, arc.weight, arc.inhibitor))
         if not places and not transitions:
             self.fail("the net has no place and no transition")
         try:
@@ -255,13 +251,15 @@ class NetDraft:
             lines["%s '%s'" % (kind, names[identifier])] = node.line
         for arc, drafted in zip(arcs, self._arcs):
             kind = "inhibitor arc" if arc.inhibitor else "arc"
-            lines.setdefault("%s from '%s' to '%s'" % (kind, arc.source, arc.target), drafted.line)
+            lines.setdefault("%s from '%s' to '%s'" % (kind, arc.source, arc.target), drafted[-1])
         return lines
 
     def _names(self) -> Dict[str, str]:
         """Return the name for each id: the element's name, or the id if that is empty or not
         unique."""
         names = {i: n.name or i for i, n in self._nodes.items()}
+        if len(set(names.values())) == len(names):
+            return names
         bearers: Dict[str, List[str]] = {}
         for identifier, name in names.items():
             bearers.setdefault(name, []).append(identifier)

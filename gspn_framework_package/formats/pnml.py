@@ -18,7 +18,7 @@ ignore."""
 
 from __future__ import annotations
 
-from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, List, Mapping, NamedTuple, Optional, Tuple
 
 from lxml import etree
 
@@ -78,6 +78,10 @@ _ROOT = known("version", free="net name toolspecific")
 _OWN_KEYS = ("capacity", "servers", "parameter")
 
 
+Data = Dict[str, str]
+"""Key -> value, as strings."""
+
+
 class _Reference(NamedTuple):
     target: str
     line: int
@@ -109,7 +113,7 @@ class _Reader:
         self.arcs: List[etree._Element] = []
         self.untimed = 0
         self.parameters = 0
-        self.means = any(_properties(all_of(net, "toolspecific"), STOCHASTIC))
+        self.means = STOCHASTIC in _data({"toolspecific": all_of(net, "toolspecific")})
         self.tina = _TINA in (net.get("type") or "").lower()
 
     def read(self) -> None:
@@ -194,10 +198,10 @@ class _Reader:
 
         return vocabulary.check(parent, known_of_it, what, fail)
 
-    def _own(self, data: Sequence[etree._Element], what: str, line: int) -> Dict[str, str]:
+    def _own(self, data: Mapping[str, Data], what: str, line: int) -> Data:
         """Return the properties that this package wrote; refuse unknown ones, which a newer version
         may have written."""
-        own = dict(_properties(data, OWN))
+        own = data.get(OWN, {})
         for key in own:
             if key not in _OWN_KEYS:
                 self.draft.fail(
@@ -213,7 +217,7 @@ class _Reader:
         parts = self._check(element, _PLACE, what)
         text = _text(parts, "initialMarking")
         tokens = self.draft.count(text, "initial marking", what, line) if text else 0
-        text = self._own(parts.get("toolspecific", ()), what, line).get("capacity")
+        text = self._own(_data(parts), what, line).get("capacity")
         capacity = self.draft.count(text, "capacity", what, line) if text else None
         self.draft.add_place(
             element.get("id"), _text(parts, "name"), tokens, capacity, _position(parts), line
@@ -223,8 +227,8 @@ class _Reader:
         what, line = name_of(element, "transition"), line_of(element)
         parts = self._check(element, _TRANSITION, what)
         identifier, name = element.get("id"), _text(parts, "name")
-        tools = parts.get("toolspecific", ())
-        data, own = dict(_properties(tools, STOCHASTIC)), self._own(tools, what, line)
+        tools = _data(parts)
+        data, own = tools.get(STOCHASTIC, {}), self._own(tools, what, line)
         kind = data.get("distributionType", "").upper()
         if not kind and ("weight" in data or "priority" in data):
             kind = "IMMEDIATE"
@@ -282,9 +286,7 @@ class _Reader:
             )
         return text == "[0,0]"
 
-    def _rate(
-        self, kind: str, data: Dict[str, str], own: Dict[str, str], what: str, line: int
-    ) -> float:
+    def _rate(self, kind: str, data: Data, own: Data, what: str, line: int) -> float:
         text = data.get("distributionParameters", "").strip("[](){} ")
         if not text:
             if not kind:
@@ -324,10 +326,12 @@ class _Reader:
         return end
 
     def _arc(self, element: etree._Element) -> None:
-        said = {str(key): str(value) for key, value in element.items()}
+        said: Data = dict(element.items())
         if not len(element) and not element.text and _ENDS.issuperset(said):
             # Most arcs have only a source and a target, and nothing inside to check or look for.
-            source, target = self._resolve(said.get("source")), self._resolve(said.get("target"))
+            source, target = said.get("source"), said.get("target")
+            if self.references:
+                source, target = self._resolve(source), self._resolve(target)
             self.draft.add_arc(said.get("id"), source, target, 1, False, line_of(element))
             return
         what, line = name_of(element, "arc"), line_of(element)
@@ -358,14 +362,19 @@ def _position(parts: vocabulary.Children) -> Optional[Position]:
     return position_in(parts["graphics"][0]) if "graphics" in parts else None
 
 
-def _properties(nodes: Sequence[etree._Element], tool: str) -> List[Tuple[str, str]]:
-    """Return the data of a tool in the ``toolspecific`` of an element, which may be properties
-    (``<property key="weight">2</property>``) or attributes."""
-    found: List[Tuple[str, str]] = []
-    for node in nodes:
-        if node.get("tool") == tool:
-            found += [(str(k), str(v)) for k, v in node.items() if k not in ("tool", "version")]
-            found += [(p.get("key", ""), (p.text or "").strip()) for p in all_of(node, "property")]
+def _data(parts: vocabulary.Children) -> Dict[str, Data]:
+    """Return the data of each tool in the ``toolspecific`` of an element, which may be properties
+    (``<property key="weight">2</property>``) or attributes; tools without data are left out."""
+    found: Dict[str, Data] = {}
+    for node in parts.get("toolspecific", ()):
+        said: Data = dict(node.items())
+        tool = said.pop("tool", "")
+        said.pop("version", None)
+        for part in node:
+            if tag(part) == "property":
+                said[part.get("key", "")] = (part.text or "").strip()
+        if said:
+            found.setdefault(tool, {}).update(said)
     return found
 
 

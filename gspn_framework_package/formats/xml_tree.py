@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import Any, Iterator, List, Optional, Sequence, cast
+from typing import Any, Iterator, List, Optional, Sequence
 
 from lxml import etree
 
@@ -131,7 +131,8 @@ def arc_kind(element: etree._Element) -> str:
 
 def line_of(element: etree._Element) -> int:
     """Return the line on which the element begins."""
-    return cast(int, element.sourceline or 0)
+    line: int = element.sourceline or 0
+    return line
 
 
 def name_of(element: etree._Element, kind: str) -> str:

@@ -313,6 +313,8 @@ def evaluate(expression: Union[str, Expression], constants: Mapping[str, float] 
     4.5
     """
     tree = parse(expression) if isinstance(expression, str) else expression
+    if isinstance(tree, Number) and math.isfinite(tree.value):
+        return tree.value  # the rates of most nets
     try:
         value = _postorder(tree, constants)
     except ZeroDivisionError:

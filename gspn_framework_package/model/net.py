@@ -110,10 +110,8 @@ class Net:
         self.places: Tuple[Place, ...] = tuple(places)
         self.transitions: Tuple[Transition, ...] = tuple(transitions)
         self.arcs: Tuple[Arc, ...] = tuple(arcs)
-        self.place_index: Mapping[str, int] = {p.name: i for i, p in enumerate(self.places)}
-        self.transition_index: Mapping[str, int] = {
-            t.name: i for i, t in enumerate(self.transitions)
-        }
+        self.place_index: Mapping[str, int] = {p[0]: i for i, p in enumerate(self.places)}
+        self.transition_index: Mapping[str, int] = {t[0]: i for i, t in enumerate(self.transitions)}
         self._check_nodes()
         self._index_arcs()
         self.initial_marking: Marking = tuple(p.tokens for p in self.places)
@@ -121,6 +119,20 @@ class Net:
     # -- building ----------------------------------------------------------------------------------
 
     def _check_nodes(self) -> None:
+        known = self.place_index.keys() | self.transition_index.keys()
+        if (
+            len(known) < len(self.places) + len(self.transitions)
+            or "" in known
+            or not all(isinstance(name, str) for name in known)
+        ):
+            self._refuse_names()
+        for place in self.places:
+            _check_place(place)
+        for transition in self.transitions:
+            _check_transition(transition)
+
+    def _refuse_names(self) -> None:
+        """:raises NetError: names the first node whose name is missing or already taken."""
         seen: Dict[str, str] = {}
         for kind, nodes in (("place", self.places), ("transition", self.transitions)):
             for node in nodes:
@@ -135,50 +147,37 @@ class Net:
                         hint="names of places and transitions must differ",
                     )
                 seen[node.name] = kind
-        for place in self.places:
-            _check_place(place)
-        for transition in self.transitions:
-            _check_transition(transition)
 
     def _index_arcs(self) -> None:
         inputs: List[Dict[int, int]] = [{} for _ in self.transitions]
         outputs: List[Dict[int, int]] = [{} for _ in self.transitions]
-        inhibitors: List[Dict[int, int]] = [{} for _ in self.transitions]
-        place_of, transition_of = self.place_index.get, self.transition_index.get
+        inhibitors: Dict[int, Dict[int, int]] = {}
+        # a place has a number from 0 on, and a transition has ~ its number, which is negative
+        numbers = dict(self.place_index)
+        numbers.update((name, ~t) for name, t in self.transition_index.items())
         for arc in self.arcs:
             source, target, weight, inhibitor = arc
-            _check_weight(arc)
-            place = place_of(source)
-            if place is not None:
-                transition = transition_of(target)
-                if transition is None:
-                    raise self._arc_error(arc)
-                if inhibitor:
-                    inhibitors[transition][place] = min(
-                        inhibitors[transition].get(place, weight), weight
-                    )
-                else:
-                    ends = inputs[transition]
-                    ends[place] = ends.get(place, 0) + weight
+            if type(weight) is not int or not 0 < weight <= MAX_COUNT:
+                _check_weight(arc)
+            try:
+                first, last = numbers[source], numbers[target]
+            except KeyError:
+                raise self._arc_error(arc) from None
+            if inhibitor and first >= 0 > last:
+                lowest = inhibitors.setdefault(~last, {})
+                lowest[first] = min(lowest.get(first, weight), weight)
                 continue
-            transition, place = transition_of(source), place_of(target)
-            if place is None or transition is None or inhibitor:
+            if inhibitor or (first >= 0) == (last >= 0):
                 raise self._arc_error(arc)
-            ends = outputs[transition]
-            ends[place] = ends.get(place, 0) + weight
-        self.inputs: Tuple[WeightedPlaces, ...] = tuple(tuple(d.items()) for d in inputs)
-        self.outputs: Tuple[WeightedPlaces, ...] = tuple(tuple(d.items()) for d in outputs)
-        self.inhibitors: Tuple[WeightedPlaces, ...] = tuple(tuple(d.items()) for d in inhibitors)
-        consumers: List[List[int]] = [[] for _ in self.places]
-        producers: List[List[int]] = [[] for _ in self.places]
-        for t, arcs in enumerate(self.inputs):
-            for p, _ in arcs:
-                consumers[p].append(t)
-        for t, arcs in enumerate(self.outputs):
-            for p, _ in arcs:
-                producers[p].append(t)
-        self.consumers: Tuple[Tuple[int, ...], ...] = tuple(map(tuple, consumers))
-        self.producers: Tuple[Tuple[int, ...], ...] = tuple(map(tuple, producers))
+            place, ends = (first, inputs[~last]) if first >= 0 else (last, outputs[~first])
+            ends[place] = ends[place] + weight if place in ends else weight
+        self.inputs: Tuple[WeightedPlaces, ...] = tuple([tuple(d.items()) for d in inputs])
+        self.outputs: Tuple[WeightedPlaces, ...] = tuple([tuple(d.items()) for d in outputs])
+        self.inhibitors: Tuple[WeightedPlaces, ...] = tuple(
+            [tuple(inhibitors[t].items()) if t in inhibitors else () for t in range(len(inputs))]
+        )
+        self.consumers = _transitions_at(inputs, len(self.places))
+        self.producers = _transitions_at(outputs, len(self.places))
         self._effects = tuple(map(_effect, inputs, outputs))
         capacity_of = {
             p: place.capacity for p, place in enumerate(self.places) if place.capacity is not None
@@ -437,6 +436,15 @@ def _arc_name(arc: Arc) -> str:
         arc.source,
         arc.target,
     )
+
+
+def _transitions_at(arcs: Sequence[Iterable[int]], places: int) -> Tuple[Tuple[int, ...], ...]:
+    """Return for each place the numbers of the transitions whose ``arcs`` lead to it."""
+    found: List[List[int]] = [[] for _ in range(places)]
+    for t, ends in enumerate(arcs):
+        for p in ends:
+            found[p].append(t)
+    return tuple(map(tuple, found))
 
 
 def _effect(taken: Mapping[int, int], put: Mapping[int, int]) -> WeightedPlaces:
