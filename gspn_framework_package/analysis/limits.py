@@ -71,6 +71,19 @@ class Effort:
         self._asked = 0
         self.steps = 0
 
+    def afford(self, steps: int, found: str = "") -> None:
+        """Check that ``steps`` more are within the limit, without counting them.
+
+        :param found: what the search has found so far, for the error message.
+        :raises LimitError: they are not.
+        """
+        if self.steps + steps > self._limit:
+            raise LimitError(
+                "too much work: more than %s steps%s"
+                % (format(self._limit, ","), found and "; " + found),
+                hint="raise --limit-structure",
+            )
+
     def spend(self, steps: int, what: str, found: str = "") -> None:
         """Count ``steps`` more.
 
@@ -81,11 +94,7 @@ class Effort:
         """
         self.steps += steps
         if self.steps > self._limit:
-            raise LimitError(
-                "too much work: more than %s steps%s"
-                % (format(self._limit, ","), found and "; " + found),
-                hint="raise --limit-structure",
-            )
+            self.afford(0, found)
         if self.steps - self._asked >= 10_000:
             self._asked = self.steps
             self._watch.step(what, self.steps)

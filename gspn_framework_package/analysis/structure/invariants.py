@@ -4,15 +4,22 @@ The algorithm is that of Farkas with the support test of Colom and Silva (1991).
 elimination handles the columns that one row alone can cancel, or two rows with each other: they
 need no test and create no additional rows, and in most large nets they are nearly all columns.
 There can be exponentially many minimal invariants; the search stops at a limit and reports it.
+
+A net may have 100,000 nodes. So the columns are a sparse matrix, and NumPy drops those that cannot
+cancel; Python objects are made only of what remains.
 """
 
 from __future__ import annotations
 
 import heapq
 from collections import deque
+from itertools import chain
 from math import gcd
 from typing import Deque, Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
+import numpy as np
+
+from gspn_framework_package.analysis.arrays import Booleans, Indices
 from gspn_framework_package.analysis.limits import STRUCTURE_LIMIT, Effort
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
@@ -25,6 +32,9 @@ Semiflow = Tuple[Tuple[int, int], ...]
 _ROWS = "steps of invariants"
 
 _ALL = 1 << 62
+
+_VECTORISED = 32
+"""Number of entries that NumPy handles in the time of one step of Python."""
 
 
 class Invariant(NamedTuple):
@@ -67,10 +77,9 @@ def transition_invariants(
     :raises LimitError: the search took more than ``limit`` steps.
     """
     names = [t.name for t in net.transitions]
-    columns: List[Dict[int, int]] = [dict(net.effect(t)) for t in range(len(names))]
     return [
         Invariant({names[t]: w for t, w in row})
-        for row in _semiflows(columns, Effort(limit, watch))
+        for row in _semiflows(_transition_columns(net), Effort(limit, watch))
     ]
 
 
@@ -82,8 +91,14 @@ def transition_surpluses(
     :raises LimitError: the search took more than ``limit`` steps.
     """
     names = [t.name for t in net.transitions]
-    columns: List[Dict[int, int]] = [dict(net.effect(t)) for t in range(len(names))]
-    columns += [{p: -1} for p in range(len(net.places))]  # what a place gains is discarded
+    columns = _transition_columns(net)
+    places = np.arange(len(net.places))
+    columns = _Columns(  # what a place gains is discarded
+        columns.number + len(places),
+        np.concatenate([columns.items, columns.number + places]),
+        np.concatenate([columns.indices, places]),
+        columns.values + [-1] * len(places),
+    )
     rows = _semiflows(columns, Effort(limit, watch))
     return [{names[t]: w for t, w in row if t < len(names)} for row in rows]
 
@@ -123,25 +138,45 @@ def uncovered_place(net: Net) -> Optional[str]:
 def uncovered_transition(net: Net) -> Optional[str]:
     """A transition that is in no T-invariant, if that is evident without a search; None proves
     nothing."""
-    lost = _Elimination(
-        [dict(net.effect(t)) for t in range(len(net.transitions))], Effort(_ALL)
-    ).lost
+    lost = _Elimination(_transition_columns(net), Effort(_ALL)).lost
     return net.transitions[min(lost)].name if lost else None
 
 
-def _place_columns(net: Net) -> List[Dict[int, int]]:
-    columns: List[Dict[int, int]] = [{} for _ in net.places]
-    for t in range(len(net.transitions)):
-        for p, change in net.effect(t):
-            columns[p][t] = change
-    return columns
+class _Columns(NamedTuple):
+    """The columns to combine, as a sparse matrix without zeros: column ``items[k]`` has the value
+    ``values[k]`` at the index ``indices[k]``.
+
+    :ivar number: the number of columns.
+    """
+
+    number: int
+    items: Indices
+    indices: Indices
+    values: List[int]  # not an array: a value may be larger than 2**63
+
+
+def _transition_columns(net: Net) -> _Columns:
+    effects = [net.effect(t) for t in range(len(net.transitions))]
+    lengths = np.fromiter(map(len, effects), dtype=np.int64, count=len(effects))
+    flat = list(chain.from_iterable(effects))
+    return _Columns(
+        len(effects),
+        np.repeat(np.arange(len(effects)), lengths),
+        np.fromiter((p for p, _ in flat), dtype=np.int64, count=len(flat)),
+        [change for _, change in flat],
+    )
+
+
+def _place_columns(net: Net) -> _Columns:
+    columns = _transition_columns(net)
+    return _Columns(len(net.places), columns.indices, columns.items, columns.values)
 
 
 def _place_semiflows(net: Net, effort: Effort) -> List[Semiflow]:
     return _semiflows(_place_columns(net), effort)
 
 
-def _semiflows(columns: Sequence[Dict[int, int]], effort: Effort) -> List[Semiflow]:
+def _semiflows(columns: _Columns, effort: Effort) -> List[Semiflow]:
     """The minimal-support non-negative integer combinations of ``columns`` that give zero."""
     simple = _Elimination(columns, effort)
     found = [_primitive(row.weights) for row in simple.rows if not row.residual]
@@ -189,6 +224,11 @@ class _Atom:
             self.residual = {i: times * v for i, v in self.residual.items()}
 
 
+def _is_simple(lowering: Set[int], raising: Set[int]) -> bool:
+    """Whether the atoms that change an index can be dropped, or are two that can be merged."""
+    return not lowering or not raising or len(lowering) == len(raising) == 1
+
+
 class _Elimination:
     """Cancels what can be cancelled without a choice.
 
@@ -200,22 +240,54 @@ class _Elimination:
     :ivar lost: the numbers of the columns that are in no combination that gives zero.
     """
 
-    def __init__(self, columns: Sequence[Dict[int, int]], effort: Effort) -> None:
-        self.lost: Set[int] = set()
+    def __init__(self, columns: _Columns, effort: Effort) -> None:
         self._effort = effort
-        self._atoms: Dict[int, _Atom] = {i: _Atom(i, column) for i, column in enumerate(columns)}
+        kept = self._kept_of(columns)
+        numbers = np.flatnonzero(kept).tolist()
+        self.lost: Set[int] = set(np.flatnonzero(~kept).tolist())
+        self._atoms: Dict[int, _Atom] = {i: _Atom(i, {}) for i in numbers}
+        items, indices = columns.items.tolist(), columns.indices.tolist()
+        for k in np.flatnonzero(kept[columns.items]).tolist():
+            self._atoms[items[k]].residual[indices[k]] = columns.values[k]
         # index -> (atoms that lower it, atoms that raise it)
         self._at: Dict[int, Tuple[Set[int], Set[int]]] = {}
         for number, atom in self._atoms.items():
             for index, value in atom.residual.items():
-                signs = self._at.get(index)
-                if signs is None:
-                    signs = self._at[index] = set(), set()
-                signs[value > 0].add(number)
-        self._waiting: Deque[int] = deque(self._at)
+                if index not in self._at:
+                    self._at[index] = set(), set()
+                self._at[index][value > 0].add(number)
+        self._waiting: Deque[int] = deque(
+            index
+            for index, (lowering, raising) in self._at.items()
+            if _is_simple(lowering, raising)
+        )
         while self._waiting:
             self._look_at(self._waiting.popleft())
         self.rows = [self._atoms[number] for number in sorted(self._atoms)]
+
+    def _kept_of(self, columns: _Columns) -> Booleans:
+        """Boolean array: the columns that remain after dropping those that change an index which
+        all change in the same direction. It ends when few are dropped at a time.
+
+        :raises LimitError: so many remain, with nothing to merge, that combining them exceeds the
+            limit.
+        """
+        kept = np.ones(columns.number, dtype=bool)
+        items, indices = columns.items, columns.indices
+        size = int(indices.max()) + 1 if len(indices) else 0
+        up = np.fromiter((value > 0 for value in columns.values), dtype=bool, count=len(items))
+        while True:
+            self._effort.spend(len(items) // _VECTORISED, _ROWS)
+            raised = np.bincount(indices[up], minlength=size)
+            lowered = np.bincount(indices[~up], minlength=size)
+            gone = np.unique(items[((raised > 0) != (lowered > 0))[indices]])
+            if not len(gone) and not ((raised == 1) & (lowered == 1)).any():
+                _afford_rows(len(np.unique(items)), self._effort)
+            if len(gone) * _VECTORISED <= len(items):
+                return kept
+            kept[gone] = False
+            left = kept[items]
+            items, indices, up = items[left], indices[left], up[left]
 
     def _look_at(self, index: int) -> None:
         self._effort.spend(1, _ROWS)
@@ -269,9 +341,19 @@ class _Row(NamedTuple):
     residual: Dict[int, int]  # what is not yet cancelled
 
 
+def _afford_rows(rows: int, effort: Effort) -> int:
+    """How many steps it takes to build the bit sets of the supports of so many rows.
+
+    :raises LimitError: the limit does not allow them.
+    """
+    steps = rows**2 >> 10
+    effort.afford(steps)
+    return steps
+
+
 def _combined(residuals: Sequence[Dict[int, int]], effort: Effort) -> List[Dict[int, int]]:
     """The minimal-support non-negative integer combinations of ``residuals`` that give zero."""
-    effort.spend(len(residuals) ** 2 >> 10, _ROWS)  # building the bit sets of their supports
+    effort.spend(_afford_rows(len(residuals), effort), _ROWS)
     rows: Dict[int, _Row] = {
         i: _Row(1 << i, {i: 1}, dict(column)) for i, column in enumerate(residuals)
     }

@@ -10,11 +10,16 @@ sets; the search stops at a limit and reports it. Inhibitor arcs are ignored.
 Two questions are decided without a list: the largest siphon or trap inside a set of places, and
 whether every siphon holds a marked trap (:func:`unguarded_siphon`). The latter examines only the
 siphons that avoid the marked traps found so far.
+
+A net may have 100,000 nodes, and most of the work is done again with one place less. So the sets
+are byte arrays, which are copied in microseconds, and each part of the net is searched in a
+numbering of its own.
 """
 
 from __future__ import annotations
 
-from collections import Counter
+from array import array
+from functools import cached_property
 from itertools import chain
 from typing import Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
@@ -22,6 +27,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from gspn_framework_package.analysis.arrays import Booleans, Indices
 from gspn_framework_package.analysis.limits import STRUCTURE_LIMIT, Effort
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.net import Net
@@ -75,26 +81,26 @@ def unguarded_siphon(
     """
     effort = Effort(limit, watch)
     siphons, traps = _siphon_rules(net), _trap_rules(net)
+    marked = np.array([count > 0 for count in net.initial_marking], dtype=bool)
     for siphon in minimal or ():
-        inside = _Inside.of(traps, [net.place_index[name] for name in siphon.places], effort)
-        if not any(net.initial_marking[p] for p in inside.places):
+        places = [net.place_index[name] for name in siphon.places]
+        inside = _Inside.largest(traps.of_part(places, effort), effort)
+        if not marked[places][inside.mask].any():
             return siphon
     if minimal is not None:
         return None
-    everywhere = range(len(net.places))
-    marked = {p for p, count in enumerate(net.initial_marking) if count}
     waiting: List[Tuple[Optional[_Inside], int, FrozenSet[int]]] = [(None, -1, frozenset())]
     while waiting:
         before, without, required = waiting.pop()
         if before is None:
-            inside = _Inside.of(siphons, everywhere, effort)
+            inside = _Inside.largest(siphons, effort)
         else:
             inside = before.copy()
             inside.remove(without)
-        if not inside.places or not required <= inside.places:
+        if not inside.size or not inside.has_all(required):
             continue
-        trap = _Inside.of(traps, inside.places, effort)
-        if not trap.places & marked:
+        trap = _Inside.largest(traps, effort, inside.mask)
+        if not (trap.mask & marked).any():
             return _named(net, [_shrunk(inside)])[0]
         guard = _marked_part(trap, marked)
         needed = set(required)
@@ -108,43 +114,115 @@ def unguarded_siphon(
     return None
 
 
-def _marked_part(trap: _Inside, marked: Set[int]) -> Set[int]:
+def _marked_part(trap: _Inside, marked: Booleans) -> Set[int]:
     """A smaller marked trap inside a marked trap."""
-    for p in sorted(trap.places & marked):  # the set that this mark demands
+    for p in np.flatnonzero(trap.mask & marked).tolist():  # the set that this mark demands
         needed, possible, closed = trap.demand({p})
         if possible and closed:
             return needed
-    for p in sorted(trap.places):
-        if p in trap.places:
+    for p in trap.numbers():
+        if trap.has(p):
             smaller = trap.copy()
             smaller.remove(p)
-            if smaller.places & marked:
+            if (smaller.mask & marked).any():
                 trap = smaller
-    return trap.places
+    return set(trap.numbers())
 
 
-class _Rules(NamedTuple):
-    """The arcs in terms of siphons; for traps, the directions are exchanged.
+class _Rules:
+    """The arcs in terms of siphons; for traps, the directions are exchanged. Places and transitions
+    are numbered from 0.
 
-    :ivar feeding: for each place the transitions (numbers) that put tokens into it: each of them
-        must take from every set that has the place.
-    :ivar taking: for each transition the places (numbers) that it takes from.
+    :ivar feeding: for each place the transitions that put tokens into it: each of them must take
+        from every set that has the place.
+    :ivar taking: for each transition the places that it takes from.
     :ivar fed: for each transition the places that it puts tokens into.
     :ivar asking: for each place the transitions that take from it.
+    :ivar numbers: for each place its number in the net.
+    :ivar connected: whether the places are known to be strongly connected.
     """
 
-    feeding: Sequence[Sequence[int]]
-    taking: Sequence[Sequence[int]]
-    fed: Sequence[Sequence[int]]
-    asking: Sequence[Sequence[int]]
+    def __init__(
+        self,
+        feeding: Sequence[Sequence[int]],
+        taking: Sequence[Sequence[int]],
+        fed: Sequence[Sequence[int]],
+        asking: Sequence[Sequence[int]],
+        numbers: Sequence[int],
+        connected: bool = False,
+    ) -> None:
+        self.feeding, self.taking, self.fed, self.asking = feeding, taking, fed, asking
+        self.numbers = numbers
+        self.connected = connected
+
+    def of_part(self, places: Sequence[int], effort: Effort, connected: bool = False) -> _Rules:
+        """The rules of these places alone; they get the numbers of their order here."""
+        place = {p: i for i, p in enumerate(places)}
+        transition: Dict[int, int] = {}
+        for p in places:
+            for t in chain(self.feeding[p], self.asking[p]):
+                transition.setdefault(t, len(transition))
+        taking = [tuple([place[q] for q in self.taking[t] if q in place]) for t in transition]
+        fed = [tuple([place[q] for q in self.fed[t] if q in place]) for t in transition]
+        effort.spend(
+            1 + len(places) + sum(len(self.taking[t]) + len(self.fed[t]) for t in transition) // 4,
+            _PLACES,
+        )
+        return _Rules(
+            [tuple([transition[t] for t in self.feeding[p]]) for p in places],
+            taking,
+            fed,
+            [tuple([transition[t] for t in self.asking[p]]) for p in places],
+            [self.numbers[p] for p in places],
+            connected,
+        )
+
+    def in_net(self, places: Iterable[int]) -> FrozenSet[int]:
+        """The numbers that these places have in the net."""
+        return frozenset([self.numbers[p] for p in places])
+
+    @cached_property
+    def here(self) -> Dict[int, int]:
+        """The numbers of the places here, by those in the net."""
+        return {number: p for p, number in enumerate(self.numbers)}
+
+    @cached_property
+    def feeding_arcs(self) -> Tuple[Indices, Indices]:
+        """The pairs of ``feeding``, as two arrays: places, transitions."""
+        return _pairs(self.feeding)
+
+    @cached_property
+    def taking_arcs(self) -> Tuple[Indices, Indices]:
+        """The pairs of ``asking``, as two arrays: places, transitions."""
+        return _pairs(self.asking)
+
+
+def _pairs(rows: Sequence[Sequence[int]]) -> Tuple[Indices, Indices]:
+    lengths = np.fromiter(map(len, rows), dtype=np.int64, count=len(rows))
+    return (
+        np.repeat(np.arange(len(rows)), lengths),
+        np.fromiter(chain.from_iterable(rows), dtype=np.int64, count=int(lengths.sum())),
+    )
 
 
 def _siphon_rules(net: Net) -> _Rules:
-    return _Rules(net.producers, _sets(net.inputs), _sets(net.outputs), net.consumers)
+    return _Rules(
+        net.producers,
+        _sets(net.inputs),
+        _sets(net.outputs),
+        net.consumers,
+        range(len(net.places)),
+    )
 
 
 def _trap_rules(net: Net) -> _Rules:
-    return _Rules(net.consumers, _sets(net.outputs), _sets(net.inputs), net.producers)
+    return _Rules(
+        net.consumers,
+        _sets(net.outputs),
+        _sets(net.inputs),
+        net.producers,
+        range(len(net.places)),
+    )
 
 
 def _sets(arcs: Sequence[Sequence[Tuple[int, int]]]) -> List[Tuple[int, ...]]:
@@ -154,52 +232,79 @@ def _sets(arcs: Sequence[Sequence[Tuple[int, int]]]) -> List[Tuple[int, ...]]:
 class _Inside:
     """The largest siphon (trap) inside a set of places, updated when a place leaves that set.
 
-    :ivar places: the numbers of its places.
+    :ivar size: the number of its places.
     """
 
     def __init__(
-        self, rules: _Rules, places: Set[int], left: Dict[int, int], effort: Effort
+        self, rules: _Rules, places: bytearray, left: array[int], size: int, effort: Effort
     ) -> None:
         self.rules = rules
-        self.places = places
-        # transition -> how many of the places that it takes from are in ``places``
+        self.size = size
+        self._places = places  # for each place, whether it belongs to it
+        # for each transition, how many of the places that it takes from belong to it
         self._left = left
         self._effort = effort
 
     @classmethod
-    def of(cls, rules: _Rules, places: Iterable[int], effort: Effort) -> _Inside:
-        """The largest one inside ``places``."""
-        chosen = set(places)
-        asking, feeding = rules.asking, rules.feeding
-        left = Counter(chain.from_iterable([asking[p] for p in chosen]))
-        effort.spend(len(chosen) + len(left), _PLACES)
-        found = cls(rules, chosen, left, effort)
-        # map, not a comprehension, for speed: this runs for every place of every part of the net
-        found._settle([p for p in chosen if not all(map(left.__contains__, feeding[p]))])
+    def largest(cls, rules: _Rules, effort: Effort, within: Optional[Booleans] = None) -> _Inside:
+        """The largest one, among all places or ``within`` a set (boolean array)."""
+        if within is None:
+            within = np.ones(len(rules.feeding), dtype=bool)
+        places, transitions = rules.taking_arcs
+        left = np.bincount(transitions[within[places]], minlength=len(rules.taking))
+        places, transitions = rules.feeding_arcs
+        leaving = np.unique(places[left[transitions] == 0])
+        effort.spend(1 + (len(left) + len(within)) // _VECTORISED, _PLACES)
+        found = cls(
+            rules,
+            bytearray(within.tobytes()),
+            array("i", left.astype(np.int32).tobytes()),
+            int(within.sum()),
+            effort,
+        )
+        found._settle(leaving.tolist())
         return found
+
+    @property
+    def mask(self) -> Booleans:
+        """Boolean array: which places belong to it."""
+        return np.frombuffer(bytes(self._places), dtype=bool)
+
+    def numbers(self) -> List[int]:
+        """The numbers of its places, sorted."""
+        found: List[int] = np.flatnonzero(self.mask).tolist()
+        return found
+
+    def has(self, place: int) -> bool:
+        """Whether ``place`` belongs to it."""
+        return bool(self._places[place])
+
+    def has_all(self, places: Iterable[int]) -> bool:
+        """Whether all of ``places`` belong to it."""
+        return all(map(self._places.__getitem__, places))
 
     def copy(self) -> _Inside:
         """An independent copy."""
-        self._effort.spend(1 + (len(self.places) + len(self._left)) // 16, _PLACES)
-        return _Inside(self.rules, set(self.places), dict(self._left), self._effort)
+        self._effort.spend(1 + (len(self._places) + len(self._left)) // _VECTORISED, _PLACES)
+        return _Inside(self.rules, self._places[:], self._left[:], self.size, self._effort)
 
     def remove(self, place: int) -> None:
         """Remove ``place``, and the places that can then no longer belong to it."""
-        if place in self.places:
-            self._settle([place])
+        self._settle([place])
 
     def _settle(self, leaving: List[int]) -> None:
-        places, left, rules = self.places, self._left, self.rules
+        places, left, rules = self._places, self._left, self.rules
         while leaving:
             p = leaving.pop()
-            if p not in places:
+            if not places[p]:
                 continue
-            places.discard(p)
+            places[p] = 0
+            self.size -= 1
             self._effort.spend(1 + len(rules.asking[p]), _PLACES)
             for t in rules.asking[p]:
                 left[t] -= 1
                 if not left[t]:
-                    leaving.extend(q for q in rules.fed[t] if q in places)
+                    leaving.extend([q for q in rules.fed[t] if places[q]])
 
     def demand(self, required: Iterable[int]) -> Tuple[Set[int], bool, bool]:
         """What a siphon (trap) inside this one must contain if it contains ``required``.
@@ -213,7 +318,7 @@ class _Inside:
         while fresh or open_transitions:
             while fresh:
                 p = fresh.pop()
-                if p not in self.places:
+                if not self._places[p]:
                     return needed, False, False
                 self._effort.spend(1 + len(self.rules.feeding[p]), _PLACES)
                 open_transitions.update(self.rules.feeding[p])
@@ -221,10 +326,10 @@ class _Inside:
             for t in open_transitions:
                 taking = self.rules.taking[t]
                 self._effort.spend(len(taking), _PLACES)
-                if any(q in needed for q in taking):
+                if not needed.isdisjoint(taking):
                     continue
-                if self._left.get(t) == 1:
-                    only = next(q for q in taking if q in self.places)
+                if self._left[t] == 1:
+                    only = next(q for q in taking if self._places[q])
                     needed.add(only)
                     fresh.append(only)
                 else:
@@ -234,37 +339,32 @@ class _Inside:
             open_transitions = remaining
         return needed, True, True
 
-    def parts(self) -> List[Set[int]]:
+    def parts(self) -> List[List[int]]:
         """Its strongly connected parts: every minimal set lies in one of them."""
-        if len(self.places) <= 1:
-            return [set(self.places)]
-        chosen = sorted(self.places)
-        number = {p: i for i, p in enumerate(chosen)}
-        sources: List[int] = []
-        targets: List[int] = []
-        transitions = sorted({t for p in chosen for t in self.rules.feeding[p]})
-        count = len(chosen)
+        rules, inside = self.rules, self.mask
+        chosen = np.flatnonzero(inside)
+        if self.size <= 1 or (rules.connected and self.size == len(inside)):
+            return [chosen.tolist()]
         # with a node for each transition, there are no more arcs than in the net
-        for row, t in enumerate(transitions):
-            for q in self.rules.taking[t]:
-                if q in number:
-                    sources.append(number[q])
-                    targets.append(count + row)
-            for p in self.rules.fed[t]:
-                if p in number:
-                    sources.append(count + row)
-                    targets.append(number[p])
-        self._effort.spend(len(sources), _PLACES)
-        nodes = count + len(transitions)
+        from_places, into = rules.taking_arcs
+        fed, out_of = rules.feeding_arcs
+        taken, given = inside[from_places], inside[fed]
+        count, nodes = len(inside), len(inside) + len(rules.taking)
+        sources = np.concatenate([from_places[taken], count + out_of[given]])
+        targets = np.concatenate([count + into[taken], fed[given]])
+        self._effort.spend(1 + (nodes + len(sources)) // _VECTORISED, _PLACES)
         graph = sparse.csr_matrix(
             (np.ones(len(sources), np.int8), (sources, targets)), shape=(nodes, nodes)
         )
         _, of = csgraph.connected_components(graph, connection="strong")
-        found: Dict[int, Set[int]] = {}
-        for i, component in enumerate(of[:count].tolist()):
-            found.setdefault(component, set()).add(chosen[i])
+        found: Dict[int, List[int]] = {}
+        for p, component in zip(chosen.tolist(), of[chosen].tolist()):
+            found.setdefault(component, []).append(p)
         return list(found.values())
 
+
+_VECTORISED = 32
+"""Number of elements that compiled code handles in the time of one step of Python."""
 
 _PLACES = "steps of siphons and traps"
 
@@ -272,7 +372,7 @@ _PLACES = "steps of siphons and traps"
 class _Found:
     """The minimal sets found so far.
 
-    :ivar sets: these sets, as place numbers.
+    :ivar sets: these sets, as numbers of places of the net.
     """
 
     def __init__(self) -> None:
@@ -284,18 +384,25 @@ class _Found:
         self.sets.add(places)
         self._first.add(min(places))
 
-    def within(self, places: Set[int]) -> List[FrozenSet[int]]:
-        """The sets found inside a set of places: usually none in a net of thousands of parts."""
+    def within(self, inside: _Inside, effort: Effort) -> List[Set[int]]:
+        """The sets found ``inside`` another, in its numbers: usually none in a net of thousands of
+        parts."""
+        if not self.sets:
+            return []
+        effort.spend(1 + inside.size // 16, _PLACES)
+        places = inside.rules.in_net(inside.numbers())
         if self._first.isdisjoint(places):
             return []
-        return [s for s in self.sets if s <= places]
+        effort.spend(len(self.sets) // 4, _PLACES)
+        here = inside.rules.here
+        return [{here[number] for number in s} for s in self.sets if s <= places]
 
 
-def _minimal_sets(rules: _Rules, count: int, effort: Effort) -> Set[FrozenSet[int]]:
+def _minimal_sets(rules: _Rules, effort: Effort) -> Set[FrozenSet[int]]:
     """All minimal sets."""
     found = _Found()
     waiting: List[Tuple[_Inside, int, FrozenSet[int]]] = [
-        (_Inside.of(rules, range(count), effort), -1, frozenset())
+        (_Inside.largest(rules, effort), -1, frozenset())
     ]
     while waiting:
         inside, without, required = waiting.pop()
@@ -303,23 +410,34 @@ def _minimal_sets(rules: _Rules, count: int, effort: Effort) -> Set[FrozenSet[in
         if without >= 0:
             inside = inside.copy()
             inside.remove(without)
-        if not inside.places or not required <= inside.places:
+        if not inside.size or not inside.has_all(required):
             continue
-        parts = inside.parts()
-        if len(parts) > 1:
-            for part in parts:
-                if required <= part and (len(part) > 1 or _is_one(rules, part, effort)):
-                    waiting.append((_Inside.of(rules, part, effort), -1, required))
+        rules, parts = inside.rules, inside.parts()
+        if len(parts) == 1 and inside.size * 2 > len(rules.feeding):
+            _branch(inside, required, effort, found, waiting)
             continue
-        _branch(inside, required, effort, found, waiting)
+        for part in parts:
+            if required and not required.issubset(part):
+                continue
+            if len(part) > 1:
+                of_part = rules.of_part(part, effort, connected=True)
+                numbers = {p: i for i, p in enumerate(part)} if required else {}
+                waiting.append(
+                    (
+                        _Inside.largest(of_part, effort),
+                        -1,
+                        frozenset(numbers[p] for p in required),
+                    )
+                )
+            elif _is_one(rules, part[0], effort):
+                found.add(rules.in_net(part))
     return found.sets
 
 
-def _is_one(rules: _Rules, part: Set[int], effort: Effort) -> bool:
+def _is_one(rules: _Rules, place: int, effort: Effort) -> bool:
     """Whether a single place is a siphon (trap)."""
-    (p,) = part
     effort.spend(1, _PLACES)
-    return all(p in rules.taking[t] for t in rules.feeding[p])
+    return all(place in rules.taking[t] for t in rules.feeding[place])
 
 
 def _branch(
@@ -331,17 +449,17 @@ def _branch(
 ) -> None:
     """Search a strongly connected set for the minimal sets that contain all of ``required``: add
     one to ``found``, and the branches that may contain others to ``waiting``."""
+    rules = inside.rules
     needed, possible, closed = inside.demand(required)
     if not possible:
         return
     if not (closed and needed):
-        effort.spend(len(found.sets) // 4, _PLACES)
-        known = found.within(inside.places)
+        known = found.within(inside, effort)
         if known:
             pivot = min(known, key=lambda s: len(s - needed))
         else:
             pivot = _shrunk(inside)
-            found.add(pivot)
+            found.add(rules.in_net(pivot))
         for p in sorted(pivot - needed):
             if p in needed:  # by now the other places demand it
                 continue
@@ -352,35 +470,38 @@ def _branch(
             if closed:
                 break
     # every set that contains all of them is that set, or larger
-    if closed and needed and frozenset(needed) not in found.sets:
-        found.add(_shrunk(_Inside.of(inside.rules, needed, effort)))
+    if closed and needed and rules.in_net(needed) not in found.sets:
+        smaller = rules.of_part(sorted(needed), effort)
+        found.add(smaller.in_net(_shrunk(_Inside.largest(smaller, effort))))
 
 
-def _shrunk(inside: _Inside) -> FrozenSet[int]:
+def _shrunk(inside: _Inside) -> Set[int]:
     """A minimal set inside ``inside``, which must not be empty."""
     needed: Set[int] = set()  # what every set inside contains
-    for p in sorted(inside.places):
-        if p in needed or p not in inside.places:
+    for p in inside.numbers():
+        if p in needed or not inside.has(p):
             continue
         smaller = inside.copy()
         smaller.remove(p)
-        if smaller.places:
+        if smaller.size:
             inside = smaller
         else:
             needed.add(p)
         needed, _, closed = inside.demand(needed)
         if closed and needed:
-            return frozenset(needed)
-    return frozenset(inside.places)
+            return needed
+    return set(inside.numbers())
 
 
 def _listed(net: Net, rules: _Rules, effort: Effort) -> List[PlaceSet]:
-    return _named(net, _minimal_sets(rules, len(net.places), effort))
+    return _named(net, _minimal_sets(rules, effort))
 
 
 def _largest(net: Net, rules: _Rules, within: Iterable[str]) -> Tuple[str, ...]:
-    inside = _Inside.of(rules, [net.place_number(name) for name in within], Effort(1 << 62))
-    return tuple(net.places[p].name for p in sorted(inside.places))
+    chosen = np.zeros(len(net.places), dtype=bool)
+    chosen[[net.place_number(name) for name in within]] = True
+    inside = _Inside.largest(rules, Effort(1 << 62), chosen)
+    return tuple(net.places[p].name for p in inside.numbers())
 
 
 def _named(net: Net, found: Iterable[Iterable[int]]) -> List[PlaceSet]:
