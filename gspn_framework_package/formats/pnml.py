@@ -30,6 +30,7 @@ from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
     all_of,
     arc_kind,
+    attributes,
     child,
     choose_net,
     label,
@@ -326,7 +327,7 @@ class _Reader:
         return end
 
     def _arc(self, element: etree._Element) -> None:
-        said: Data = dict(element.items())
+        said = attributes(element)
         if not len(element) and not element.text and _ENDS.issuperset(said):
             # Most arcs have only a source and a target, and nothing inside to check or look for.
             source, target = said.get("source"), said.get("target")
@@ -367,7 +368,7 @@ def _data(parts: vocabulary.Children) -> Dict[str, Data]:
     (``<property key="weight">2</property>``) or attributes; tools without data are left out."""
     found: Dict[str, Data] = {}
     for node in parts.get("toolspecific", ()):
-        said: Data = dict(node.items())
+        said = attributes(node)
         tool = said.pop("tool", "")
         said.pop("version", None)
         for part in node:

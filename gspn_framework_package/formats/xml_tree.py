@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import Any, Iterator, List, Optional, Sequence
+from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple, cast
 
 from lxml import etree
 
@@ -131,8 +131,12 @@ def arc_kind(element: etree._Element) -> str:
 
 def line_of(element: etree._Element) -> int:
     """Return the line on which the element begins."""
-    line: int = element.sourceline or 0
-    return line
+    return cast(int, element.sourceline or 0)
+
+
+def attributes(element: etree._Element) -> Dict[str, str]:
+    """Return the attributes of the element."""
+    return dict(cast(List[Tuple[str, str]], element.items()))
 
 
 def name_of(element: etree._Element, kind: str) -> str:
