@@ -21,6 +21,7 @@ from typing import (
     NamedTuple,
     Optional,
     Sequence,
+    Set,
     Tuple,
     TypeVar,
     Union,
@@ -178,7 +179,10 @@ class Net:
         )
         self.consumers = _transitions_at(inputs, len(self.places))
         self.producers = _transitions_at(outputs, len(self.places))
-        self._effects = tuple(map(_effect, inputs, outputs))
+        self._effects: Tuple[WeightedPlaces, ...] = tuple(map(_effect, inputs, outputs))
+        self._index_capacities()
+
+    def _index_capacities(self) -> None:
         capacity_of = {
             p: place.capacity for p, place in enumerate(self.places) if place.capacity is not None
         }
@@ -302,6 +306,15 @@ class Net:
         does not change are left out."""
         return self._effects[t]
 
+    def inhibited_by(self) -> Dict[int, List[int]]:
+        """Return for each place with inhibitor arcs (by index) the numbers of the transitions that
+        they lead to."""
+        found: Dict[int, List[int]] = {}
+        for t, arcs in enumerate(self.inhibitors):
+            for p, _ in arcs:
+                found.setdefault(p, []).append(t)
+        return found
+
     # -- look-up -----------------------------------------------------------------------------------
 
     def place(self, name: str) -> Place:
@@ -369,12 +382,36 @@ class Net:
         gone = set(names)
         for name in gone:
             self.place_number(name)
-        return Net(
-            [p for p in self.places if p.name not in gone],
-            self.transitions,
-            [a for a in self.arcs if a.source not in gone and a.target not in gone],
-            self.name,
-        )
+        kept = [p for p, place in enumerate(self.places) if place.name not in gone]
+        return self._restricted(kept, gone)
+
+    def _restricted(self, kept: Sequence[int], gone: Set[str]) -> Net:
+        """Return the net with these places alone. Its indices come from those of this net, which
+        takes half the time of making them anew."""
+        number = [-1] * len(self.places)
+        for new, old in enumerate(kept):
+            number[old] = new
+
+        def renumbered(rows: Iterable[WeightedPlaces]) -> Tuple[WeightedPlaces, ...]:
+            return tuple(
+                [tuple([(number[p], n) for p, n in row if number[p] >= 0]) for row in rows]
+            )
+
+        net = Net.__new__(Net)
+        net.name = self.name
+        net.places = tuple([self.places[p] for p in kept])
+        net.transitions = self.transitions
+        net.arcs = tuple([a for a in self.arcs if a[0] not in gone and a[1] not in gone])
+        net.place_index = {place.name: p for p, place in enumerate(net.places)}
+        net.transition_index = self.transition_index
+        net.inputs, net.outputs = renumbered(self.inputs), renumbered(self.outputs)
+        net.inhibitors = renumbered(self.inhibitors)
+        net.consumers = tuple([self.consumers[p] for p in kept])
+        net.producers = tuple([self.producers[p] for p in kept])
+        net._effects = renumbered(self._effects)
+        net._index_capacities()
+        net.initial_marking = tuple([self.initial_marking[p] for p in kept])
+        return net
 
     def without_transition(self, name: str) -> Net:
         """Return the net without a transition and its arcs ("delete transition", thesis 4.3.5)."""

@@ -126,20 +126,21 @@ class CoverabilityTree:
     def _accelerate(self, number: int, t: int, after: Tuple[int, ...]) -> Tuple[int, ...]:
         """``after`` with OMEGA where repeating the path from an ancestor to here adds tokens."""
         fired = {t}
-        counts = list(after)
         while number >= 0:
             node = self.nodes[number]
             self._comparisons -= 1
             # the hottest loop, in nets of thousands of places
-            if all(map(le, node.marking, counts)):
-                growing = [p for p, (a, b) in enumerate(zip(node.marking, counts)) if a < b < OMEGA]
+            if all(map(le, node.marking, after)):
+                growing = [p for p, (a, b) in enumerate(zip(node.marking, after)) if a < b < OMEGA]
                 if growing:
                     self._exact.require(growing, fired)
+                    counts = list(after)
                     for p in growing:
                         counts[p] = OMEGA
+                    after = tuple(counts)
             fired.add(node.transition)
             number = node.parent
-        return tuple(counts)
+        return after
 
     # -- answers -----------------------------------------------------------------------------------
 
@@ -230,13 +231,12 @@ class _Near:
 
     def __init__(self, net: Net) -> None:
         self._net = net
-        self._looking: List[Set[int]] = [set(transitions) for transitions in net.consumers]
-        for t, arcs in enumerate(net.inhibitors):
-            for p, _ in arcs:
-                self._looking[p].add(t)
+        self._looking: List[Sequence[int]] = list(net.consumers)
+        for p, transitions in net.inhibited_by().items():
+            self._looking[p] = (*self._looking[p], *transitions)
         for p, place in enumerate(net.places):
             if place.capacity is not None:
-                self._looking[p].update(net.producers[p])
+                self._looking[p] = (*self._looking[p], *net.producers[p])
 
     def enabled(
         self, marking: Sequence[int], before: Sequence[int], with_concession: Sequence[int]
@@ -246,7 +246,7 @@ class _Near:
         near: Set[int] = set()
         for p, count in enumerate(marking):
             if count != before[p]:
-                near |= self._looking[p]
+                near.update(self._looking[p])
         if not near:
             return tuple(with_concession)
         found = [t for t in with_concession if t not in near]

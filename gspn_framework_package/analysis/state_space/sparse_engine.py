@@ -8,6 +8,7 @@ changed. So the cost of a firing depends on what it changes, not on the size of 
 from __future__ import annotations
 
 from array import array
+from itertools import chain
 from typing import Dict, Iterable, List, Optional, Sequence, Set, Tuple
 
 import numpy as np
@@ -115,24 +116,26 @@ class _Rules:
         self._single = len(classes) <= 1
         self._net = net
         self._initial: Sequence[int] = net.initial_marking
-        self._needs = [net.inputs[t] for t in self.order]
+        self._needs: Sequence[Sequence[Tuple[int, int]]] = [net.inputs[t] for t in self.order]
         self._limits: List[Tuple[Tuple[int, int], ...]] = [()] * len(self.order)
         if any(net.inhibitors) or any(place.capacity is not None for place in net.places):
             self._limits = [tuple(thresholds(net, t).items()) for t in self.order]
         self._effects = [net.effect(t) for t in self.order]
-        # for each place, the transitions that read it
-        self._looking: List[List[int]] = [[] for _ in net.places]
-        # and those of them that take tokens from it
-        self._taking: List[List[int]] = [[] for _ in net.places]
+        # for each place, the transitions that take tokens from it
+        self._taking: Sequence[Sequence[int]] = net.consumers
+        if not self._single:
+            row_of = np.argsort(self.order).tolist()
+            self._taking = [[row_of[t] for t in taking] for taking in net.consumers]
+        # and the transitions that read it, with those that its count may disable
+        self._looking: Sequence[Sequence[int]] = self._taking
+        if any(self._limits):
+            looking = list(map(list, self._taking))
+            for row, limits in enumerate(self._limits):
+                for p, _ in limits:
+                    looking[p].append(row)
+            self._looking = looking
         # the transitions that take from no place
         self._always = [row for row, needs in enumerate(self._needs) if not needs]
-        for row, needs in enumerate(self._needs):
-            for p, _ in needs:
-                self._looking[p].append(row)
-                self._taking[p].append(row)
-        for row, limits in enumerate(self._limits):
-            for p, _ in limits:
-                self._looking[p].append(row)
         self._marked = [p for p, count in enumerate(self._initial) if count]
         self._together: Optional[_Together] = None
 
@@ -214,7 +217,7 @@ class _Together:
     def __init__(self, net: Net, effects: Sequence[Sequence[Tuple[int, int]]]) -> None:
         self._net = net
         self._initial = np.array(net.initial_marking, dtype=np.int64)
-        flat = [item for effect in effects for item in effect]
+        flat = list(chain.from_iterable(effects))
         self._places = np.array([p for p, _ in flat], dtype=np.int64)
         # Changes of more than MAX_WIDTH bits are clipped: they are too large anyway, and two
         # clipped numbers can be added without overflow.

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
-from itertools import chain
 from math import gcd
 from typing import Deque, Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
@@ -21,6 +20,7 @@ import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Indices
 from gspn_framework_package.analysis.limits import STRUCTURE_LIMIT, Effort
+from gspn_framework_package.analysis.structure import incidence
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Marking, Net
@@ -156,20 +156,13 @@ class _Columns(NamedTuple):
 
 
 def _transition_columns(net: Net) -> _Columns:
-    effects = [net.effect(t) for t in range(len(net.transitions))]
-    lengths = np.fromiter(map(len, effects), dtype=np.int64, count=len(effects))
-    flat = list(chain.from_iterable(effects))
-    return _Columns(
-        len(effects),
-        np.repeat(np.arange(len(effects)), lengths),
-        np.fromiter((p for p, _ in flat), dtype=np.int64, count=len(flat)),
-        [change for _, change in flat],
-    )
+    changes = incidence.effects(net)
+    return _Columns(len(net.transitions), changes.transitions, changes.places, changes.values)
 
 
 def _place_columns(net: Net) -> _Columns:
-    columns = _transition_columns(net)
-    return _Columns(len(net.places), columns.indices, columns.items, columns.values)
+    changes = incidence.effects(net)
+    return _Columns(len(net.places), changes.places, changes.transitions, changes.values)
 
 
 def _place_semiflows(net: Net, effort: Effort) -> List[Semiflow]:

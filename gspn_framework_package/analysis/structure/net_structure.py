@@ -14,9 +14,26 @@ idle + busy = 1
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    FrozenSet,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+)
 
+import numpy as np
+
+from gspn_framework_package.analysis.arrays import Indices
+from gspn_framework_package.analysis.graph import components
 from gspn_framework_package.analysis.limits import STRUCTURE_LIMIT
+from gspn_framework_package.analysis.structure import incidence
 from gspn_framework_package.analysis.structure.invariants import (
     Invariant,
     place_invariants,
@@ -72,7 +89,7 @@ def classify(net: Net) -> NetClasses:
     shared = [ts for ts in net.consumers if len(ts) > 1]
     return NetClasses(
         ordinary=ordinary,
-        pure=all(not before[t] & after[t] for t in numbers),
+        pure=all(map(frozenset.isdisjoint, before, after)),
         state_machine=ordinary and all(len(before[t]) == 1 == len(after[t]) for t in numbers),
         marked_graph=ordinary
         and all(
@@ -89,58 +106,72 @@ def classify(net: Net) -> NetClasses:
 
 def _neighbours(
     before: Sequence[FrozenSet[int]], leaving: Sequence[FrozenSet[int]]
-) -> Set[Tuple[int, int]]:
+) -> Iterator[Tuple[int, int]]:
     """Pairs of places that share an output transition, the one with fewer output transitions first.
 
     These pairs suffice to decide whether, of any two places that share one, one has all the output
     transitions of the other. Each pair occurs once: a place may have 50,000 output transitions.
     """
-    found: Set[Tuple[int, int]] = set()
+    seen: Set[Tuple[int, int]] = set()
     for places in before:
         if len(places) > 1:
             by_size = sorted(places, key=lambda p: (len(leaving[p]), p))
-            found.update(zip(by_size, by_size[1:]))
-    return found
+            for pair in zip(by_size, by_size[1:]):
+                if pair not in seen:
+                    seen.add(pair)
+                    yield pair
 
 
 def conflict_sets(net: Net) -> List[Tuple[str, ...]]:
     """The extended structural conflict sets (Ajmone Marsan et al. 1995): groups of transitions of
     the same kind and priority that can take tokens from each other or inhibit each other, directly
     or through others. Transitions without a conflict are omitted."""
-    groups: Dict[Tuple[bool, int], List[int]] = {}
-    for t, transition in enumerate(net.transitions):
-        groups.setdefault(
-            (transition.timed, 0 if transition.timed else transition.priority), []
-        ).append(t)
-    found = []
-    inhibited_by: List[List[int]] = [[] for _ in net.places]
-    for t, arcs in enumerate(net.inhibitors):
-        for p, _ in arcs:
-            inhibited_by[p].append(t)
-    effects = [dict(net.effect(t)) for t in range(len(net.transitions))]
-    for members in groups.values():
-        parent = {t: t for t in members}
+    kinds: Dict[Tuple[bool, int], int] = {}
+    kind_of = np.array(
+        [
+            kinds.setdefault((t.timed, 0 if t.timed else t.priority), len(kinds))
+            for t in net.transitions
+        ],
+        dtype=np.int64,
+    )
 
-        def root(t: int) -> int:
-            while parent[t] != t:  # noqa: B023
-                parent[t] = parent[parent[t]]  # noqa: B023
-                t = parent[t]  # noqa: B023
-            return t
+    def meetings(arcs: incidence.Incidence) -> Indices:
+        """For each arc, a number for its place and the kind of its transition."""
+        return arcs.places * max(len(kinds), 1) + kind_of[arcs.transitions]
 
-        for p in {p for t in members for p, _ in net.inputs[t] + net.outputs[t]}:
-            readers = [t for t in net.consumers[p] if t in parent]
-            takers = [t for t in readers if effects[t].get(p, 0) < 0]
-            givers = [t for t in net.producers[p] if t in parent and effects[t].get(p, 0) > 0]
-            inhibited = [t for t in inhibited_by[p] if t in parent]
-            for some, others in ((takers, readers), (givers, inhibited)):
-                if some and others:
-                    for t in some + others:
-                        parent[root(t)] = root(some[0])
-        sets: Dict[int, List[int]] = {}
-        for t in members:
-            sets.setdefault(root(t), []).append(t)
-        found += [sorted(s) for s in sets.values() if len(s) > 1]
-    return [tuple(net.transitions[t].name for t in s) for s in sorted(found)]
+    changes = incidence.effects(net)
+    signs = np.array([change > 0 for change in changes.values], dtype=bool)
+    changed = meetings(changes)
+    readers, inhibited = incidence.flatten(net.inputs), incidence.flatten(net.inhibitors)
+    taken = np.isin(meetings(readers), changed[~signs])  # another reader takes
+    fed = np.isin(meetings(inhibited), changed[signs])
+    feeding = np.isin(changed, meetings(inhibited)) & signs
+    # Those that meet are connected through a node for their meeting.
+    transitions = np.concatenate(
+        [
+            readers.transitions[taken],
+            inhibited.transitions[fed],
+            changes.transitions[feeding],
+        ]
+    )
+    count = len(net.transitions)
+    nodes = np.concatenate(
+        [
+            2 * meetings(readers)[taken],
+            2 * meetings(inhibited)[fed] + 1,
+            2 * changed[feeding] + 1,
+        ]
+    )
+    met, nodes = np.unique(nodes, return_inverse=True)
+    found = components(count + len(met), *_both_ways(transitions, count + nodes))
+    sets: Dict[int, List[int]] = {}
+    for t, component in enumerate(found.of[:count].tolist()):
+        sets.setdefault(component, []).append(t)
+    return [tuple(net.transitions[t].name for t in s) for s in sorted(sets.values()) if len(s) > 1]
+
+
+def _both_ways(sources: Indices, targets: Indices) -> Tuple[Indices, Indices]:
+    return np.concatenate([sources, targets]), np.concatenate([targets, sources])
 
 
 class Structure:

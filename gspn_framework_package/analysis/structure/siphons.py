@@ -302,9 +302,9 @@ class _Inside:
             self.size -= 1
             self._effort.spend(1 + len(rules.asking[p]), _PLACES)
             for t in rules.asking[p]:
-                left[t] -= 1
-                if not left[t]:
-                    leaving.extend([q for q in rules.fed[t] if places[q]])
+                left[t] = rest = left[t] - 1
+                if not rest:
+                    leaving += [q for q in rules.fed[t] if places[q]]
 
     def demand(self, required: Iterable[int]) -> Tuple[Set[int], bool, bool]:
         """What a siphon (trap) inside this one must contain if it contains ``required``.
@@ -419,7 +419,11 @@ def _minimal_sets(rules: _Rules, effort: Effort) -> Set[FrozenSet[int]]:
         for part in parts:
             if required and not required.issubset(part):
                 continue
-            if len(part) > 1:
+            if len(part) * 2 > len(rules.feeding):
+                mask = np.zeros(len(rules.feeding), dtype=bool)
+                mask[part] = True
+                waiting.append((_Inside.largest(rules, effort, mask), -1, required))
+            elif len(part) > 1:
                 of_part = rules.of_part(part, effort, connected=True)
                 numbers = {p: i for i, p in enumerate(part)} if required else {}
                 waiting.append(

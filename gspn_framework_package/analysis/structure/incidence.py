@@ -1,0 +1,36 @@
+"""The arcs of a net as arrays, for questions that look at all arcs of a large net at once."""
+
+from __future__ import annotations
+
+from itertools import chain
+from typing import List, NamedTuple, Sequence
+
+import numpy as np
+
+from gspn_framework_package.analysis.arrays import Indices
+from gspn_framework_package.model.net import Net, WeightedPlaces
+
+
+class Incidence(NamedTuple):
+    """Arcs, or changes, one per entry: the numbers of their ``transitions`` and ``places``, and
+    their ``values`` (not an array: a value may be too large for one)."""
+
+    transitions: Indices
+    places: Indices
+    values: List[int]
+
+
+def flatten(rows: Sequence[WeightedPlaces]) -> Incidence:
+    """The entries of ``net.inputs`` and the like."""
+    lengths = np.fromiter(map(len, rows), dtype=np.int64, count=len(rows))
+    flat = list(chain.from_iterable(rows))
+    return Incidence(
+        np.repeat(np.arange(len(rows)), lengths),
+        np.fromiter((p for p, _ in flat), dtype=np.int64, count=len(flat)),
+        [value for _, value in flat],
+    )
+
+
+def effects(net: Net) -> Incidence:
+    """What the firings of the transitions change."""
+    return flatten([net.effect(t) for t in range(len(net.transitions))])
