@@ -24,6 +24,7 @@ from gspn_framework_package.benchmark.large_nets import ring
 from gspn_framework_package.benchmark.nets import kanban, philosophers
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LimitError
+from gspn_framework_package.model.net import Arc, Net, Place, Transition
 
 relaxed = settings(deadline=None, suppress_health_check=list(HealthCheck))
 
@@ -262,3 +263,41 @@ def test_limits_are_said():
     with pytest.raises(LimitError, match="too much work"):
         minimal_siphons(net, limit=1000)
     assert invariant_bounds(net, limit=1000) == (None,) * 36
+
+
+def test_thousands_of_sources_are_as_many_siphons():
+    places = [Place("p%d" % i) for i in range(6_000)]
+    transitions = [Transition("t%d" % i, timed=True) for i in range(len(places))]
+    net = Net(places, transitions, [Arc("p%d" % i, "t%d" % i) for i in range(len(places))])
+    structure = Structure(net)
+    assert len(structure.siphons) == len(places)
+    assert structure.traps == []
+    assert structure.unguarded_siphon == (("p0",), False)
+
+
+@relaxed
+@given(bounded_nets())
+def test_conflict_sets_by_definition(net):
+    def change(t, p):
+        return dict(net.effect(t)).get(p, 0)
+
+    def disturbs(t, u):
+        """Whether a firing of t can disable u, directly."""
+        return any(change(t, p) < 0 for p, _ in net.inputs[u]) or any(
+            change(t, p) > 0 for p, _ in net.inhibitors[u]
+        )
+
+    def kind(t):
+        transition = net.transitions[t]
+        return (True, 0) if transition.timed else (False, transition.priority)
+
+    numbers = range(len(net.transitions))
+    together = {t: {t} for t in numbers}
+    for t, u in itertools.product(numbers, numbers):
+        if kind(t) == kind(u) and t != u and disturbs(t, u):
+            merged = together[t] | together[u]
+            together.update(dict.fromkeys(merged, merged))
+    expected = {frozenset(s) for s in together.values() if len(s) > 1}
+    found = conflict_sets(net)
+    assert found == sorted(found, key=lambda names: net.transition_number(names[0]))
+    assert {frozenset(map(net.transition_number, names)) for names in found} == expected

@@ -84,6 +84,21 @@ def test_edits_give_a_new_net_and_leave_the_old_one() -> None:
             edit()
 
 
+def test_a_net_without_places_is_the_net_made_without_them() -> None:
+    net = producer().with_arc(Arc("idle", "begin", 2)).with_arc(Arc("begin", "closed"))
+    for gone in (["idle"], ["store"], ["closed", "busy"], [], [p.name for p in net.places]):
+        smaller = net.without_places(gone)
+        anew = Net(
+            [p for p in net.places if p.name not in gone],
+            net.transitions,
+            [a for a in net.arcs if not {a.source, a.target} & set(gone)],
+            net.name,
+        )
+        assert vars(smaller) == vars(anew)
+    with pytest.raises(NetError, match="there is no place 'x'"):
+        net.without_places(["x"])
+
+
 @pytest.mark.parametrize(
     ("places", "transitions", "arcs", "message"),
     [
