@@ -10,7 +10,7 @@ import re
 import sys
 from itertools import islice
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Mapping, Sequence, Tuple
+from typing import Any, Dict, Iterable, Iterator, List, Mapping, Sequence, Tuple
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.plan.reading import READINGS, RUN
@@ -28,8 +28,8 @@ from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
 from gspn_framework_package.model.errors import UsageError
 
-_PARTS = 10_000
-"""Number of parts of the JSON text (a name, a number, a bracket) that are written together."""
+_PARTS = 1_000
+"""Number of parts of the JSON text (a bracket, a name, a list) that are written together."""
 
 SHOWN = 12
 """Number of entries of a list that the text shows; --json has all of them."""
@@ -161,8 +161,8 @@ def _run(args: argparse.Namespace) -> int:
             if option:  # the output has every key, even if a part is left out
                 data.update(dict.fromkeys(keys))
                 data["undecided"].update(dict.fromkeys(keys, "left out, as asked"))
-        parts = json.JSONEncoder(indent=2, allow_nan=False, ensure_ascii=False).iterencode(data)
-        # writing each part separately takes twice as long
+        parts = _json(data, "\n")
+        # writing each part separately takes longer
         for block in iter(lambda: "".join(islice(parts, _PARTS)), ""):
             sys.stdout.write(block)
         print()
@@ -192,6 +192,37 @@ def _pair(text: str, option: str) -> Tuple[str, float]:
     if not equals or not name.strip() or not math.isfinite(number):
         raise UsageError("%s %s: NAME=NUMBER was expected" % (option, text))
     return name.strip(), number
+
+
+# -- JSON ------------------------------------------------------------------------------------------
+
+
+def _json(value: Any, line_break: str) -> Iterator[str]:
+    """Yield the text of ``json.dumps(value, indent=2)`` in parts.
+
+    Python itself indents one element at a time. So an object or list without others inside, as most
+    elements are in one, is encoded without ``indent``, with line breaks as separators.
+
+    :param line_break: the line break, with indentation, before the closing bracket.
+    """
+    if not isinstance(value, (dict, list, tuple)) or not value:
+        yield json.dumps(value, allow_nan=False, ensure_ascii=False)
+        return
+    inner = line_break + "  "
+    entries: Iterable[Any] = value.values() if isinstance(value, dict) else value
+    if not any(isinstance(entry, (dict, list, tuple)) for entry in entries):
+        text = json.dumps(
+            value, allow_nan=False, ensure_ascii=False, separators=("," + inner, ": ")
+        )
+        yield text[0] + inner + text[1:-1] + line_break + text[-1]
+        return
+    before = inner
+    yield "{" if isinstance(value, dict) else "["
+    for name, entry in value.items() if isinstance(value, dict) else ((None, e) for e in value):
+        yield before + ("" if name is None else json.dumps(name, ensure_ascii=False) + ": ")
+        yield from _json(entry, inner)
+        before = "," + inner
+    yield line_break + ("}" if isinstance(value, dict) else "]")
 
 
 # -- text ------------------------------------------------------------------------------------------

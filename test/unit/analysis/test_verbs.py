@@ -7,9 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from gspn_framework_package.analysis.report import Part, keys_of
 from gspn_framework_package.benchmark.nets import kanban, philosophers
+from gspn_framework_package.cli import analyse
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.cli.plot import alike
 from gspn_framework_package.formats import write_net
@@ -375,3 +378,19 @@ def test_check(run, tmp_path):
     (tmp_path / "plan.json").write_text('{"net": ')
     code, out, err = run("check", tmp_path)
     assert code == 2 and out == "" and "plan.json" in err
+
+
+_JSON = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+)
+
+
+@given(_JSON)
+def test_json_is_indented_as_by_the_library(value):
+    text = "".join(analyse._json(value, "\n"))
+    assert text == json.dumps(value, indent=2, ensure_ascii=False)
