@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
 import sys
 from pathlib import Path
 from typing import Dict, List
@@ -21,6 +20,7 @@ from gspn_framework_package.cli.net_input import (
     read_net_argument,
     read_net_or_plan_argument,
 )
+from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats import (
     FORMATS,
@@ -32,13 +32,12 @@ from gspn_framework_package.formats import (
     write_net,
 )
 from gspn_framework_package.formats.markov_chain import drn, prism_files
-from gspn_framework_package.formats.plan_file import PLAN_FILE, is_plan, read_plan
+from gspn_framework_package.formats.plan_file import is_plan, read_plan
 from gspn_framework_package.formats.plan_json import plan_to_short_json
 from gspn_framework_package.formats.source import write_bytes
 from gspn_framework_package.model.composition import expand_place
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import FunctionAction, Plan
 
 CHAINS = {"prism-chain": ".tra", "drn": ".drn"}
 """Format of a computed Markov chain -> extension of its files: PRISM's explicit files, and Storm's
@@ -201,43 +200,15 @@ def _write_plan(args: argparse.Namespace) -> int:
         )
     plan = read_plan(args.net_file)
     notes = list(plan.notes)
-    in_folder = os.path.isdir(args.output)
-    path = os.path.join(args.output, PLAN_FILE) if in_folder else args.output
-    if os.path.exists(path):
-        raise UsageError("it exists already", file=path, hint="give the name of a new file")
-    notes += _bring_functions(plan, os.path.dirname(os.path.abspath(path)), in_folder)
-    text = json.dumps(plan_to_short_json(plan), indent=2, ensure_ascii=False) + "\n"
-    write_bytes(path, text.encode())
+    path = plan_path(args.output)
+    refuse_existing(path)
+    notes += write_plan(plan, plan_to_short_json(plan), args.output)
     if args.json:
         done = {"output": path, "format": PLAN, "plan": plan.name, "notes": notes}
         print(json.dumps(done, indent=2, ensure_ascii=False))
     else:
         print_notes(notes)
     return 0
-
-
-def _bring_functions(plan: Plan, folder: str, copy: bool) -> List[str]:
-    """Make sure that ``folder`` has the files of the plan's functions, and return notes on what the
-    user has to do. Files are copied only if ``copy``."""
-    modules = {
-        action.function.rpartition(".")[0]
-        for _, action in plan.bindings()
-        if isinstance(action, FunctionAction)
-    }
-    notes = []
-    for module in sorted(modules):
-        name = module.replace(".", "/") + ".py"
-        source, target = os.path.join(plan.folder or "", name), os.path.join(folder, name)
-        if os.path.exists(target) or os.path.realpath(plan.folder or "") == os.path.realpath(
-            folder
-        ):
-            continue
-        if copy and os.path.isfile(source):
-            os.makedirs(os.path.dirname(target), exist_ok=True)
-            shutil.copyfile(source, target)
-        else:
-            notes.append("%s belongs beside the plan, in %s" % (name, folder))
-    return notes
 
 
 def _labels(words: List[str]) -> Dict[str, str]:

@@ -62,6 +62,7 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
         ".replay", "open the page on a recorded run: an event log, or a rosbag of fired_transitions"
     ),
     "verify": Verb(".verify", "check the logs of a run against the rules, from the logs alone"),
+    "fit": Verb(".fit", "learn durations, outcomes and failures from the logs of runs"),
     "film": Verb(
         ".film",
         "film robots in a room, without a display: a recorded run, or a patrol simulated for it",

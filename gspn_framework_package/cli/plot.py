@@ -6,17 +6,23 @@ import argparse
 import logging
 import warnings
 from pathlib import Path
-from typing import Any, List, Mapping, Sequence
+from typing import Any, List, Mapping, Sequence, Union
 
 import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.fitting import FamilyChoice, PlaceFit
+from gspn_framework_package.analysis.fitting.durations import kaplan_meier
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.fit import add_choice, learn
 from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, working
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
+from gspn_framework_package.model.duration import Kind
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
 
 _COLORS = 10
 """Number of colours in matplotlib's default cycle; further curves differ by line style."""
@@ -31,6 +37,9 @@ _NAMES = 8
 
 _ROWS = 20
 """Number of curves per column of the legend."""
+
+_PLACES = 60
+"""Maximum number of places in a picture of fitted durations."""
 
 KINDS = ("tokens", "throughput", "distribution", "passage")
 
@@ -66,6 +75,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--only", nargs="+", default=[], metavar="NAME", help="only these places or transitions"
     )
     parser.add_argument("--condition", metavar="CONDITION", help="of --what passage")
+    fit = parser.add_argument_group("durations of a plan, learned from logs (gspn fit)")
+    fit.add_argument(
+        "--fit",
+        nargs="+",
+        metavar="LOG",
+        help="plot for each place the durations in these event logs: a histogram with the fitted "
+        "density, and their quantiles against those of the fitted distribution",
+    )
+    add_choice(fit)
     add_limit_arguments(parser.add_argument_group("effort"))
 
 
@@ -75,6 +93,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("a picture must end in .png, .svg or .pdf, unlike '%s'" % args.output)
     if (args.what == "passage") != (args.condition is not None):
         raise UsageError("--what passage and --condition belong together")
+    if args.fit and (args.what != "tokens" or args.time is not None):
+        raise UsageError("--what and --time do not apply to --fit")
     try:
         import matplotlib
     except ImportError:
@@ -84,6 +104,8 @@ def run(args: argparse.Namespace) -> int:
     # as boxes.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     subject, notes = read_subject(args)
+    if args.fit:
+        return _plot_fit(subject, notes, args)
     limits = limits_of(args)
 
     def make(progress: Progress, cancel: Cancel) -> Any:
@@ -92,12 +114,73 @@ def run(args: argparse.Namespace) -> int:
             args,
         )
 
-    figure = working(make, limits.memory)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        figure.savefig(args.output, dpi=150)
+    _save(working(make, limits.memory), args.output)
     print_notes(notes)
     return 0
+
+
+def _save(figure: Any, path: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        figure.savefig(path, dpi=150)
+
+
+def _plot_fit(subject: Union[Net, Plan], notes: List[str], args: argparse.Namespace) -> int:
+    """Plot the durations in logs beside those that were fitted to them."""
+    if not isinstance(subject, Plan):
+        raise UsageError("this is a net, and a net has no actions", hint="give the plan that ran")
+    learned = learn(subject, args.fit, FamilyChoice(args.durations), args.seed)
+    fitted = {p: found for p, found in learned.report.places.items() if found.fit is not None}
+    if not fitted:
+        raise UsageError("the logs hold too little to plot", hint="; ".join(learned.report.notes))
+    names = _chosen(list(fitted), args.only)
+    if len(names) > _PLACES:
+        raise UsageError(
+            "%d places are too many for one picture" % len(names), hint="choose some with --only"
+        )
+    _save(fit_figure({name: fitted[name] for name in names}), args.output)
+    print_notes([*notes, *learned.report.notes])
+    return 0
+
+
+def fit_figure(places: Mapping[str, PlaceFit]) -> Any:
+    """A row for each place: the histogram of its durations with the fitted density, and their
+    quantiles against the fitted ones. Censored times count by the estimate of Kaplan and Meier."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 2.6 * len(places)), constrained_layout=True)
+    all_axes = figure.subplots(len(places), 2, squeeze=False)
+    for (left, right), (name, found) in zip(all_axes, places.items()):
+        assert found.fit is not None
+        duration = found.fit.duration
+        times, after = kaplan_meier(found.sample)
+        weights = -np.diff(after, prepend=1.0)
+        bins = int(min(max(round(2 * found.n ** (1 / 3)), 5), 60))
+        width = max(float(np.ptp(times)), 0.02 * float(times[-1]))
+        middle = (times[0] + times[-1]) / 2
+        ends = max(middle - 0.52 * width, 0.0), middle + 0.52 * width
+        edges = np.linspace(*ends, bins + 1)
+        counts, _ = np.histogram(times, edges, weights=weights)
+        left.bar(edges[:-1], counts / np.diff(edges), np.diff(edges), align="edge", color="0.8")
+        if duration.kind is Kind.DETERMINISTIC:
+            left.axvline(duration.mean, color="C0")
+        else:
+            x = np.linspace(edges[0], edges[-1], 400)
+            left.plot(x, np.exp(duration.log_density(x)), color="C0")
+        left.set_ylim(0, None)
+        left.set_title("%s\n%s; n = %d" % (name, duration.describe(), found.n), fontsize="small")
+        left.set_xlabel("duration [s]", fontsize="small")
+        left.set_ylabel("density [1/s]", fontsize="small")
+        model = duration.quantile(np.clip(1 - after - weights / 2, 1e-9, 1 - 1e-9))
+        right.plot(model, times, ".", markersize=3, color="C1")
+        right.plot(edges[[0, -1]], edges[[0, -1]], color="0.5", linewidth=0.8)
+        says = "p = %.3g" % found.test.p if found.test else ""
+        right.set_title("quantiles%s" % (", " + says if says else ""), fontsize="small")
+        right.set_xlabel("fitted [s]", fontsize="small")
+        right.set_ylabel("observed [s]", fontsize="small")
+        for axes in (left, right):
+            axes.tick_params(labelsize="small")
+    return figure
 
 
 def _figure(analysis: Analysis, args: argparse.Namespace) -> Any:

@@ -14,6 +14,7 @@ from gspn_framework_package.formats.plan_json import (
     LEARNED,
     check_schema,
     plan_from_json,
+    plan_to_short_json,
     policy_from_json,
 )
 from gspn_framework_package.formats.registry import (
@@ -44,6 +45,29 @@ def read_plan(path: str) -> Plan:
     except InputError:
         _refuse_net(path)
         raise
+
+
+def plan_document(path: str, plan: Plan, folder: str) -> Dict[str, Any]:
+    """The JSON object of a plan file, with what the plan has learned since it was read, and all
+    else as the file has it.
+
+    :param path: the plan file, or its folder.
+    :param plan: the plan that was read from it, possibly with other durations, outcomes, failures
+        and rates.
+    :param folder: where the object will be written: if that is another folder, it contains the net
+        and the policy themselves, not the names of their files.
+    """
+    path, document = _open(path)
+    whole = plan_to_short_json(plan)
+    if thesis_input.is_thesis_input(document.data):
+        return whole
+    data = {key: value for key, value in document.data.items() if key not in LEARNED}
+    if os.path.realpath(os.path.dirname(os.path.abspath(path))) != os.path.realpath(folder):
+        data["net"] = whole["net"]
+        if isinstance(data.get("policy"), str):
+            data["policy"] = whole["policy"]
+    data.update({key: whole[key] for key in LEARNED if key in whole})
+    return data
 
 
 def _read(path: str, document: JsonDocument) -> Plan:

@@ -139,7 +139,8 @@ def plan_from_json(
         net = net_from_json(data["net"])
     if policy is None:
         policy = policy_from_json(data["policy"]) if "policy" in data else Policy()
-    net = _with_rates(net, data.get("rates", {}))
+    # an unknown or immediate transition is left to Plan.validate
+    net = net.with_rates({t: r["rate"] for t, r in data.get("rates", {}).items()})
     agreement = data.get("agreement", {})
     resources = frozenset(data.get("resource_places", ()))
     robots = _robots(data.get("robots"), file)
@@ -186,18 +187,6 @@ def plan_from_json(
 
 LEARNED = ("durations", "outcomes", "failures", "rates")
 """The keys whose entries may say ``of`` what they were learned."""
-
-
-def _with_rates(net: Net, rates: Mapping[str, Any]) -> Net:
-    """The net with the rates of the plan. An unknown or immediate transition is left to
-    :meth:`Plan.validate`."""
-    if not rates:
-        return net
-    transitions = [
-        t._replace(rate=float(rates[t.name]["rate"])) if t.timed and t.name in rates else t
-        for t in net.transitions
-    ]
-    return Net(net.places, transitions, net.arcs, net.name)
 
 
 def _duration(place: str, data: Dict[str, Any]) -> Duration:

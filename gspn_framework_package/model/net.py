@@ -372,6 +372,15 @@ class Net:
         places = [p._replace(tokens=n) for p, n in zip(self.places, counts)]
         return Net(places, self.transitions, self.arcs, self.name)
 
+    def with_rates(self, rates: Mapping[str, float]) -> Net:
+        """Return the net with other rates (1/s): exponential transition -> rate. Other names are
+        ignored."""
+        transitions = [
+            t._replace(rate=float(rates[t.name])) if t.timed and t.name in rates else t
+            for t in self.transitions
+        ]
+        return Net(self.places, transitions, self.arcs, self.name) if rates else self
+
     def without_place(self, name: str) -> Net:
         """Return the net without a place and its arcs ("delete place", thesis 4.3.5)."""
         self.place_number(name)

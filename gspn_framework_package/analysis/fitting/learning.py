@@ -1,0 +1,515 @@
+"""What the attempts of some runs teach about a plan: durations, outcomes, failures, event rates."""
+
+from __future__ import annotations
+
+import enum
+import math
+import time
+from dataclasses import replace
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Protocol,
+    Sequence,
+    Tuple,
+)
+
+import numpy as np
+
+from gspn_framework_package.analysis.fitting.durations import DurationFit, Sample, fit_duration
+from gspn_framework_package.analysis.fitting.testing import (
+    SAMPLES,
+    FitTest,
+    groups_differ,
+    outcomes_depend,
+    rate_interval,
+    test_of_fit,
+    wilson,
+)
+from gspn_framework_package.model.duration import Duration, Evidence, Kind
+from gspn_framework_package.model.plan import Plan
+
+ENOUGH = 5
+"""With fewer observations than this, the old value is kept."""
+
+ENOUGH_FOR_QUANTILES = 200
+"""With fewer observations than this, a family that fits badly is not replaced by quantiles."""
+
+MATERIAL = 0.03
+"""A family that fits badly is kept all the same if its Kolmogorov-Smirnov distance is smaller: with
+enough data, even a deviation that changes nothing is found."""
+
+_REFUTED = 0.01
+"""A family is contradicted by the data if the p-value of the test of fit is below this."""
+
+_SIGNIFICANT = 0.05
+"""The level of all tests of one kind together, whose notes a person should read."""
+
+_TIMEOUT = "timeout"
+
+Progress = Callable[[str, int, float], None]
+
+
+class AttemptLike(Protocol):
+    """An attempt at an action, as ``execution.attempts`` reads it from logs."""
+
+    @property
+    def robot(self) -> str:
+        """The robot."""
+        ...
+
+    @property
+    def place(self) -> str:
+        """The place."""
+        ...
+
+    @property
+    def start(self) -> float:
+        """When it began (s, on the clock of its log)."""
+        ...
+
+    @property
+    def end(self) -> float:
+        """When it ended, or was cut off (s)."""
+        ...
+
+    @property
+    def completed(self) -> bool:
+        """Whether its end is known."""
+        ...
+
+    @property
+    def result(self) -> str:
+        """The transition that the action named; empty if it named none."""
+        ...
+
+    @property
+    def failed(self) -> str:
+        """The reason of a failure; empty if it did not fail."""
+        ...
+
+    @property
+    def log(self) -> int:
+        """The number of its log."""
+        ...
+
+
+class EventsLike(Protocol):
+    """How often a transition of the environment fired, and for how long it could."""
+
+    @property
+    def firings(self) -> int:
+        """How often it fired."""
+        ...
+
+    @property
+    def exposure(self) -> float:
+        """The time in which it could fire, times its busy servers (s)."""
+        ...
+
+
+class FamilyChoice(enum.Enum):
+    """Which families of distributions are considered."""
+
+    AUTO = "auto"
+    EXPONENTIAL = "exponential"
+    GAMMA = "gamma"
+
+
+class OutcomeFit(NamedTuple):
+    """Something was seen ``seen`` times of ``total``, which is an estimate of its ``probability``
+    with an ``interval`` of 95 %."""
+
+    seen: int
+    total: int
+    probability: float
+    interval: Tuple[float, float]
+
+
+class EventFit(NamedTuple):
+    """The ``rate`` (1/s) of a transition of the environment, from the firings that were ``seen``,
+    with an ``interval`` of 95 %."""
+
+    seen: int
+    rate: float
+    interval: Tuple[float, float]
+
+
+class PlaceFit(NamedTuple):
+    """What was learned about an action place.
+
+    :ivar n: observed durations: of attempts that succeeded.
+    :ivar censored: attempts that were cut off, also by a timeout.
+    :ivar fit: the distribution; None if there was too little data.
+    :ivar test: the test of fit; None if there is none.
+    :ivar outcomes: transition, or "" -> how often the action named it; empty if there is no choice.
+    :ivar failure: failed attempts; None if none failed, and the plan expects none.
+    :ivar sample: the durations.
+    """
+
+    n: int
+    censored: int
+    fit: Optional[DurationFit]
+    test: Optional[FitTest]
+    outcomes: Mapping[str, OutcomeFit]
+    failure: Optional[OutcomeFit]
+    sample: Sample
+
+    def to_json(self) -> Dict[str, Any]:
+        """The fit as a JSON object."""
+        fit, test = self.fit, self.test
+        data: Dict[str, Any] = {
+            "n": self.n,
+            "censored": self.censored,
+            "mean": fit.duration.mean if fit else None,
+            "interval": list(fit.interval) if fit else None,
+            "distribution": fit.duration.kind.value if fit else None,
+            "shape": fit.shape if fit else None,
+            "test": {"statistic": test.statistic, "p": test.p} if test else None,
+            "outcomes": {name: _share(outcome) for name, outcome in self.outcomes.items()},
+        }
+        if self.failure is not None:
+            data["failure"] = _share(self.failure)
+        return data
+
+
+def _share(outcome: OutcomeFit) -> Dict[str, Any]:
+    return {
+        "n": outcome.seen,
+        "probability": outcome.probability,
+        "interval": list(outcome.interval),
+    }
+
+
+class FitReport(NamedTuple):
+    """What was learned: by place, by transition of the environment, and notes for people."""
+
+    places: Mapping[str, PlaceFit]
+    rates: Mapping[str, EventFit]
+    notes: Tuple[str, ...]
+
+    def to_json(self) -> Dict[str, Any]:
+        """The report as a JSON object."""
+        data: Dict[str, Any] = {"places": {p: fit.to_json() for p, fit in self.places.items()}}
+        if self.rates:
+            data["rates"] = {
+                t: {"n": e.seen, "rate": e.rate, "interval": list(e.interval)}
+                for t, e in self.rates.items()
+            }
+        data["notes"] = list(self.notes)
+        return data
+
+    def apply(self, plan: Plan, logs: Sequence[str]) -> Plan:
+        """The plan with what was learned. Whatever there was too little data for stays as it is.
+
+        :param logs: the names of the logs, for the evidence.
+        """
+        names = tuple(logs)
+        durations, outcomes = dict(plan.durations), dict(plan.outcomes)
+        failures, rates = dict(plan.failures), dict(plan.rates)
+        evidence = dict(plan.evidence)
+        for place, found in self.places.items():
+            if found.fit is not None:
+                durations[place] = found.fit.duration
+                evidence["durations", place] = Evidence(found.n, names, found.fit.interval)
+            if found.outcomes:
+                outcomes[place] = {t: o.probability for t, o in found.outcomes.items()}
+                total = max(o.total for o in found.outcomes.values())
+                evidence["outcomes", place] = Evidence(total, names)
+            if found.failure is not None:
+                failures[place] = found.failure.probability
+                evidence["failures", place] = Evidence(
+                    found.failure.total, names, found.failure.interval
+                )
+        for name, event in self.rates.items():
+            rates[name] = event.rate
+            evidence["rates", name] = Evidence(event.seen, names, event.interval)
+        net = plan.net.with_rates({t: e.rate for t, e in self.rates.items()})
+        return replace(
+            plan,
+            net=net,
+            durations=durations,
+            outcomes=outcomes,
+            failures=failures,
+            rates=rates,
+            evidence=evidence,
+        ).validate()
+
+
+def fit_plan(
+    plan: Plan,
+    attempts: Iterable[AttemptLike],
+    events: Optional[Mapping[str, EventsLike]] = None,
+    choice: FamilyChoice = FamilyChoice.AUTO,
+    *,
+    seed: int = 0,
+    samples: int = SAMPLES,
+    progress: Optional[Progress] = None,
+) -> FitReport:
+    """Learn from attempts.
+
+    :param plan: the plan that was run.
+    :param attempts: the attempts of all runs, each once.
+    :param events: transition of the environment -> how often it fired, and for how long it could.
+    :param choice: the families that are considered for durations.
+    :param seed: of the simulated tests; the same data and seed give the same report.
+    :param samples: simulated samples of each test of fit; 0: no such tests.
+    :param progress: called from time to time with what is counted, the count, and the seconds.
+    """
+    return _Learning(plan, choice, seed, samples, progress).learn(attempts, events or {})
+
+
+class _Learning:
+    """The work of :func:`fit_plan`."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        choice: FamilyChoice,
+        seed: int,
+        samples: int,
+        progress: Optional[Progress],
+    ) -> None:
+        self.plan = plan
+        self.choice = choice
+        self.seed = seed
+        self.samples = samples
+        self.progress = progress
+        self.notes: List[str] = []
+        self._doubts: Dict[str, List[Tuple[float, str]]] = {}
+        """Kind of test -> the p-values of all of them, each with what to say if it is small."""
+
+    def learn(self, attempts: Iterable[AttemptLike], events: Mapping[str, EventsLike]) -> FitReport:
+        begin = time.monotonic()
+        by_place: Dict[str, List[AttemptLike]] = {}
+        for attempt in attempts:
+            by_place.setdefault(attempt.place, []).append(attempt)
+        places = {}
+        for place in self.plan.action_places:
+            if place in by_place:
+                # each place has its own numbers, whatever other places there are
+                source = np.random.SeedSequence([self.seed % 2**64, len(place), *place.encode()])
+                generator = np.random.Generator(np.random.PCG64(source))
+                places[place] = self._place(place, by_place[place], generator)
+            if self.progress is not None:
+                self.progress("places fitted", len(places), time.monotonic() - begin)
+        unseen = [
+            place
+            for place in self.plan.action_places
+            if place not in by_place and self.plan.actions.get(place) is not None
+        ]
+        if unseen:
+            self.notes.append("no attempt was seen in %s" % ", ".join(unseen))
+        rates = self._rates(events)
+        self._tell_doubts()
+        return FitReport(places, rates, tuple(self.notes))
+
+    # -- a place -----------------------------------------------------------------------------------
+
+    def _place(self, place: str, attempts: List[AttemptLike], generator: Any) -> PlaceFit:
+        done = [a for a in attempts if a.completed and not a.failed]
+        failed = [a for a in attempts if a.completed and a.failed and a.failed != _TIMEOUT]
+        cut = [a for a in attempts if not a.completed or a.failed == _TIMEOUT]
+        sample = _sample(done, cut)
+        fit, test = self._duration(place, sample, generator)
+        if fit is not None:
+            self._compare_groups(place, done, cut, fit.duration)
+        if failed and done:
+            self._compare_failed(place, done, failed)
+        return PlaceFit(
+            sample.size,
+            len(cut),
+            fit,
+            test,
+            self._outcomes(place, done),
+            self._failure(place, len(failed), len(failed) + len(done)),
+            sample,
+        )
+
+    def _duration(
+        self, place: str, sample: Sample, generator: Any
+    ) -> Tuple[Optional[DurationFit], Optional[FitTest]]:
+        if sample.size < ENOUGH:
+            self.notes.append(
+                "%s: %d observed durations are too few; %s"
+                % (
+                    place,
+                    sample.size,
+                    "the duration in the plan is kept"
+                    if place in self.plan.durations
+                    else "it gets no duration",
+                )
+            )
+            return None, None
+        fit = fit_duration(sample, self.choice.value)
+        test = test_of_fit(fit, sample, generator, self.samples) if self.samples else None
+        if test is None or test.p >= _REFUTED:
+            return fit, test
+        which = "%s: the times do not follow the best %s distribution (distance %.3g, p = %.2g)" % (
+            place,
+            fit.duration.kind.value,
+            test.statistic,
+            test.p,
+        )
+        far = test.statistic >= MATERIAL
+        quantiles = self.choice is FamilyChoice.AUTO and far and sample.size >= ENOUGH_FOR_QUANTILES
+        if quantiles and len(sample.censored) > 0.05 * sample.size:
+            self.notes.append(which + "; too many are censored for quantiles")
+        elif quantiles:
+            self.notes.append(which + "; their quantiles take its place")
+            return fit_duration(sample, fits=False), None
+        elif far:
+            self.notes.append(which)
+        return fit, test
+
+    def _compare_groups(
+        self,
+        place: str,
+        done: Sequence[AttemptLike],
+        cut: Sequence[AttemptLike],
+        duration: Duration,
+    ) -> None:
+        """Test whether robots differ, and the halves of the run."""
+        if duration.kind is Kind.DETERMINISTIC:
+            return
+        robots = sorted({a.robot for a in done})
+        samples = {r: _sample(_of(done, r), _of(cut, r)) for r in robots}
+        samples = {r: s for r, s in samples.items() if _can_compare(s)}
+        if len(samples) > 1:
+            p = groups_differ(list(samples.values()), duration)
+            means = {r: s.total / s.size for r, s in samples.items()}
+            slow, fast = max(means, key=means.__getitem__), min(means, key=means.__getitem__)
+            text = "%s: the robots differ: %s takes %.3g s on average, %s %.3g s" % (
+                place,
+                slow,
+                means[slow],
+                fast,
+                means[fast],
+            )
+            self._doubt("robots", p, text)
+        middle = _middles([*done, *cut])
+        halves = [
+            _sample(
+                [a for a in done if (a.start >= middle[a.log]) == late],
+                [a for a in cut if (a.start >= middle[a.log]) == late],
+            )
+            for late in (False, True)
+        ]
+        if all(_can_compare(half) for half in halves):
+            p = groups_differ(halves, duration)
+            first, second = (half.total / half.size for half in halves)
+            self._doubt(
+                "halves",
+                p,
+                "%s: it changed in the course of the run: %.3g s on average in the first half, "
+                "%.3g s in the second" % (place, first, second),
+            )
+
+    def _compare_failed(
+        self, place: str, done: Sequence[AttemptLike], failed: Sequence[AttemptLike]
+    ) -> None:
+        times = [a.end - a.start for a in done], [a.end - a.start for a in failed]
+        if min(map(len, times)) < ENOUGH:
+            return
+        self._doubt(
+            "failed attempts",
+            outcomes_depend(times),
+            "%s: attempts that fail take %.3g s on average, those that succeed %.3g s; the model "
+            "gives both the same time"
+            % (place, sum(times[1]) / len(times[1]), sum(times[0]) / len(times[0])),
+        )
+
+    def _outcomes(self, place: str, done: Sequence[AttemptLike]) -> Dict[str, OutcomeFit]:
+        net = self.plan.net
+        leaving = [net.transitions[t] for t in net.consumers[net.place_number(place)]]
+        if len(leaving) < 2 or len(done) < ENOUGH:
+            return {}
+        durations: Dict[str, List[float]] = {}
+        for attempt in done:
+            durations.setdefault(attempt.result, []).append(attempt.end - attempt.start)
+        timed = [t.name for t in leaving if t.timed]
+        if len(timed) < len(leaving):
+            names = [t.name for t in leaving if t.name in durations] + [""] * ("" in durations)
+        else:
+            names = timed
+        common = [times for times in durations.values() if len(times) >= ENOUGH]
+        if len(common) > 1:
+            means = {name or "(none)": sum(times) / len(times) for name, times in durations.items()}
+            slow, fast = max(means, key=means.__getitem__), min(means, key=means.__getitem__)
+            self._doubt(
+                "outcomes",
+                outcomes_depend(common),
+                "%s: duration and outcome depend on each other: %s takes %.3g s on average, %s "
+                "%.3g s; the model takes them as independent"
+                % (place, slow, means[slow], fast, means[fast]),
+            )
+        n = len(done)
+        return {
+            name: OutcomeFit(count, n, count / n, wilson(count, n))
+            for name, count in ((name, len(durations.get(name, ()))) for name in names)
+        }
+
+    def _failure(self, place: str, failed: int, ended: int) -> Optional[OutcomeFit]:
+        if ended == failed and failed:
+            self.notes.append("%s: all %d attempts failed" % (place, failed))
+            return None
+        if ended < ENOUGH or (not failed and not self.plan.failures.get(place)):
+            return None
+        return OutcomeFit(failed, ended, failed / ended, wilson(failed, ended))
+
+    # -- the environment ---------------------------------------------------------------------------
+
+    def _rates(self, events: Mapping[str, EventsLike]) -> Dict[str, EventFit]:
+        found = {}
+        for name, event in events.items():
+            if event.firings >= ENOUGH and event.exposure > 0:
+                rate = event.firings / event.exposure
+                found[name] = EventFit(
+                    event.firings, rate, rate_interval(event.firings, event.exposure)
+                )
+            else:
+                self.notes.append(
+                    "%s: %d firings are too few to learn its rate; it is kept"
+                    % (name, event.firings)
+                )
+        return found
+
+    # -- doubts ------------------------------------------------------------------------------------
+
+    def _doubt(self, kind: str, p: float, text: str) -> None:
+        self._doubts.setdefault(kind, []).append((p, text))
+
+    def _tell_doubts(self) -> None:
+        for doubts in self._doubts.values():
+            tests = len(doubts)
+            for p, text in doubts:
+                if p * tests < _SIGNIFICANT:
+                    allowed = " (p = %.2g; %d such tests are allowed for)" % (p, tests)
+                    self.notes.append(text + allowed)
+
+
+def _sample(done: Iterable[AttemptLike], cut: Iterable[AttemptLike] = ()) -> Sample:
+    return Sample([a.end - a.start for a in done], [a.end - a.start for a in cut])
+
+
+def _of(attempts: Iterable[AttemptLike], robot: str) -> List[AttemptLike]:
+    return [a for a in attempts if a.robot == robot]
+
+
+def _can_compare(sample: Sample) -> bool:
+    return sample.size >= ENOUGH and bool(np.ptp(sample.observed) > 1e-6)
+
+
+def _middles(attempts: Iterable[AttemptLike]) -> Dict[int, float]:
+    """Log -> the middle of its time (s)."""
+    ends: Dict[int, Tuple[float, float]] = {}
+    for a in attempts:
+        low, high = ends.get(a.log, (math.inf, -math.inf))
+        ends[a.log] = min(low, a.start), max(high, a.end)
+    return {log: (low + high) / 2 for log, (low, high) in ends.items()}

@@ -1,0 +1,172 @@
+"""Tests: does a fitted distribution explain the data, do groups differ, are outcomes independent?
+
+The distance of Kolmogorov and Smirnov between data and a distribution that was fitted to the same
+data is smaller than for one that was given, so the usual p-value is far too large. Here the null
+distribution is simulated (parametric bootstrap): times are drawn from the fitted distribution, cut
+off as the data are, fitted again, and compared.
+
+With censored times the distance is that of the Kaplan-Meier estimate of the *Cox-Snell residuals*
+from the unit exponential distribution: the residual of a time is its integrated hazard.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+from scipy import stats
+
+from gspn_framework_package.analysis.fitting.durations import (
+    CONFIDENCE,
+    DurationFit,
+    Sample,
+    kaplan_meier,
+    likelihood,
+    most_likely,
+)
+from gspn_framework_package.model.duration import Duration, Kind
+
+SAMPLES = 299
+"""Simulated samples of a null distribution."""
+
+_SLOW = 99
+"""The same for hyper-Erlang distributions, which take long to fit."""
+
+LARGEST = 3_000
+"""Of a larger sample, so many times chosen at random are tested."""
+
+
+class FitTest(NamedTuple):
+    """The Kolmogorov-Smirnov distance between data and a fitted distribution, and the probability
+    ``p`` of one at least as large if the distribution is true."""
+
+    statistic: float
+    p: float
+
+
+def distance(duration: Duration, sample: Sample) -> float:
+    """The Kolmogorov-Smirnov distance, of the Kaplan-Meier estimate if times are censored."""
+    times, after = kaplan_meier(sample)
+    before = np.concatenate(([1.0], after[:-1]))
+    survival = duration.survival(times)
+    return float(max(np.abs(survival - after).max(), np.abs(survival - before).max()))
+
+
+def test_of_fit(
+    fit: DurationFit, sample: Sample, generator: Any, samples: int = SAMPLES
+) -> Optional[FitTest]:
+    """Test whether a fitted distribution explains the sample; None for families without a test
+    (deterministic, empirical).
+
+    :param generator: a ``numpy.random.Generator``.
+    :param samples: the number of simulated samples.
+    """
+    if fit.duration.kind in (Kind.DETERMINISTIC, Kind.EMPIRICAL) or sample.size < 2:
+        return None
+    duration = fit.duration
+    size = sample.size + len(sample.censored)
+    if size > LARGEST:
+        sample = _part(sample, generator)
+        size = LARGEST
+        duration = most_likely(sample, duration)
+    found = distance(duration, sample)
+    runs = min(samples, _SLOW) if duration.kind is Kind.HYPER_ERLANG else samples
+    limits = _censoring(sample)
+    worse = drawn = 0
+    for _ in range(runs):
+        simulated = _draw(duration, size, limits, generator)
+        if simulated is not None:
+            drawn += 1
+            worse += distance(most_likely(simulated, duration), simulated) >= found
+    return FitTest(found, (worse + 1) / (drawn + 1))
+
+
+test_of_fit.__test__ = False  # type: ignore[attr-defined]  # pytest: not a test of this package
+
+
+def _part(sample: Sample, generator: Any) -> Sample:
+    """A random part of a large sample."""
+    times = np.concatenate((sample.observed, sample.censored))
+    chosen = generator.choice(len(times), LARGEST, replace=False)
+    ended = chosen < sample.size
+    return Sample(times[chosen[ended]], times[chosen[~ended]])
+
+
+def _censoring(sample: Sample) -> Optional[Tuple[Any, Any]]:
+    """When times are cut off: the Kaplan-Meier estimate with the roles exchanged. None if none
+    is."""
+    if not len(sample.censored):
+        return None
+    times, after = kaplan_meier(Sample(sample.censored, sample.observed))
+    return times, 1 - after
+
+
+def _draw(
+    duration: Duration, size: int, limits: Optional[Tuple[Any, Any]], generator: Any
+) -> Optional[Sample]:
+    times = duration.sample(generator, size)
+    if limits is None:
+        return Sample(times)
+    at = np.searchsorted(limits[1], generator.random(size), side="right")
+    cut = np.append(limits[0], np.inf)[at]
+    ended = times <= cut
+    if ended.sum() < 2:
+        return None
+    return Sample(times[ended], cut[~ended])
+
+
+# -- groups ----------------------------------------------------------------------------------------
+
+
+def groups_differ(samples: Sequence[Sample], like: Duration) -> float:
+    """The p-value of the likelihood ratio test that all samples have the same distribution, of the
+    family of ``like`` (for families without a density: gamma).
+
+    :param samples: each with at least two different observed times.
+    """
+    family = like
+    if like.kind not in (Kind.EXPONENTIAL, Kind.GAMMA, Kind.LOGNORMAL):
+        family = Duration.gamma(1.0, like.mean)
+    together = Sample(
+        np.concatenate([s.observed for s in samples]),
+        np.concatenate([s.censored for s in samples]),
+    )
+    alike = likelihood(most_likely(together, family), together)
+    apart = sum(likelihood(most_likely(sample, family), sample) for sample in samples)
+    freedom = (len(samples) - 1) * (1 if family.kind is Kind.EXPONENTIAL else 2)
+    return float(stats.chi2.sf(2 * max(apart - alike, 0.0), freedom))
+
+
+def outcomes_depend(durations: Sequence[Sequence[float]]) -> float:
+    """The p-value of the rank test of Kruskal and Wallis that the durations of different outcomes
+    are alike, as they are in a race of exponential transitions.
+
+    :param durations: the durations of each outcome, at least one for each.
+    """
+    everything = np.concatenate([np.asarray(times, dtype=np.float64) for times in durations])
+    if len(durations) < 2 or (everything == everything[0]).all():
+        return 1.0
+    return float(stats.kruskal(*durations).pvalue)
+
+
+def wilson(count: int, total: int) -> Tuple[float, float]:
+    """The interval of Wilson (1927) for a probability of which ``count`` of ``total`` trials were a
+    success."""
+    if total <= 0:
+        return 0.0, 1.0
+    z = float(stats.norm.ppf((1 + CONFIDENCE) / 2))
+    share = count / total
+    middle = (share + z**2 / (2 * total)) / (1 + z**2 / total)
+    half = z / (1 + z**2 / total) * math.sqrt(share * (1 - share) / total + z**2 / (4 * total**2))
+    low = 0.0 if count == 0 else max(middle - half, 0.0)
+    high = 1.0 if count == total else min(middle + half, 1.0)
+    return low, high
+
+
+def rate_interval(count: int, exposure: float) -> Tuple[float, float]:
+    """The interval of the rate of events that happened ``count`` times in the time ``exposure``
+    (s), from the chi-squared distribution."""
+    tail = (1 - CONFIDENCE) / 2
+    low = float(stats.chi2.ppf(tail, 2 * count)) / (2 * exposure) if count else 0.0
+    return low, float(stats.chi2.ppf(1 - tail, 2 * count + 2)) / (2 * exposure)

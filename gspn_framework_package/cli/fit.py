@@ -1,0 +1,174 @@
+"""``gspn fit``: learns from the logs of runs how long actions take and how they end."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from typing import Any, List, NamedTuple, Sequence, Tuple
+
+from gspn_framework_package.analysis.fitting import FamilyChoice, FitReport, PlaceFit, fit_plan
+from gspn_framework_package.analysis.limits import MEMORY
+from gspn_framework_package.analysis.watch import Cancel, Progress
+from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.limits import working
+from gspn_framework_package.cli.net_input import print_notes
+from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
+from gspn_framework_package.execution.attempts import gather
+from gspn_framework_package.execution.event_log import log_files
+from gspn_framework_package.formats.plan_file import plan_document, read_plan
+from gspn_framework_package.model.errors import CancelledError
+from gspn_framework_package.model.plan import Plan
+
+
+class Learned(NamedTuple):
+    """What logs teach about a plan: the ``report``, the names of the ``logs``, and the number of
+    ``runs`` and ``attempts``."""
+
+    report: FitReport
+    logs: Tuple[str, ...]
+    runs: int
+    attempts: int
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
+    parser.add_argument(
+        "logs",
+        nargs="+",
+        metavar="LOG",
+        help="event logs of runs of the plan, or folders of them; of a team, give the logs of all "
+        "its robots",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        required=True,
+        metavar="NEW_PLAN",
+        help="the plan with what was learned: a new .json file, or a folder for plan.json and the "
+        "functions",
+    )
+    add_choice(parser)
+    parser.add_argument("--force", action="store_true", help="overwrite NEW_PLAN if it exists")
+    parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
+    parser.epilog = "Exit codes: 0 the plan was written, 2 not a plan, or not logs of its net."
+
+
+def add_choice(parser: Any) -> None:
+    """Declare the options on how to fit, on a parser or on a group of its arguments."""
+    parser.add_argument(
+        "--durations",
+        choices=[choice.value for choice in FamilyChoice],
+        default=FamilyChoice.AUTO.value,
+        help="the distributions of durations: whichever explains the times best, or always the "
+        "same (default %(default)s)",
+    )
+    parser.add_argument(
+        "--seed",
+        type=numbers.seed,
+        default=0,
+        help="seed of the simulated tests (default %(default)s)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit the plan, write it, and print what was learned."""
+    plan = read_plan(args.plan)
+    path = plan_path(args.output)
+    if not args.force:
+        refuse_existing(path, "give the name of a new file, or --force")
+    learned = learn(plan, args.logs, FamilyChoice(args.durations), args.seed)
+    new = learned.report.apply(plan, learned.logs)
+    data = plan_document(args.plan, new, os.path.dirname(os.path.abspath(path)))
+    notes = write_plan(new, data, args.output)
+    if args.json:
+        report = learned.report._replace(notes=(*learned.report.notes, *notes))
+        print(json.dumps(report.to_json(), indent=2, ensure_ascii=False))
+        return 0
+    print(
+        "%d attempts in %d log%s of %d run%s"
+        % (learned.attempts, *_many(len(learned.logs)), *_many(learned.runs))
+    )
+    for line in _table(learned.report):
+        print(line)
+    print_notes([*learned.report.notes, *notes])
+    return 0
+
+
+def learn(plan: Plan, paths: Sequence[str], choice: FamilyChoice, seed: int) -> Learned:
+    """Read logs and fit the plan, with a progress line; an interrupt ends it.
+
+    :raises LogError: a log cannot be read, or is of another net.
+    """
+    files = log_files(paths)
+
+    def work(progress: Progress, cancel: Cancel) -> Learned:
+        def tell(what: str, count: int, seconds: float) -> None:
+            if cancel():
+                raise CancelledError("it was interrupted")
+            progress(what, count, seconds)
+
+        gathered = gather(files, plan, tell)
+        report = fit_plan(
+            plan, gathered.attempts, gathered.events, choice, seed=seed, progress=tell
+        )
+        report = report._replace(notes=gathered.notes + report.notes)
+        names = tuple(os.path.basename(name) for name in gathered.logs)
+        return Learned(report, names, len(gathered.runs), len(gathered.attempts))
+
+    return working(work, MEMORY)
+
+
+def _many(count: int) -> Tuple[int, str]:
+    return count, "" if count == 1 else "s"
+
+
+def _table(report: FitReport) -> List[str]:
+    """The report as lines of text."""
+    rows: List[Tuple[str, ...]] = [("place", "n", "cut", "mean [s]", "95 %", "distribution", "p")]
+    rows += [_row(place, found) for place, found in report.places.items()]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = [
+        "  ".join(
+            cell.ljust(width) if i in (0, 5) else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths))
+        ).rstrip()
+        for row in rows
+    ]
+    for place, found in report.places.items():
+        shares = list(found.outcomes.items()) if len(found.outcomes) > 1 else []
+        if found.failure is not None:
+            shares.append(("failure", found.failure))
+        for name, share in shares:
+            lines.append(
+                "%s: %s %d of %d: %.3g (%.3g to %.3g)"
+                % (
+                    place,
+                    name or "no transition named",
+                    share.seen,
+                    share.total,
+                    share.probability,
+                    *share.interval,
+                )
+            )
+    for name, event in report.rates.items():
+        lines.append(
+            "%s: %d firings, %.4g/s (%.4g to %.4g)"
+            % (name, event.seen, event.rate, *event.interval)
+        )
+    return lines
+
+
+def _row(place: str, found: PlaceFit) -> Tuple[str, ...]:
+    if found.fit is None:
+        return place, str(found.n), str(found.censored), "", "", "too little data", ""
+    return (
+        place,
+        str(found.n),
+        str(found.censored),
+        "%.4g" % found.fit.duration.mean,
+        "%.4g to %.4g" % found.fit.interval,
+        found.fit.duration.describe().replace(", mean %.4g s" % found.fit.duration.mean, ""),
+        "%.3g" % found.test.p if found.test else "",
+    )

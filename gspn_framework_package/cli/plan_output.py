@@ -1,0 +1,64 @@
+"""Writes a plan as one file, or as a folder with the functions beside it."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from typing import Any, List, Mapping
+
+from gspn_framework_package.formats.plan_file import PLAN_FILE
+from gspn_framework_package.formats.source import write_bytes
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.plan import FunctionAction, Plan
+
+
+def plan_path(output: str) -> str:
+    """The file that is meant: ``output``, or the ``plan.json`` in it if it is a folder."""
+    return os.path.join(output, PLAN_FILE) if os.path.isdir(output) else output
+
+
+def refuse_existing(path: str, hint: str = "give the name of a new file") -> None:
+    """Refuse to overwrite a file. :raises UsageError: it exists."""
+    if os.path.exists(path):
+        raise UsageError("it exists already", file=path, hint=hint)
+
+
+def write_plan(plan: Plan, data: Mapping[str, Any], output: str) -> List[str]:
+    """Write the JSON object of a plan, and return notes on what the user has to do. In a folder the
+    files of the functions are put beside it.
+
+    :param plan: the plan, whose functions are needed.
+    :param data: its JSON object.
+    :param output: a file, or a folder that exists.
+    :raises InputError: the file cannot be written.
+    """
+    path = plan_path(output)
+    folder = os.path.dirname(os.path.abspath(path))
+    notes = _bring_functions(plan, folder, os.path.isdir(output))
+    write_bytes(path, (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode())
+    return notes
+
+
+def _bring_functions(plan: Plan, folder: str, copy: bool) -> List[str]:
+    """Make sure that ``folder`` has the files of the plan's functions, and return notes on what the
+    user has to do. Files are copied only if ``copy``."""
+    modules = {
+        action.function.rpartition(".")[0]
+        for _, action in plan.bindings()
+        if isinstance(action, FunctionAction)
+    }
+    notes = []
+    for module in sorted(modules):
+        name = module.replace(".", "/") + ".py"
+        source, target = os.path.join(plan.folder or "", name), os.path.join(folder, name)
+        if os.path.exists(target) or os.path.realpath(plan.folder or "") == os.path.realpath(
+            folder
+        ):
+            continue
+        if copy and os.path.isfile(source):
+            os.makedirs(os.path.dirname(target), exist_ok=True)
+            shutil.copyfile(source, target)
+        else:
+            notes.append("%s belongs beside the plan, in %s" % (name, folder))
+    return notes
