@@ -31,9 +31,13 @@ def explicit_chain(analysis: Analysis, labels: Mapping[str, str] = {}) -> Explic
             hint="begin in a marking that enables no immediate transition",
         )
     rates = chain.rates.tocoo()
+    graph = chain.graph
+    states = graph.markings(chain.states)
+    if graph.part_counts is not None:  # several states may have one marking
+        states = np.hstack([states, graph.part_counts[chain.states]])
     return ExplicitChain(
-        [place.name for place in chain.graph.net.places],
-        chain.graph.markings(chain.states).tolist(),
+        [*(place.name for place in graph.net.places), *graph.parts],
+        states.tolist(),
         list(zip(rates.row.tolist(), rates.col.tolist(), rates.data.tolist())),
         int(starts[0]),
         {

@@ -58,6 +58,8 @@ def chain_graph(chain: Chain, note: str = "") -> Graph:
     markings = chain.graph.markings(chain.states)
     for number in range(len(chain)):
         label = _text(net, markings[number].tolist())
+        for part, robots in chain.graph.named_parts(int(chain.states[number])).items():
+            label += "\n%s" % part if robots == 1 else "\n%d %s" % (robots, part)
         looks: Dict[str, Attribute] = {}
         if chain.initial[number] > _MERGED:
             looks["penwidth"] = 2.5

@@ -519,12 +519,12 @@ class RunRules:
                 if t is not None
                 for target, v in self._after(state, t, ())
             ]
-        # One robot that has just finished either moves on, or is taken by a partner whose draw it
-        # made possible: its own draw is never needed again unless it waits for it.
-        keeps = self._keeps_draws and any(state[c.asking] for _, c in self._deciding)
         groups: List[Requests] = []
         columns_of: List[int] = []  # the column of each group
         drawing: List[_Drawing] = []
+        # Where draws outlast a firing, all draw before anything fires. Not so the one that has just
+        # finished: it goes last, and if it is taken by a partner its own draw is never needed.
+        first: List[_Drawing] = []
         for p, columns in self._columns.items():
             if not any(state[c] for c in columns.waiting):
                 continue
@@ -539,25 +539,29 @@ class RunRules:
                     continue
                 draw = self._rules.draw(marking, p, ready)
                 able = {t: v for t, v in draw if t in ready}
-                kept = [
-                    (columns.holding[t], v)
-                    for t, v in draw
-                    if t in columns.holding
-                    and (keeps or t not in ready)
-                    and net.is_enabled(marking, t)
+                drawn = [
+                    (t, v) for t, v in draw if t in columns.holding and net.is_enabled(marking, t)
                 ]
-                rest = 1.0 if keeps else 1.0 - sum(able.values())
-                drawing.append(_Drawing(column, columns.idle, kept, rest))
+                if self._keeps_draws and drawn and column == columns.asking:
+                    kept = [(columns.holding[t], v) for t, v in drawn]
+                    first.append(_Drawing(column, columns.idle, kept, 1.0))
+                kept = [(columns.holding[t], v) for t, v in drawn if t not in ready]
+                drawing.append(_Drawing(column, columns.idle, kept, 1.0 - sum(able.values())))
                 if able:
                     groups.append(Requests(state[column], able, column == columns.newest))
                     columns_of.append(column)
-        keep = any(robots.kept for robots in drawing)
-        if keep and (keeps or not groups):
-            return self._draw_all(state, drawing, 1.0)
+        if first:
+            return self._draw_all(state, first, 1.0)
+        if not groups:
+            return (
+                self._draw_all(state, drawing, 1.0)
+                if any(robots.kept for robots in drawing)
+                else []
+            )
         arcs: List[RunArc] = []
         whole = 0.0
-        for column, first in zip(columns_of, first_to_fire(groups, self._rules.urgency)):
-            for t, chance in first.items():
+        for column, chances in zip(columns_of, first_to_fire(groups, self._rules.urgency)):
+            for t, chance in chances.items():
                 whole += chance
                 if chance > 0:
                     for taken, v in self._takings(state, t, column):
@@ -625,6 +629,38 @@ class RunRules:
             else:
                 self._ask_again(state, self.marking(state), counts, self._deciding)
         return [(tuple(counts), v) for counts, v in found]
+
+    # -- for people --------------------------------------------------------------------------------
+
+    @property
+    def parts(self) -> List[Tuple[int, str]]:
+        """The columns of the places that are split, with names for people."""
+        found: List[Tuple[int, str]] = []
+        for p, columns in self._columns.items():
+            if not (columns.phases or columns.named or columns.holding):
+                continue  # all robots are done, and alike
+            place = self.net.places[p].name
+            names = {t: self.net.transitions[t].name for t in self.net.consumers[p]}
+            count = len(columns.phases)
+            for number, column in enumerate(columns.phases, 1):
+                what = "doing" if count == 1 else "doing, phase %d of %d" % (number, count)
+                found.append((column, "%s (%s)" % (place, what)))
+            found += [
+                (c, "%s (done, wants %s)" % (place, names[t])) for t, c in columns.named.items()
+            ]
+            found += [
+                (c, "%s (done, has drawn %s)" % (place, names[t]))
+                for t, c in columns.holding.items()
+            ]
+            for column, what in (
+                (columns.newest, "just done"),
+                (columns.asking, "done, asks the policy"),
+                (columns.idle, "done, waits"),
+                (columns.stuck, "done, stuck"),
+            ):
+                if column >= 0:
+                    found.append((column, "%s (%s)" % (place, what)))
+        return found
 
     # -- how many states ---------------------------------------------------------------------------
 

@@ -79,6 +79,10 @@ class _NetSteps:
             _Step((net.fire(marking, t), False), t, rate) for t, rate in rules.timed(marking)
         ]
 
+    def parts(self, states: Sequence[Any]) -> Tuple[Tuple[str, ...], Optional[Indices]]:
+        """The parts of places that states tell apart: none."""
+        return (), None
+
     def markings(self, states: Sequence[Any]) -> Indices:
         """The markings of states, one row each."""
         found = np.array([marking for marking, _ in states], dtype=np.int64)
@@ -120,11 +124,22 @@ class _RunSteps:
         arcs = self._rules.steps(state) if at_once is None else at_once
         return at_once is not None, [_Step(self._settle(a.target), a.label, a.value) for a in arcs]
 
+    def parts(self, states: Sequence[Any]) -> Tuple[Tuple[str, ...], Optional[Indices]]:
+        """The parts of places that states tell apart, and how many robots are in each."""
+        named = self._rules.parts
+        if not named:
+            return (), None
+        columns = self._columns(states)[:, [column for column, _ in named]]
+        return tuple(name for _, name in named), columns.astype(np.min_scalar_type(columns.max()))
+
     def markings(self, states: Sequence[Any]) -> Indices:
         """The markings of states, one row each."""
+        return np.add.reduceat(self._columns(states), self._rules.first_columns, axis=1)
+
+    def _columns(self, states: Sequence[Any]) -> Indices:
         first = self._rules.begin[0][0]
         columns = np.array([state or first for state in states], dtype=np.int64)
-        return np.add.reduceat(columns.reshape(len(states), -1), self._rules.first_columns, axis=1)
+        return columns.reshape(len(states), -1)
 
 
 class PlanSpace(StateSpace):
@@ -148,7 +163,8 @@ class PlanSpace(StateSpace):
         *,
         notes: TimingNotes,
         shortage: Tuple[str, str] = ("", ""),
-        refusal: str = "",
+        parts: Tuple[str, ...] = (),
+        part_counts: Optional[Indices] = None,
     ) -> None:
         widths = [max(int(n).bit_length(), 1) for n in markings.max(axis=0)]
         packing = Packing(net, widths)
@@ -157,7 +173,8 @@ class PlanSpace(StateSpace):
         super().__init__(net, store, graph, order, untimed=False, engine="plan", shortage=shortage)
         self.counters = counters
         self.notes = notes
-        self.refusal = refusal
+        self.refusal = ""
+        self._parts, self._part_counts = parts, part_counts
         self._vanishing = vanishing
         self._values = values
 
@@ -218,6 +235,8 @@ class PlanSpace(StateSpace):
             self.transitions,
             self._values,
             self.store,
+            self._parts,
+            self._part_counts,
         )
 
 
@@ -325,6 +344,7 @@ class _Exploration:
             np.array(labels, dtype=label_type(len(net.transitions) + PlanSpace.further_steps)),
             explored,
         )
+        parts, part_counts = steps.parts(order)
         return PlanSpace(
             net,
             counters,
@@ -334,4 +354,6 @@ class _Exploration:
             np.array(values, dtype=np.float64),
             notes=notes,
             shortage=shortage,
+            parts=parts,
+            part_counts=part_counts,
         )

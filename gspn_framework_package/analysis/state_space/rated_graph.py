@@ -8,7 +8,7 @@ the same.
 
 from __future__ import annotations
 
-from typing import Iterator, NamedTuple, Tuple, Union
+from typing import Dict, Iterator, NamedTuple, Optional, Tuple, Union
 
 import numpy as np
 
@@ -31,6 +31,8 @@ class RatedGraph(NamedTuple):
     :ivar values: float array: the rate (1/s) of an arc that leaves a tangible state, the
         probability of one that leaves a vanishing state.
     :ivar store: the markings of the states.
+    :ivar parts: the parts of places that states tell apart, by name; of a plan as it runs.
+    :ivar part_counts: int array, one row per state: how many robots are in each of these parts.
     """
 
     net: Net
@@ -40,6 +42,8 @@ class RatedGraph(NamedTuple):
     transitions: Indices
     values: Floats
     store: Union[PackedStore, SparseStore]
+    parts: Tuple[str, ...] = ()
+    part_counts: Optional[Indices] = None
 
     def __len__(self) -> int:
         return len(self.vanishing)
@@ -55,6 +59,12 @@ class RatedGraph(NamedTuple):
     def marking(self, state: int) -> Marking:
         """The marking of one state."""
         return tuple(self.markings(np.array([state]))[0].tolist())
+
+    def named_parts(self, state: int) -> Dict[str, int]:
+        """The parts of places that hold robots in one state: name -> count."""
+        if self.part_counts is None:
+            return {}
+        return {n: int(c) for n, c in zip(self.parts, self.part_counts[state].tolist()) if c}
 
     def text(self, state: int) -> str:
         """The marking of one state, for messages."""

@@ -10,6 +10,8 @@ from scipy import stats
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain import Chain
+from gspn_framework_package.analysis.chain_export import explicit_chain
+from gspn_framework_package.analysis.drawing import chain_graph
 from gspn_framework_package.analysis.plan.phases import number_of_phases, phases_of
 from gspn_framework_package.analysis.plan.space import explore_plan
 from gspn_framework_package.execution.virtual_time import VirtualRun
@@ -359,6 +361,19 @@ def test_a_time_that_never_varies_has_no_phases():
     plan = plan_of(pair(), {"a": Duration.deterministic(1.0), "b": exponential(1.0)})
     with pytest.raises(LimitError, match="never vary.*that of a"):
         Analysis(plan).chain  # noqa: B018
+
+
+def test_the_states_are_told_apart_where_they_are_shown():
+    plan = read_plan("plans/rendezvous")
+    analysis = Analysis(plan)
+    chain = explicit_chain(analysis)
+    assert "At_Dock (done, wants Hand_Over)" in chain.places
+    assert len({tuple(state) for state in chain.states}) == len(chain.states)
+    drawn = chain_graph(analysis.chain).text()
+    assert "At_Dock (doing)" in drawn and "At_Dock (done, wants Hand_Over)" in drawn
+    # where no split is due, only places are shown
+    plain = explicit_chain(Analysis(read_plan("plans/tokens")))
+    assert list(plain.places) == ["p1", "p2", "p3", "p5", "p6", "p7"]
 
 
 def test_a_condition_on_a_counter():
