@@ -163,12 +163,15 @@ class RunRules:
             for t, transition in enumerate(net.transitions)
             if transition.timed and not self._robots_of[t]
         ]
-        # A robot that moves without changing the marking leaves the draws of the others as they
-        # are, so every draw has to be known.
-        self._keeps_draws = any(
-            self._robots_of[t] and not self._changes[t] for t in range(len(net.transitions))
-        )
         self._doing = {p for p in self._timing if self._takes_time(p)}
+        # Robots that move in zero time without changing the marking leave the draws of the others
+        # as they are, so every draw has to be known.
+        self._keeps_draws = any(
+            self._robots_of[t]
+            and not self._changes[t]
+            and not any(self._races(p) for p, _ in self._robots_of[t])
+            for t in range(len(net.transitions))
+        )
         self._lay_out(phases)
         self._prepare()
 
@@ -522,8 +525,6 @@ class RunRules:
         groups: List[Requests] = []
         columns_of: List[int] = []  # the column of each group
         drawing: List[_Drawing] = []
-        # Where draws outlast a firing, all draw before anything fires. Not so the one that has just
-        # finished: it goes last, and if it is taken by a partner its own draw is never needed.
         first: List[_Drawing] = []
         for p, columns in self._columns.items():
             if not any(state[c] for c in columns.waiting):
@@ -550,7 +551,7 @@ class RunRules:
                 if able:
                     groups.append(Requests(state[column], able, column == columns.newest))
                     columns_of.append(column)
-        if first:
+        if first and self._may_outlast(groups, columns_of, sum(state[d.column] for d in first)):
             return self._draw_all(state, first, 1.0)
         if not groups:
             return (
@@ -570,6 +571,19 @@ class RunRules:
         if arcs and 1.0 - whole > _TINY:
             return arcs + self._draw_all(state, drawing, 1.0 - whole)
         return [RunArc(target, t, value / whole) for target, t, value in arcs]
+
+    def _may_outlast(
+        self, groups: Sequence[Requests], columns_of: Sequence[int], asking: int
+    ) -> bool:
+        """Whether one of the requests may fire and leave draws of others, which are ``asking``, as
+        they are. Then all draw before anything fires. Not so the robot that has just finished: it
+        goes last, and if a partner takes it its own draw is never needed."""
+        at_policy = {c.asking for _, c in self._deciding}
+        return any(
+            not self._changes[t] and asking > (column in at_policy)
+            for group, column in zip(groups, columns_of)
+            for t in group.draw
+        )
 
     def _draw_all(self, state: State, drawing: Sequence[_Drawing], chance: float) -> List[RunArc]:
         """The steps, with a probability of ``chance`` in all, when all that ask the policy have

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from running_plans import running_plans
 from scipy import stats
 
 from gspn_framework_package.analysis.analyse import Analysis
@@ -14,11 +16,14 @@ from gspn_framework_package.analysis.chain_export import explicit_chain
 from gspn_framework_package.analysis.drawing import chain_graph
 from gspn_framework_package.analysis.plan.phases import number_of_phases, phases_of
 from gspn_framework_package.analysis.plan.space import explore_plan
+from gspn_framework_package.analysis.solution.measures import Measures
+from gspn_framework_package.analysis.solution.steady_state import steady_state
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
-from gspn_framework_package.model.errors import LimitError, UsageError
+from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
+from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
 from gspn_framework_package.model.plan_timing import PlanTiming
 from gspn_framework_package.model.policy import Policy, PolicyRow
@@ -422,3 +427,83 @@ def test_a_net_has_no_run():
         Analysis(plan_of(pair()), timing="walk")
     assert Analysis(pair()).timing.reading == "net"
     assert len(Chain.of(explore_plan(plan_of(pair())))) == 1
+
+
+relaxed = settings(deadline=None, suppress_health_check=list(HealthCheck))
+
+
+@relaxed
+@given(running_plans())
+def test_the_chain_of_a_run_is_one(plan):
+    """Probabilities sum to 1, rates are positive, and no robot is lost or made. In the steady state
+    as many robots enter each place as leave it, and stay there as long as their actions take, or
+    longer."""
+    timing = PlanTiming(plan)
+    space = explore_plan(plan, timing=timing, limit=3_000)
+    assume(space.complete)
+    graph = space.rated()
+    total = np.bincount(graph.sources, weights=graph.values, minlength=len(graph))
+    assert total[graph.vanishing] == pytest.approx(np.ones(int(graph.vanishing.sum())))
+    assert (graph.values > 0).all()
+    acting = [space.net.place_number(name) for name in plan.action_places]
+    assert set(space.markings()[:, acting].sum(axis=1)) == {len(plan.robots)}
+    try:
+        chain = Chain.of(space)
+    except RefusedError:
+        return  # a timeless trap
+    measures = Measures(chain, steady_state(chain).distribution)
+    rates, tokens = measures.throughput, measures.mean_tokens
+    for p in timing.places:
+        leaving = {t: w for t in plan.net.consumers[p] for q, w in plan.net.inputs[t] if q == p}
+        entering = {t: w for t in plan.net.producers[p] for q, w in plan.net.outputs[t] if q == p}
+        name = [t.name for t in plan.net.transitions]
+        came = sum(w * rates[name[t]] for t, w in entering.items())
+        assert sum(w * rates[name[t]] for t, w in leaving.items()) == pytest.approx(came, abs=1e-9)
+        assert tokens[plan.net.places[p].name] >= came * timing.of("", p).duration.mean - 1e-9
+
+
+@relaxed
+@given(running_plans(kinds=("work", "instant"), joint=False))
+def test_no_more_states_than_the_net_where_no_split_is_due(plan):
+    """Robots that stay where they are, in zero time, are left out: others keep their draws then,
+    which the net does not know."""
+    assume(all(plan.net.effect(t) or one.timed for t, one in enumerate(plan.net.transitions)))
+    run = explore_plan(plan, timing=PlanTiming(plan))
+    assert run.notes.splits == {}
+    net = explore_plan(as_net(plan))
+    assert (len(run), run.arcs) == (len(net), net.arcs)
+    try:
+        chains = Chain.of(run), Chain.of(net)
+    except RefusedError:
+        return  # a timeless trap
+    assert (chains[0].rates - chains[1].rates).nnz == 0 or abs(
+        chains[0].rates - chains[1].rates
+    ).max() < 1e-12
+
+
+def as_net(plan):
+    """The plan with rates in its net that make the durations."""
+    transitions = list(plan.net.transitions)
+    for name, duration in plan.durations.items():
+        leaving = plan.net.consumers[plan.net.place_number(name)]
+        total = sum(plan.net.transitions[t].rate for t in leaving)
+        for t in leaving:
+            rate = plan.net.transitions[t].rate / total / duration.mean
+            transitions[t] = transitions[t]._replace(rate=rate)
+    return replace(
+        plan, durations={}, net=Net(plan.net.places, transitions, plan.net.arcs, plan.net.name)
+    )
+
+
+@settings(relaxed, max_examples=12, derandomize=True)
+@given(running_plans())
+def test_a_run_in_virtual_time_has_the_measures_of_the_chain(plan):
+    space = explore_plan(plan, timing=PlanTiming(plan), limit=500)
+    assume(space.complete)
+    try:
+        chain = Chain.of(space)
+    except RefusedError:
+        assume(False)
+    assume(len(chain.bottom_components()) == 1)
+    assume(len(chain.bottom_components()[0]) > 1)
+    agrees(plan, 100)
