@@ -15,7 +15,7 @@
 from __future__ import annotations
 
 import enum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Dict, List, NamedTuple, Optional
 
 import numpy as np
@@ -108,7 +108,7 @@ class Properties:
             return np.zeros(0, dtype=np.int64)
         return np.flatnonzero(found.bottom[found.of])
 
-    @property
+    @cached_property
     def liveness(self) -> Dict[str, Liveness]:
         """The liveness level of every transition."""
         space, found = self.space, self.components
