@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from typing import Any, List, NamedTuple, Sequence, Tuple
+from typing import Any, List, Mapping, NamedTuple, Sequence, Tuple
 
 from gspn_framework_package.analysis.fitting import FamilyChoice, FitReport, PlaceFit, fit_plan
 from gspn_framework_package.analysis.limits import MEMORY
@@ -14,10 +14,16 @@ from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.limits import working
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
-from gspn_framework_package.execution.attempts import gather
+from gspn_framework_package.execution.attempts import (
+    Attempt,
+    EventCount,
+    SeenFiring,
+    attempts_between,
+    gather,
+)
 from gspn_framework_package.execution.event_log import log_files
 from gspn_framework_package.formats.plan_file import plan_document, read_plan
-from gspn_framework_package.model.errors import CancelledError
+from gspn_framework_package.model.errors import CancelledError, LogError
 from gspn_framework_package.model.plan import Plan
 
 
@@ -39,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="LOG",
         help="event logs of runs of the plan, or folders of them; of a team, give the logs of all "
-        "its robots",
+        "its robots; also rosbags of fired_transitions, which tell less",
     )
     parser.add_argument(
         "-o",
@@ -102,6 +108,8 @@ def learn(plan: Plan, paths: Sequence[str], choice: FamilyChoice, seed: int) -> 
     :raises LogError: a log cannot be read, or is of another net.
     """
     files = log_files(paths)
+    bags = [path for path in files if path.endswith(".bag")]
+    files = [path for path in files if path not in bags]
 
     def work(progress: Progress, cancel: Cancel) -> Learned:
         def tell(what: str, count: int, seconds: float) -> None:
@@ -109,15 +117,56 @@ def learn(plan: Plan, paths: Sequence[str], choice: FamilyChoice, seed: int) -> 
                 raise CancelledError("it was interrupted")
             progress(what, count, seconds)
 
-        gathered = gather(files, plan, tell)
-        report = fit_plan(
-            plan, gathered.attempts, gathered.events, choice, seed=seed, progress=tell
-        )
-        report = report._replace(notes=gathered.notes + report.notes)
-        names = tuple(os.path.basename(name) for name in gathered.logs)
-        return Learned(report, names, len(gathered.runs), len(gathered.attempts))
+        attempts: List[Attempt] = []
+        events: Mapping[str, EventCount] = {}
+        notes: List[str] = []
+        runs = 0
+        if files:
+            gathered = gather(files, plan, tell)
+            attempts, events = list(gathered.attempts), gathered.events
+            notes, runs = list(gathered.notes), len(gathered.runs)
+        for number, path in enumerate(bags, len(files)):
+            found, told, of = _from_bag(plan, path, number)
+            attempts += found
+            notes += told
+            runs += of
+        report = fit_plan(plan, attempts, events, choice, seed=seed, progress=tell)
+        report = report._replace(notes=(*notes, *report.notes))
+        names = tuple(os.path.basename(name) for name in (*files, *bags))
+        return Learned(report, names, runs, len(attempts))
 
     return working(work, MEMORY)
+
+
+def _from_bag(plan: Plan, path: str, number: int) -> Tuple[List[Attempt], List[str], int]:
+    """The attempts that follow from the firings in a rosbag, notes, and the number of runs.
+
+    :raises LogError: it is not a rosbag, holds no firings, or firings of another net.
+    """
+    from gspn_framework_package.visualizer.bag_replay import read_bag
+
+    messages = read_bag(path)
+    if not messages:
+        raise LogError("holds no firings", file=path, hint="record the topic /fired_transitions")
+    firings = [
+        SeenFiring(
+            seconds,
+            message.run,
+            message.transition,
+            message.robot,
+            tuple(zip(message.robots, message.robot_places)),
+            (message.robot, message.visit)
+            if message.private_move
+            else (message.slot, message.index),
+        )
+        for seconds, message in messages
+    ]
+    try:
+        found, notes = attempts_between(plan, firings, number)
+    except LogError as error:
+        raise error.located(file=path) from None
+    named = ["%s: %s" % (os.path.basename(path), note) for note in notes]
+    return found, named, len({firing.run for firing in firings})
 
 
 def _many(count: int) -> Tuple[int, str]:

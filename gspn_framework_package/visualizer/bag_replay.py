@@ -33,7 +33,7 @@ class BagReplay(Activity):
     def __init__(self, path: str, plans: List[Plan]) -> None:
         super().__init__()
         self._path = path
-        messages = _read(path)
+        messages = read_bag(path)
         if not messages:
             raise LogError(
                 "holds no firings", file=path, hint="record the topic /fired_transitions"
@@ -88,8 +88,12 @@ class BagReplay(Activity):
         hub.publish(*events)
 
 
-def _read(path: str) -> List[Tuple[float, FiredMessage]]:
-    """Pairs (seconds, message) of the firings in a bag, in recording order."""
+def read_bag(path: str) -> List[Tuple[float, FiredMessage]]:
+    """Pairs (seconds, message) of the firings in a bag, in recording order.
+
+    :raises LogError: the file is not a bag.
+    :raises UsageError: ROS's reader of bags is not installed.
+    """
     try:
         import rosbag
     except ImportError:

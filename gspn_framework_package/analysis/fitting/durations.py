@@ -148,12 +148,14 @@ def fit_exponential(sample: Sample) -> DurationFit:
 
 def fit_gamma(sample: Sample) -> DurationFit:
     """The gamma distribution. It needs two observed times."""
-    return _fit_two(sample, _Gamma(sample))
+    found = _fit_two(sample, _Gamma(sample))
+    return found._replace(interval=_profile_interval(sample, _Gamma(sample)))
 
 
 def fit_lognormal(sample: Sample) -> DurationFit:
     """The lognormal distribution. It needs two observed times."""
-    return _fit_two(sample, _Lognormal(sample))
+    found = _fit_two(sample, _Lognormal(sample))
+    return found._replace(interval=_profile_interval(sample, _Lognormal(sample)))
 
 
 def fit_erlang(sample: Sample, gamma: DurationFit) -> Optional[DurationFit]:
@@ -246,8 +248,8 @@ def fit_duration(sample: Sample, family: str = "auto", *, fits: bool = True) -> 
     if not fits:
         return fit_empirical(sample)
     # the intervals take longest, so only that of the best is computed
-    gamma = _fit_two(sample, _Gamma(sample), interval=False)
-    lognormal = _fit_two(sample, _Lognormal(sample), interval=False)
+    gamma = _fit_two(sample, _Gamma(sample))
+    lognormal = _fit_two(sample, _Lognormal(sample))
     found: List[DurationFit] = [fit_exponential(sample), gamma, lognormal]
     allowed = float(stats.chi2.ppf(CONFIDENCE, 1)) / 2
     clearly = (gamma.likelihood or 0.0) - (found[0].likelihood or 0.0) > allowed
@@ -259,10 +261,18 @@ def fit_duration(sample: Sample, family: str = "auto", *, fits: bool = True) -> 
         found,
         key=lambda fit: criterion(fit, sample.size) + handicap.get(fit.duration.kind, 0.0),
     )
-    if best is gamma:
-        gamma = fit_gamma(sample)
-        return fit_erlang(sample, gamma) or gamma
-    return fit_lognormal(sample) if best is lognormal else best
+    if best is gamma or best is lognormal:
+        # the family is not known either, so the other one widens the interval as far as it is
+        # as likely
+        apart = (gamma.likelihood or 0.0) - (lognormal.likelihood or 0.0)
+        ends = [
+            _profile_interval(sample, family, max(behind, 0.0))
+            for family, behind in ((_Gamma(sample), -apart), (_Lognormal(sample), apart))
+        ]
+        best = best._replace(interval=(min(e[0] for e in ends), max(e[1] for e in ends)))
+        if best.duration.kind is Kind.GAMMA:
+            return fit_erlang(sample, best) or best
+    return best
 
 
 def most_likely(sample: Sample, like: Duration) -> Duration:
@@ -383,17 +393,23 @@ def gamma_log_shape(gap: float) -> float:
     return min(max(math.log(shape), _Gamma.low), _Gamma.high)
 
 
-def _fit_two(sample: Sample, family: Any, interval: bool = True) -> DurationFit:
-    """Maximise the likelihood over both parameters, and find the profile interval of the mean."""
+def _fit_two(sample: Sample, family: Any) -> DurationFit:
+    """Maximise the likelihood over both parameters; without an interval."""
     if sample.size < 2:
         raise UsageError("%d observed times are too few" % sample.size)
-    found = family.best()
-    if found is None:
-        found = _maximum(sample, family)
-    mean, second = found
+    mean, second = family.best() or _maximum(sample, family)
+    no_interval = math.nan, math.nan
+    return DurationFit(family.make(mean, second), no_interval, family(mean, second), 2)
+
+
+def _profile_interval(sample: Sample, family: Any, behind: float = 0.0) -> Tuple[float, float]:
+    """The profile interval of the mean.
+
+    :param behind: how much less likely the best of this family is than that of another one: means
+        must be as likely as if they belonged to the other. The interval can be empty: (inf, -inf).
+    """
+    mean, second = family.best() or _maximum(sample, family)
     top = family(mean, second)
-    if not interval:
-        return DurationFit(family.make(mean, second), (math.nan, math.nan), top, 2)
     last = [second]
 
     def profile(log_mean: float) -> float:
@@ -404,11 +420,13 @@ def _fit_two(sample: Sample, family: Any, interval: bool = True) -> DurationFit:
     n = sample.size
     # the exact threshold if the times were normal, which chi-squared only is for large samples
     t = float(stats.t.ppf((1 + CONFIDENCE) / 2, n - 1))
-    allowed = n * math.log1p(t**2 / (n - 1)) / 2
+    allowed = n * math.log1p(t**2 / (n - 1)) / 2 - behind
+    if allowed <= 0:
+        return math.inf, -math.inf
     step = min(max(2 * family.make(mean, second).variation / math.sqrt(n), 1e-7), 1.0)
     low = _crossing(profile, math.log(mean), -step, allowed, last, second)
     high = _crossing(profile, math.log(mean), step, allowed, last, second)
-    return DurationFit(family.make(mean, second), (math.exp(low), math.exp(high)), top, 2)
+    return math.exp(low), math.exp(high)
 
 
 def _maximum(

@@ -45,6 +45,10 @@ MATERIAL = 0.03
 """A family that fits badly is kept all the same if its Kolmogorov-Smirnov distance is smaller: with
 enough data, even a deviation that changes nothing is found."""
 
+NARROW = 0.05
+"""The same if the coefficient of variation is smaller: the form of so narrow a distribution changes
+nothing either."""
+
 _REFUTED = 0.01
 """A family is contradicted by the data if the p-value of the test of fit is below this."""
 
@@ -343,7 +347,7 @@ class _Learning:
                     sample.size,
                     "the duration in the plan is kept"
                     if place in self.plan.durations
-                    else "it gets no duration",
+                    else "it is left to the rates of the net",
                 )
             )
             return None, None
@@ -357,7 +361,7 @@ class _Learning:
             test.statistic,
             test.p,
         )
-        far = test.statistic >= MATERIAL
+        far = test.statistic >= MATERIAL and fit.duration.variation >= NARROW
         quantiles = self.choice is FamilyChoice.AUTO and far and sample.size >= ENOUGH_FOR_QUANTILES
         if quantiles and len(sample.censored) > 0.05 * sample.size:
             self.notes.append(which + "; too many are censored for quantiles")

@@ -15,6 +15,8 @@ from gspn_framework_package.execution.attempts import (
     OUTAGE,
     AttemptFollower,
     EventCount,
+    SeenFiring,
+    attempts_between,
     gather,
     net_difference,
     read_attempts,
@@ -466,3 +468,35 @@ def test_progress_is_reported(tmp_path) -> None:
     seen: List[Tuple[str, int, float]] = []
     gather([story.save(tmp_path / "log.jsonl")], progress=lambda *told: seen.append(told))
     assert [count for _, count, _ in seen] == [2_000, 4_000]
+
+
+# -- firings without a log -------------------------------------------------------------------------
+
+
+def fired(t: float, transition: str, robot: str, target: str, **more: Any) -> SeenFiring:
+    return SeenFiring(t, "run", transition, robot, ((robot, target),), (t,))._replace(**more)
+
+
+def test_firings_alone_tell_of_the_places_where_nobody_waits() -> None:
+    heard = [
+        fired(1.0, "t1", "a", "B"),
+        fired(2.0, "t1", "b", "B"),
+        fired(3.0, "t2", "a", "A"),
+        fired(3.0, "t2", "a", "A"),  # heard twice
+        fired(4.5, "t1", "a", "B"),
+        fired(6.0, "t2", "b", "A"),
+        fired(7.0, "t2", "a", "A"),
+        fired(9.0, "t2", "b", "A"),  # how b came to B was not heard
+        fired(9.5, "t1", "b", "B", run="another"),
+    ]
+    found, notes = attempts_between(ring(), heard, 3)
+    assert [a[:2] + a[4:8] for a in found] == [
+        ("a", "A", 3.0, 4.5, True, "t1"),
+        ("a", "A", 7.0, 9.0, False, ""),
+        ("b", "A", 9.0, 9.0, False, ""),
+    ]
+    assert {a.log for a in found} == {3}
+    assert any("robots may wait in B" in note for note in notes)  # t3 needs the resource
+    assert any("1 firings are missing" in note for note in notes)
+    with pytest.raises(LogError, match="not of this net"):
+        attempts_between(ring(), [fired(1.0, "t9", "a", "B")])

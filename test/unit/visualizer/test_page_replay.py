@@ -6,6 +6,7 @@ import shutil
 
 import pytest
 
+from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution.event_log import read_log, replay
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_file import read_plan
@@ -307,3 +308,17 @@ def test_a_bag_of_an_unknown_plan_or_without_firings_is_refused(recorded, tmp_pa
     (tmp_path / "nonsense.bag").write_bytes(b"not a bag")
     with pytest.raises(GspnError, match="not a rosbag"):
         BagReplay(str(tmp_path / "nonsense.bag"), [plan])
+
+
+def test_a_plan_learns_from_a_bag_as_far_as_it_goes(recorded, tmp_path, capsys):
+    _, firings, _ = recorded
+    write_bag(tmp_path / "run.bag", messages(read_plan(PLAN), firings))
+    out = tmp_path / "new.json"
+    assert main(["fit", PLAN, str(tmp_path / "run.bag"), "-o", str(out), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert any(place["mean"] for place in report["places"].values())
+    assert any("not when their actions end" in note for note in report["notes"])
+    assert read_plan(str(out)).evidence
+    assert main(["fit", "plans/patrol", str(tmp_path / "run.bag"), "-o", str(out), "--force"]) == 2
+    assert "not of this net" in capsys.readouterr().err
+    assert main(["fit", PLAN, str(out), "-o", str(out), "--force"]) == 2
