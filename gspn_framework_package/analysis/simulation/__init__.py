@@ -1,9 +1,9 @@
 """Discrete-event simulation of a net, or of a plan as it runs.
 
-``runs`` is the entry point, ``estimates`` what it returns. A plan is compiled into arrays by
-``plan_tables``, and played by ``plan_run`` with the inner loops of ``kernel``, which ``machine``
-has in two forms, compiled and plain. ``marking_table`` lets the rates of a net race, by the rules
-of ``net_rules`` or of a plan read like a net.
+``runs`` is the entry point, ``estimates`` what it returns. ``kernel`` has the inner loops, which
+``machine`` has in two forms, compiled and plain; ``kernel_run`` calls them. ``plan_tables`` makes
+arrays of a plan for ``plan_run``; ``race_run`` does both for a net. A plan that is read like a net
+needs the policy in every marking: ``marking_table``.
 """
 
 from gspn_framework_package.analysis.simulation.estimates import Estimate, Samples, Simulation

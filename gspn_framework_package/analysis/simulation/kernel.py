@@ -953,9 +953,12 @@ class PlanState(NamedTuple):
     stack: Any
 
 
-def play(r: PlanArrays, b: Book, s: PlanState, stop: float, budget: int) -> int:
+def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     """Play the token game until the clock reaches ``stop`` or this many events have happened;
-    returns why."""
+    returns why.
+
+    :param r: PlanArrays, or the same as a plain tuple; ``b`` is a Book, ``s`` a PlanState.
+    """
     (
         sizes,
         test_from,
@@ -1620,4 +1623,193 @@ def play(r: PlanArrays, b: Book, s: PlanState, stop: float, budget: int) -> int:
     numbers[TIMELESS_EVENTS] = timeless
     numbers[SPONTANEOUS] = n_spontaneous
     numbers[FIRED] = fired
+    return status
+
+
+# -- the race of a net -----------------------------------------------------------------------------
+
+
+class RaceArrays(NamedTuple):
+    """A net as arrays."""
+
+    sizes: Any
+    """Places, whether the condition asks for deadlocks."""
+    test_from: Any
+    tests: Any
+    effect_from: Any
+    effects: Any
+    touched_from: Any
+    touched: Any
+    timed: Any
+    rate: Any
+    servers: Any
+    weight: Any
+    priority: Any
+    until_reads: Any
+    until_operations: Any
+    until_arguments: Any
+
+
+class RaceState(NamedTuple):
+    """A run of a net: everything that changes. ``ready`` are the immediate transitions that are
+    enabled, whatever their priority; ``tree`` has the rates of the exponential ones."""
+
+    numbers: Any
+    clocks: Any
+    random: Any
+    level: Any
+    since: Any
+    area: Any
+    spent: Any
+    spent_from: Any
+    firings: Any
+    tree: Any
+    ready: Any
+    ready_at: Any
+    stack: Any
+
+
+def race(r: Any, s: Any, stop: float, budget: int) -> int:
+    """Let the enabled transitions race until the clock reaches ``stop`` or this many have fired;
+    returns why.
+
+    :param r: RaceArrays, or the same as a plain tuple; ``s`` is a RaceState.
+    """
+    (
+        sizes,
+        test_from,
+        tests,
+        effect_from,
+        effects,
+        touched_from,
+        touched,
+        timed,
+        rate,
+        servers,
+        weight,
+        priority,
+        until_reads,
+        until_operations,
+        until_arguments,
+    ) = r
+    (
+        numbers,
+        clocks,
+        random,
+        level,
+        since,
+        area,
+        spent,
+        spent_from,
+        firings,
+        tree,
+        ready,
+        ready_at,
+        stack,
+    ) = s
+    places = sizes[0]
+    asks_deadlock = sizes[1]
+    leaves = len(tree) // 2
+    with_until = len(until_operations)
+    now = clocks[NOW]
+    n_ready = numbers[READY]
+    timeless = numbers[TIMELESS_EVENTS]
+    enough = numbers[EVENTS] + budget
+    status = MORE
+
+    while True:
+        if with_until > 0 and (numbers[CHECK_UNTIL] > 0 or asks_deadlock > 0):
+            numbers[CHECK_UNTIL] = 0
+            deadlock = 1.0 if n_ready == 0 and tree[1] <= 0.0 else 0.0
+            if holds(until_operations, until_arguments, level, deadlock, stack):
+                status = UNTIL
+                break
+        if numbers[GROWN] > 0:
+            status = GROW
+            break
+        if numbers[EVENTS] >= enough:
+            break
+        if n_ready > 0:
+            top = -1
+            for i in range(n_ready):
+                if priority[ready[i]] > top:
+                    top = priority[ready[i]]
+            count = 0
+            total = 0.0
+            least = math.inf
+            for i in range(n_ready):
+                t = ready[i]
+                if priority[t] == top:
+                    count += 1
+                    total += weight[t]
+                    least = min(least, weight[t])
+            if count > 1 and least <= 0.0:
+                status = UNDECIDED
+                break
+            timeless += 1
+            if timeless > FIRINGS_PER_ENTRY:
+                status = TIMELESS
+                break
+            u = 0.0
+            if count > 1:
+                u = uniform(random) * total
+            fired = ready[0]
+            for i in range(n_ready):
+                t = ready[i]
+                if priority[t] == top:
+                    fired = t
+                    u -= weight[t]
+                    if u < 0.0:
+                        break
+        else:
+            time = math.inf
+            if tree[1] > 0.0:
+                time = now + exponential(random) / tree[1]
+            if time > stop:
+                now = stop
+                status = AT_STOP
+                break
+            if time == math.inf:
+                status = STUCK
+                break
+            now = time
+            timeless = 0
+            fired = find_leaf(tree, leaves, uniform(random) * tree[1])
+        numbers[EVENTS] += 1
+        numbers[FIRINGS] += 1
+        firings[fired] += 1
+        begin = effect_from[fired]
+        end = effect_from[fired + 1]
+        for k in range(begin, end, 2):
+            place = effects[k]
+            shift(place, effects[k + 1], now, level, since, area, spent, spent_from, numbers)
+            if until_reads[place] > 0:
+                numbers[CHECK_UNTIL] = 1
+        for k in range(begin, end, 2):
+            place = effects[k]
+            for j in range(touched_from[place], touched_from[place + 1]):
+                t = touched[j]
+                if timed[t] > 0:
+                    degree = busy(t, servers[t], level, test_from, tests)
+                    if tree[leaves + t] != rate[t] * degree:
+                        set_leaf(tree, leaves, t, rate[t] * degree)
+                else:
+                    i = ready_at[t]
+                    if fits(t, level, test_from, tests):
+                        if i < 0:
+                            ready_at[t] = n_ready
+                            ready[n_ready] = t
+                            n_ready += 1
+                    elif i >= 0:
+                        n_ready -= 1
+                        last = ready[n_ready]
+                        ready[i] = last
+                        ready_at[last] = i
+                        ready_at[t] = -1
+
+    if status in (AT_STOP, UNTIL):
+        book_times(now, places, level, since, area, spent, spent_from)
+    clocks[NOW] = now
+    numbers[READY] = n_ready
+    numbers[TIMELESS_EVENTS] = timeless
     return status

@@ -20,17 +20,20 @@ is installed."""
 class _Unsigned(ast.NodeTransformer):
     """Makes every index in a function an unsigned number.
 
-    numba lets negative indices count from the end, which takes two more instructions for every
-    access, and a third of the time. The kernel has no negative index.
+    numba lets negative indices count from the end, and the test for that takes more than half of
+    the time of an event. The kernel has no negative index.
     """
 
     def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
         self.generic_visit(node)
-        inner = node.slice
-        index = getattr(inner, "value", inner) if type(inner).__name__ == "Index" else inner
-        if not isinstance(index, ast.Constant):
-            call = ast.Call(ast.Name("_unsigned", ast.Load()), [index], [])
-            node.slice = call if index is inner else type(inner)(call)  # Index: Python 3.8
+        wrapped: Any = node.slice
+        old = type(wrapped).__name__ == "Index"  # Python 3.8
+        index = wrapped.value if old else wrapped
+        call: Any = ast.Call(ast.Name("_unsigned", ast.Load()), [index], [])
+        if old:
+            wrapped.value = call
+        else:
+            node.slice = call
         return node
 
 

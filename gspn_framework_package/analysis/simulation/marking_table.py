@@ -1,4 +1,4 @@
-"""The race of a net, or of a plan read like one, over a table of the markings that occur.
+"""The race of a plan that is read like a net, over a table of the markings that occur.
 
 Many independent replications advance in step: one round draws the next event of each of them. Each
 marking is evaluated once, when a replication first reaches it, so that a round takes only a few
@@ -8,13 +8,12 @@ array operations.
 from __future__ import annotations
 
 import math
-from typing import Dict, List, Tuple, Union
+from typing import Dict, List, Tuple
 
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Floats, Indices
 from gspn_framework_package.analysis.plan.rules import PlanRules
-from gspn_framework_package.analysis.simulation.net_rules import NetRules
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Marking
@@ -32,7 +31,7 @@ class MarkingTable:
     """The markings that the runs have reached so far, as arrays; states are numbered in order of
     discovery."""
 
-    def __init__(self, rules: Union[PlanRules, NetRules]) -> None:
+    def __init__(self, rules: PlanRules) -> None:
         self.rules = rules
         self.forget()
 

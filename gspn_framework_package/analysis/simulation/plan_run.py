@@ -4,247 +4,59 @@ Python: the start, and the loss of a robot."""
 from __future__ import annotations
 
 import math
-from typing import Any, Dict, List, Optional
+from typing import Dict, List, Optional
 
 import numpy as np
 
-from gspn_framework_package.analysis.simulation import kernel, machine
+from gspn_framework_package.analysis.simulation import kernel
+from gspn_framework_package.analysis.simulation.kernel_run import (
+    KernelRun,
+    first_rows,
+    real,
+    whole,
+)
 from gspn_framework_package.analysis.simulation.plan_tables import PlanTables
 from gspn_framework_package.model.errors import RefusedError
 
-FIRST_ROW = 8
-"""Counts of a place for which time is booked at first; more are added when they occur."""
 
-LONGEST_ROW = 4096
-"""Largest counts for which time is booked separately."""
-
-
-class PlanRun:
-    """Runs of one plan, one after the other, with the kernel in either form.
+class PlanRun(KernelRun):
+    """Runs of one plan as it is executed.
 
     :param tables: the plan.
-    :ivar compiled: whether the kernel is the compiled one.
     """
 
     def __init__(self, tables: PlanTables) -> None:
         self.tables = tables
-        self.net = tables.net
-        self.compiled = False
-        self._functions: Dict[str, Any] = vars(kernel)
-        self._like = self._new_state()
-        self._rules: Any = machine.as_lists(tables.rules)
-        self._book: Any = machine.as_lists(tables.book)
-        self.state: Any = machine.as_lists(self._like)
-        self._fresh: Any = machine.as_lists(self._like)
+        super().__init__(tables.net, (tables.rules, tables.book), _new_state(tables))
 
-    def compile(self) -> None:
-        """Go on with the compiled kernel, from where the run is."""
-        self._functions = machine.compiled_kernel()
-        self.compiled = True
-        self._rules, self._book = self.tables.rules, self.tables.book
-        self.state = machine.as_arrays(self.state, self._like)
-        self._fresh = machine.as_arrays(self._fresh, self._like)
+    def step(self, stop: float, budget: int) -> int:
+        """Play the token game; see :meth:`KernelRun.step`."""
+        rules, book = self.arrays
+        # plain tuples: numba's cache on the disk could not be read where a class of its types has
+        # been renamed since
+        return int(
+            self.functions["play"](tuple(rules), tuple(book), tuple(self.state), stop, budget)
+        )
 
-    # -- one run -----------------------------------------------------------------------------------
-
-    def begin(self, words: List[int]) -> None:
-        """Put everything back to the start; ``words`` are the four words of the random numbers."""
-        for now, before in zip(self.state, self._fresh):
-            now[:] = before
-        self.state.random[:] = words if not self.compiled else np.array(words)
-
-    def go(self, stop: float, budget: int) -> int:
-        """Go on until the clock reaches ``stop`` (s), the run ends, or ``budget`` events have
-        happened; returns a status of the kernel.
-
-        :raises RefusedError: there is a timeless cycle, or too many agents.
-        """
-        numbers = self.state.numbers
-        end = numbers[kernel.EVENTS] + budget
-        while True:
-            left = int(end - numbers[kernel.EVENTS])
-            if left <= 0:
+    def after(self, status: int) -> int:
+        """Evict a robot that was lost; see :meth:`KernelRun.after`."""
+        if status == kernel.LOSS:
+            if not self._lose(int(self.state.numbers[kernel.LOST_ROBOT])):
                 return kernel.MORE
-            # plain tuples: numba's cache on the disk could not be read where a class of its types
-            # has been renamed since
-            status = self._functions["play"](
-                tuple(self._rules), tuple(self._book), tuple(self.state), stop, left
+            self._book_times()
+            return kernel.STOPPED
+        if status == kernel.FULL:
+            raise RefusedError(
+                "a run creates more than %d agents" % self.tables.room,
+                hint="'gspn simulate --log FILE' plays the token game without that limit",
             )
-            numbers = self.state.numbers
-            if status == kernel.GROW:
-                self._grow()
-                numbers = self.state.numbers
-            elif status == kernel.LOSS:
-                if self._lose(int(numbers[kernel.LOST_ROBOT])):
-                    self._book_times()
-                    return kernel.STOPPED
-            elif status == kernel.TIMELESS:
-                raise RefusedError(
-                    "more than %d firings without time between them" % kernel.FIRINGS_PER_ENTRY,
-                    hint="a cycle of immediate transitions must have a way out, and its actions "
-                    "must take time",
-                )
-            elif status == kernel.FULL:
-                raise RefusedError(
-                    "a run creates more than %d agents" % self.tables.room,
-                    hint="'gspn simulate --log FILE' plays the token game without that limit",
-                )
-            else:
-                return int(status)
-
-    def forget(self) -> None:
-        """Forget what was counted so far; the run goes on."""
-        state = self.state
-        for array in (state.area, state.spent, state.firings):
-            array[:] = [0] * len(array) if isinstance(array, list) else 0
-
-    @property
-    def now(self) -> float:
-        """The time of the run (s)."""
-        return float(self.state.clocks[kernel.NOW])
-
-    @property
-    def firings_so_far(self) -> int:
-        """The number of firings since the run began."""
-        return int(self.state.numbers[kernel.FIRINGS])
-
-    # -- the state ---------------------------------------------------------------------------------
-
-    def _new_state(self) -> kernel.PlanState:
-        """The state before the robots enter their first places."""
-        tables, net = self.tables, self.net
-        places, transitions, arcs = len(net.places), len(net.transitions), len(tables.arcs)
-        groups, lists, room = transitions + places, arcs + places, tables.room
-        robots = tables.plan.robots
-        count = len(robots)
-        whole, real = _whole, _real
-        marking = [
-            place.tokens if tables.is_resource[p] else 0 for p, place in enumerate(net.places)
-        ]
-        at = [net.place_index[robot.place] for robot in robots]
-        for p in at:
-            marking[p] += 1
-        level = whole(places + lists + 1)
-        level[:places] = marking
-        numbers = whole(kernel.NUMBERS)
-        numbers[kernel.ACTIVE] = count
-        numbers[kernel.TODO] = count
-        numbers[kernel.CHECK_UNTIL] = 1
-        numbers[kernel.ENVIRONMENT_DIRTY] = 1
-        numbers[kernel.LOST] = -1
-        numbers[kernel.FREE] = room - count
-        spontaneous = tables.spontaneous
-        numbers[kernel.SPONTANEOUS_DIRTY] = len(spontaneous)
-        spontaneous_dirty, is_spontaneous_dirty = whole(transitions), whole(transitions)
-        spontaneous_dirty[: len(spontaneous)] = spontaneous
-        is_spontaneous_dirty[spontaneous] = 1
-        clocks = real(kernel.CLOCKS)
-        clocks[kernel.ENVIRONMENT_AT] = clocks[kernel.LOSS_AT] = math.inf
-        robots_at, kind, active, active_at = whole(room), whole(room), whole(room), whole(room)
-        robots_at[:count] = at
-        kind[:count] = tables.class_of
-        active[:count] = active_at[:count] = np.arange(count)
-        free = whole(room)
-        free[: room - count] = np.arange(room - 1, count - 1, -1)
-        todo_robot, todo_what = whole(room + 1), whole(room + 1)
-        todo_robot[:count] = np.arange(count)  # all of them enter
-        leaves = 1
-        while leaves < len(tables.environment):
-            leaves *= 2
-        tree = real(2 * leaves)
-        for i, t in enumerate(tables.environment):
-            kernel.set_leaf(tree, leaves, i, net.effective_rate(tuple(marking), t))
-        rows = [max(FIRST_ROW, n + 2) for n in marking]
-        spent_from = np.cumsum([0, *rows]).astype(np.int64)
-        choices = max(
-            max((len(leaving) for leaving in tables.immediate_from), default=0),
-            int(np.diff(tables.book.choice_from).max()) if len(tables.book.choice_from) > 1 else 0,
-            tables.most_slots,
-            1,
-        )
-        return kernel.PlanState(
-            numbers=numbers,
-            clocks=clocks,
-            random=whole(4),
-            level=level,
-            since=real(places),
-            area=real(places),
-            spent=real(int(spent_from[-1])),
-            spent_from=spent_from,
-            firings=whole(transitions),
-            at=robots_at,
-            phase=whole(room),
-            kind=kind,
-            failures=whole(room),
-            in_list=whole(room),
-            following=whole(room),
-            preceding=whole(room),
-            order=whole(room),
-            due_tag=whole(room),
-            due_what=whole(room),
-            draw=whole(room),
-            draw_stamp=whole(room),
-            active=active,
-            active_at=active_at,
-            free=free,
-            head=whole(lists, -1),
-            tail=whole(lists, -1),
-            waits=whole(groups),
-            dirty=whole(groups),
-            is_dirty=whole(groups),
-            volatile=whole(groups),
-            is_volatile=whole(groups),
-            group_version=whole(places, -1),
-            group_signature=whole(places),
-            group_stamp=whole(places),
-            heap_time=real(2 * room + 1),
-            heap_tag=whole(2 * room + 1),
-            heap_robot=whole(2 * room + 1),
-            queue_tag=whole(2 * room + 1),
-            queue_robot=whole(2 * room + 1),
-            todo_robot=todo_robot,
-            todo_what=todo_what,
-            movers=whole(max(tables.most_movers, 1)),
-            targets=whole(max(tables.most_movers, 1)),
-            candidate=whole(choices),
-            candidate_ok=whole(choices),
-            candidate_weight=real(choices),
-            may_spontaneous=whole(transitions),
-            spontaneous_at=whole(transitions, -1),
-            spontaneous_dirty=spontaneous_dirty,
-            is_spontaneous_dirty=is_spontaneous_dirty,
-            tree=tree,
-            stack=real(len(tables.rules.until_operations) + 1),
-        )
-
-    def _grow(self) -> None:
-        """Make room for the counts that have outgrown their rows of booked times."""
-        state = self.state
-        old_from = np.array(state.spent_from)
-        old = np.array(state.spent)
-        counts = np.array(state.level[: len(self.net.places)])
-        rows = np.diff(old_from)
-        grown = np.where(
-            counts >= rows, np.minimum(np.maximum(2 * rows, counts + 1), LONGEST_ROW), rows
-        )
-        spent_from = np.cumsum([0, *grown.tolist()]).astype(np.int64)
-        spent = np.zeros(int(spent_from[-1]))
-        within = np.arange(len(old)) - np.repeat(old_from[:-1], rows)
-        spent[np.repeat(spent_from[:-1], rows) + within] = old
-        fresh = np.zeros(len(spent))
-        if self.compiled:
-            self.state = state._replace(spent=spent, spent_from=spent_from)
-            self._fresh = self._fresh._replace(spent=fresh, spent_from=spent_from.copy())
-        else:
-            self.state = state._replace(spent=spent.tolist(), spent_from=spent_from.tolist())
-            self._fresh = self._fresh._replace(spent=fresh.tolist(), spent_from=spent_from.tolist())
-        self.state.numbers[kernel.GROWN] = 0
+        return status
 
     # -- a robot is lost ---------------------------------------------------------------------------
 
     def _lose(self, robot: int) -> bool:
         """Evict a robot by the rules of a run; returns whether that stops the team."""
-        tables, s, rules = self.tables, self.state, self._rules
+        tables, s, rules = self.tables, self.state, self.arrays[0]
         numbers = s.numbers
         place = int(s.at[robot])
         drawn = self._drawn() if rules.sizes[7] else {}
@@ -310,7 +122,7 @@ class PlanRun:
     def _drawn(self) -> Dict[int, int]:
         """What each waiting robot requests in this marking: a transition; robots to which the
         policy gives nothing are left out."""
-        s, rules, book = self.state, self._rules, self._book
+        s, rules, book = self.state, self.arrays[0], self.arrays[1]
         arcs = len(self.tables.arcs)
         places = len(self.net.places)
         found: Dict[int, int] = {}
@@ -392,7 +204,7 @@ class PlanRun:
         old = s.in_list[robot]
         kernel.unlink(robot, s.in_list, s.following, s.preceding, s.head, s.tail)
         s.level[places + old] -= 1
-        s.waits[self._rules.list_group[old]] -= 1
+        s.waits[self.arrays[0].list_group[old]] -= 1
         after: Optional[int] = next(
             (other for other in self._listed(wish) if s.order[other] > s.order[robot]), None
         )
@@ -409,7 +221,7 @@ class PlanRun:
         else:
             s.preceding[after] = robot
         s.level[places + wish] += 1
-        s.waits[self._rules.list_group[wish]] += 1
+        s.waits[self.arrays[0].list_group[wish]] += 1
 
     def _book_times(self) -> None:
         s = self.state
@@ -418,9 +230,105 @@ class PlanRun:
         )
 
 
-def _whole(size: int, fill: int = 0) -> Any:
-    return np.full(size, fill, dtype=np.int64)
-
-
-def _real(size: int) -> Any:
-    return np.zeros(size)
+def _new_state(tables: PlanTables) -> kernel.PlanState:
+    """The state before the robots enter their first places."""
+    net = tables.net
+    places, transitions, arcs = len(net.places), len(net.transitions), len(tables.arcs)
+    groups, lists, room = transitions + places, arcs + places, tables.room
+    robots = tables.plan.robots
+    count = len(robots)
+    marking = [place.tokens if tables.is_resource[p] else 0 for p, place in enumerate(net.places)]
+    at = [net.place_index[robot.place] for robot in robots]
+    for p in at:
+        marking[p] += 1
+    level = whole(places + lists + 1)
+    level[:places] = marking
+    numbers = whole(kernel.NUMBERS)
+    numbers[kernel.ACTIVE] = count
+    numbers[kernel.TODO] = count
+    numbers[kernel.CHECK_UNTIL] = 1
+    numbers[kernel.ENVIRONMENT_DIRTY] = 1
+    numbers[kernel.LOST] = -1
+    numbers[kernel.FREE] = room - count
+    spontaneous = tables.spontaneous
+    numbers[kernel.SPONTANEOUS_DIRTY] = len(spontaneous)
+    spontaneous_dirty, is_spontaneous_dirty = whole(transitions), whole(transitions)
+    spontaneous_dirty[: len(spontaneous)] = spontaneous
+    is_spontaneous_dirty[spontaneous] = 1
+    clocks = real(kernel.CLOCKS)
+    clocks[kernel.ENVIRONMENT_AT] = clocks[kernel.LOSS_AT] = math.inf
+    robots_at, kind, active, active_at = whole(room), whole(room), whole(room), whole(room)
+    robots_at[:count] = at
+    kind[:count] = tables.class_of
+    active[:count] = active_at[:count] = np.arange(count)
+    free = whole(room)
+    free[: room - count] = np.arange(room - 1, count - 1, -1)
+    todo_robot, todo_what = whole(room + 1), whole(room + 1)
+    todo_robot[:count] = np.arange(count)  # all of them enter
+    leaves = 1
+    while leaves < len(tables.environment):
+        leaves *= 2
+    tree = real(2 * leaves)
+    for i, t in enumerate(tables.environment):
+        kernel.set_leaf(tree, leaves, i, net.effective_rate(tuple(marking), t))
+    spent_from = first_rows(marking)
+    choices = max(
+        max((len(leaving) for leaving in tables.immediate_from), default=0),
+        int(np.diff(tables.book.choice_from).max()) if len(tables.book.choice_from) > 1 else 0,
+        tables.most_slots,
+        1,
+    )
+    return kernel.PlanState(
+        numbers=numbers,
+        clocks=clocks,
+        random=whole(4),
+        level=level,
+        since=real(places),
+        area=real(places),
+        spent=real(int(spent_from[-1])),
+        spent_from=spent_from,
+        firings=whole(transitions),
+        at=robots_at,
+        phase=whole(room),
+        kind=kind,
+        failures=whole(room),
+        in_list=whole(room),
+        following=whole(room),
+        preceding=whole(room),
+        order=whole(room),
+        due_tag=whole(room),
+        due_what=whole(room),
+        draw=whole(room),
+        draw_stamp=whole(room),
+        active=active,
+        active_at=active_at,
+        free=free,
+        head=whole(lists, -1),
+        tail=whole(lists, -1),
+        waits=whole(groups),
+        dirty=whole(groups),
+        is_dirty=whole(groups),
+        volatile=whole(groups),
+        is_volatile=whole(groups),
+        group_version=whole(places, -1),
+        group_signature=whole(places),
+        group_stamp=whole(places),
+        heap_time=real(2 * room + 1),
+        heap_tag=whole(2 * room + 1),
+        heap_robot=whole(2 * room + 1),
+        queue_tag=whole(2 * room + 1),
+        queue_robot=whole(2 * room + 1),
+        todo_robot=todo_robot,
+        todo_what=todo_what,
+        movers=whole(max(tables.most_movers, 1)),
+        targets=whole(max(tables.most_movers, 1)),
+        candidate=whole(choices),
+        candidate_ok=whole(choices),
+        candidate_weight=real(choices),
+        may_spontaneous=whole(transitions),
+        spontaneous_at=whole(transitions, -1),
+        spontaneous_dirty=spontaneous_dirty,
+        is_spontaneous_dirty=is_spontaneous_dirty,
+        tree=tree,
+        stack=real(len(tables.rules.until_operations) + 1),
+    )

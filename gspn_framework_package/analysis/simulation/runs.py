@@ -22,12 +22,13 @@ from gspn_framework_package.analysis.plan.reading import NET, RUN, checked_readi
 from gspn_framework_package.analysis.plan.rules import PlanRules
 from gspn_framework_package.analysis.simulation import estimates, kernel, machine
 from gspn_framework_package.analysis.simulation.estimates import Estimate, Samples, Simulation
+from gspn_framework_package.analysis.simulation.kernel_run import KernelRun
 from gspn_framework_package.analysis.simulation.marking_table import MarkingTable, TableRuns
-from gspn_framework_package.analysis.simulation.net_rules import NetRules
 from gspn_framework_package.analysis.simulation.plan_run import PlanRun
 from gspn_framework_package.analysis.simulation.plan_tables import PlanTables
+from gspn_framework_package.analysis.simulation.race_run import RaceRun
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
-from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.condition import Condition, parse_condition
 from gspn_framework_package.model.errors import RefusedError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -98,14 +99,29 @@ def simulate(
     if most is None:
         most = 1000 if precision is None else MOST_REPLICATIONS
     _check_numbers(subject, time, most, warmup, until, confidence)
-    _check_options(as_run, time, replications, losses, precision, measures, batches)
+    _check_options(
+        as_run,
+        plan is not None and not as_run,
+        time,
+        replications,
+        losses,
+        precision,
+        measures,
+        batches,
+    )
     condition = _condition(plan, until)
     watch = Watch(progress, cancel)
-    runner: Union[_PlanRunner, _TableRunner]
-    if plan is not None and as_run:
-        runner = _PlanRunner(plan, time, warmup, condition, losses, seed, watch)
+    runner: Union[_KernelRunner, _TableRunner]
+    if plan is None:
+        assert isinstance(subject, Net)
+        run: KernelRun = RaceRun(subject, _deadlock_or(condition, subject))
+        runner = _KernelRunner(run, [], time, warmup, seed, watch)
+    elif as_run:
+        reading = PlanTiming(plan)
+        run = PlanRun(PlanTables(plan, reading, condition, losses))
+        runner = _KernelRunner(run, reading.assumptions, time, warmup, seed, watch)
     else:
-        runner = _TableRunner(subject, time, warmup, condition, seed, watch)
+        runner = _TableRunner(plan, time, warmup, condition, seed, watch)
     known = set(runner.net.place_index) | set(runner.net.transition_index)
     for name in measures:
         if name not in known:
@@ -114,7 +130,7 @@ def simulate(
             )
     notes = runner.notes
     if batches is not None:
-        assert isinstance(runner, _PlanRunner)
+        assert isinstance(runner, _KernelRunner)
         runner.batch(batches)
         notes += _correlated(runner.samples())
         reached = None
@@ -149,6 +165,11 @@ def _condition(plan: Optional[Plan], until: Optional[str]) -> Optional[str]:
     return plan.until if until is None else "(%s) or (%s)" % (plan.until, until)
 
 
+def _deadlock_or(condition: Optional[str], net: Net) -> Optional[Condition]:
+    names = [p.name for p in net.places]
+    return None if condition is None else parse_condition(condition, names, ["deadlock"])
+
+
 def _check_numbers(
     subject: Union[Net, Plan],
     time: float,
@@ -173,6 +194,7 @@ def _check_numbers(
 
 def _check_options(
     as_run: bool,
+    table: bool,
     time: float,
     replications: Optional[int],
     losses: float,
@@ -193,8 +215,8 @@ def _check_options(
         raise UsageError("measures are for a wanted precision", hint="give --precision as well")
     if batches is None:
         return
-    if not as_run:
-        raise UsageError("batches are for a plan that is simulated as it runs")
+    if table:
+        raise UsageError("batches are for nets, and for plans that are simulated as they run")
     if batches < 2:
         raise UsageError("%d batches make no interval" % batches, hint="take 20 or more")
     if math.isinf(time):
@@ -270,28 +292,26 @@ def _correlated(samples: Samples) -> List[str]:
     ]
 
 
-# -- a plan as it runs -----------------------------------------------------------------------------
+# -- by the kernel ---------------------------------------------------------------------------------
 
 
-class _PlanRunner:
-    """Replications of a plan by the kernel."""
+class _KernelRunner:
+    """Replications of a plan as it runs, or of a net."""
 
     def __init__(
         self,
-        plan: Plan,
+        run: KernelRun,
+        notes: Sequence[str],
         time: float,
         warmup: float,
-        condition: Optional[str],
-        losses: float,
         seed: int,
         watch: Watch,
     ) -> None:
-        reading = PlanTiming(plan)
-        self.net = plan.net
-        self.notes = list(reading.assumptions)
+        self.net = run.net
+        self.notes = list(notes)
         self.events = 0
         self._time, self._warmup, self._seed, self._watch = time, warmup, seed, watch
-        self._run = PlanRun(PlanTables(plan, reading, condition, losses))
+        self._run = run
         self._began = clock.monotonic()
         self._compile: Optional[Callable[[], None]] = None
         if machine.may_compile():
@@ -300,8 +320,7 @@ class _PlanRunner:
             else:
                 self._compile = self._run.compile
         self._rows: List[Tuple[float, float, Any, Any, bool]] = []
-        self._spent: List[Dict[int, float]] = [{} for _ in plan.net.places]
-        self._capped = [False] * len(plan.net.places)
+        self._spent: List[Dict[int, float]] = [{} for _ in self.net.places]
 
     def add(self, count: int) -> None:
         """Run so many further replications."""
@@ -405,30 +424,22 @@ class _PlanRunner:
         return [spent if sum(spent.values()) > 0.999999 * whole else {} for spent in self._spent]
 
 
-# -- a race ----------------------------------------------------------------------------------------
+# -- by the table of markings ----------------------------------------------------------------------
 
 
 class _TableRunner:
-    """Replications of a net, or of a plan read like one, by the table of markings."""
+    """Replications of a plan that is read like a net."""
 
     def __init__(
         self,
-        subject: Union[Net, Plan],
+        plan: Plan,
         time: float,
         warmup: float,
         condition: Optional[str],
         seed: int,
         watch: Watch,
     ) -> None:
-        rules: Union[PlanRules, NetRules]
-        if isinstance(subject, Plan):
-            rules = PlanRules(replace(subject, until=condition))
-        else:
-            names = [p.name for p in subject.places]
-            rules = NetRules(
-                subject,
-                parse_condition(condition, names, ["deadlock"]) if condition is not None else None,
-            )
+        rules = PlanRules(replace(plan, until=condition))
         self.net = rules.net
         self.notes: List[str] = []
         self._table = MarkingTable(rules)

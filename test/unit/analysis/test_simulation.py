@@ -2,17 +2,23 @@
 reproducible."""
 
 import math
+import random
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from generated_nets import bounded_nets
+from hypothesis import given, reject, settings
+from hypothesis import strategies as st
 from scipy import stats
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.simulation import marking_table, simulate
+from gspn_framework_package.analysis.simulation import machine, marking_table, simulate
 from gspn_framework_package.benchmark.nets import flexible_manufacturing, kanban, philosophers
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import (
     CancelledError,
@@ -95,13 +101,13 @@ def test_long_runs_agree_with_the_steady_state(subject, timing):
 def test_first_passage_of_a_counter():
     subject = plan("measure")
     exact = Analysis(subject).first_passage("P3 >= 4", [2.0])
-    settings = {"replications": 4000, "seed": 3, "confidence": 0.99999}
-    result = simulate(subject, until="P3 >= 4", **settings)
+    options = {"replications": 4000, "seed": 3, "confidence": 0.99999}
+    result = simulate(subject, until="P3 >= 4", **options)
     assert result.reached.mean == 1.0
     assert (
         abs(result.time_to_condition.mean - exact.mean_time) <= result.time_to_condition.half_width
     )
-    short = simulate(subject, until="P3 >= 4", time=2.0, **settings)
+    short = simulate(subject, until="P3 >= 4", time=2.0, **options)
     assert abs(short.reached.mean - exact.within[0]) <= short.reached.half_width
 
 
@@ -127,9 +133,10 @@ def test_the_same_seed_gives_the_same_result():
 
 
 def test_forgetting_markings_changes_nothing(monkeypatch):
-    whole = simulate(kanban(1), time=50, replications=20, seed=5)
+    options = {"time": 50, "replications": 20, "seed": 5, "timing": "net"}
+    whole = simulate(plan("rendezvous"), **options)
     monkeypatch.setattr(marking_table, "REMEMBERED", 40)
-    forgetful = simulate(kanban(1), time=50, replications=20, seed=5)
+    forgetful = simulate(plan("rendezvous"), **options)
     assert forgetful.mean_tokens == whole.mean_tokens and forgetful.throughput == whole.throughput
     for place, shares in whole.token_distribution.items():
         assert forgetful.token_distribution[place] == pytest.approx(shares)
@@ -191,3 +198,69 @@ def test_cancel_and_json():
     one = simulate(kanban(1), time=1.0, replications=1).to_json()
     assert one["mean_tokens"]["free1"]["half_width"] is None
     assert math.isfinite(one["mean_tokens"]["free1"]["mean"])
+
+
+def test_a_choice_without_weights_is_refused():
+    net = NetBuilder().place("a", tokens=1).place("b").place("c")
+    net.immediate("x", weight=0.0, inputs="a", outputs="b")
+    net.immediate("y", weight=1.0, inputs="a", outputs="c")
+    with pytest.raises(RefusedError, match="no weight decides between x, y"):
+        simulate(net.build(), time=1.0, replications=2)
+
+
+# -- generated nets ----------------------------------------------------------------------------------
+
+
+def gillespie(net, time, until, source):
+    """Seconds, firings and token-seconds of a run, by the firing rule of the model alone."""
+    marking, now, timeless = net.initial_marking, 0.0, 0
+    firings, tokens = [0] * len(net.transitions), [0.0] * len(net.places)
+    while not until.holds(marking, {"deadlock": not net.enabled(marking)}):
+        enabled = net.enabled(marking)
+        timed = [t for t in enabled if net.transitions[t].timed]
+        weights = [
+            net.effective_rate(marking, t) if timed else net.transitions[t].weight for t in enabled
+        ]
+        timeless = 0 if timed else timeless + 1
+        if timeless > 1000:
+            raise RefusedError("timeless")
+        if timed or not enabled:
+            stay = source.expovariate(sum(weights)) if timed else time
+            tokens = [a + n * min(stay, time - now) for a, n in zip(tokens, marking)]
+            now += stay
+            if now >= time:
+                now = time
+                break
+        t = source.choices(enabled, weights)[0]
+        firings[t] += 1
+        marking = net.fire(marking, t)
+    return [now, *firings, *tokens]
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(bounded_nets(), st.sampled_from(["deadlock", "p0 >= 3", "p0 == 9"]))
+def test_generated_nets(net, until):
+    names = [p.name for p in net.places]
+    condition = parse_condition(until, names, ["deadlock"])
+    forms = []
+    for compiled in (False, machine.may_compile()):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(machine, "is_loaded", lambda compiled=compiled: compiled)
+            try:
+                forms.append(
+                    simulate(net, time=4.0, until=until, replications=150, seed=3, samples=True)
+                )
+            except RefusedError:
+                reject()
+    assert str(forms[0].to_json()) == str(forms[1].to_json())
+    found = forms[0].samples
+    rows = np.column_stack([found.clock, found.firings, found.tokens])
+    source = random.Random(8)
+    try:
+        other = np.array([gillespie(net, 4.0, condition, source) for _ in range(150)])
+    except RefusedError:
+        reject()
+    spread = np.sqrt((rows.var(axis=0, ddof=1) + other.var(axis=0, ddof=1)) / 150)
+    distance = np.abs(rows.mean(axis=0) - other.mean(axis=0))
+    # 7.5 standard errors: one in ten million times for a thousand comparisons
+    assert (distance <= 7.5 * spread + 1e-6).all()

@@ -329,7 +329,7 @@ def test_a_run_ends_when_every_robot_is_inactive():
         ({"batches": 1, "time": 1}, UsageError, "batches"),
         ({"batches": 20, "until": "Fetch > 9"}, UsageError, "how long"),
         ({"batches": 20, "time": 1, "precision": 0.1}, UsageError, "exclude"),
-        ({"batches": 20, "time": 1, "timing": "net"}, UsageError, "batches are for a plan"),
+        ({"batches": 20, "time": 1, "timing": "net"}, UsageError, "batches are for nets"),
     ],
 )
 def test_options_that_make_no_sense(options, error, message):

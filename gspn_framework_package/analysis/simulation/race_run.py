@@ -1,0 +1,145 @@
+"""Runs of a net: its enabled exponential transitions race."""
+
+from __future__ import annotations
+
+import math
+from typing import List, Optional
+
+import numpy as np
+
+from gspn_framework_package.analysis.simulation import kernel
+from gspn_framework_package.analysis.simulation.kernel_run import (
+    KernelRun,
+    first_rows,
+    real,
+    whole,
+)
+from gspn_framework_package.analysis.simulation.machine import ragged
+from gspn_framework_package.analysis.simulation.plan_tables import compile_condition
+from gspn_framework_package.model.condition import Condition
+from gspn_framework_package.model.errors import RefusedError
+from gspn_framework_package.model.net import Net
+
+
+class RaceRun(KernelRun):
+    """Runs of one net.
+
+    :param net: the net.
+    :param until: the condition that ends a run, which may ask for ``deadlock``; or None.
+    """
+
+    def __init__(self, net: Net, until: Optional[Condition] = None) -> None:
+        arrays = _arrays(net, until)
+        super().__init__(net, (arrays,), _new_state(net, arrays))
+
+    def step(self, stop: float, budget: int) -> int:
+        """Let the transitions race; see :meth:`KernelRun.step`."""
+        return int(self.functions["race"](tuple(self.arrays[0]), tuple(self.state), stop, budget))
+
+    def after(self, status: int) -> int:
+        """Refuse a choice that no weight decides; see :meth:`KernelRun.after`.
+
+        :raises RefusedError: for that.
+        """
+        if status == kernel.UNDECIDED:
+            marking = [int(n) for n in self.state.level[: len(self.net.places)]]
+            names = [self.net.transitions[t].name for t in self.net.enabled(marking)]
+            raise RefusedError(
+                "no weight decides between %s" % ", ".join(names),
+                hint="give them weights, or take a plan with a policy",
+            )
+        return status
+
+
+def _arrays(net: Net, until: Optional[Condition]) -> kernel.RaceArrays:
+    places = len(net.places)
+    zero = places
+    tests: List[List[int]] = []
+    touched: List[List[int]] = [[] for _ in net.places]
+    for t in range(len(net.transitions)):
+        found = []
+        near = []
+        for p, weight in net.inputs[t]:
+            found += [p, zero, 1, weight]
+            near.append(p)
+        for p, weight in net.inhibitors[t]:
+            found += [p, zero, -1, 1 - weight]
+            near.append(p)
+        for p, change in net.effect(t):
+            capacity = net.places[p].capacity
+            if change > 0 and capacity is not None:
+                found += [p, zero, -1, change - capacity]
+                near.append(p)
+        tests.append(found)
+        for p in dict.fromkeys(near):
+            touched[p].append(t)
+    test_from, flat_tests = ragged(tests)
+    effect_from, effects = ragged(
+        [[n for pair in net.effect(t) for n in pair] for t in range(len(net.transitions))]
+    )
+    touched_from, flat_touched = ragged(touched)
+    operations, arguments = compile_condition(until)
+    reads = whole(places)
+    if until is not None:
+        reads[[net.place_index[name] for name in until.places]] = 1
+    transitions = net.transitions
+    return kernel.RaceArrays(
+        sizes=np.array([places, int(until is not None and bool(until.labels))], dtype=np.int64),
+        test_from=test_from,
+        tests=flat_tests,
+        effect_from=effect_from,
+        effects=effects,
+        touched_from=touched_from,
+        touched=flat_touched,
+        timed=np.array([int(t.timed) for t in transitions], dtype=np.int64),
+        rate=np.array([t.rate for t in transitions], dtype=np.float64),
+        servers=np.array([t.servers or 0 for t in transitions], dtype=np.int64),
+        weight=np.array([t.weight for t in transitions], dtype=np.float64),
+        priority=np.array([t.priority for t in transitions], dtype=np.int64),
+        until_reads=reads,
+        until_operations=operations,
+        until_arguments=arguments,
+    )
+
+
+def _new_state(net: Net, arrays: kernel.RaceArrays) -> kernel.RaceState:
+    marking = net.initial_marking
+    transitions = len(net.transitions)
+    level = whole(len(marking) + 1)
+    level[:-1] = marking
+    leaves = 1
+    while leaves < transitions:
+        leaves *= 2
+    tree = real(2 * leaves)
+    ready, ready_at = whole(max(transitions, 1)), whole(max(transitions, 1), -1)
+    numbers = whole(kernel.NUMBERS)
+    numbers[kernel.CHECK_UNTIL] = 1
+    n_ready = 0
+    for t, transition in enumerate(net.transitions):
+        if transition.timed:
+            tree[leaves + t] = net.effective_rate(marking, t)
+        elif net.is_enabled(marking, t):
+            ready[n_ready] = t
+            ready_at[t] = n_ready
+            n_ready += 1
+    for i in range(leaves - 1, 0, -1):
+        tree[i] = tree[2 * i] + tree[2 * i + 1]
+    numbers[kernel.READY] = n_ready
+    clocks = real(kernel.CLOCKS)
+    clocks[kernel.ENVIRONMENT_AT] = clocks[kernel.LOSS_AT] = math.inf
+    spent_from = first_rows(marking)
+    return kernel.RaceState(
+        numbers=numbers,
+        clocks=clocks,
+        random=whole(4),
+        level=level,
+        since=real(len(marking)),
+        area=real(len(marking)),
+        spent=real(int(spent_from[-1])),
+        spent_from=spent_from,
+        firings=whole(transitions),
+        tree=tree,
+        ready=ready,
+        ready_at=ready_at,
+        stack=real(len(arrays.until_operations) + 1),
+    )
