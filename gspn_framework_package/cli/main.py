@@ -61,6 +61,9 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     "replay": Verb(
         ".replay", "open the page on a recorded run: an event log, or a rosbag of fired_transitions"
     ),
+    "compare": Verb(
+        ".compare", "compare runs with what their plan predicts: intervals, and an alarm per place"
+    ),
     "verify": Verb(".verify", "check the logs of a run against the rules, from the logs alone"),
     "fit": Verb(".fit", "learn durations, outcomes and failures from the logs of runs"),
     "film": Verb(

@@ -1,0 +1,2 @@
+"""Predicted against observed: what a run of a plan will show, and the alarm when it shows something
+else."""

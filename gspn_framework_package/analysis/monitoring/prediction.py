@@ -1,0 +1,292 @@
+"""What runs of a plan will show: a sample of replications, and the intervals that follow from it.
+
+The parameters of a plan that were learned from logs are not known exactly. So the replications come
+in groups, and each group is simulated with parameters drawn from what the logs leave open: the mean
+of a duration from a lognormal distribution with its 95 % interval (without an interval, with the
+standard error that the number of observations gives), the probabilities of outcomes and failures
+from the Beta or Dirichlet distribution after that many observations (Jeffreys' prior), the rate of
+an event like a mean. The intervals of the sample are then prediction intervals: they allow for
+chance in the run and for what is not known about the plan. Short logs give wide ones.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+
+from gspn_framework_package.analysis.arrays import Booleans, Floats
+from gspn_framework_package.analysis.simulation import machine, simulate
+from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
+
+REPLICATIONS = 1000
+"""Default number of replications."""
+
+GROUPS = 40
+"""Groups of replications with the same parameters, if some parameters are uncertain."""
+
+LEAST_REPLICATIONS = 80
+MOST_FIRINGS = 20_000_000
+"""Very long runs are replicated less often, so that about this many firings are simulated."""
+
+PATIENCE = 10.0
+"""A run that came to its condition is compared with runs that may take this many times as long."""
+
+_NORMAL = 1.959963984540054
+
+
+class Span(NamedTuple):
+    """What to predict: a run of ``plan``, whose robots and initial marking are those at its start,
+    for ``seconds``; with ``to_condition``, until the condition of the plan holds, if it does so in
+    that time."""
+
+    plan: Plan
+    seconds: float
+    to_condition: bool = False
+
+
+class RunSample(NamedTuple):
+    """Replications of some spans, added up: row i is the i-th replication of all of them together.
+
+    :ivar seconds: how long they took.
+    :ivar firings: number of firings, by transition.
+    :ivar tokens: token-seconds, by place.
+    :ivar came: whether they came to the condition, all of them.
+    :ivar group: the number of the parameters that were drawn; all 0 if none are uncertain.
+    """
+
+    seconds: Floats
+    firings: Floats
+    tokens: Floats
+    came: Booleans
+    group: Floats
+
+    @property
+    def size(self) -> int:
+        """The number of replications."""
+        return len(self.seconds)
+
+
+def predict(
+    spans: Sequence[Span],
+    *,
+    replications: int = REPLICATIONS,
+    seed: int = 0,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+) -> RunSample:
+    """Simulate runs like those of ``spans``.
+
+    :param spans: runs of one net; the same parameters are drawn for all of them.
+    :param replications: how many of each; fewer, if they are very long.
+    :raises RefusedError: the plan cannot be simulated, for example for a timeless cycle.
+    :raises CancelledError: ``cancel`` returned true.
+    """
+    if not spans or any(span.seconds <= 0 for span in spans):
+        raise UsageError("a run of no length cannot be predicted")
+    watch = Watch(progress, cancel)
+    generator = np.random.Generator(np.random.PCG64(seed))
+    uncertain = is_uncertain(spans[0].plan)
+    done: List[RunSample] = []
+    made = group = 0
+    while made < replications:
+        size = math.ceil(replications / GROUPS) if uncertain else replications
+        if not done:
+            size = min(size, 10)  # a first look at how long they are
+        size = min(size, replications - made)
+        factors = draw_parameters(spans[0].plan, generator) if uncertain else None
+        sample, firings = _group(spans, factors, size, seed + group, cancel)
+        done.append(sample._replace(group=np.full(size, float(group if uncertain else 0))))
+        made += size
+        group += 1
+        if group == 1:
+            affordable = int(MOST_FIRINGS / max(firings / size, 1.0))
+            replications = max(min(replications, affordable), min(replications, LEAST_REPLICATIONS))
+            if replications * firings / size > machine.WORTH_COMPILING and machine.may_compile():
+                # each group alone is too small for the simulation to find it worth while
+                machine.compiled_kernel()
+        watch.step("runs predicted", made)
+    return RunSample(*(np.concatenate(parts) for parts in zip(*done)))
+
+
+def _group(
+    spans: Sequence[Span],
+    parameters: Optional[Parameters],
+    size: int,
+    seed: int,
+    cancel: Optional[Cancel],
+) -> Tuple[RunSample, float]:
+    """Replications with one set of parameters, and the number of their firings."""
+    seconds = np.zeros(size)
+    came = np.ones(size, dtype=bool)
+    net = spans[0].plan.net
+    firings, tokens = np.zeros((size, len(net.transitions))), np.zeros((size, len(net.places)))
+    events = 0
+    for number, span in enumerate(spans):
+        plan = span.plan if parameters is None else parameters.apply(span.plan)
+        result = simulate(
+            plan,
+            time=span.seconds * (PATIENCE if span.to_condition else 1.0),
+            replications=size,
+            seed=(seed * 1_000_003 + number) % 2**62,
+            samples=True,
+            cancel=cancel,
+        )
+        part = result.samples
+        assert part is not None
+        seconds += part.clock
+        firings += part.firings
+        tokens += part.tokens
+        came &= part.over
+        events += result.events
+    return RunSample(seconds, firings, tokens, came, np.zeros(size)), float(events)
+
+
+def expected_paces(plan: Plan, sample: RunSample) -> Dict[str, float]:
+    """Place -> predicted visits per second."""
+    seconds = float(sample.seconds.sum())
+    paces = {}
+    for name in plan.action_places:
+        p = plan.net.place_index[name]
+        weights = [sum(w for q, w in outputs if q == p) for outputs in plan.net.outputs]
+        paces[name] = float((sample.firings @ weights).sum()) / seconds if seconds else 0.0
+    return paces
+
+
+# -- parameters that are not known exactly ---------------------------------------------------------
+
+
+class Parameters(NamedTuple):
+    """Values of the uncertain parameters of a plan: factors of the durations and of the rates,
+    outcomes and failures."""
+
+    durations: Mapping[str, float]
+    outcomes: Mapping[str, Mapping[str, float]]
+    failures: Mapping[str, float]
+    rates: Mapping[str, float]
+
+    def apply(self, plan: Plan) -> Plan:
+        """The plan with these values."""
+        return replace(
+            plan,
+            net=_with_rates(plan.net, self.rates),
+            durations={
+                place: duration.scaled(self.durations[place])
+                if place in self.durations
+                else duration
+                for place, duration in plan.durations.items()
+            },
+            outcomes={**plan.outcomes, **self.outcomes},
+            failures={**plan.failures, **self.failures},
+        )
+
+
+def is_uncertain(plan: Plan) -> bool:
+    """Whether the plan says of a value that it was learned, from how much."""
+    return any(evidence.observations > 0 for evidence in plan.evidence.values())
+
+
+def draw_parameters(plan: Plan, generator: np.random.Generator) -> Parameters:
+    """Draw values of the parameters of a plan that were learned from logs; see the module."""
+    durations: Dict[str, float] = {}
+    rates: Dict[str, float] = {}
+    failures: Dict[str, float] = {}
+    outcomes: Dict[str, Dict[str, float]] = {}
+    for (key, name), evidence in sorted(plan.evidence.items()):
+        n = evidence.observations
+        if n <= 0:
+            continue
+        if key == "durations" and name in plan.durations:
+            duration = plan.durations[name]
+            if duration.mean > 0:
+                error = duration.variation / math.sqrt(n)
+                durations[name] = _factor(duration.mean, evidence.interval, error, generator)
+        elif key == "rates" and name in plan.rates:
+            error = 1 / math.sqrt(n)
+            rates[name] = _factor(plan.rates[name], evidence.interval, error, generator)
+        elif key == "failures" and name in plan.failures:
+            p = plan.failures[name]
+            failures[name] = min(float(generator.beta(n * p + 0.5, n * (1 - p) + 0.5)), 1 - 1e-9)
+        elif key == "outcomes" and name in plan.outcomes:
+            given = plan.outcomes[name]
+            counts = [n * p + 0.5 for p in given.values()]
+            drawn = generator.dirichlet(counts) if len(counts) > 1 else np.ones(1)
+            outcomes[name] = dict(zip(given, (drawn / drawn.sum()).tolist()))
+    return Parameters(durations, outcomes, failures, rates)
+
+
+def _factor(
+    value: float,
+    interval: Optional[Tuple[float, float]],
+    error: float,
+    generator: np.random.Generator,
+) -> float:
+    """Draw the factor by which the true value exceeds the estimate. The two halves of the interval
+    may differ."""
+    z = float(generator.standard_normal())
+    if interval is not None and 0 < interval[0] <= value <= interval[1] < math.inf:
+        spread = math.log((interval[1] if z > 0 else value) / (value if z > 0 else interval[0]))
+        return math.exp(z * spread / _NORMAL)
+    return math.exp(z * min(error, 2.0))
+
+
+def _with_rates(net: Net, factors: Mapping[str, float]) -> Net:
+    if not factors:
+        return net
+    return Net(
+        net.places,
+        [
+            t._replace(rate=t.rate * factors[t.name]) if t.name in factors else t
+            for t in net.transitions
+        ],
+        net.arcs,
+        net.name,
+    )
+
+
+# -- growth with time ------------------------------------------------------------------------------
+
+
+class Growth(NamedTuple):
+    """How a count grows with time: by ``rate`` per second on average, with the variance
+    ``chance`` * time + ``doubt`` * time^2 (the second part for the uncertain parameters)."""
+
+    rate: float
+    chance: float
+    doubt: float
+
+    def band(self, seconds: float, level: float = 0.95) -> Tuple[float, float]:
+        """The interval that holds the count after ``seconds`` with probability ``level``."""
+        from scipy.stats import norm
+
+        middle = self.rate * seconds
+        half = float(norm.ppf(0.5 + level / 2)) * math.sqrt(
+            self.chance * seconds + self.doubt * seconds**2
+        )
+        return max(middle - half, 0.0), middle + half
+
+
+def growth(sample: RunSample, counts: Floats) -> Growth:
+    """How ``counts``, one for each replication, grow with time. The parts of the variance come from
+    an analysis of variance within and between the groups."""
+    seconds = float(sample.seconds.mean())
+    groups = np.unique(sample.group)
+    rate = float(counts.sum() / sample.seconds.sum())
+    if len(groups) < 2:
+        return Growth(rate, _variance(counts) / seconds, 0.0)
+    parts = [counts[sample.group == g] for g in groups]
+    sizes = np.array([len(part) for part in parts], dtype=np.float64)
+    freedom = float(np.maximum(sizes - 1, 0).sum())
+    within = sum(float(((part - part.mean()) ** 2).sum()) for part in parts) / max(freedom, 1.0)
+    between = _variance(np.array([part.mean() for part in parts]))
+    doubt = max(between - within * float((1 / sizes).mean()), 0.0)
+    return Growth(rate, within / seconds, doubt / seconds**2)
+
+
+def _variance(values: Floats) -> float:
+    return float(values.var(ddof=1)) if len(values) > 1 else 0.0

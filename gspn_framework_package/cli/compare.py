@@ -1,0 +1,346 @@
+"""``gspn compare``: whether a run went as its plan predicts, from its logs."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import re
+from typing import Any, Dict, Iterator, List, NamedTuple, Sequence, Tuple
+
+from gspn_framework_package.analysis.monitoring.comparison import (
+    Observed,
+    PredictedMeasure,
+    RunComparison,
+    compare,
+)
+from gspn_framework_package.analysis.monitoring.monitor import (
+    ALARM_EVERY,
+    DAY,
+    PACES,
+    Monitor,
+)
+from gspn_framework_package.analysis.monitoring.playing import play
+from gspn_framework_package.analysis.monitoring.prediction import (
+    REPLICATIONS,
+    Span,
+    expected_paces,
+    predict,
+)
+from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.net_input import print_notes
+from gspn_framework_package.cli.progress import ProgressLine
+from gspn_framework_package.execution.attempts import Attempt, AttemptFollower, gather
+from gspn_framework_package.execution.event_log import LogFile, log_files
+from gspn_framework_package.execution.observation import RunObserver
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.errors import LogError
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan_timing import PlanTiming
+
+UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": DAY}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    parser.add_argument("plan", metavar="PLAN", help="a plan file, or a folder with a plan.json")
+    parser.add_argument(
+        "logs",
+        nargs="+",
+        metavar="LOG",
+        help="event logs of one or several runs of the plan, or folders of them",
+    )
+    parser.add_argument(
+        "--alarm-every",
+        type=_time,
+        default=ALARM_EVERY,
+        metavar="TIME",
+        help="mean time between two false alarms, of all streams together: a number with s, min, "
+        "h or d (default 30d)",
+    )
+    parser.add_argument(
+        "--replications",
+        type=numbers.replications,
+        default=REPLICATIONS,
+        metavar="N",
+        help="simulated runs for the prediction (default %(default)s; fewer if they are very long)",
+    )
+    parser.add_argument(
+        "--seed",
+        type=numbers.whole(0, 2**63 - 1),
+        default=0,
+        metavar="N",
+        help="seed of the simulated runs (default 0)",
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    parser.epilog = (
+        "Exit codes: 0 the run goes as predicted, 1 it departs from the plan, 2 wrong input."
+    )
+
+
+def _time(text: str) -> float:
+    """Read a time such as 12h."""
+    found = re.match(r"([0-9.eE+-]+)\s*(s|min|h|d)?$", text.strip())
+    try:
+        value = float(found.group(1)) * UNITS[found.group(2) or "s"] if found else math.nan
+    except ValueError:
+        value = math.nan
+    if not 1.0 <= value <= numbers.MOST_SECONDS:
+        raise argparse.ArgumentTypeError(
+            "'%.40s' is not a time of at least 1 s, such as 90s, 20min, 12h or 30d" % text
+        )
+    return value
+
+
+class _Run(NamedTuple):
+    """A run as its logs show it."""
+
+    name: str
+    observer: RunObserver
+    attempts: List[Attempt]
+
+
+class _Result(NamedTuple):
+    """The comparison of some runs with their plan; a monitor for each run."""
+
+    comparison: RunComparison
+    runs: List[_Run]
+    monitors: List[Monitor]
+    notes: List[str]
+    alarm_every: float
+    replications: int
+
+    @property
+    def departs(self) -> bool:
+        """Whether a stream raised an alarm, or the measures are not as predicted."""
+        return self.comparison.departs or any(m.alarms for m in self.monitors)
+
+    def to_json(self) -> Dict[str, Any]:
+        """The result as a JSON object."""
+        streams = []
+        alarms = []
+        for run, monitor in zip(self.runs, self.monitors):
+            streams += [{**stream.to_json(), "run": run.name} for stream in monitor.streams]
+            alarms += [{**alarm.to_json(), "run": run.name} for alarm in monitor.alarms]
+        return {
+            "measures": [m.to_json() for m in self.comparison.measures],
+            "streams": streams,
+            "alarms": alarms,
+            "false_alarm_every": self.alarm_every,
+            "unusual": self.comparison.unusual,
+            "farthest": self.comparison.farthest,
+            "departs": self.departs,
+            "runs": [
+                {
+                    "name": run.name,
+                    "seconds": run.observer.seconds,
+                    "robots": run.observer.robots,
+                    "attempts": len(run.attempts),
+                }
+                for run in self.runs
+            ],
+            "replications": self.replications,
+            "notes": self.notes,
+        }
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare, and print the result."""
+    plan = read_plan(args.plan)
+    with ProgressLine() as progress:
+        runs, notes = _read_runs(plan, log_files(args.logs), progress)
+        result = _compare(
+            plan,
+            runs,
+            [*plan.notes, *notes],
+            args.alarm_every,
+            args.replications,
+            args.seed,
+            progress,
+        )
+    if args.json:
+        print(json.dumps(result.to_json(), indent=2, allow_nan=False))
+    else:
+        print_notes(result.notes)
+        print("\n".join(_text(result)))
+    return 1 if result.departs else 0
+
+
+# -- reading ---------------------------------------------------------------------------------------
+
+
+def _read_runs(
+    plan: Plan, paths: Sequence[str], progress: ProgressLine
+) -> Tuple[List[_Run], List[str]]:
+    gathered = gather(paths, plan, progress)
+    notes = list(gathered.notes)
+    runs = []
+    for numbers_of_logs in gathered.runs:
+        path = gathered.logs[numbers_of_logs[0]]
+        name, observer = _observe(plan, path, progress)
+        attempts = [a for a in gathered.attempts if a.log in numbers_of_logs]
+        if observer.seconds <= 0:
+            raise LogError("shows no run: no time passes in it", file=path)
+        notes += ["run %s: %s" % (name, note) for note in observer.all_notes()]
+        runs.append(_Run(name, observer, attempts))
+    return runs, notes
+
+
+def _observe(plan: Plan, path: str, progress: ProgressLine) -> Tuple[str, RunObserver]:
+    """Follow a log from its beginning to its end."""
+    file = LogFile(path)
+    follower = AttemptFollower(
+        file.plan, str(file.header["robot"]), agents=bool(file.header.get("agents"))
+    )
+    observer = RunObserver(plan, file.plan)
+    watch = Watch(progress)
+    for line, record in enumerate(file.checked_records(), 2):
+        try:
+            follower.take(record)
+        except LogError as error:
+            raise error.located(file=path, line=line) from None
+        if follower.step is not None:
+            observer.take(follower.step, follower.now)
+        if line % 1024 == 0:
+            watch.step("records compared", line)
+    observer.wait(follower.now)
+    return str(file.header["run"]), observer
+
+
+# -- comparing -------------------------------------------------------------------------------------
+
+
+def _compare(
+    plan: Plan,
+    runs: List[_Run],
+    notes: List[str],
+    alarm_every: float,
+    replications: int,
+    seed: int,
+    progress: ProgressLine,
+) -> _Result:
+    spans = [
+        Span(
+            r.observer.start_of(plan),
+            r.observer.seconds,
+            r.observer.came and plan.until is not None,
+        )
+        for r in runs
+    ]
+    sample = predict(spans, replications=replications, seed=seed, progress=progress)
+    comparison = compare(plan, sample, _observed(runs))
+    paces = expected_paces(plan, sample)
+    monitors = [_watch(plan, r, paces, alarm_every, progress) for r in runs]
+    notes = notes + ["assumed: %s" % text for text in PlanTiming(plan).assumptions]
+    return _Result(comparison, runs, monitors, notes, alarm_every, sample.size)
+
+
+def _observed(runs: Sequence[_Run]) -> Observed:
+    firings: Dict[str, int] = {}
+    tokens: Dict[str, float] = {}
+    for r in runs:
+        for name, count in r.observer.firings.items():
+            firings[name] = firings.get(name, 0) + count
+        for name, seconds in r.observer.tokens.items():
+            tokens[name] = tokens.get(name, 0.0) + seconds
+    return Observed(
+        sum(r.observer.seconds for r in runs),
+        firings,
+        tokens,
+        came=all(r.observer.came for r in runs),
+    )
+
+
+def _watch(
+    plan: Plan, run: _Run, paces: Dict[str, float], alarm_every: float, progress: ProgressLine
+) -> Monitor:
+    monitor = Monitor(run.observer.start_of(plan), run.observer.robots, paces, alarm_every)
+    play(
+        monitor,
+        run.attempts,
+        run.observer.choices,
+        began=run.observer.began or 0.0,
+        progress=progress,
+    )
+    return monitor
+
+
+# -- for people ------------------------------------------------------------------------------------
+
+
+def _text(result: _Result) -> Iterator[str]:
+    runs = result.runs
+    yield "%d run%s, %.6g s, %s attempts; predicted by %d simulated runs" % (
+        len(runs),
+        "" if len(runs) == 1 else "s",
+        sum(r.observer.seconds for r in runs),
+        format(sum(len(r.attempts) for r in runs), ","),
+        result.replications,
+    )
+    yield ""
+    yield "%-44s %11s  %-25s %11s" % ("measure", "predicted", "95 % interval", "observed")
+    for measure in result.comparison.measures:
+        yield _measure_line(measure)
+    yield ""
+    for run_, monitor in zip(runs, result.monitors):
+        if len(runs) > 1:
+            yield "run %s" % run_.name
+        yield "%-44s %11s  %11s" % ("stream", "cusum", "threshold")
+        for stream in monitor.streams:
+            nearest = stream.nearest()
+            if nearest.value == 0 and stream.kind not in PACES and not stream.alarms:
+                continue
+            name = " ".join(p for p in (stream.kind, stream.place, stream.robot) if p)
+            if stream.transition:
+                name += ": " + stream.transition
+            yield "%-44s %11.2f  %11.2f%s" % (
+                name,
+                nearest.value,
+                nearest.threshold,
+                "  ALARM after %.1f s" % stream.alarms[0].at if stream.alarms else "",
+            )
+        for alarm in monitor.alarms:
+            yield "ALARM after %.1f s, since about %.1f s: %s" % (
+                alarm.at,
+                max(alarm.since, 0.0),
+                alarm.describe(),
+            )
+    yield ""
+    yield "all thresholds together: one false alarm in %s" % _long(result.alarm_every)
+    outside = sum(not m.inside for m in result.comparison.measures)
+    yield (
+        "%d of %d measures inside their intervals; a run that follows the plan lies as far out as "
+        "this one in %.3g %% of the cases%s"
+        % (
+            len(result.comparison.measures) - outside,
+            len(result.comparison.measures),
+            100 * result.comparison.unusual,
+            " (%s)" % result.comparison.farthest if result.comparison.farthest else "",
+        )
+    )
+    yield "the run departs from the plan" if result.departs else "the run goes as predicted"
+
+
+def _measure_line(measure: PredictedMeasure) -> str:
+    change = measure.change
+    return "%-44s %11s  %-25s %11s%s" % (
+        measure.name + (" (%s)" % measure.unit if measure.unit else ""),
+        _short(measure.predicted),
+        "%s to %s" % (_short(measure.low), _short(measure.high)),
+        "not reached" if measure.observed is None else _short(measure.observed),
+        ""
+        if measure.inside
+        else "  OUTSIDE" + (" (%+.1f %%)" % (100 * change) if change is not None else ""),
+    )
+
+
+def _short(value: float) -> str:
+    return "%.5g" % value if math.isfinite(value) else "never"
+
+
+def _long(seconds: float) -> str:
+    for unit in ("d", "h", "min"):
+        if seconds >= UNITS[unit]:
+            return "%.3g %s" % (seconds / UNITS[unit], unit)
+    return "%.3g s" % seconds
