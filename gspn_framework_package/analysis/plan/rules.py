@@ -173,6 +173,8 @@ def first_to_fire(groups: Sequence[Requests], urgency: Sequence[int]) -> List[Di
     :returns: for each group, transition -> the probability that a robot of this group goes first
         and fires it. The rest is the probability that no request can fire.
     """
+    if len(groups) == 1 and groups[0].robots == 1:
+        return [dict(groups[0].draw)]
     first: List[Dict[int, float]] = [{} for _ in groups]
     for level in sorted({urgency[t] for group in groups for t in group.draw}, reverse=True):
         rows = []

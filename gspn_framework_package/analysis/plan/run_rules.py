@@ -100,11 +100,6 @@ class _Columns(NamedTuple):
     stuck: int = -1
 
     @property
-    def waiting(self) -> Tuple[int, ...]:
-        """The columns of the robots that may have something to do in zero time."""
-        return (*self.named.values(), *self.at_policy)
-
-    @property
     def at_policy(self) -> Tuple[int, ...]:
         """The columns of the robots that ask the policy."""
         if self.asking < 0:
@@ -310,6 +305,25 @@ class RunRules:
         net = self.net
         self._single = all(b - a == 1 for a, b in self._parts)
         self._deciding = [(p, c) for p, c in self._columns.items() if c.asking >= 0]
+        # columns of robots that may have something to do in zero time, each with its place
+        self._waiting = [
+            (column, p)
+            for p, c in self._columns.items()
+            for column in (*c.named.values(), *c.at_policy)
+        ]
+        # where robots at the policy go when the marking changes, and when they have drawn nothing
+        self._draws_end = [
+            (column, c.asking)
+            for _, c in self._deciding
+            for column in c.at_policy
+            if column != c.asking
+        ]
+        self._rests = [
+            (column, c.idle)
+            for _, c in self._deciding
+            for column in (c.newest, c.asking)
+            if column >= 0
+        ]
         self._working = [(p, c) for p, c in self._columns.items() if c.phases]
         # for each transition: (place, weight, column of those that named it, columns at the policy)
         self._takes = [
@@ -391,12 +405,11 @@ class RunRules:
         """The state after all robots that ask the policy have drawn nothing that can ever fire
         here."""
         counts: Optional[List[int]] = None
-        for _, columns in self._deciding:
-            for column in (columns.newest, columns.asking):
-                if column >= 0 and state[column]:
-                    counts = counts or list(state)
-                    counts[columns.idle] += counts[column]
-                    counts[column] = 0
+        for column, idle in self._rests:
+            if state[column]:
+                counts = counts or list(state)
+                counts[idle] += counts[column]
+                counts[column] = 0
         return state if counts is None else tuple(counts)
 
     def steps(self, state: State) -> List[RunArc]:
@@ -526,9 +539,8 @@ class RunRules:
         columns_of: List[int] = []  # the column of each group
         drawing: List[_Drawing] = []
         first: List[_Drawing] = []
-        for p, columns in self._columns.items():
-            if not any(state[c] for c in columns.waiting):
-                continue
+        for p in dict.fromkeys([p for column, p in self._waiting if state[column]]):
+            columns = self._columns[p]
             ready = {t for t in net.consumers[p] if self._can_fire(state, marking, t)}
             for table in (columns.named, columns.holding):
                 for t, column in table.items():
@@ -635,11 +647,10 @@ class RunRules:
             found = _spread(found, entry, n)
         for counts, _ in found:
             if self._changes[t]:
-                for _, columns in self._deciding:
-                    for column in columns.at_policy:
-                        if counts[column] and column != columns.asking:
-                            counts[columns.asking] += counts[column]
-                            counts[column] = 0
+                for column, asking in self._draws_end:
+                    if counts[column]:
+                        counts[asking] += counts[column]
+                        counts[column] = 0
             else:
                 self._ask_again(state, self.marking(state), counts, self._deciding)
         return [(tuple(counts), v) for counts, v in found]

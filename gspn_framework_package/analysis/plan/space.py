@@ -16,7 +16,6 @@ from gspn_framework_package.analysis.plan.rules import PlanRules
 from gspn_framework_package.analysis.plan.run_rules import RunArc, RunRules, State
 from gspn_framework_package.analysis.state_space.exploration import (
     Allowance,
-    Growing,
     RawGraph,
     label_type,
 )
@@ -308,8 +307,7 @@ class _Exploration:
         index: Dict[Hashable, int] = {steps.start: 0}
         self.states = order = [steps.start]
         vanishing: List[bool] = []
-        offsets = Growing(np.int64)
-        offsets.extend(np.zeros(1, dtype=np.int64))
+        offsets = [0]
         targets: List[int] = []
         labels: List[int] = []
         values: List[float] = []
@@ -327,7 +325,7 @@ class _Exploration:
                 labels.append(label)
                 values.append(value)
             explored += 1
-            offsets.extend(np.array([len(targets)]))
+            offsets.append(len(targets))
             if explored % 256 == 0:
                 self._watch.step("states", len(order))
                 if not self._room.left(len(order) * bytes_per_state + len(targets) * _ARC_BYTES):
@@ -336,10 +334,10 @@ class _Exploration:
                         shortage = ("--limit-time", "%g s" % self._seconds)
                     break
         vanishing += [False] * (len(order) - explored)
-        offsets.extend(np.full(len(order) - explored, len(targets), dtype=np.int64))
+        offsets += [len(targets)] * (len(order) - explored)
         graph = RawGraph(
             None,
-            offsets.finished(),
+            np.array(offsets, dtype=np.int64),
             np.array(targets, dtype=np.int32),
             np.array(labels, dtype=label_type(len(net.transitions) + PlanSpace.further_steps)),
             explored,
