@@ -4,6 +4,7 @@ import pytest
 from page_reading import settle
 
 from gspn_framework_package.benchmark.nets import kanban, philosophers
+from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.formats.registry import write_net
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.visualizer import analysis_jobs
@@ -57,6 +58,24 @@ def test_everything_is_analysed_and_painted(show_net, open_page, picture):
     picture(page, "analysis")
     page.click("#legend button")
     assert page.locator(".value, .paint-bad").count() == 0
+
+
+def test_a_plan_is_analysed_as_it_runs_or_as_its_net(show_net, open_page):
+    plan = read_plan("plans/rendezvous")
+    page = open_page(show_net(plan.net, plan).address)
+    page.keyboard.press("3")
+    page.click("text=State space")
+    analysed(page)
+    text = page.inner_text("#answers")
+    assert "as the plan runs" in text and "At_Dock, Docked" in text
+    assert "equally likely to go first" in text
+    page.click("summary:has-text('Settings')")
+    page.select_option("#an-reading", "net")
+    page.click("text=State space")
+    page.wait_for_selector("#answers:has-text('as in its net alone')")
+    analysed(page)
+    page.uncheck("#an-policy")
+    assert page.locator("#an-reading").is_disabled()
 
 
 def test_questions_are_answered(show_net, open_page):

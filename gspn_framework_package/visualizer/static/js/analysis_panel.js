@@ -68,9 +68,13 @@ export class AnalysisPanel extends EventTarget {
       policy: h("input", {
         id: "an-policy",
         type: "checkbox",
-        checked: Boolean(plan && plan.policy_rows),
+        checked: Boolean(plan),
       }),
     };
+    const { policy, reading } = this.settings;
+    policy.addEventListener("change", () => {
+      reading.disabled = !policy.checked; // a net has no run
+    });
     const reach = text("an-reach", "p1 >= 1 and p2 == 0, or deadlock");
     const cover = text("an-cover", "p1 = 2, p2 = 1");
     const passage = text("an-passage", "p2 >= 1");
