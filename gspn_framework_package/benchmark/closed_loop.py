@@ -39,6 +39,10 @@ PLANS: Tuple[Tuple[str, int, Tuple[str, ...]], ...] = (
 """Plan, number of agents, and what the transitions that are counted together contain."""
 
 
+ROOM_LOCATIONS = ("L1", "L2", "L3", "L4")
+"""The locations of the critical room; a lap visits each. There are as many robots."""
+
+
 def _ask(*words: str, codes: Sequence[int] = (0,)) -> Any:
     """Run a verb, and return the JSON object that it prints."""
     out = io.StringIO()
@@ -181,7 +185,25 @@ def in_room(
         print(told, file=sys.stderr, flush=True)
     fitted = _fit(plan, [logs[seed] for seed in learn], folder / "room_fitted.json")
     found = _predict(fitted, [logs[seed] for seed in predict], PLANS[0][2])
-    return {"learned_from": list(learn), "predicted": list(predict), "minutes": minutes, **found}
+    checks = []
+    for seed in predict:
+        alone = _ask("compare", fitted, str(logs[seed]), codes=(0, 1))
+        checks += [
+            {"seed": seed, **measure}
+            for measure in alone["measures"]
+            if measure["kind"] == "visits" and "Check_Temperature" in measure["of"]
+        ]
+    return {
+        "learned_from": list(learn),
+        "predicted": list(predict),
+        "minutes": minutes,
+        "laps_per_hour_of_a_robot": {
+            key: 3600 * found[key + "_per_s"] / len(ROOM_LOCATIONS) / len(ROOM_LOCATIONS)
+            for key in ("predicted", "observed")
+        },
+        "checks_of_a_location": checks,
+        **found,
+    }
 
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
@@ -215,7 +237,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
             shown = _table(result)
         else:
             result = in_room(folder, args.minutes, args.learn, args.predict)
-            shown = _table([{"plan": "patrol in the room", **result}])
+            shown = _table([{"plan": "patrol in the room", **result}]) + "\n" + _checks(result)
     finally:
         if args.folder is None:
             shutil.rmtree(folder, ignore_errors=True)
@@ -226,6 +248,24 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         print(machine_line(machine) + "\n")
         print(shown)
     return 0
+
+
+def _checks(result: Dict[str, Any]) -> str:
+    """What a patrol is for: laps, and checks of each location in each predicted run."""
+    laps, checks = result["laps_per_hour_of_a_robot"], result["checks_of_a_location"]
+    inside = sum(measure["inside"] for measure in checks)
+    rows = [
+        [m["of"], m["seed"], m["observed"], m["predicted"], "%.4g to %.4g" % tuple(m["interval"])]
+        for m in checks
+    ]
+    return "laps per hour and robot: %.2f predicted, %.2f observed\n" % (
+        laps["predicted"],
+        laps["observed"],
+    ) + "checks of a location in a run: %d of %d inside the 95 %% interval\n\n%s" % (
+        inside,
+        len(checks),
+        table(["place", "seed", "observed", "predicted", "interval"], rows),
+    )
 
 
 def _table(results: Sequence[Dict[str, Any]]) -> str:
