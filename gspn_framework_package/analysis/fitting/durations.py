@@ -236,15 +236,15 @@ def fit_duration(sample: Sample, family: str = "auto", *, fits: bool = True) -> 
         raise UsageError("%d observed times are too few" % sample.size)
     if family == "exponential":
         return fit_exponential(sample)
-    fixed = fit_deterministic(sample)
-    if fixed is not None:
-        return fixed
     if family == "gamma":
         return fit_gamma(sample)
     if family != "auto":
         raise UsageError(
             "there is no family '%s'" % family, hint="choose auto, exponential or gamma"
         )
+    fixed = fit_deterministic(sample)
+    if fixed is not None:
+        return fixed
     if not fits:
         return fit_empirical(sample)
     # the intervals take longest, so only that of the best is computed

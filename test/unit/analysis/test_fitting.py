@@ -173,6 +173,28 @@ def test_the_estimate_of_kaplan_and_meier() -> None:
     assert after.tolist() == pytest.approx([5 / 8, 5 / 8 * 3 / 4, 5 / 8 * 3 / 4 / 2])
 
 
+def test_many_censored_times_are_grouped_without_loss() -> None:
+    generator = source(9)
+    times = generator.gamma(3.0, 1.0, 12_000)
+    sample = cut(times, generator.uniform(0.5, 5.0, 12_000))
+    assert len(sample.censored) > 3_000 > len(sample.grouped[0])
+    fit = fit_gamma(sample)
+    assert fit.likelihood == pytest.approx(likelihood(fit.duration, sample), abs=0.01)
+    low, high = fit.interval
+    assert low < 3.0 < high
+    assert high - low < 0.2
+
+
+def test_an_interval_allows_for_the_other_family() -> None:
+    """With few times, gamma and lognormal explain them equally well, and their means differ."""
+    sample = Sample(source(10).lognormal(0.0, 0.8, 20))
+    fit = fit_duration(sample)
+    assert fit.duration.kind in (Kind.GAMMA, Kind.ERLANG)
+    alone = fit_gamma(sample).interval
+    assert fit.interval[0] <= alone[0]
+    assert fit.interval[1] > alone[1] * 1.05
+
+
 def test_too_little_is_an_error_and_nonsense_too() -> None:
     for observed, family in (([], "exponential"), ([1.0], "auto"), ([1.0], "gamma")):
         with pytest.raises(UsageError, match="too few"):
