@@ -13,11 +13,10 @@ It uses the verbs ``fit``, ``compare``, ``analyse`` and ``simulate`` as a person
 from __future__ import annotations
 
 import argparse
-import contextlib
-import io
 import json
 import os
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -25,7 +24,6 @@ from pathlib import Path
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
-from gspn_framework_package.cli.main import main as gspn
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.model.errors import ExecutionError
 
@@ -45,21 +43,23 @@ ROOM_LOCATIONS = ("L1", "L2", "L3", "L4")
 
 def _ask(*words: str, codes: Sequence[int] = (0,)) -> Any:
     """Run a verb, and return the JSON object that it prints."""
-    out = io.StringIO()
-    with contextlib.redirect_stdout(out):
-        code = gspn([*words, "--json"])
+    code, out = _gspn(*words, "--json")
     if code not in codes:
         raise ExecutionError("gspn %s ended with exit code %d" % (" ".join(words), code))
-    return json.loads(out.getvalue())
+    return json.loads(out)
+
+
+def _gspn(*words: str) -> Tuple[int, str]:
+    """Run the command ``gspn``; returns its exit code and what it printed."""
+    command = [sys.executable, "-m", "gspn_framework_package", *words]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    return done.returncode, done.stdout
 
 
 def _run_on_threads(plan: str, agents: int, seconds: float, seed: int, log: Path) -> None:
     print("%s: %g s on threads" % (plan, seconds), file=sys.stderr, flush=True)
-    with contextlib.redirect_stdout(io.StringIO()):
-        code = gspn(
-            ["run", plan, "--agents", str(agents), "--seconds", str(seconds), "--seed", str(seed)]
-            + ["--quiet", "--log", str(log)]
-        )
+    size = ("--agents", str(agents), "--seconds", str(seconds), "--seed", str(seed))
+    code, _ = _gspn("run", plan, *size, "--quiet", "--log", str(log))
     if code:
         raise ExecutionError("the run of %s ended with exit code %d" % (plan, code))
 
