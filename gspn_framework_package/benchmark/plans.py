@@ -42,3 +42,37 @@ def ring_plan(places: int, robots: int, instant: bool = False) -> Plan:
         robots=tuple(RobotSpec("robot_%d" % (k + 1), names[k % places]) for k in range(robots)),
         spawn=tuple(names),
     ).validate()
+
+
+def grid_plan(side: int, robots: int) -> Plan:
+    """Robots that wander over a grid of ``side`` by ``side`` cells: in each cell an action of 2 s,
+    then a decision in which neighbour to go, by weights. It has two places per cell."""
+    net = NetBuilder("grid_%d" % side)
+    cells = [(row, column) for row in range(side) for column in range(side)]
+    for number, (row, column) in enumerate(cells):
+        tokens = len(range(number, robots, len(cells)))
+        net.place("work_%d_%d" % (row, column), tokens=tokens)
+        net.place("leave_%d_%d" % (row, column))
+    for row, column in cells:
+        here = "%d_%d" % (row, column)
+        net.exponential(
+            "done_" + here, rate=0.5, servers=None, inputs="work_" + here, outputs="leave_" + here
+        )
+        for name, next_row, next_column in (
+            ("north", row - 1, column),
+            ("south", row + 1, column),
+            ("west", row, column - 1),
+            ("east", row, column + 1),
+        ):
+            if 0 <= next_row < side and 0 <= next_column < side:
+                target = "work_%d_%d" % (next_row, next_column)
+                net.immediate(name + "_" + here, inputs="leave_" + here, outputs=target)
+    works = ["work_%d_%d" % cell for cell in cells]
+    actions = {name: FunctionAction(LOOP, name) for name in works}
+    return Plan(
+        net=net.build(),
+        name="grid_%d" % side,
+        actions={**actions, **{name.replace("work", "leave"): None for name in works}},
+        robots=tuple(RobotSpec("robot_%d" % (k + 1), works[k % len(works)]) for k in range(robots)),
+        spawn=tuple(works),
+    ).validate()
