@@ -62,7 +62,7 @@ class KernelRun:
             left = int(end - self.state.numbers[kernel.EVENTS])
             if left <= 0:
                 return kernel.MORE
-            status = int(self.step(stop, left))
+            status = self.step(float(stop), left)  # a whole number would be compiled for again
             if status == kernel.GROW:
                 self._grow()
             elif status == kernel.TIMELESS:

@@ -142,6 +142,14 @@ def test_a_run_may_change_its_form_at_any_time():
     assert results[0] == results[1]
 
 
+@pytest.mark.skipif(not machine.may_compile(), reason="numba is missing")
+def test_the_kernel_is_compiled_once_for_all_plans(monkeypatch):
+    monkeypatch.setattr(machine, "is_loaded", lambda: True)
+    for name, time in (("patrol", 5), ("measure", 200.0), ("fork_join", 3.0)):
+        simulate(read_plan(PLANS / name), time=time, replications=2, losses=0.01)
+    assert len(machine.compiled_kernel()["play"].signatures) == 1
+
+
 @pytest.mark.parametrize("length", DURATIONS, ids=lambda d: d.kind.value)
 def test_durations_are_those_of_the_plan(length):
     """Kolmogorov's test of 2,000 visits, with an error of one in ten million."""

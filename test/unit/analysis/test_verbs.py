@@ -287,6 +287,24 @@ def test_wrong_usage_is_one_clear_message(run, saved, words, message):
     assert code == 2 and out == "" and message in err and len(err.splitlines()) == 1
 
 
+def test_simulate_a_plan_as_it_runs(run, tmp_path):
+    words = ["simulate", PLANS / "rendezvous", "--time", 40]
+    code, out, err = run(*words, "--precision", 0.1, "--measure", "Hand_Over")
+    assert code == 0 and "relative precision: 0.0" in out and "exponential times" in err
+    code, out, _ = run(*words, "--batches", 5, "--json")
+    data = json.loads(out)
+    assert (code, data["batches"], data["replications"], data["timing"]) == (0, 5, 1, "run")
+    assert any("exponential times" in note for note in data["notes"])
+    code, out, _ = run(*words, "--replications", 30, "--json", "--losses", 0.1)
+    lost = json.loads(out)["throughput"]["Hand_Over"]["mean"]
+    code, out, _ = run(*words, "--replications", 30, "--json", "--timing", "net")
+    assert lost < json.loads(out)["throughput"]["Hand_Over"]["mean"]
+    log = tmp_path / "run.jsonl"
+    for option in (["--batches", 5], ["--precision", 0.1], ["--timing", "net"]):
+        code, _, err = run(*words, "--log", log, *option)
+        assert code == 2 and "--log records" in err and not log.exists()
+
+
 def test_simulate(run, saved, tmp_path):
     words = [
         "simulate",

@@ -570,7 +570,11 @@ export class AnswerViews {
     const digits = (value, count) => number(Number(value.toPrecision(count)));
     const estimate = (value) => {
       if (value === null) return "–";
+      if (value.seen === false) {
+        return `not seen${value.half_width === null ? "" : `, below ${digits(value.half_width, 2)}`}`;
+      }
       const mean = value.mean === null ? number(null) : digits(value.mean, 4);
+      if (value.half_width === 0) return `${mean} in every run`;
       return `${mean} ± ${value.half_width === null ? "?" : digits(value.half_width, 2)}`;
     };
     const means = (values) =>
