@@ -4,8 +4,9 @@ duration, then *done*, and moves as soon as it can (``docs/semantics.md``).
 **Where the net is the same chain.** A robot in a place whose exponential transitions need nothing
 but its own token, with an exponential duration, moves on the moment that it is done. Its action and
 the race of those transitions are then the same, because an exponential duration is memoryless. Such
-a place is kept as it is. So is a decision place whose action takes no time: robots there are always
-done.
+a place is kept as it is. So is a decision place without a duration: robots there are done at once.
+If it has an action, which takes no time, they are done one after the other, each when all others
+have moved that can; without one they are done on arrival.
 
 **The split.** Elsewhere a place has several *columns* (sub-places), and a state counts the robots
 in each:
@@ -81,6 +82,8 @@ class _Columns(NamedTuple):
     :ivar rates: their rates (1/s).
     :ivar following: for each phase the column after it; -1: the action is done.
     :ivar outcomes: requests of a robot that is done, with their probabilities.
+    :ivar arriving: column of the robots whose action takes no time, and has yet to end; -1 if it
+      takes time, or there is none.
     :ivar named: transition -> column of the robots that named it.
     :ivar newest, asking, idle: columns of robots that ask the policy; -1 where none does.
     :ivar holding: transition -> column of the robots that have drawn it.
@@ -98,6 +101,7 @@ class _Columns(NamedTuple):
     idle: int = -1
     holding: Mapping[int, int] = {}
     stuck: int = -1
+    arriving: int = -1
 
     @property
     def at_policy(self) -> Tuple[int, ...]:
@@ -159,6 +163,7 @@ class RunRules:
             if transition.timed and not self._robots_of[t]
         ]
         self._doing = {p for p in self._timing if self._takes_time(p)}
+        self._ending = {p for p in self._timing if self._ends_at_once(p)}
         # Robots that move in zero time without changing the marking leave the draws of the others
         # as they are, so every draw has to be known.
         self._keeps_draws = any(
@@ -219,10 +224,21 @@ class RunRules:
             bool(self.net.consumers[p]) and self._timing[p].duration.mean > 0 and not self._races(p)
         )
 
+    def _ends_at_once(self, p: int) -> bool:
+        """Whether robots in place ``p`` have an action that takes no time. They are done one after
+        the other, when the others have moved; without an action they are done on arrival."""
+        name = self.net.places[p].name
+        return (
+            bool(self._timing[p].outcomes)
+            and self._timing[p].duration.mean == 0
+            and self.plan.actions.get(name, True) is not None
+        )
+
     def _waits_for_partners(self, p: int, t: int) -> bool:
         """Whether transition ``t``, drawn in place ``p``, may have to wait for a partner that is
         still doing."""
-        return any(q in self._doing and (q != p or w > 1) for q, w in self._robots_of[t])
+        late = self._doing | self._ending
+        return any(q in late and (q != p or w > 1) for q, w in self._robots_of[t])
 
     def _lay_out(self, with_phases: bool) -> None:
         net = self.net
@@ -264,12 +280,14 @@ class RunRules:
             if t != POLICY:
                 named[t] = width
                 width += 1
-        newest = asking = idle = stuck = -1
+        newest = asking = idle = stuck = arriving = -1
         holding: Dict[int, int] = {}
         if not outcomes:
             stuck, width = width, width + 1
+        if p in self._ending:
+            arriving, width = width, width + 1
         if any(t == POLICY for t, _ in outcomes):
-            if phases is not None:
+            if phases is not None or p in self._ending:
                 newest, width = width, width + 1
             asking, idle, width = width, width + 1, width + 2
             for t in self.net.consumers[p]:
@@ -281,6 +299,8 @@ class RunRules:
         entry: Tuple[Tuple[int, float], ...]
         if phases is not None:
             entry = tuple((first + phase, v) for phase, v in phases.start)
+        elif arriving >= 0:
+            entry = ((arriving, 1.0),)
         elif outcomes:
             entry = tuple((asking if t == POLICY else named[t], v) for t, v in outcomes)
         else:
@@ -297,6 +317,7 @@ class RunRules:
             idle=idle,
             holding=holding,
             stuck=stuck,
+            arriving=arriving,
         )
         return columns, width
 
@@ -324,6 +345,7 @@ class RunRules:
             for column in (c.newest, c.asking)
             if column >= 0
         ]
+        self._arriving = [(self._columns[p].arriving, p) for p in sorted(self._ending)]
         self._working = [(p, c) for p, c in self._columns.items() if c.phases]
         # for each transition: (place, weight, column of those that named it, columns at the policy)
         self._takes = [
@@ -372,7 +394,7 @@ class RunRules:
                     for t in net.consumers[q]
                 )
             ]
-            for p, _ in self._working
+            for p in self._doing | self._ending
         }
         begins: List[Tuple[List[int], float]] = [([0] * self.width, 1.0)]
         for p, place in enumerate(net.places):
@@ -395,11 +417,32 @@ class RunRules:
     def settle(self, state: State) -> Tuple[State, List[RunArc]]:
         """The state in its one form, and its steps in zero time, if there are any."""
         marking = self.marking(state)
-        if not self._rules.is_over(marking):
+        if self._rules.is_over(marking):
+            return self._at_rest(state), []
+        while True:
             arcs = self._at_once(state, marking)
             if arcs:
                 return state, arcs
-        return self._at_rest(state), []
+            state = self._at_rest(state)
+            done = self._arrived(state, marking)
+            if len(done) != 1:
+                return state, done
+            state = done[0].target
+
+    def _arrived(self, state: State, marking: Marking) -> List[RunArc]:
+        """The steps when one of the robots is done whose action takes no time."""
+        arriving = [(p, state[column]) for column, p in self._arriving if state[column]]
+        total = sum(robots for _, robots in arriving)
+        arcs = []
+        for p, robots in arriving:
+            columns = self._columns[p]
+            for request, v in columns.outcomes:
+                counts = list(state)
+                counts[columns.arriving] -= 1
+                counts[columns.newest if request == POLICY else columns.named[request]] += 1
+                self._ask_again(state, marking, counts, self._watching[p])
+                arcs.append(RunArc(tuple(counts), self.ends, robots / total * v))
+        return arcs
 
     def _at_rest(self, state: State) -> State:
         """The state after all robots that ask the policy have drawn nothing that can ever fire
