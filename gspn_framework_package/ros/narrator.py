@@ -127,21 +127,36 @@ class Narrator:
                 self.say(self._reason)
 
     def _publish_diagnostics(self, level: int, message: str, values: Mapping[str, Any]) -> None:
-        array = DiagnosticArray()
-        array.header.stamp = rospy.get_rostime()
-        array.status = [
-            DiagnosticStatus(
-                level=bytes([level]) if isinstance(DiagnosticStatus.OK, bytes) else level,
-                name="%s: gspn %s, run %s" % (self._namespace, self._robot, self._run),
-                message=message,
-                hardware_id=self._robot,
-                values=[
-                    KeyValue(key, value if isinstance(value, str) else json.dumps(value))
-                    for key, value in values.items()
-                ],
+        self._diagnostics.publish(
+            diagnostic_array(
+                "%s: gspn %s, run %s" % (self._namespace, self._robot, self._run),
+                self._robot,
+                level,
+                message,
+                values,
             )
-        ]
-        self._diagnostics.publish(array)
+        )
+
+
+def diagnostic_array(
+    name: str, hardware: str, level: int, message: str, values: Mapping[str, Any]
+) -> DiagnosticArray:
+    """A message for ``/diagnostics`` with one status."""
+    array = DiagnosticArray()
+    array.header.stamp = rospy.get_rostime()
+    array.status = [
+        DiagnosticStatus(
+            level=bytes([level]) if isinstance(DiagnosticStatus.OK, bytes) else level,
+            name=name,
+            message=message,
+            hardware_id=hardware,
+            values=[
+                KeyValue(key, value if isinstance(value, str) else json.dumps(value))
+                for key, value in values.items()
+            ],
+        )
+    ]
+    return array
 
 
 def level_of(needs_operator: bool, waits: bool) -> int:

@@ -30,6 +30,9 @@ STATES = 2_000_000
 
 WORKER = [sys.executable, "-m", "gspn_framework_package.visualizer.analysis_worker"]
 
+ALL = "all transitions"
+"""The name of the sum over all transitions, in a prediction."""
+
 QUESTIONS = (
     "structure",
     "timing",
@@ -42,6 +45,7 @@ QUESTIONS = (
     "settling",
     "rewards",
     "simulate",
+    "predict",
 )
 
 

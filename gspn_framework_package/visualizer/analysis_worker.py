@@ -19,6 +19,12 @@ import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.limits import Limits
+from gspn_framework_package.analysis.monitoring.prediction import (
+    Span,
+    expected_paces,
+    growth,
+    predict,
+)
 from gspn_framework_package.analysis.report import INFINITE, Questions, report
 from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.formats.net_json import net_from_json
@@ -26,9 +32,13 @@ from gspn_framework_package.formats.plan_json import plan_from_json
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.visualizer.analysis_jobs import ALL
 
 MEMORY_BYTES = 4 << 30
 TIMES = 200
+
+PREDICTED = 400
+"""Simulated runs for the prediction of a live run."""
 
 REPLICATIONS = 100_000
 """Largest number of simulated runs that the page may ask for."""
@@ -66,6 +76,9 @@ def _analyse(request: Dict[str, Any]) -> None:
     subject = _subject(request)
     if "simulate" in request:
         _say(part={"simulation": _simulate(subject, request["simulate"], progress)})
+        return
+    if "predict" in request:
+        _say(part={"prediction": _predict(subject, request["predict"], progress)})
         return
     questions = _questions(request)
     limits = Limits(
@@ -108,6 +121,24 @@ def _simulate(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str,
         confidence=_number(asked, "confidence", 0.95) or 0.0,
         progress=progress,
     ).to_json()
+
+
+def _predict(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, Any]:
+    """Predict how often each place is visited, and how the number of firings grows with time: see
+    :mod:`~gspn_framework_package.visualizer.live_comparison`."""
+    if not isinstance(subject, Plan) or not isinstance(asked, dict):
+        raise UsageError("only a run of a plan can be predicted")
+    time = _number(asked, "time")
+    if not time:
+        raise UsageError("how long is a run?", hint="'predict' needs a 'time'")
+    plan = replace(subject, until=None)  # the growth is that of a run that goes on
+    sample = predict([Span(plan, time)], replications=PREDICTED, progress=progress)
+    counts = [(ALL, sample.firings.sum(axis=1))]
+    counts += [(t.name, sample.firings[:, i]) for i, t in enumerate(plan.net.transitions)]
+    return {
+        "paces": expected_paces(plan, sample),
+        "growth": {name: list(growth(sample, values)) for name, values in counts},
+    }
 
 
 def _number(asked: Dict[str, Any], key: str, default: Optional[float] = None) -> Optional[float]:

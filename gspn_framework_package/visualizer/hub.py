@@ -14,7 +14,7 @@ import secrets
 import threading
 import time
 from collections import deque
-from typing import Any, Deque, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.visualizer.board import Board, Event
 
@@ -47,6 +47,10 @@ class Cursor(NamedTuple):
 
     def __str__(self) -> str:
         return "%s:%d:%d" % self
+
+
+Tap = Callable[[Sequence[Event]], None]
+"""See :meth:`Hub.tap`."""
 
 
 class News(NamedTuple):
@@ -105,6 +109,7 @@ class Hub:
         with self._condition:
             self._history = history
             self._ring_size = ring or self._ring_size
+            self._tap: Optional[Tap] = None
             self.mode = mode
             self.info = dict(info or {})
             self.epoch = secrets.token_hex(6)
@@ -140,6 +145,20 @@ class Hub:
                 self._keyframes.popleft()
             self._last_event = time.monotonic()
             self._condition.notify_all()
+
+            if self._tap is not None:
+                self._tap(events)
+
+    def tap(self, take: Optional[Tap]) -> None:
+        """Have ``take`` called with all further events of this epoch, in order; it must return at
+        once."""
+        with self._condition:
+            self._tap = take
+
+    def clock(self) -> float:
+        """Seconds since this epoch began, the clock of its events."""
+        with self._condition:
+            return time.monotonic() - self._started
 
     def advance(self, board: Board) -> None:
         """Note that the history now reaches up to ``board``, which the hub owns from now on."""

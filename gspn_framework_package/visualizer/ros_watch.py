@@ -10,18 +10,32 @@ import json
 import queue
 import threading
 import time
-from typing import Any, Callable, Dict, FrozenSet, List, Optional, Set, Tuple, Type
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    FrozenSet,
+    List,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Type,
+)
 
 import genpy
 import rospy
+from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import String
 
+from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, DAY, Alarm
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.ros.messages import FIRED_TOPIC, read_status
+from gspn_framework_package.ros.narrator import diagnostic_array
 from gspn_framework_package.ros.transport.registration import (
     MASTER_ERRORS,
     master_proxy,
@@ -38,6 +52,7 @@ from gspn_framework_package.visualizer.fired_follower import (
     TeamSeen,
 )
 from gspn_framework_package.visualizer.hub import Hub
+from gspn_framework_package.visualizer.live_comparison import LiveComparison
 
 ACTIVITY = "/activity"
 
@@ -99,6 +114,7 @@ class RosWatch(Activity):
         self._unread: Set[str] = set()
         self._early: Dict[str, String] = {}
         self._subscribers: List[rospy.Subscriber] = []
+        self._comparison: Optional[LiveComparison] = None
         self._stop = threading.Event()
         self._asking, self._ordering = ServiceCalls(ANSWER_TIME), ServiceCalls(ORDER_TIME)
         self._ask_now = threading.Event()
@@ -134,6 +150,10 @@ class RosWatch(Activity):
         }
         info = {"commands": sorted(self.commands), "says": "a team of robots on ROS"}
         hub.restart(self.mode, self._follower.board(self._status), info)
+        self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
+        self._comparison = LiveComparison(
+            self._plan, hub, complete=False, listener=self._publish_diagnostics
+        )
         self._subscribe(FIRED_TOPIC, FiredTransition, "fired")
         self._subscribe("/world/room", String, "room")
         self._subscribe("/world/state", String, "world")
@@ -143,6 +163,8 @@ class RosWatch(Activity):
     def end(self) -> None:
         """Unsubscribe."""
         self._stop.set()
+        if self._comparison is not None:
+            self._comparison.end()
         for subscriber in self._subscribers:
             subscriber.unregister()
         self._subscribers = []
@@ -472,6 +494,32 @@ class RosWatch(Activity):
 
     def _note(self, level: str, robot: str, text: str) -> None:
         self._hub.publish({"k": "note", "level": level, "robot": robot, "text": text})
+
+    def _publish_diagnostics(self, lasting: List[Alarm], new: Sequence[Alarm]) -> None:
+        """Publish on ``/diagnostics`` whether the run goes as predicted; called once per second, on
+        a thread of its own."""
+        for alarm in new:
+            rospy.logwarn("the run departs from the plan: %s", alarm.describe())
+        if self._diagnostics.get_num_connections():
+            self._diagnostics.publish(
+                diagnostic_array(
+                    "%s: gspn prediction, run %s" % (rospy.get_name(), self._run),
+                    self._plan.name,
+                    1 if lasting else 0,
+                    "; ".join(alarm.describe() for alarm in lasting[:3])
+                    or "the run goes as predicted",
+                    {
+                        "alarms": len(lasting),
+                        "false alarms": "one in %g days" % (ALARM_EVERY / DAY),
+                        **{
+                            ", ".join(p for p in (alarm.place, alarm.robot) if p) or "team": (
+                                alarm.describe()
+                            )
+                            for alarm in lasting
+                        },
+                    },
+                )
+            )
 
     # -- the page's orders -------------------------------------------------------------------------
 

@@ -24,6 +24,7 @@ from gspn_framework_package.visualizer.board import Event
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.feedback import Feedback
 from gspn_framework_package.visualizer.hub import Hub
+from gspn_framework_package.visualizer.live_comparison import LiveComparison
 from gspn_framework_package.visualizer.run_marks import RunMark
 from gspn_framework_package.visualizer.team_events import TeamEvents
 
@@ -61,6 +62,7 @@ class StandaloneRun(Activity, Listener):
         self.path: Optional[str] = None
         self._log: Optional[EventLogWriter] = None
         self._mark: Optional[RunMark] = None
+        self._comparison: Optional[LiveComparison] = None
         self._title = document.title
         if runs is not None:
             self._record(runs)
@@ -118,11 +120,14 @@ class StandaloneRun(Activity, Listener):
             whole = os.path.abspath(self.path).split(os.sep)
             info["log"] = os.path.join(*whole[-2:])  # viewers need not know this machine's folders
         hub.restart(self.mode, self._events.board(running=True, run=self.run), info)
+        self._comparison = LiveComparison(self._plan, hub, complete=True)
         self._executor.start()
 
     def end(self) -> None:
         """Stop the run, and wait briefly for its end."""
         self._stop_it("the page was closed", LAST_SECONDS)
+        if self._comparison is not None:
+            self._comparison.end()
 
     def _stop(self, fields: Fields) -> Dict[str, Any]:
         """End the run; it is over when this returns."""

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from page_reading import boxes, overlaps, resize, settle
+from told_run import ToldRun
 
 from gspn_framework_package.formats.plan_file import read_plan
 
@@ -285,3 +286,62 @@ def test_the_log_and_the_time_line_are_used_by_keyboard(show_net, open_page):
     chosen = page.input_value("#span")
     page.keyboard.press("-")
     assert page.input_value("#span") != chosen
+
+
+def told_model(alarm):
+    """What the server says of a run beside its prediction; ``alarm``: of a slower robot, or ""."""
+    streams = [
+        {"kind": "place", "name": "p4:Wait_L1", "level": 0.3, "on": False, "says": ""},
+        {
+            "kind": "robot",
+            "name": "robot_2",
+            "level": 1.0 if alarm else 0.6,
+            "on": bool(alarm),
+            "says": alarm,
+        },
+    ]
+    points = [[float(k), 7 * k] for k in range(1, 31)]
+    slow = [[at, count // 2] for at, count in points]
+    return {
+        "state": "watching",
+        "says": "1 alarm" if alarm else "the run goes as predicted",
+        "seconds": 30.0,
+        "streams": streams,
+        "alarms": [alarm] if alarm else [],
+        "curves": [
+            {"name": "all transitions", "growth": [7.0, 0.5, 0.001], "points": points},
+            {"name": "t1", "growth": [7.0, 0.5, 0.001], "points": slow},
+        ],
+        "false_alarm_every": 30 * 86400,
+    }
+
+
+def test_a_run_is_shown_beside_its_prediction(show_net, open_page, axe, picture):
+    plan = read_plan("plans/patrol")
+    told = ToldRun(plan)
+    page = open_page(show_net(plan.net, plan, told).address, reduced_motion="reduce")
+    page.wait_for_selector("#robots .robot-card >> nth=3")
+    assert page.locator(".model-run").count() == 0
+    told.hub.set_latest("model", {"state": "none", "says": "the plan gives no durations"})
+    page.wait_for_selector(".model-run:has-text('The plan gives no durations.')")
+    assert page.locator(".model-run meter:visible").count() == 0
+    told.hub.set_latest("model", told_model(""))
+    page.wait_for_selector(".model-run .plot path.band")
+    assert page.inner_text(".model-run .numbers").startswith("210 observed, 202 to 218 predicted")
+    assert page.locator(".alarm").count() == 0
+    meter = page.locator(".strips meter >> nth=1")
+    assert meter.get_attribute("aria-label") == "robot_2: 60 % of the way to the alarm"
+    # another count, by keyboard; it is kept, and so is the focus, when news arrive
+    page.focus(".model-run select")
+    page.keyboard.press("ArrowDown")
+    page.wait_for_selector(".model-run .numbers:has-text('105 observed')")
+    assert page.inner_text(".model-run .numbers").endswith("fewer than predicted")
+    alarm = "robot_2: slower than planned: 1.3 s instead of 1 s (+30 %)"
+    told.hub.set_latest("model", told_model(alarm))
+    page.wait_for_selector(".alarm:has-text('robot_2: slower than planned')")
+    page.wait_for_selector(".strips li.on:has-text('1.3 s instead of 1 s')")
+    assert page.evaluate("() => document.activeElement.tagName") == "SELECT"
+    assert page.locator(".model-run select").input_value() == "t1"
+    page.locator(".model-run").scroll_into_view_if_needed()
+    picture(page, "prediction")
+    axe(page, "LIVE, beside its prediction", "right")

@@ -8,7 +8,7 @@ event, in narrow cells (Brook and Evans 1972), with the exact probabilities of m
 
 >>> chart = RateChart(0.8)
 >>> threshold = chart.threshold(10_000)
->>> round(threshold, 1), round(chart.run_length(threshold), -2)
+>>> round(threshold, 1), round(chart.run_length(threshold), -3)
 (5.4, 10000.0)
 """
 

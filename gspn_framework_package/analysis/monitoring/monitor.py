@@ -407,13 +407,14 @@ class Monitor:
         now: float,
         *,
         completed: bool = True,
-        result: str = "",
+        result: Optional[str] = "",
         failed: str = "",
     ) -> List[Alarm]:
         """The attempt of ``robot`` ended at ``now`` (s); returns the alarms that this raises.
 
         :param completed: whether its action ended by itself; if not, its duration is unknown.
-        :param result: the transition that it named.
+        :param result: the transition that it named, "" if none; None if that is not known yet, and
+            :meth:`result` will tell.
         :param failed: why it failed ("" if it succeeded).
         """
         raised = self.advance(now)
@@ -428,11 +429,19 @@ class Monitor:
         found = []
         for share in self._shares.get((FAILURE, place), ()):
             found += share.count(bool(failed), now)
-        if not failed:
-            for share in self._shares.get((OUTCOME, place), ()):
-                found += share.count(result == share.transition, now)
         self.alarms += found
+        if not failed and result is not None:
+            found = found + self.result(place, result, now)
         return raised + found
+
+    def result(self, place: str, result: str, now: float) -> List[Alarm]:
+        """An action of ``place`` had named the transition ``result`` ("" if none); returns the
+        alarms that this raises."""
+        found: List[Alarm] = []
+        for share in self._shares.get((OUTCOME, place), ()):
+            found += share.count(result == share.transition, now)
+        self.alarms += found
+        return found
 
     def choose(
         self, place: str, row: Sequence[Tuple[str, float]], chosen: str, now: float

@@ -10,11 +10,12 @@ import urllib.error
 import urllib.request
 
 import rospy
+from diagnostic_msgs.msg import DiagnosticArray
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 
-from robots import RobotTestCase, copy_plan, start_node
+from robots import ROOT, RobotTestCase, copy_plan, start_node
 from waiting import wait_for
 
 from gspn_framework_package.benchmark.ports import free_port
@@ -133,6 +134,19 @@ class VisualizerTest(RobotTestCase):
             lambda: not page.board()["status"]["paused"], 30, "the end of the pause on the page"
         )
 
+    def departs(self, page, run, told):
+        """The page and /diagnostics say that the run is slower than its plan predicts."""
+
+        def warned():
+            wanted = [s for s in told if s.name.endswith("gspn prediction, run %s" % run)]
+            return next((s for s in wanted if "slower than planned" in s.message), None)
+
+        status = wait_for(warned, 240, "the warning on /diagnostics")
+        self.assertEqual(ord(status.level) if isinstance(status.level, bytes) else status.level, 1)
+        self.assertTrue(any("slower" in value.value for value in status.values))
+        notes = [note["text"] for note in page.board()["notes"]]
+        self.assertTrue(any("slower than planned" in text for text in notes), notes)
+
     def test_full_synchronisation(self):
         self.watch("full")
 
@@ -142,7 +156,12 @@ class VisualizerTest(RobotTestCase):
     def test_of_two_teams_on_a_master_the_page_shows_and_orders_its_own(self):
         """The robots of both have the same names and the same plan; the other's namespaces come
         first."""
-        plan = copy_plan("plans/patrol", agreement={"evict_after": 0})
+        quick = {"mean": 0.02, "distribution": "gamma", "shape": 20}  # far too short
+        with open(os.path.join(ROOT, "plans/patrol/plan.json")) as file:
+            durations = dict.fromkeys(json.load(file)["actions"], quick)
+        plan = copy_plan("plans/patrol", agreement={"evict_after": 0}, durations=durations)
+        told = []
+        rospy.Subscriber("/diagnostics", DiagnosticArray, lambda array: told.extend(array.status))
         names = ["robot_1", "robot_2"]
         ours = self.team(plan, names, {name: "/ours/" + name for name in names}, robots=2).start()
         other = self.team(plan, names, {name: "/a/" + name for name in names}, robots=2).start()
@@ -154,6 +173,7 @@ class VisualizerTest(RobotTestCase):
         other.wait_for_firings(4)
         wait_for(lambda: sum(page.board()["counts"]) > 3, 30, "firings on the page")
         self.assertEqual(page.board()["status"]["run"], ours.run)
+        self.departs(page, ours.run, told)
 
         self.assertFalse(page.obeyed("pause", run=other.run))
         code, text = page.refusals[-1]

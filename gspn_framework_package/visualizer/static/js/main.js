@@ -298,6 +298,10 @@ class Page {
         this.robots.later();
         this.inspector.later();
       }
+      if (detail.keys.includes("model")) {
+        this.robots.later();
+        this.showRun();
+      }
       if (detail.keys.includes("room") || detail.keys.includes("world")) {
         if (this.room.news()) this.tools?.build();
       }
@@ -440,6 +444,8 @@ class Page {
       if (names.length) alarm(`${word[0].toUpperCase()}${word.slice(1)}: ${names.join(", ")}`);
     }
     if (status.stalled) alarm(`Stalled: ${status.stalled}`);
+    if (model.mode === "LIVE")
+      for (const text of model.latest.model?.alarms || []) alarm(text, "warning");
     if (status.paused) alarm("The team is paused", "warning");
     if (status.ended)
       alarm(

@@ -93,3 +93,32 @@ export function barPlot(bars) {
   });
   return plot;
 }
+
+/** The 95 % band of a count at a time; `growth`: rate, variance by chance per second, by doubt per square second. */
+export function band([rate, chance, doubt], time) {
+  const half = 1.96 * Math.sqrt(chance * time + doubt * time * time);
+  return [Math.max(rate * time - half, 0), rate * time + half];
+}
+
+/** A band of prediction with the observed line. `curve`: {name, growth, points: [[time, count], ...]}. */
+export function bandPlot({ name, growth, points }) {
+  const end = Math.max(points[points.length - 1][0], 1e-9);
+  const times = Array.from({ length: 41 }, (_, i) => (end * i) / 40);
+  const edges = times.map((time) => [time, ...band(growth, time)]);
+  const plot = curvePlot(
+    [
+      { name: `${name}, observed`, points: [[0, 0], ...points] },
+      { name: "predicted, lower end", points: edges.map(([time, low]) => [time, low]) },
+      { name: "predicted, upper end", points: edges.map(([time, , high]) => [time, high]) },
+    ],
+    "time (s)",
+  );
+  const [line, low, high] = plot.querySelectorAll("path");
+  const back = high.getAttribute("d").slice(1).split("L").reverse().join("L");
+  low.setAttribute("d", `${low.getAttribute("d")}L${back}Z`);
+  low.setAttribute("class", "band");
+  low.style.stroke = ""; // that of the class
+  high.remove();
+  plot.append(line); // above the band
+  return plot;
+}

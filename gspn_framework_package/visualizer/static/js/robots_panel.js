@@ -1,6 +1,7 @@
 // The robots panel: the colour and id of each robot, what it does and since when, why it waits, and the possible
 // orders.
 
+import { ModelPanel } from "./model_panel.js";
 import { h, $, isPressed, seconds } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
 import { told, toldOf } from "./phases.js";
@@ -66,6 +67,7 @@ export class RobotsPanel {
     this.model = model;
     this.orders = orders;
     this.panel = $("robots");
+    this.comparison = new ModelPanel(model);
     // name -> {element, looks}: a card is only redrawn if it looks different, so that its buttons stay
     this.cards = new Map();
     this.update();
@@ -110,7 +112,9 @@ export class RobotsPanel {
         }),
       );
     }
-    const content = [this.look(), ...cards, orders.list()].filter(Boolean);
+    const content = [this.look(), ...cards, this.comparison.element(), orders.list()].filter(
+      Boolean,
+    );
     const same =
       content.length === panel.children.length &&
       content.every((element, i) => element === panel.children[i]);

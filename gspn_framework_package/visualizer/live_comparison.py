@@ -1,0 +1,336 @@
+"""Compares a live run with what its plan predicts, from the events that the page receives as well.
+
+The prediction is computed once, in a process of its own. Then a thread follows the events of the
+hub with a monitor, and publishes the latest value ``model`` for the page:
+
+``state``
+    ``none`` (the plan gives no durations), ``predicting``, ``watching``, ``failed`` or ``over``.
+``says``
+    The state in a sentence, for people.
+``seconds``
+    How long the run has been watched.
+``streams``
+    The pace of each place, robot and the team, and other streams that have begun to rise: ``name``,
+    ``kind``, ``level`` (the sum as a share of its threshold), ``on``, ``says``.
+``alarms``
+    The sentences of the alarms that last.
+``curves``
+    Counts to compare: ``name``, ``growth`` (rate, chance, doubt: the band at time t is rate t +- z
+    sqrt(chance t + doubt t^2)), ``points`` (time, count).
+``false_alarm_every``
+    Mean time between two false alarms of all streams together, in seconds.
+
+Firings tell when an action ended if its transition fired at once; otherwise the event that the
+robot waits does. Where a run is met in mid-course, robots are watched from their next visit on.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+
+from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, PACES, Alarm, Monitor
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.model.plan import FailureKind, Plan
+from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
+from gspn_framework_package.visualizer.analysis_jobs import ALL, AnalysisJobs
+from gspn_framework_package.visualizer.board import Event
+from gspn_framework_package.visualizer.documents import Document
+from gspn_framework_package.visualizer.hub import Hub
+
+PERIOD = 1.0
+"""Seconds between two messages to the page."""
+
+POINTS = 60
+"""Most points of a curve; when there are more, every second one is dropped."""
+
+CURVES = 12
+"""Most curves: those of the transitions that fire most often."""
+
+SECONDS = 120.0
+"""Time limit of the prediction, in seconds."""
+
+Listener = Callable[[List[Alarm], Sequence[Alarm]], None]
+"""Called once per period with the alarms that last and the new ones."""
+
+
+class _Attempt(NamedTuple):
+    place: int
+    attempt: int
+
+
+class RunFollower:
+    """Tells a monitor what the events of a hub say.
+
+    :param plan: the plan of the run.
+    :param monitor: the monitor.
+    :param complete: whether the events begin with the run, so that robots that appear have just
+        started.
+    """
+
+    def __init__(self, plan: Plan, monitor: Monitor, complete: bool) -> None:
+        self._plan, self._net, self._monitor = plan, plan.net, monitor
+        self._complete = complete
+        self._timing = PlanTiming(plan)
+        self._places: Dict[str, int] = {}
+        self._going: Dict[str, _Attempt] = {}
+        self._ended_in: Dict[str, int] = {}
+        """Robots whose action has ended, with its place, and whose result is not known yet."""
+        self._failed: Dict[str, bool] = {}
+        self.counts = [0] * len(plan.net.transitions)
+        """Firings of each transition so far."""
+        self.over = False
+        """Whether the run is over."""
+
+    def take(self, event: Event) -> None:
+        """Take in an event, in the order in which they were published."""
+        if self.over:
+            return
+        now = float(event["t"])
+        kind = event["k"]
+        if kind == "fire":
+            self._fire(event, now)
+        elif kind == "robots":
+            for robot in event["r"]:
+                self._robot(robot, now)
+            for name in event.get("gone", ()):
+                self._cut(name, now)
+        elif kind == "mark":
+            for name in list(self._going):
+                self._cut(name, now)
+            self._ended_in.clear()
+        elif kind == "status":
+            status = event["status"]
+            if status.get("ended") or status.get("running") is False:
+                for name in list(self._going):
+                    self._cut(name, now)
+                self.over = bool(status.get("ended"))
+
+    def _fire(self, event: Event, now: float) -> None:
+        t = int(event["tr"])
+        self.counts[t] += 1
+        for name, source, target in event["m"]:
+            going = self._going.pop(name, None)
+            if going is not None and source == going.place:
+                self._monitor.end(name, now, result=None)
+                self._ended_in[name] = going.place
+            elif going is not None:
+                self._monitor.end(name, now, completed=False)
+            ended = self._ended_in.pop(name, None)
+            if ended is not None and ended == source:
+                self._monitor.result(self._net.places[ended].name, self._result(ended, t), now)
+            self._failed.pop(name, None)
+            self._places.pop(name, None)
+            if target is not None:
+                self._places[name] = target
+                self._begin(name, target, 1, now)
+
+    def _result(self, place: int, t: int) -> str:
+        """The result of an action after which ``t`` fired: its name, or "" if the policy chose."""
+        timing = self._timing.places.get(place)
+        named = timing is not None and any(outcome == t for outcome, _ in timing.outcomes)
+        policy = timing is not None and any(outcome == POLICY for outcome, _ in timing.outcomes)
+        return self._net.transitions[t].name if named or not policy else ""
+
+    def _robot(self, told: Dict[str, Any], now: float) -> None:
+        name = told["name"]
+        known = self._places.get(name)
+        place = told.get("place", known)
+        if place is None:
+            return
+        if known is not None and place != known:  # it was put there
+            self._cut(name, now)
+        new = known is None
+        self._places[name] = place
+        going = self._going.get(name)
+        phase = Phase.of_value(told["phase"]) if "phase" in told else None
+        attempt = told.get("attempt")
+        if going is not None and attempt is not None:
+            if attempt > going.attempt:
+                self._fail(name, told, now)
+                self._begin(name, place, attempt, now + self._delay(place))
+                going = self._going[name]
+            else:
+                self._going[name] = going = going._replace(attempt=attempt)
+        if phase is None:
+            return
+        if phase.gone or phase is Phase.UNHEARD:
+            self._cut(name, now)
+        elif phase is Phase.FAILED:
+            if going is not None:
+                self._fail(name, told, now)
+            self._failed[name] = True
+        elif phase in (Phase.DOING, Phase.FREE):
+            started = (new and self._complete) or self._failed.pop(name, False)
+            if going is None and started:
+                self._begin(name, place, attempt or 1, now)
+        elif going is not None:
+            self._monitor.end(name, now, result=None)
+            del self._going[name]
+            self._ended_in[name] = place
+
+    def _begin(self, name: str, place: int, attempt: int, start: float) -> None:
+        self._going[name] = _Attempt(place, attempt)
+        self._monitor.begin(name, self._net.places[place].name, start)
+
+    def _fail(self, name: str, told: Dict[str, Any], now: float) -> None:
+        reason = "timeout" if str(told.get("why", "")).startswith("timeout") else "aborted"
+        self._monitor.end(name, now, failed=reason)
+        self._going.pop(name, None)
+
+    def _cut(self, name: str, now: float) -> None:
+        if self._going.pop(name, None) is not None:
+            self._monitor.end(name, now, completed=False)
+        self._ended_in.pop(name, None)
+
+    def _delay(self, place: int) -> float:
+        rule = self._plan.failure_rule(self._net.places[place].name)
+        return rule.delay if rule.kind is FailureKind.RETRY else 0.0
+
+
+class LiveComparison:
+    """Compares the live run of a hub with its plan; see the module.
+
+    :param plan: the plan that runs.
+    :param hub: its epoch is that of the run.
+    :param complete: whether the run begins with the epoch.
+    :param listener: is told of the alarms, on a thread of its own.
+    """
+
+    def __init__(
+        self, plan: Plan, hub: Hub, complete: bool, listener: Optional[Listener] = None
+    ) -> None:
+        self._plan, self._hub, self._complete = plan, hub, complete
+        self._listener = listener
+        self._queue: queue.SimpleQueue[Optional[Sequence[Event]]] = queue.SimpleQueue()
+        self._jobs = AnalysisJobs()
+        self._stop = threading.Event()
+        self._points: List[Tuple[float, List[int]]] = []
+        self._told = 0
+        if not plan.durations:
+            self._say("none", "the plan gives no durations, so there is no model to compare with")
+            return
+        self._say("predicting", "the prediction of the run is being computed")
+        hub.tap(self._queue.put)
+        threading.Thread(target=self._work, name="compare", daemon=True).start()
+
+    def end(self) -> None:
+        """Stop."""
+        self._stop.set()
+        self._jobs.close()
+        self._queue.put(None)
+
+    # -- the thread --------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        try:
+            prediction = self._predict()
+            if prediction is not None:
+                self._watch(prediction)
+        except Exception as error:  # the page goes on without it
+            self._say("failed", "the comparison broke off: %s" % type(error).__name__)
+        finally:
+            self._hub.tap(None)
+            self._jobs.close()
+
+    def _predict(self) -> Optional[Dict[str, Any]]:
+        document = Document(self._plan.name, self._plan.net, self._plan)
+        asked = {"predict": {"time": _horizon(self._plan)}, "policy": True, "seconds": SECONDS}
+        key = self._jobs.start(document, self._plan.net.initial_marking, asked)
+        while not self._stop.wait(0.1):
+            report = self._jobs.report(key)
+            if report["state"] == "running":
+                continue
+            prediction = (report["result"] or {}).get("prediction")
+            if prediction is None:
+                self._say("failed", "the run cannot be predicted: %s" % report["error"])
+            return prediction
+        return None
+
+    def _watch(self, prediction: Dict[str, Any]) -> None:
+        names = [robot.name for robot in self._plan.robots]
+        monitor = Monitor(self._plan, names, prediction["paces"], ALARM_EVERY)
+        follower = RunFollower(self._plan, monitor, self._complete)
+        due = 0.0
+        while not self._stop.is_set():
+            try:
+                events = self._queue.get(timeout=PERIOD / 4)
+            except queue.Empty:
+                events = ()
+            for event in events or ():
+                if event["k"] != "note":
+                    follower.take(event)
+            now = self._hub.clock()
+            if self._queue.empty() and (now >= due or follower.over):
+                due = now + PERIOD
+                if not follower.over:
+                    monitor.advance(now)
+                self._publish(monitor, follower, prediction, now)
+                if follower.over:
+                    return
+
+    # -- what it says ------------------------------------------------------------------------------
+
+    def _publish(
+        self, monitor: Monitor, follower: RunFollower, prediction: Dict[str, Any], now: float
+    ) -> None:
+        new = monitor.alarms[self._told :]
+        self._told = len(monitor.alarms)
+        for alarm in new:
+            text = "%s, since about %.0f s" % (alarm.describe(), max(alarm.since, 0.0))
+            self._hub.publish({"k": "note", "level": "warning", "robot": alarm.robot, "text": text})
+        lasting = monitor.on
+        if self._listener is not None:
+            self._listener(lasting, new)
+        self._points.append((round(now, 2), [sum(follower.counts), *follower.counts]))
+        if len(self._points) > 2 * POINTS:
+            self._points = self._points[::2]
+        growths = prediction["growth"]
+        transitions = [t.name for t in self._plan.net.transitions]
+        often = sorted(range(len(transitions)), key=lambda t: -growths[transitions[t]][0])
+        chosen = [(ALL, 0)] + [(transitions[t], t + 1) for t in often[:CURVES]]
+        self._say(
+            "over" if follower.over else "watching",
+            "%d alarm%s" % (len(lasting), "" if len(lasting) == 1 else "s")
+            if lasting
+            else "the run goes as predicted",
+            seconds=round(now, 1),
+            streams=[
+                {
+                    "kind": stream.kind,
+                    "name": _name(stream),
+                    "level": round(min(level, 1.0), 3),
+                    "on": stream.on,
+                    "says": stream.alarms[-1].describe() if stream.on and stream.alarms else "",
+                }
+                for stream in monitor.streams
+                for nearest in [stream.nearest()]
+                for level in [nearest.value / nearest.threshold]
+                if stream.kind in PACES or stream.on or level > 0.25
+            ],
+            alarms=[alarm.describe() for alarm in lasting],
+            curves=[
+                {
+                    "name": name,
+                    "growth": growths[name],
+                    "points": [[at, counts[i]] for at, counts in self._points],
+                }
+                for name, i in chosen
+            ],
+            false_alarm_every=monitor.alarm_every,
+        )
+
+    def _say(self, state: str, says: str, **more: Any) -> None:
+        self._hub.set_latest("model", {"state": state, "says": says, **more})
+
+
+def _name(stream: Any) -> str:
+    parts = [part for part in (stream.place, stream.robot, stream.transition) if part]
+    return ", ".join(parts) or "the team"
+
+
+def _horizon(plan: Plan) -> float:
+    """How long the predicted runs are (s): long enough for many actions."""
+    longest = max((d.mean for d in plan.durations.values()), default=0.0)
+    return min(max(200 * longest, 1.0), 36_000.0)

@@ -1,0 +1,98 @@
+// Predicted against observed, in a live run: a band of prediction with the observed line, and a strip for each place,
+// each robot and the team that shows how near its alarm is.
+
+import { h, number } from "./dom.js";
+import { band, bandPlot } from "./plot.js";
+
+export class ModelPanel {
+  constructor(model) {
+    this.model = model;
+    this.says = h("p", { class: "muted" });
+    this.choice = h("select", {
+      "aria-label": "Firings to compare",
+      "data-focus": "curve",
+      onchange: () => this.draw(),
+    });
+    this.plot = h("div");
+    this.numbers = h("p", { class: "numbers" });
+    this.strips = h("ul", { class: "strips" });
+    this.stated = h("p", { class: "muted" });
+    this.body = h("div", {}, this.choice, this.plot, this.numbers, this.strips, this.stated);
+    this.section = h(
+      "section",
+      { class: "model-run", "aria-label": "Predicted and observed" },
+      h("h3", { text: "Predicted and observed" }),
+      this.says,
+      this.body,
+    );
+  }
+
+  /** The section with what is known now; null if there is nothing to say. */
+  element() {
+    const told = this.model.mode === "LIVE" ? this.model.latest.model : null;
+    if (!told) return null;
+    if (told !== this.told) {
+      this.told = told;
+      this.update(told);
+    }
+    return this.section;
+  }
+
+  update(told) {
+    this.say(this.says, `${told.says[0].toUpperCase()}${told.says.slice(1)}.`);
+    this.body.hidden = !told.curves;
+    if (!told.curves) return;
+    const names = told.curves.map(({ name }) => name);
+    if (names.join("\n") !== this.names) {
+      const kept = this.choice.value;
+      this.names = names.join("\n");
+      this.choice.replaceChildren(...names.map((name) => h("option", { value: name, text: name })));
+      this.choice.value = names.includes(kept) ? kept : names[0];
+    }
+    this.draw();
+    this.strips.replaceChildren(...told.streams.map((stream) => strip(stream)));
+    this.say(
+      this.stated,
+      `One false alarm in ${number(told.false_alarm_every / 86400)} days, of all strips together.`,
+    );
+  }
+
+  draw() {
+    const curve = this.told.curves.find(({ name }) => name === this.choice.value);
+    if (!curve || !curve.points.length) return;
+    this.plot.replaceChildren(bandPlot(curve));
+    const [time, count] = curve.points[curve.points.length - 1],
+      [low, high] = band(curve.growth, time);
+    const where = count < low ? " – fewer than predicted" : count > high ? " – more" : "";
+    this.say(
+      this.numbers,
+      `${number(count)} observed, ${number(Math.round(low))} to ${number(Math.round(high))} predicted (95 %)${where}`,
+    );
+  }
+
+  say(element, text) {
+    if (element.textContent !== text) element.textContent = text;
+  }
+}
+
+/** A strip: how far a sum has risen towards its alarm. */
+function strip({ kind, name, level, on, says }) {
+  const percent = Math.round(100 * level),
+    what = kind === "place" || kind === "robot" || kind === "team" ? name : `${name} (${kind})`;
+  return h(
+    "li",
+    { class: on ? "on" : "" },
+    h("span", { class: "name", text: what, title: what }),
+    h("meter", {
+      min: 0,
+      max: 1,
+      low: 0.5,
+      high: 0.8,
+      optimum: 0,
+      value: level,
+      "aria-label": `${what}: ${percent} % of the way to the alarm`,
+    }),
+    h("span", { class: "level", text: on ? "alarm" : `${percent} %` }),
+    on && says ? h("span", { class: "says", text: says }) : null,
+  );
+}
