@@ -29,6 +29,7 @@ from gspn_framework_package.model.duration import Duration, Kind
 from gspn_framework_package.model.errors import CancelledError, RefusedError, UsageError
 from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
 from gspn_framework_package.model.plan_timing import PlanTiming
+from gspn_framework_package.model.policy import Policy, PolicyRow
 
 PLANS = Path(__file__).parents[3] / "plans"
 
@@ -109,6 +110,36 @@ def test_shipped_plans(name):
     slow = plan.action_places[0]
     plan = replace(plan, durations={slow: Duration.gamma(30.0, 1.0), **plan.durations}).validate()
     assert_alike(plan, reference(plan, time=20.0, runs=100), kernel_rows(plan, time=20.0, runs=300))
+
+
+def test_a_draw_is_kept_until_the_marking_changes():
+    """The robot in `wait` draws mostly a meeting for which nobody comes; each step of the other one
+    gives it another draw."""
+    net = (
+        NetBuilder()
+        .place("wait", 1)
+        .place("partner")
+        .place("free")
+        .place("here", 1)
+        .place("there")
+        .immediate("meet", inputs=["wait", "partner"], outputs=["free", "partner"])
+        .immediate("alone", inputs="wait", outputs="free")
+        .exponential("rest", rate=5.0, inputs="free", outputs="wait")
+        .exponential("go", rate=2.0, inputs="here", outputs="there")
+        .exponential("back", rate=2.0, inputs="there", outputs="here")
+        .build()
+    )
+    row = PolicyRow((None,), (("meet", 0.9), ("alone", 0.1)))
+    plan = Plan(
+        net,
+        policy=Policy(["wait"], [row]),
+        actions=dict.fromkeys(net.place_index, FunctionAction("actions.work", "work")),
+        robots=(RobotSpec("waits", "wait"), RobotSpec("walks", "here")),
+    ).validate()
+    rows = kernel_rows(plan, time=60.0, runs=100)
+    assert_alike(plan, reference(plan, time=60.0, runs=100), rows)
+    alone = rows[:, 1 + net.transition_index["alone"]].mean()
+    assert 8 < alone < 16  # 0.1 of 120 steps of the other; never more than one a step
 
 
 @pytest.mark.skipif(not machine.may_compile(), reason="numba is missing")
