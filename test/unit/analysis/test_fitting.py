@@ -517,10 +517,19 @@ def test_the_verb_does_not_overwrite_unless_told_to(recorded, capsys, tmp_path) 
     assert read_plan(str(out)).durations["A"].kind is Kind.EXPONENTIAL
 
 
-def test_the_verb_fills_a_folder(recorded, tmp_path) -> None:
-    main(["fit", str(recorded), str(recorded), "-o", str(tmp_path)])
-    assert (tmp_path / "actions.py").exists()
-    assert read_plan(str(tmp_path)).durations["A"].kind is Kind.GAMMA
+@pytest.mark.parametrize("name", [".", "a/new"])
+def test_the_verb_fills_a_folder(recorded, tmp_path, name) -> None:
+    folder = tmp_path / name
+    assert main(["fit", str(recorded), str(recorded), "-o", str(folder)]) == 0
+    assert (folder / "actions.py").exists()
+    assert read_plan(str(folder)).durations["A"].kind is Kind.GAMMA
+
+
+def test_a_folder_that_cannot_be_made_is_reported(recorded, capsys) -> None:
+    taken = recorded / "log.jsonl"
+    words = ["fit", str(recorded), str(taken), "-o", str(taken / "new")]
+    assert main(words) == 2
+    assert "the folder cannot be made" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
