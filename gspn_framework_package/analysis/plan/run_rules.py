@@ -711,7 +711,9 @@ class RunRules:
             names = {t: self.net.transitions[t].name for t in self.net.consumers[p]}
             count = len(columns.phases)
             for number, column in enumerate(columns.phases, 1):
-                what = "doing" if count == 1 else "doing, phase %d of %d" % (number, count)
+                what = (
+                    "doing its action" if count == 1 else "doing, phase %d of %d" % (number, count)
+                )
                 found.append((column, "%s (%s)" % (place, what)))
             found += [
                 (c, "%s (done, wants %s)" % (place, names[t])) for t, c in columns.named.items()

@@ -396,7 +396,7 @@ def test_the_states_are_told_apart_where_they_are_shown():
     assert "At_Dock (done, wants Hand_Over)" in chain.places
     assert len({tuple(state) for state in chain.states}) == len(chain.states)
     drawn = chain_graph(analysis.chain).text()
-    assert "At_Dock (doing)" in drawn and "At_Dock (done, wants Hand_Over)" in drawn
+    assert "At_Dock (doing its action)" in drawn and "At_Dock (done, wants Hand_Over)" in drawn
     # where no split is due, only places are shown
     plain = explicit_chain(Analysis(read_plan("plans/tokens")))
     assert list(plain.places) == ["p1", "p2", "p3", "p5", "p6", "p7"]
