@@ -240,7 +240,9 @@ def test_the_readme_typed_in_a_terminal(sandbox, tmp_path):
                 code, text = terminal.type(line)
                 assert code == step.exit_code, "%s\n%s" % (step, text)
             assert "Traceback" not in text, "%s\n%s" % (step, text)
-    assert typed == ("check check run analyse simulate fit compare serve replay".split())
+    assert typed == (
+        ["check", "check", "run", "analyse", "simulate", "fit", "compare", "serve", "replay"]
+    )
 
 
 # -- with ROS --------------------------------------------------------------------------------------

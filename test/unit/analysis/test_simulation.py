@@ -1,6 +1,7 @@
 """Simulation: agrees with the exact results inside its confidence intervals, at the stated rate; is
 reproducible."""
 
+import importlib.util
 import math
 import random
 from dataclasses import replace
@@ -67,6 +68,8 @@ def deciding_patrol():
     return replace(plan("patrol"), durations=decides).validate()
 
 
+COMPILED = importlib.util.find_spec("numba") is not None
+
 READINGS = [(s, "net") for s in SUBJECTS]
 READINGS += [(s, "run") for s in (*SUBJECTS[2:4], deciding_patrol())]
 
@@ -80,7 +83,7 @@ def test_long_runs_agree_with_the_steady_state(subject, timing):
         subject,
         time=6 * settled,
         warmup=settled,
-        replications=1500,
+        replications=1500 if COMPILED else 300,  # without numba, a run takes far longer
         seed=1,
         confidence=0.99999,
         timing=timing,
