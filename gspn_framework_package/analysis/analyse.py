@@ -45,7 +45,7 @@ from gspn_framework_package.analysis.state_space.space import StateSpace, Witnes
 from gspn_framework_package.analysis.structure.invariants import bounds_of
 from gspn_framework_package.analysis.structure.net_structure import Structure
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
-from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.condition import either, parse_condition
 from gspn_framework_package.model.errors import LimitError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -486,9 +486,7 @@ class Analysis:
                 until=condition,
             )
         else:
-            plan = replace(
-                plan, until="(%s) or (%s)" % (plan.until, condition) if plan.until else condition
-            )
+            plan = replace(plan, until=either(plan.until, condition))
         limit = min(self.limit, _SEARCHED) if self._is_unbounded else self.limit
         return self._visit_plan(plan, limit)
 

@@ -20,7 +20,6 @@ from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 from gspn_framework_package.analysis.fitting import FitReport, fit_plan
 from gspn_framework_package.benchmark.machine import machine_line, table
 from gspn_framework_package.execution.attempts import gather
-from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
@@ -91,9 +90,7 @@ def one_run(plan: Plan, seed: int, seconds: float, folder: str) -> FitReport:
     """Simulate the plan, write the log, read it back and fit it."""
     path = os.path.join(folder, "%d.jsonl" % seed)
     run = VirtualRun(plan, seed=seed)
-    first = header(plan.with_seed(seed), "coverage", "", "log%d" % seed, agents=True, virtual=True)
-    log = EventLogWriter(path, first, clocks=run.clocks)
-    run.record_to(log)
+    log = run.record_in(path, "coverage", "log%d" % seed)
     run.run(seconds)
     log.close()
     found = gather([path])

@@ -14,8 +14,8 @@ from typing import Any, Dict, Iterator, List, Union
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.progress import ProgressLine
-from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.virtual_time import VirtualResult, VirtualRun
+from gspn_framework_package.model.condition import either
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -30,8 +30,7 @@ def simulate_to_log(subject: Union[Net, Plan], notes: List[str], args: argparse.
         raise UsageError("--log records the run of a plan, and this is a net")
     plan = subject.with_seed(args.seed)
     if args.until is not None:
-        both = "(%s) or (%s)" % (plan.until, args.until) if plan.until else args.until
-        plan = replace(plan, until=both).validate()
+        plan = replace(plan, until=either(plan.until, args.until)).validate()
     if math.isinf(args.time) and plan.until is None:
         raise UsageError("how long is the run?", hint="give --time, or --until")
     for option in ("replications", "precision", "batches", "measure"):
@@ -44,9 +43,7 @@ def simulate_to_log(subject: Union[Net, Plan], notes: List[str], args: argparse.
             "it exists already", file=args.log, hint="give --log the name of a new file"
         )
     run = VirtualRun(plan, loss_rate=args.losses)
-    first = header(plan, plan.name, "", uuid.uuid4().hex, agents=True, virtual=True)
-    writer = EventLogWriter(args.log, first, clocks=run.clocks)
-    run.record_to(writer)
+    writer = run.record_in(args.log, plan.name, uuid.uuid4().hex)
     try:
         with ProgressLine() as progress:
             watch = Watch(progress, None)

@@ -28,7 +28,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.environment import Environment
-from gspn_framework_package.execution.event_log import EventLogWriter
+from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.firing import CancelAction, Command, Ended, StartAction
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.token_game import TokenGame
@@ -111,6 +111,18 @@ class VirtualRun:
     def record_to(self, event_log: EventLogWriter) -> None:
         """Record the run in this log, whose ``clocks`` should be :meth:`clocks`."""
         self._log = event_log
+
+    def record_in(self, path: str, run: str, log_id: str) -> EventLogWriter:
+        """Record the run in a new file, which the caller closes.
+
+        :param run: name of the run.
+        :param log_id: unique to this log.
+        :raises LogError: the file cannot be written.
+        """
+        agents = self.game.agents
+        first = header(self.plan, run, "", log_id, agents=agents, virtual=True)
+        self._log = EventLogWriter(path, first, clocks=self.clocks)
+        return self._log
 
     def clocks(self) -> Tuple[float, float]:
         """The virtual time, as the wall clock and as the monotonic clock (s)."""

@@ -21,6 +21,7 @@ from typing import (
     Mapping,
     NamedTuple,
     NoReturn,
+    Optional,
     Sequence,
     Tuple,
 )
@@ -170,6 +171,13 @@ class Condition:
 
     def __repr__(self) -> str:
         return "<Condition %s>" % shorten(self.text)
+
+
+def either(first: Optional[str], second: Optional[str]) -> Optional[str]:
+    """The condition that holds where one of two holds; None stands for one that never does."""
+    if first is None or second is None:
+        return first if second is None else second
+    return "(%s) or (%s)" % (first, second)
 
 
 def parse_condition(text: str, places: Sequence[str], labels: Collection[str] = ()) -> Condition:

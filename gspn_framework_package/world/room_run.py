@@ -63,8 +63,10 @@ class RoomRun:
         self.state = self._ledger.state
         self._log: Optional[EventLogWriter] = None
         if log is not None:
-            first = header(self.plan, "%s_%d" % (plan.name, seed), "", uuid.uuid4().hex)
-            self._log = EventLogWriter(log, {**first, "clock": "virtual"}, clocks=self._clocks)
+            first = header(
+                self.plan, "%s_%d" % (plan.name, seed), "", uuid.uuid4().hex, virtual=True
+            )
+            self._log = EventLogWriter(log, first, clocks=self._clocks)
         self._reduce([self._ledger.game.start_entry()])
 
     def _clocks(self) -> Tuple[float, float]:

@@ -11,7 +11,7 @@ import pytest
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution.attempts import AttemptFollower
-from gspn_framework_package.execution.event_log import EventLogWriter, LogFile, header
+from gspn_framework_package.execution.event_log import LogFile
 from gspn_framework_package.execution.observation import RunObserver
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.plan_file import read_plan
@@ -72,9 +72,7 @@ def _log(
         ),
     )
     path = folder / (name + ".jsonl")
-    first = header(run.plan, name, "", name, agents=True, virtual=True)
-    writer = EventLogWriter(str(path), first, clocks=run.clocks)
-    run.record_to(writer)
+    writer = run.record_in(str(path), name, name)
     run.run(time=seconds)
     writer.close()
     return path
@@ -170,9 +168,7 @@ def test_what_the_observer_adds_up_is_what_the_run_did(folder: Path) -> None:
     plan = replace(read_plan(str(folder)), seed=3)
     run = VirtualRun(plan)
     path = folder / "run.jsonl"
-    first = header(plan, "run", "", "id", agents=True, virtual=True)
-    writer = EventLogWriter(str(path), first, clocks=run.clocks)
-    run.record_to(writer)
+    writer = run.record_in(str(path), "run", "id")
     result = run.run(time=50.0)
     writer.close()
     file = LogFile(str(path))

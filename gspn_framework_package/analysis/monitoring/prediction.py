@@ -21,7 +21,6 @@ from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.simulation import machine, simulate
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
 REPLICATIONS = 1000
@@ -174,7 +173,9 @@ class Parameters(NamedTuple):
         """The plan with these values."""
         return replace(
             plan,
-            net=_with_rates(plan.net, self.rates),
+            net=plan.net.with_rates(
+                {name: plan.net.transition(name).rate * f for name, f in self.rates.items()}
+            ),
             durations={
                 place: duration.scaled(self.durations[place])
                 if place in self.durations
@@ -233,20 +234,6 @@ def _factor(
         spread = math.log((interval[1] if z > 0 else value) / (value if z > 0 else interval[0]))
         return math.exp(z * spread / _NORMAL)
     return math.exp(z * min(error, 2.0))
-
-
-def _with_rates(net: Net, factors: Mapping[str, float]) -> Net:
-    if not factors:
-        return net
-    return Net(
-        net.places,
-        [
-            t._replace(rate=t.rate * factors[t.name]) if t.name in factors else t
-            for t in net.transitions
-        ],
-        net.arcs,
-        net.name,
-    )
 
 
 # -- growth with time ------------------------------------------------------------------------------

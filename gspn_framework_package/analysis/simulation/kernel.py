@@ -98,7 +98,7 @@ VOLATILE = 5
 HEAP = 6
 QUEUE_HEAD = 7
 QUEUE = 8
-TODO = 9
+PENDING = 9
 ACTIVE = 10
 INACTIVES = 11
 EVENTS = 12
@@ -938,8 +938,8 @@ class PlanState(NamedTuple):
     heap_robot: Any
     queue_tag: Any
     queue_robot: Any
-    todo_robot: Any
-    todo_what: Any
+    pending_robot: Any
+    pending_what: Any
     movers: Any
     targets: Any
     candidate: Any
@@ -1072,8 +1072,8 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
         heap_robot,
         queue_tag,
         queue_robot,
-        todo_robot,
-        todo_what,
+        pending_robot,
+        pending_what,
         movers,
         targets,
         candidate,
@@ -1106,7 +1106,7 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     n_heap = numbers[HEAP]
     queue_head = numbers[QUEUE_HEAD]
     n_queue = numbers[QUEUE]
-    n_todo = numbers[TODO]
+    n_pending = numbers[PENDING]
     n_active = numbers[ACTIVE]
     inactives = numbers[INACTIVES]
     events = numbers[EVENTS]
@@ -1120,9 +1120,9 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     while True:
         # -- robots that enter, end, fail or start ---------------------------------------------
         k = 0
-        while k < n_todo:
-            robot = todo_robot[k]
-            what = todo_what[k]
+        while k < n_pending:
+            robot = pending_robot[k]
+            what = pending_what[k]
             k += 1
             timing = timing_of[kind[robot] * places + at[robot]]
             wish = BAD_RESULT
@@ -1220,7 +1220,7 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                     is_dirty,
                     n_dirty,
                 )
-        n_todo = 0
+        n_pending = 0
         if status == STOPPED:
             break
         if with_until > 0 and numbers[CHECK_UNTIL] > 0:
@@ -1436,9 +1436,9 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                     queue_head = queue_head + 1 if queue_head + 1 < queue_room else 0
                     n_queue -= 1
                 due_tag[robot] = 0
-                todo_robot[0] = robot
-                todo_what[0] = due_what[robot]
-                n_todo = 1
+                pending_robot[0] = robot
+                pending_what[0] = due_what[robot]
+                n_pending = 1
                 continue
             if source == 3:
                 numbers[LOST] = -1
@@ -1578,9 +1578,9 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
             robot = movers[i]
             if targets[i] >= 0:
                 at[robot] = targets[i]
-                todo_robot[n_todo] = robot
-                todo_what[n_todo] = ENTERS
-                n_todo += 1
+                pending_robot[n_pending] = robot
+                pending_what[n_pending] = ENTERS
+                n_pending += 1
             else:
                 phase[robot] = GONE
                 n_active -= 1
@@ -1599,9 +1599,9 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
             active[n_active] = robot
             active_at[robot] = n_active
             n_active += 1
-            todo_robot[n_todo] = robot
-            todo_what[n_todo] = ENTERS
-            n_todo += 1
+            pending_robot[n_pending] = robot
+            pending_what[n_pending] = ENTERS
+            n_pending += 1
         if status == FULL:
             break
 
@@ -1616,7 +1616,7 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     numbers[HEAP] = n_heap
     numbers[QUEUE_HEAD] = queue_head
     numbers[QUEUE] = n_queue
-    numbers[TODO] = n_todo
+    numbers[PENDING] = n_pending
     numbers[ACTIVE] = n_active
     numbers[INACTIVES] = inactives
     numbers[EVENTS] = events

@@ -245,7 +245,7 @@ def _new_state(tables: PlanTables) -> kernel.PlanState:
     level[:places] = marking
     numbers = whole(kernel.NUMBERS)
     numbers[kernel.ACTIVE] = count
-    numbers[kernel.TODO] = count
+    numbers[kernel.PENDING] = count
     numbers[kernel.CHECK_UNTIL] = 1
     numbers[kernel.ENVIRONMENT_DIRTY] = 1
     numbers[kernel.LOST] = -1
@@ -263,8 +263,8 @@ def _new_state(tables: PlanTables) -> kernel.PlanState:
     active[:count] = active_at[:count] = np.arange(count)
     free = whole(room)
     free[: room - count] = np.arange(room - 1, count - 1, -1)
-    todo_robot, todo_what = whole(room + 1), whole(room + 1)
-    todo_robot[:count] = np.arange(count)  # all of them enter
+    pending_robot, pending_what = whole(room + 1), whole(room + 1)
+    pending_robot[:count] = np.arange(count)  # all of them enter
     leaves = 1
     while leaves < len(tables.environment):
         leaves *= 2
@@ -318,8 +318,8 @@ def _new_state(tables: PlanTables) -> kernel.PlanState:
         heap_robot=whole(2 * room + 1),
         queue_tag=whole(2 * room + 1),
         queue_robot=whole(2 * room + 1),
-        todo_robot=todo_robot,
-        todo_what=todo_what,
+        pending_robot=pending_robot,
+        pending_what=pending_what,
         movers=whole(max(tables.most_movers, 1)),
         targets=whole(max(tables.most_movers, 1)),
         candidate=whole(choices),

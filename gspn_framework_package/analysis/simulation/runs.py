@@ -28,7 +28,7 @@ from gspn_framework_package.analysis.simulation.plan_run import PlanRun
 from gspn_framework_package.analysis.simulation.plan_tables import PlanTables
 from gspn_framework_package.analysis.simulation.race_run import RaceRun
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
-from gspn_framework_package.model.condition import Condition, parse_condition
+from gspn_framework_package.model.condition import Condition, either, parse_condition
 from gspn_framework_package.model.errors import RefusedError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -109,7 +109,7 @@ def simulate(
         measures,
         batches,
     )
-    condition = _condition(plan, until)
+    condition = until if plan is None else either(plan.until, until)
     watch = Watch(progress, cancel)
     runner: Union[_KernelRunner, _TableRunner]
     if plan is None:
@@ -157,12 +157,6 @@ def simulate(
         notes=tuple(notes),
     )
     return result._replace(samples=found) if samples else result
-
-
-def _condition(plan: Optional[Plan], until: Optional[str]) -> Optional[str]:
-    if plan is None or plan.until is None:
-        return until
-    return plan.until if until is None else "(%s) or (%s)" % (plan.until, until)
 
 
 def _deadlock_or(condition: Optional[str], net: Net) -> Optional[Condition]:

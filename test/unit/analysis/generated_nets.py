@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from gspn_framework_package.model.builder import NetBuilder
 
 
-def _split(draw, total, places):
+def split(draw, total, places):
     """``total`` tokens over some of the places, as place -> weight."""
     weights = {}
     for _ in range(total):
@@ -21,7 +21,7 @@ def bounded_nets(draw, max_places=4, max_transitions=6, max_tokens=4, immediate=
     may come on top."""
     builder = NetBuilder("generated")
     places = ["p%d" % i for i in range(draw(st.integers(2, max_places)))]
-    tokens = _split(draw, draw(st.integers(1, max_tokens)), places)
+    tokens = split(draw, draw(st.integers(1, max_tokens)), places)
     for place in places:
         builder.place(place, tokens=tokens.get(place, 0))
     limited = draw(st.booleans())
@@ -29,8 +29,8 @@ def bounded_nets(draw, max_places=4, max_transitions=6, max_tokens=4, immediate=
         builder.place("limited", tokens=draw(st.integers(0, 2)), capacity=2)
     for i in range(draw(st.integers(1, max_transitions))):
         total = draw(st.integers(1, 2))
-        inputs = _split(draw, total, places)
-        outputs = _split(draw, total, places)
+        inputs = split(draw, total, places)
+        outputs = split(draw, total, places)
         inhibitors = {}
         if draw(st.integers(0, 3)) == 0:
             inhibitors = {draw(st.sampled_from(places)): draw(st.integers(1, 3))}

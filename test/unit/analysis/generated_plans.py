@@ -3,6 +3,7 @@ outcomes, failures and their rules, timeouts, policies with wildcards, prioritie
 inhibitor arcs, capacities, resources, an environment, routing, actions of single robots, agents
 that come and go."""
 
+from generated_nets import split
 from hypothesis import strategies as st
 
 from gspn_framework_package.model.builder import NetBuilder
@@ -35,14 +36,6 @@ DURATIONS = [
 ]
 
 
-def _spread(draw, total, places):
-    weights = {}
-    for _ in range(total):
-        place = draw(st.sampled_from(places))
-        weights[place] = weights.get(place, 0) + 1
-    return weights
-
-
 @st.composite
 def small_plans(draw):
     """A plan of up to five action places and two resources, with one to four robots."""
@@ -67,7 +60,7 @@ def small_plans(draw):
         into = total
         if total and draw(st.integers(0, 9)) == 0:
             into = draw(st.integers(0, total + 1))
-        inputs, outputs = _spread(draw, total, acts), _spread(draw, into, acts)
+        inputs, outputs = split(draw, total, acts), split(draw, into, acts)
         moves[name] = (list(inputs), list(outputs))
         for place in resources:
             side = draw(st.sampled_from([None, None, inputs, outputs]))

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from gspn_framework_package.execution.event_log import EventLogWriter, header, read_log
+from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.builder import NetBuilder
@@ -97,10 +97,7 @@ def test_the_log_is_verified_and_has_virtual_times(tmp_path):
     plan = two_places(until=None)
     run = VirtualRun(plan, seed=3)
     path = str(tmp_path / "run.jsonl")
-    writer = EventLogWriter(
-        path, header(run.plan, "run", "", "1", agents=True, virtual=True), clocks=run.clocks
-    )
-    run.record_to(writer)
+    writer = run.record_in(path, "run", "1")
     result = run.run(firings=200)
     writer.close()
     log = read_log(path)

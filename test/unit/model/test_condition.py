@@ -5,7 +5,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.condition import either, parse_condition
 from gspn_framework_package.model.errors import ExpressionError
 
 PLACES = ["p3", "robots_at_base", "p1:Check L1", "and"]
@@ -112,3 +112,16 @@ conditions = st.recursive(
 def test_both_evaluations_agree(text, markings):
     condition = parse_condition(text, ["a", "b", "c"])
     assert condition.holds_in(np.array(markings)).tolist() == [condition.holds(m) for m in markings]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "joined"),
+    [
+        (None, None, None),
+        ("a >= 1", None, "a >= 1"),
+        (None, "b == 0 and a > 2", "b == 0 and a > 2"),
+        ("a >= 1", "b == 0 and a > 2", "(a >= 1) or (b == 0 and a > 2)"),
+    ],
+)
+def test_either_of_two_conditions(first, second, joined):
+    assert either(first, second) == joined
