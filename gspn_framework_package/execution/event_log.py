@@ -43,6 +43,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import platform
 import re
@@ -360,19 +361,11 @@ def read_log(path: str, size: Optional[int] = None) -> EventLog:
             first = file.readline()
             cut = not first.endswith(b"\n")
             head = _header(first, path)
-            chain = "" if head["version"] == UNSUMMED else _follow("", first, path, 1)
-            left = (size if size is not None else os.path.getsize(path)) - len(first)
-            for number, line in enumerate(file, 2):
-                left -= len(line)
-                if left < 0 and size is not None:
-                    break
-                if not line.endswith(b"\n"):
+            for record in _checked_records(file, first, head, path, size):
+                if record is None:
                     cut = True
-                    break
-                record = _record(line, path, number)
-                if chain:
-                    chain = _follow(chain, line, path, number)
-                records.append(record)
+                else:
+                    records.append(record)
     except OSError as error:
         raise LogError("cannot be read (%s)" % error.strerror, file=path) from None
     return EventLog(path, head, records, cut)
@@ -451,20 +444,11 @@ class LogFile:
         try:
             with self.open() as file:
                 first = file.readline(LONGEST_LINE)
-                unsummed = self.header["version"] == UNSUMMED
-                chain = "" if unsummed else _follow("", first, self.path, 1)
-                left = self.size - len(first)
-                for number, line in enumerate(file, 2):
-                    left -= len(line)
-                    if left < 0:
-                        break
-                    if not line.endswith(b"\n"):
+                for record in _checked_records(file, first, self.header, self.path, self.size):
+                    if record is None:
                         self.cut = True
-                        break
-                    record = _record(line, self.path, number)
-                    if chain:
-                        chain = _follow(chain, line, self.path, number)
-                    yield record
+                    else:
+                        yield record
         except OSError as error:
             raise LogError("cannot be read (%s)" % error.strerror, file=self.path) from None
 
@@ -505,6 +489,30 @@ def _follow(chain: str, line: bytes, path: str, number: int) -> str:
             "does not follow from the lines before it", file=path, line=number, hint=DAMAGED
         )
     return chain
+
+
+def _checked_records(
+    file: BinaryIO, first: bytes, head: Record, path: str, size: Optional[int]
+) -> Iterator[Optional[Record]]:
+    """Yield the records after the ``first`` line, whose running hashes must fit; None at the end
+    stands for a truncated last line.
+
+    :param size: read only that many bytes of the file; None: all.
+    :raises LogError: a line is not a record, or does not follow from the lines before it.
+    """
+    chain = "" if head["version"] == UNSUMMED else _follow("", first, path, 1)
+    left = math.inf if size is None else size - len(first)
+    for number, line in enumerate(file, 2):
+        left -= len(line)
+        if left < 0:
+            return
+        if not line.endswith(b"\n"):
+            yield None
+            return
+        record = _record(line, path, number)
+        if chain:
+            chain = _follow(chain, line, path, number)
+        yield record
 
 
 def _record(line: bytes, path: str, number: int) -> Record:
