@@ -171,6 +171,7 @@ def plan_from_json(
         durations={p: _duration(p, d) for p, d in data.get("durations", {}).items()},
         outcomes={p: o["probabilities"] for p, o in data.get("outcomes", {}).items()},
         failures={p: f["probability"] for p, f in data.get("failures", {}).items()},
+        chance=frozenset(data.get("chance", ())),
         rates={t: float(r["rate"]) for t, r in data.get("rates", {}).items()},
         evidence=_evidence(data),
         timing=Timing(
@@ -323,6 +324,8 @@ def plan_to_json(plan: Plan) -> Dict[str, Any]:
     }
     if plan.until is not None:
         data["until"] = plan.until
+    if plan.chance:
+        data["chance"] = sorted(plan.chance)
     values: Dict[str, Dict[str, Dict[str, Any]]] = {
         "durations": {p: d.to_json() for p, d in plan.durations.items()},
         "outcomes": {p: {"probabilities": dict(o)} for p, o in plan.outcomes.items()},

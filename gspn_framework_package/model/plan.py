@@ -186,6 +186,8 @@ class Plan:
     :ivar durations: place -> how long its action takes, for analysis and simulation.
     :ivar outcomes: place -> {transition that its action names, or "" for none: probability}.
     :ivar failures: place -> probability that an attempt of its action fails.
+    :ivar chance: decision places in which nobody chooses: the action finds out what comes next, or
+        it happens by the weights. For the computation of policies.
     :ivar rates: transition -> rate (1/s) that replaces the one in the net's file; ``net`` has it.
     :ivar evidence: (key of the plan file, place or transition) -> where that value was learned.
     :ivar timing: times of the agreement protocol.
@@ -216,6 +218,7 @@ class Plan:
     durations: Mapping[str, Duration] = field(default_factory=dict)
     outcomes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     failures: Mapping[str, float] = field(default_factory=dict)
+    chance: FrozenSet[str] = frozenset()
     rates: Mapping[str, float] = field(default_factory=dict)
     evidence: Mapping[Tuple[str, str], Evidence] = field(default_factory=dict)
     timing: Timing = Timing()
@@ -334,6 +337,15 @@ class Plan:
         """Return the plan with another seed for the policy's random draws."""
         return replace(self, seed=seed)
 
+    def with_policy(self, policy: Policy) -> Plan:
+        """Return the plan with another policy.
+
+        :raises PolicyError: it names a place or transition that the net does not have, or an
+            exponential transition.
+        """
+        policy.bind(self.net)
+        return replace(self, policy=policy)
+
     def with_notes(self, notes: Iterable[str]) -> Plan:
         """Return the plan with further notes for the user on how it was read."""
         return replace(self, notes=self.notes + tuple(notes))
@@ -415,6 +427,14 @@ class Plan:
             if not 0 <= chance < 1:
                 raise self._error(
                     "failures", place, "%g is not a possible probability" % chance, "0 <= p < 1"
+                )
+        for place in self.chance:
+            self._known_place(place, "chance")
+            if all(self.net.transition(t).timed for t in self._leaving(place)):
+                raise PlanError(
+                    "no immediate transition leaves '%s', so nothing is chosen there" % place,
+                    file=self.file,
+                    element="chance",
                 )
         for name in self.rates:
             self._known_transition(name, "rates")

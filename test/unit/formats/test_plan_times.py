@@ -40,6 +40,7 @@ PLAN = {
     },
     "outcomes": {"a.b": {"probabilities": {"t": 0.25, "u": 0.75}, "of": {"observations": 40}}},
     "failures": {"c": {"probability": 0.01}},
+    "chance": ["c"],
     "rates": {"t": {"rate": 5}},
 }
 
@@ -53,13 +54,15 @@ def test_what_is_written_is_read_again():
     assert plan.net.transition("u").rate == 3
     assert plan.evidence["durations", "a.b"] == Evidence(537, ("run.jsonl",), (1.1, 1.3))
     again = plan_from_json(json.loads(json.dumps(plan_to_json(plan))))
-    for name in ("durations", "outcomes", "failures", "rates", "evidence"):
+    for name in ("durations", "outcomes", "failures", "chance", "rates", "evidence"):
         assert getattr(again, name) == getattr(plan, name)
     assert again.hash() == plan.hash()
 
 
 def test_only_what_a_run_reads_is_part_of_its_hash():
-    without = {k: v for k, v in PLAN.items() if k not in ("durations", "outcomes", "failures")}
+    without = {
+        k: v for k, v in PLAN.items() if k not in ("durations", "outcomes", "failures", "chance")
+    }
     assert plan_from_json(without).hash() == plan_from_json(PLAN).hash()
     assert plan_from_json({**without, "rates": {}}).hash() != plan_from_json(PLAN).hash()
 
@@ -75,6 +78,8 @@ def test_only_what_a_run_reads_is_part_of_its_hash():
         (("outcomes", "a.b", "probabilities"), {"t": 0.5}, "sum to 0.5", '"a.b"'),
         (("outcomes", "a.b", "probabilities"), {"i": 1}, "'i' does not leave", '"a.b"'),
         (("failures", "c", "probability"), 1, "1", '"probability"'),
+        (("chance",), ["nowhere"], "no place 'nowhere'", '"chance"'),
+        (("chance",), ["a.b"], "no immediate transition leaves 'a.b'", '"chance"'),
         (("rates", "i"), {"rate": 1}, "an immediate transition has no rate", '"i"'),
         (("rates", "x"), {"rate": 1}, "no transition 'x'", '"rates"'),
     ],

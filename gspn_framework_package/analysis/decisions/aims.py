@@ -1,0 +1,147 @@
+"""What a policy is computed for: the aim, its constraints and how the plan is read."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+from typing import FrozenSet, Mapping, NamedTuple, Optional, Tuple
+
+from gspn_framework_package.analysis.limits import Limits
+from gspn_framework_package.analysis.plan.reading import RUN
+from gspn_framework_package.model.errors import UsageError
+
+WIDTH = 1e-6
+"""Default width of the certified interval, relative to its value."""
+
+NARROWEST = 1e-12
+"""Narrowest width that can be asked for: rounding errors are not much smaller."""
+
+
+class Aim(enum.Enum):
+    """The kinds of aims."""
+
+    LONG_RUN = "long_run"
+    """The average reward per second in the long run."""
+    TIME_TO = "time_to"
+    """The mean time (s) until a condition holds; it is minimised."""
+    COST_TO = "cost_to"
+    """The mean cost until a condition holds; it is minimised."""
+    REACH = "reach"
+    """The probability that a condition ever holds."""
+    DISCOUNTED = "discounted"
+    """The sum of the rewards, each discounted by exp(-discount * time)."""
+
+
+@dataclass(frozen=True)
+class Objective:
+    """An aim.
+
+    :ivar aim: its kind.
+    :ivar rewards: place -> reward per token and second, or transition -> reward per firing;
+      negative values are costs. For COST_TO they are costs.
+    :ivar goal: the condition of TIME_TO, COST_TO and REACH.
+    :ivar discount: the rate (1/s) of DISCOUNTED.
+    :ivar maximise: whether more is better.
+    """
+
+    aim: Aim
+    rewards: Mapping[str, float] = field(default_factory=dict)
+    goal: Optional[str] = None
+    discount: Optional[float] = None
+    maximise: bool = True
+
+    @classmethod
+    def long_run(cls, rewards: Mapping[str, float]) -> Objective:
+        """The highest average reward per second."""
+        return cls(Aim.LONG_RUN, rewards)
+
+    @classmethod
+    def time_to(cls, goal: str) -> Objective:
+        """The least mean time until ``goal`` holds."""
+        return cls(Aim.TIME_TO, goal=goal, maximise=False)
+
+    @classmethod
+    def cost_to(cls, goal: str, costs: Mapping[str, float]) -> Objective:
+        """The least mean cost until ``goal`` holds."""
+        return cls(Aim.COST_TO, costs, goal=goal, maximise=False)
+
+    @classmethod
+    def reach(cls, goal: str) -> Objective:
+        """The highest probability that ``goal`` ever holds."""
+        return cls(Aim.REACH, goal=goal)
+
+    @classmethod
+    def discounted(cls, rewards: Mapping[str, float], discount: float) -> Objective:
+        """The highest discounted reward."""
+        return cls(Aim.DISCOUNTED, rewards, discount=discount)
+
+    @property
+    def unit(self) -> str:
+        """The unit of its value, for people; empty if it has none."""
+        return {Aim.LONG_RUN: "1/s", Aim.TIME_TO: "s"}.get(self.aim, "")
+
+    def describe(self) -> str:
+        """The objective in words."""
+        listed = ", ".join("%s: %g" % item for item in self.rewards.items())
+        if self.aim is Aim.LONG_RUN:
+            return "the highest reward per second in the long run (%s)" % listed
+        if self.aim is Aim.TIME_TO:
+            return "the shortest mean time until %s" % self.goal
+        if self.aim is Aim.COST_TO:
+            return "the least mean cost until %s (%s)" % (self.goal, listed)
+        if self.aim is Aim.REACH:
+            return "the highest probability that %s ever holds" % self.goal
+        return "the highest reward (%s), discounted by %g per second" % (listed, self.discount or 0)
+
+
+class AtLeast(NamedTuple):
+    """A constraint on the long run: ``name`` is a place, with its mean tokens, or a transition,
+    with its firings per second; ``bound`` is the least value."""
+
+    name: str
+    bound: float
+
+    @classmethod
+    def parse(cls, text: str) -> AtLeast:
+        """Read ``NAME>=VALUE``. :raises UsageError: it is something else."""
+        name, sign, bound = text.rpartition(">=")
+        try:
+            value = float(bound)
+        except ValueError:
+            sign, value = "", 0.0
+        if not sign or not name.strip():
+            raise UsageError(
+                "'%s' is not a constraint" % text, hint="write NAME>=VALUE, e.g. 'finish>=0.1'"
+            )
+        return cls(name.strip(), value)
+
+
+@dataclass(frozen=True)
+class Request:
+    """Everything that a policy is computed from, besides the plan.
+
+    :ivar objective: the aim.
+    :ivar never: conditions that may never hold.
+    :ivar at_least: constraints on the long run.
+    :ivar may_wait: places in which a robot may wait although it could go on.
+    :ivar reading: how time is read: ``run`` or ``net``.
+    :ivar fitted: whether the plan's own ``durations``, ``outcomes`` and ``rates`` count, as learned
+      from runs; if not, the nominal rates of the net's file do.
+    :ivar uncertain: transition -> lowest and highest rate (1/s): the policy is the best for the
+      worst of them.
+    :ivar team_sizes: the numbers of robots for which to compute choices; None: the plan's own, and
+      those that losses leave.
+    :ivar width: width of the certified interval, relative to its value.
+    :ivar limits: how far each part may go.
+    """
+
+    objective: Objective
+    never: Tuple[str, ...] = ()
+    at_least: Tuple[AtLeast, ...] = ()
+    may_wait: FrozenSet[str] = frozenset()
+    reading: str = RUN
+    fitted: bool = True
+    uncertain: Mapping[str, Tuple[float, float]] = field(default_factory=dict)
+    team_sizes: Optional[Tuple[int, ...]] = None
+    width: float = WIDTH
+    limits: Limits = Limits()
