@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass, field
 from typing import FrozenSet, Mapping, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.plan.reading import RUN
+from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.net import Net
 
 WIDTH = 1e-6
 """Default width of the certified interval, relative to its value."""
@@ -145,3 +148,53 @@ class Request:
     team_sizes: Optional[Tuple[int, ...]] = None
     width: float = WIDTH
     limits: Limits = Limits()
+
+    def check(self, net: Net) -> None:
+        """Check that all names and conditions fit ``net``, and that the parts fit each other.
+
+        :raises UsageError: a name is not in the net, or the request makes no sense.
+        :raises ExpressionError: a condition cannot be read.
+        """
+        objective = self.objective
+        self._check_rewards(net)
+        places = [place.name for place in net.places]
+        for condition in (*((objective.goal,) if objective.goal else ()), *self.never):
+            parse_condition(condition, places)
+        for name, bound in self.at_least:
+            _known(net, name, "a constraint")
+            if not math.isfinite(bound):
+                raise UsageError("%g is not a bound of '%s'" % (bound, name))
+        if self.at_least and objective.aim is not Aim.LONG_RUN:
+            raise UsageError(
+                "constraints of the long run need an aim of the long run", hint="give rewards"
+            )
+        if self.at_least and self.uncertain:
+            raise UsageError("constraints cannot be combined with uncertain rates")
+        for place in self.may_wait:
+            if place not in net.place_index:
+                raise UsageError("a robot may wait in '%s', but there is no such place" % place)
+        for name, (low, high) in self.uncertain.items():
+            if name not in net.transition_index or not net.transition(name).timed:
+                raise UsageError("'%s' is not an exponential transition" % name)
+            if not 0 < low <= high < math.inf:
+                raise UsageError("%g to %g is not an interval of rates" % (low, high), element=name)
+        if not NARROWEST <= self.width < 1:
+            raise UsageError("a width is from %g to below 1, not %g" % (NARROWEST, self.width))
+
+    def _check_rewards(self, net: Net) -> None:
+        objective = self.objective
+        if objective.aim not in (Aim.TIME_TO, Aim.REACH) and not any(objective.rewards.values()):
+            raise UsageError(
+                "nothing is rewarded", hint="give a place or transition a reward or cost"
+            )
+        for name, value in objective.rewards.items():
+            _known(net, name, "a reward")
+            if not math.isfinite(value):
+                raise UsageError("%g is not a reward of '%s'" % (value, name))
+        if objective.aim is Aim.DISCOUNTED and not 0 < (objective.discount or 0) < math.inf:
+            raise UsageError("a discount is a rate above 0, per second")
+
+
+def _known(net: Net, name: str, what: str) -> None:
+    if name not in net.place_index and name not in net.transition_index:
+        raise UsageError("%s names '%s', which is neither a place nor a transition" % (what, name))

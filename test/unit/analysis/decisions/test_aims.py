@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from gspn_framework_package.analysis.decisions.aims import AtLeast, Objective
-from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.analysis.decisions.aims import AtLeast, Objective, Request
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.errors import ExpressionError, UsageError
 
 
 def test_a_constraint_is_read_from_its_text():
@@ -37,3 +38,50 @@ def test_what_is_no_constraint_is_refused(text):
 )
 def test_an_objective_is_described_in_words(objective, words):
     assert objective.describe() == words
+
+
+NET = (
+    NetBuilder()
+    .place("a", tokens=1)
+    .place("b")
+    .exponential("go", inputs="a", outputs="b")
+    .immediate("back", inputs="b", outputs="a")
+    .build()
+)
+RUN = Objective.long_run({"go": 1.0})
+
+
+def test_a_request_that_fits_the_net_is_accepted():
+    Request(
+        RUN,
+        never=("a == 0 and b == 0",),
+        at_least=(AtLeast("a", 0.1),),
+        may_wait=frozenset({"b"}),
+    ).check(NET)
+    Request(Objective.time_to("b == 1"), uncertain={"go": (0.5, 2.0)}).check(NET)
+
+
+@pytest.mark.parametrize(
+    ("request_", "error", "message"),
+    [
+        (Request(Objective.long_run({})), UsageError, "nothing is rewarded"),
+        (Request(Objective.long_run({"c": 1})), UsageError, "'c', which is neither"),
+        (Request(Objective.long_run({"go": float("inf")})), UsageError, "inf is not a reward"),
+        (Request(Objective.time_to("c == 1")), ExpressionError, "no place 'c'"),
+        (Request(Objective.discounted({"go": 1}, 0)), UsageError, "a discount is a rate"),
+        (Request(RUN, never=("b >=",)), ExpressionError, "b >="),
+        (Request(RUN, at_least=(AtLeast("c", 1),)), UsageError, "a constraint names 'c'"),
+        (Request(RUN, may_wait=frozenset({"c"})), UsageError, "no such place"),
+        (Request(RUN, uncertain={"back": (1, 2)}), UsageError, "not an exponential transition"),
+        (Request(RUN, uncertain={"go": (2, 1)}), UsageError, "not an interval of rates"),
+        (Request(RUN, width=0), UsageError, "a width is"),
+        (
+            Request(Objective.time_to("b == 1"), at_least=(AtLeast("a", 1),)),
+            UsageError,
+            "need an aim of the long run",
+        ),
+    ],
+)
+def test_a_request_that_does_not_fit_is_refused(request_, error, message):
+    with pytest.raises(error, match=message):
+        request_.check(NET)
