@@ -285,16 +285,7 @@ def plan_to_json(plan: Plan) -> Dict[str, Any]:
     data: Dict[str, Any] = {
         "plan": plan.name,
         "net": net_to_json(plan.net),
-        "policy": {
-            "places": list(plan.policy.places),
-            "rows": [
-                {
-                    "marking": ["-" if c is None else c for c in row.counts],
-                    "choose": dict(row.choices),
-                }
-                for row in plan.policy.rows
-            ],
-        },
+        "policy": policy_to_json(plan.policy),
         "actions": {p: _action_to_json(a) for p, a in plan.actions.items()},
         "resource_places": sorted(plan.resource_places),
         "synchronisation": plan.synchronisation.value,
@@ -346,6 +337,20 @@ def evidence_to_json(evidence: Evidence) -> Dict[str, Any]:
     if evidence.interval is not None:
         data["interval"] = list(evidence.interval)
     return data
+
+
+def policy_to_json(policy: Policy) -> Dict[str, Any]:
+    """Return the policy as a JSON object; ``policy_from_json`` reads it."""
+    return {
+        "places": list(policy.places),
+        "rows": [
+            {
+                "marking": ["-" if c is None else c for c in row.counts],
+                "choose": dict(row.choices),
+            }
+            for row in policy.rows
+        ],
+    }
 
 
 def plan_to_short_json(plan: Plan) -> Dict[str, Any]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any, Dict
 
 import pytest
 
-from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.formats.plan_file import plan_document, read_plan
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json, schema
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.plan import (
@@ -19,6 +20,7 @@ from gspn_framework_package.model.plan import (
     ServerAction,
     Synchronisation,
 )
+from gspn_framework_package.model.policy import Policy
 
 PLANS = Path(__file__).resolve().parents[3] / "plans"
 NET = {
@@ -286,3 +288,18 @@ def test_a_whole_pair_of_surrogates_is_a_character(tmp_path):
     file.write_text(json.dumps(dict(FULL, plan="\U0001f600")))
     assert "\\ud83d\\ude00" in file.read_text()
     assert read_plan(str(file)).name == "\U0001f600"
+
+
+def test_a_new_policy_is_written_in_place_of_the_file_that_had_the_old_one(tmp_path):
+    folder = tmp_path / "patrol"
+    shutil.copytree(PLANS / "patrol", folder)
+    plan = read_plan(str(folder))
+    names = [t.name for t in plan.net.transitions if not t.timed]
+    policy = Policy.from_table([plan.net.places[0].name], [(["-"], {names[0]: 1.0})])
+    same = plan_document(str(folder), plan, str(folder))
+    assert same["policy"] == "policy.json"
+    data = plan_document(str(folder), plan.with_policy(policy), str(folder))
+    (folder / "new.json").write_text(json.dumps(data))
+    again = read_plan(str(folder / "new.json"))
+    assert again.policy == policy
+    assert again.with_policy(plan.policy).hash() == plan.hash()

@@ -1,0 +1,240 @@
+"""What the computation of a policy found, for scripts and for people."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Tuple
+
+from gspn_framework_package.analysis.decisions.aims import Request
+from gspn_framework_package.formats.plan_json import plan_to_json
+from gspn_framework_package.model.plan import Plan
+
+MOST_CHOICES = 1_000
+"""Most choices that a report lists."""
+
+_LISTED = 8
+"""Most choices, and most sensitivities, in the text."""
+
+
+class TeamResult(NamedTuple):
+    """The answer for a team of ``robots`` robots: how many ``states`` its decision problem has, the
+    ``value`` of the policy, and certified bounds of the best value; all None if there is none, and
+    ``why`` there is none."""
+
+    robots: int
+    states: int
+    value: Optional[float]
+    lower: Optional[float]
+    upper: Optional[float]
+    why: str = ""
+
+
+class ConstraintResult(NamedTuple):
+    """A constraint: its ``name``, the ``value`` that the policy reaches, its ``bound``, and its
+    ``price``: how much the aim would gain if the bound were lower by 1."""
+
+    name: str
+    value: float
+    bound: float
+    price: Optional[float]
+
+
+class Sensitivity(NamedTuple):
+    """How the value depends on the ``rate`` (1/s) of a transition: the ``derivative``, and the
+    ``elasticity``, that is the relative change of the value per relative change of the rate."""
+
+    transition: str
+    rate: float
+    derivative: float
+    elasticity: Optional[float]
+
+
+class Choice(NamedTuple):
+    """What robots in ``place`` do in a ``marking`` (places with tokens only): transition ->
+    probability under the present policy and under the best one; empty if they wait. ``loss`` is
+    what one such choice of the present policy costs, in units of the aim; None: not known."""
+
+    marking: Mapping[str, int]
+    place: str
+    present: Mapping[str, float]
+    best: Mapping[str, float]
+    loss: Optional[float] = None
+
+
+@dataclass
+class Report:
+    """A computed policy.
+
+    :ivar request: what was asked.
+    :ivar plan: the plan with the computed policy.
+    :ivar present: the value of the present policy; None: not known, and ``present_why`` says why.
+    :ivar teams: the plan's own team first.
+    :ivar rows: rows of the computed policy.
+    :ivar silent: pairs of a marking and a place for which the policy has no say, since robots in
+      another place decide first.
+    :ivar exact: whether the bounds are certified. If not, the policy was improved by simulation.
+    :ivar simulation: old and new plan, simulated as they run: JSON, with ``text`` for people.
+    """
+
+    request: Request
+    plan: Plan
+    teams: List[TeamResult]
+    rows: int
+    silent: int = 0
+    exact: bool = True
+    present: Optional[float] = None
+    present_why: str = ""
+    constraints: List[ConstraintResult] = field(default_factory=list)
+    sensitivities: List[Sensitivity] = field(default_factory=list)
+    assumptions: List[str] = field(default_factory=list)
+    undecided: List[str] = field(default_factory=list)
+    choices: List[Choice] = field(default_factory=list)
+    choices_in_all: int = 0
+    simulation: Optional[Dict[str, Any]] = None
+
+    @property
+    def gain(self) -> Optional[float]:
+        """How much better the computed policy is than the present one, relative to the latter."""
+        value = self.teams[0].value
+        if _finite(value) is None or not _finite(self.present):
+            return None
+        assert value is not None and self.present is not None
+        gain = (value - self.present) / abs(self.present)
+        return gain if self.request.objective.maximise else -gain
+
+    def to_json(self) -> Dict[str, Any]:
+        """As plain JSON values."""
+        own = self.teams[0]
+        objective = self.request.objective
+        return {
+            "objective": {
+                "aim": objective.aim.value,
+                "text": objective.describe(),
+                "unit": objective.unit,
+                "maximise": objective.maximise,
+            },
+            "exact": self.exact,
+            "value": _finite(own.value),
+            "lower": _finite(own.lower),
+            "upper": _finite(own.upper),
+            "present_policy": {"value": _finite(self.present), "why": self.present_why},
+            "gain": self.gain,
+            "teams": [
+                {
+                    **team._asdict(),
+                    "value": _finite(team.value),
+                    "lower": _finite(team.lower),
+                    "upper": _finite(team.upper),
+                }
+                for team in self.teams
+            ],
+            "rows": self.rows,
+            "silent": self.silent,
+            "constraints": [constraint._asdict() for constraint in self.constraints],
+            "sensitivities": [entry._asdict() for entry in self.sensitivities],
+            "assumptions": self.assumptions,
+            "undecided": self.undecided,
+            "choices": [
+                {**choice._asdict(), "marking": dict(choice.marking)}
+                for choice in self.choices[:MOST_CHOICES]
+            ],
+            "choices_in_all": self.choices_in_all,
+            "simulation": self.simulation,
+            "plan": plan_to_json(self.plan),
+        }
+
+    def lines(self) -> List[str]:
+        """The report as lines of text."""
+        objective = self.request.objective
+        lines = ["aim: %s" % objective.describe()]
+        lines += self._values()
+        for constraint in self.constraints:
+            price = (
+                "" if constraint.price is None else "; it costs %.6g per unit" % constraint.price
+            )
+            lines.append(
+                "%s: %.9g, at least %g%s"
+                % (constraint.name, constraint.value, constraint.bound, price)
+            )
+        lines.append(
+            "policy: %d row%s%s"
+            % (
+                self.rows,
+                "" if self.rows == 1 else "s",
+                "; in %d cases robots in another place decide first" % self.silent
+                if self.silent
+                else "",
+            )
+        )
+        lines += self._differences()
+        lines += self._sensitive()
+        if self.simulation is not None:
+            lines.append("simulated as it runs: %s" % self.simulation["text"])
+        lines += ["not decided: %s" % sentence for sentence in self.undecided]
+        lines += ["assumed: %s" % sentence for sentence in self.assumptions]
+        return lines
+
+    def _values(self) -> List[str]:
+        unit = " " + self.request.objective.unit if self.request.objective.unit else ""
+        if self.present is None:
+            lines = ["present policy: not known (%s)" % self.present_why]
+        else:
+            lines = ["present policy: %.9g%s" % (self.present, unit)]
+        for team in self.teams:
+            who = "best policy" if team is self.teams[0] else "team of %d" % team.robots
+            if team.value is None:
+                lines.append("%s: none (%s)" % (who, team.why))
+                continue
+            text = "%s: %.9g%s" % (who, team.value, unit)
+            if team.lower is not None and team.upper is not None:
+                text += ", the optimum is from %.12g to %.12g" % (team.lower, team.upper)
+            if team is self.teams[0] and self.gain is not None:
+                text += ", %+.2f %%" % (100 * self.gain)
+            lines.append("%s (%s states)" % (text, format(team.states, ",")))
+        return lines
+
+    def _differences(self) -> List[str]:
+        different = [choice for choice in self.choices if dict(choice.present) != dict(choice.best)]
+        if not different:
+            return []
+        lines = ["where it differs from the present policy, the costliest first:"]
+        for choice in different[:_LISTED]:
+            marking = ", ".join("%s: %d" % item for item in choice.marking.items())
+            lines.append(
+                "  (%s) in %s: %s -> %s"
+                % (marking, choice.place, _said(choice.present), _said(choice.best))
+            )
+        if len(different) > _LISTED:
+            lines.append("  and more (--json lists %s)" % format(len(self.choices), ","))
+        return lines
+
+    def _sensitive(self) -> List[str]:
+        known = [(e.transition, e.elasticity) for e in self.sensitivities if e.elasticity]
+        if not known:
+            return []
+        known.sort(key=lambda item: -abs(item[1]))
+        changes = ", ".join("%s %+.3g %%" % item for item in known[:_LISTED])
+        return ["if a rate rises by 1 %%, the value changes by: %s" % changes]
+
+
+def _finite(value: Optional[float]) -> Optional[float]:
+    """The value, for JSON, which has no infinite numbers."""
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _said(choices: Mapping[str, float]) -> str:
+    if not choices:
+        return "wait"
+    if len(choices) == 1:
+        return next(iter(choices))
+    return ", ".join("%s %.3g" % item for item in choices.items())
+
+
+def differing_first(choices: List[Choice]) -> List[Choice]:
+    """The choices: first those that differ between the policies, the costliest of them first."""
+
+    def key(choice: Choice) -> Tuple[bool, float]:
+        return dict(choice.present) == dict(choice.best), -(choice.loss or 0.0)
+
+    return sorted(choices, key=key)
