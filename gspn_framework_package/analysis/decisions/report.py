@@ -50,7 +50,7 @@ class Sensitivity(NamedTuple):
     elasticity: Optional[float]
 
 
-class Choice(NamedTuple):
+class MarkingChoice(NamedTuple):
     """What robots in ``place`` do in a ``marking`` (places with tokens only): transition ->
     probability under the present policy and under the best one; empty if they wait. ``loss`` is
     what one such choice of the present policy costs, in units of the aim; None: not known."""
@@ -89,7 +89,7 @@ class Report:
     sensitivities: List[Sensitivity] = field(default_factory=list)
     assumptions: List[str] = field(default_factory=list)
     undecided: List[str] = field(default_factory=list)
-    choices: List[Choice] = field(default_factory=list)
+    choices: List[MarkingChoice] = field(default_factory=list)
     choices_in_all: int = 0
     simulation: Optional[Dict[str, Any]] = None
 
@@ -231,10 +231,10 @@ def _said(choices: Mapping[str, float]) -> str:
     return ", ".join("%s %.3g" % item for item in choices.items())
 
 
-def differing_first(choices: List[Choice]) -> List[Choice]:
+def differing_first(choices: List[MarkingChoice]) -> List[MarkingChoice]:
     """The choices: first those that differ between the policies, the costliest of them first."""
 
-    def key(choice: Choice) -> Tuple[bool, float]:
+    def key(choice: MarkingChoice) -> Tuple[bool, float]:
         return dict(choice.present) == dict(choice.best), -(choice.loss or 0.0)
 
     return sorted(choices, key=key)

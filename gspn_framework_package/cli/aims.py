@@ -1,0 +1,107 @@
+"""The aim of a policy on the command line: rewards, or a condition to come to."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from typing import Any, Callable, Dict, Sequence, TypeVar
+
+from gspn_framework_package.analysis.decisions.aims import Aim, Objective
+from gspn_framework_package.cli import numbers
+from gspn_framework_package.model.errors import UsageError
+
+Value = TypeVar("Value")
+
+
+def add_aim_arguments(group: Any) -> None:
+    """Declare the options, on a parser or on a group of its arguments."""
+    group.add_argument(
+        "--reward",
+        action="append",
+        default=[],
+        metavar="NAME=R",
+        help="R per token in a place and second, or per firing of a transition; a negative R is a "
+        "cost. The average per second in the long run is made as high as possible. May be repeated",
+    )
+    group.add_argument(
+        "--mean-time-to", metavar="CONDITION", help="make the mean time until then the shortest"
+    )
+    group.add_argument(
+        "--cost-to",
+        metavar="CONDITION",
+        help="make the mean cost until then the least: --reward gives the costs, as positive "
+        "numbers",
+    )
+    group.add_argument(
+        "--reach", metavar="CONDITION", help="make it as probable as possible that this ever holds"
+    )
+    group.add_argument(
+        "--discount",
+        type=numbers.duration,
+        metavar="B",
+        help="instead of the long run: rewards after a time t count exp(-B t) times (B in 1/s)",
+    )
+    group.add_argument(
+        "--minimise",
+        action="store_true",
+        help="make the rewards, or the probability, as low as possible",
+    )
+
+
+def objective_of(args: argparse.Namespace) -> Objective:
+    """The aim in the arguments. :raises UsageError: there is none, there are two, or it makes no
+    sense."""
+    rewards = pairs(args.reward, "--reward", float, "NAME=NUMBER")
+    conditions = [
+        (option, goal)
+        for option, goal in (
+            ("--mean-time-to", args.mean_time_to),
+            ("--cost-to", args.cost_to),
+            ("--reach", args.reach),
+        )
+        if goal is not None
+    ]
+    if len(conditions) > 1:
+        raise UsageError("%s and %s are two aims" % (conditions[0][0], conditions[1][0]))
+    if conditions and args.discount is not None:
+        raise UsageError("%s and --discount are two aims" % conditions[0][0])
+    option, goal = conditions[0] if conditions else ("", "")
+    if rewards and option in ("--mean-time-to", "--reach"):
+        raise UsageError("%s has no rewards" % option)
+    if args.minimise and option in ("--mean-time-to", "--cost-to"):
+        raise UsageError("%s is minimised in any case" % option)
+    if option == "--mean-time-to":
+        return Objective.time_to(goal)
+    if option == "--cost-to":
+        return Objective.cost_to(goal, rewards)
+    if option == "--reach":
+        objective = Objective.reach(goal)
+    elif not rewards:
+        raise UsageError(
+            "there is no aim", hint="give --reward, --mean-time-to, --cost-to or --reach"
+        )
+    elif args.discount is not None:
+        objective = Objective.discounted(rewards, args.discount)
+    else:
+        objective = Objective(Aim.LONG_RUN, rewards)
+    return dataclasses.replace(objective, maximise=not args.minimise)
+
+
+def pairs(
+    texts: Sequence[str], option: str, read: Callable[[str], Value], form: str
+) -> Dict[str, Value]:
+    """Read ``NAME=VALUE`` texts. :raises UsageError: one is something else, or a name is twice."""
+    found: Dict[str, Value] = {}
+    for text in texts:
+        name, sign, value = text.rpartition("=")
+        name = name.strip()
+        try:
+            if not sign or not name:
+                raise ValueError
+            read_value = read(value)
+        except ValueError:
+            raise UsageError("%s '%s'" % (option, text), hint="write %s" % form) from None
+        if name in found:
+            raise UsageError("%s names '%s' twice" % (option, name))
+        found[name] = read_value
+    return found
