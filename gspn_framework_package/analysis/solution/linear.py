@@ -61,7 +61,7 @@ _PATIENCE = 100
 rounding."""
 
 
-class Solution(NamedTuple):
+class LinearSolution(NamedTuple):
     """The solution of a linear system.
 
     :ivar values: float array: the unknowns.
@@ -85,7 +85,7 @@ def solve(
     order: Optional[Indices] = None,
     watch: Optional[Watch] = None,
     start: Optional[Floats] = None,
-) -> Solution:
+) -> LinearSolution:
     """Solve ``diagonal * x = rhs + matrix @ x``.
 
     :param matrix: sparse, non-negative, with an empty diagonal.
@@ -103,7 +103,7 @@ def solve(
     matrix = sparse.csr_matrix(matrix)
     size = len(diagonal)
     accepted = ACCEPTED if rhs is None else ACCEPTED_TIMES
-    best: Optional[Solution] = None
+    best: Optional[LinearSolution] = None
     if size <= DIRECT_SIZE:
         best = _direct(matrix, diagonal, rhs)
     if best is None or not best.residual <= accepted:
@@ -137,15 +137,15 @@ def residual(matrix: Matrix, diagonal: Floats, rhs: Optional[Floats], values: Fl
     return worst / scale if scale > 0 else worst
 
 
-def _better(first: Optional[Solution], second: Solution) -> Solution:
+def _better(first: Optional[LinearSolution], second: LinearSolution) -> LinearSolution:
     return second if first is None or not first.residual <= second.residual else first
 
 
-def _direct(matrix: Matrix, diagonal: Floats, rhs: Optional[Floats]) -> Solution:
+def _direct(matrix: Matrix, diagonal: Floats, rhs: Optional[Floats]) -> LinearSolution:
     """Sparse LU; for the homogeneous system, one unknown is set to 1 and its equation dropped."""
     size = len(diagonal)
     if rhs is None and size == 1:
-        return Solution(np.ones(1), 0.0, "LU")
+        return LinearSolution(np.ones(1), 0.0, "LU")
     system = (sparse.diags(diagonal) - matrix).tocsc()
     try:
         with warnings.catch_warnings():
@@ -162,8 +162,8 @@ def _direct(matrix: Matrix, diagonal: Floats, rhs: Optional[Floats]) -> Solution
                 for _ in range(_REFINEMENTS):
                     values += factor.solve(rhs - diagonal * values + matrix @ values)
     except (RuntimeError, MemoryError):  # singular, or out of memory
-        return Solution(np.full(size, np.nan), float("inf"), "LU")
-    return Solution(values, residual(matrix, diagonal, rhs, values), "LU")
+        return LinearSolution(np.full(size, np.nan), float("inf"), "LU")
+    return LinearSolution(values, residual(matrix, diagonal, rhs, values), "LU")
 
 
 def _swept_in_order(
@@ -174,7 +174,7 @@ def _swept_in_order(
     order: Optional[Indices],
     watch: Watch,
     start: Optional[Floats],
-) -> Solution:
+) -> LinearSolution:
     if order is None:
         return _swept(matrix, diagonal, rhs, backward, watch, start)
     place = np.empty(len(order), dtype=matrix.indices.dtype)
@@ -200,7 +200,7 @@ def _swept(
     backward: bool,
     watch: Watch,
     start: Optional[Floats],
-) -> Solution:
+) -> LinearSolution:
     size = len(diagonal)
     constant = np.zeros(size) if rhs is None else np.asarray(rhs, dtype=np.float64)
     scale = float(np.abs(constant).max()) or 1.0
@@ -243,7 +243,7 @@ def _swept(
         values = accelerated.next(values, image)
     if rhs is None:
         best = best / best.sum()
-    return Solution(best, best_residual, "Gauss-Seidel", stride * _STRIDE)
+    return LinearSolution(best, best_residual, "Gauss-Seidel", stride * _STRIDE)
 
 
 def _sweeper(

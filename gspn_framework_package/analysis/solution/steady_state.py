@@ -33,7 +33,7 @@ from scipy.sparse import linalg
 from gspn_framework_package.analysis.arrays import Floats, Indices, Matrix
 from gspn_framework_package.analysis.chain.markov_chain import Chain, Component
 from gspn_framework_package.analysis.graph import flat_ranges
-from gspn_framework_package.analysis.solution.linear import ACCEPTED, Solution, solve
+from gspn_framework_package.analysis.solution.linear import ACCEPTED, LinearSolution, solve
 from gspn_framework_package.analysis.solution.ordering import sweep_order
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 
@@ -95,7 +95,9 @@ def steady_state(
     return SteadyState(chain, distribution, components, worst, method)
 
 
-def _stationary_in_each(chain: Chain, classes: List[Indices], watch: Watch) -> Iterator[Solution]:
+def _stationary_in_each(
+    chain: Chain, classes: List[Indices], watch: Watch
+) -> Iterator[LinearSolution]:
     """The stationary distribution over each recurrent class, in their order."""
     several = [states for states in classes if 1 < len(states) <= TOGETHER]
     together = iter(_stationary_together(chain, several) if len(several) > 1 else [])
@@ -103,7 +105,7 @@ def _stationary_in_each(chain: Chain, classes: List[Indices], watch: Watch) -> I
         if count % 64 == 0:
             watch.step("recurrent classes", count)
         if len(states) == 1:
-            yield Solution(np.ones(1), 0.0, "LU")
+            yield LinearSolution(np.ones(1), 0.0, "LU")
             continue
         solution = next(together, None) if len(states) <= TOGETHER else None
         if solution is None or not solution.residual <= ACCEPTED:
@@ -111,7 +113,7 @@ def _stationary_in_each(chain: Chain, classes: List[Indices], watch: Watch) -> I
         yield solution
 
 
-def _stationary_together(chain: Chain, classes: List[Indices]) -> List[Solution]:
+def _stationary_together(chain: Chain, classes: List[Indices]) -> List[LinearSolution]:
     """The stationary distributions over small recurrent classes, by one decomposition. No arc leads
     from one class to another, so each is a block of the matrix, solved relative to its first
     state."""
@@ -135,7 +137,7 @@ def _stationary_together(chain: Chain, classes: List[Indices]) -> List[Solution]
     imbalance = np.maximum.reduceat(np.abs(terms - inflow @ values), begins)
     scale = np.maximum.reduceat(terms, begins)
     return [
-        Solution(values[begin:end], float(wrong / size), "LU")
+        LinearSolution(values[begin:end], float(wrong / size), "LU")
         for begin, end, wrong, size in zip(begins, ends, imbalance, scale)
     ]
 
@@ -156,20 +158,20 @@ def _part(matrix: Matrix, states: Indices, size: int) -> Matrix:
     )
 
 
-def stationary(chain: Chain, states: Indices, watch: Optional[Watch] = None) -> Solution:
+def stationary(chain: Chain, states: Indices, watch: Optional[Watch] = None) -> LinearSolution:
     """The stationary distribution over a recurrent class."""
     if len(states) == 1:
-        return Solution(np.ones(1), 0.0, "LU")
+        return LinearSolution(np.ones(1), 0.0, "LU")
     whole = len(states) == len(chain)
     inflow = chain.inflow if whole else _part(chain.inflow, states, len(chain))
     exits = chain.exit_rates if whole else chain.exit_rates[states]
     return solve(inflow, exits, None, order=sweep_order(chain, states), watch=watch)
 
 
-def _absorption(chain: Chain, classes: List[Indices], watch: Watch) -> Solution:
+def _absorption(chain: Chain, classes: List[Indices], watch: Watch) -> LinearSolution:
     """The probability of ending up in each class."""
     if len(classes) == 1:
-        return Solution(np.ones(1), 0.0, "LU")
+        return LinearSolution(np.ones(1), 0.0, "LU")
     transient = np.ones(len(chain), dtype=bool)
     transient[np.concatenate(classes)] = False
     inside = np.flatnonzero(transient)
@@ -187,4 +189,4 @@ def _absorption(chain: Chain, classes: List[Indices], watch: Watch) -> Solution:
     order = np.concatenate(classes)
     begins = np.cumsum([0] + [len(states) for states in classes[:-1]])
     values = np.add.reduceat(inflow[order], begins)
-    return Solution(values / values.sum(), worst, method)
+    return LinearSolution(values / values.sum(), worst, method)
