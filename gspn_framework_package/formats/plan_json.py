@@ -139,8 +139,6 @@ def plan_from_json(
         net = net_from_json(data["net"])
     if policy is None:
         policy = policy_from_json(data["policy"]) if "policy" in data else Policy()
-    # an unknown or immediate transition is left to Plan.validate
-    net = net.with_rates({t: r["rate"] for t, r in data.get("rates", {}).items()})
     agreement = data.get("agreement", {})
     resources = frozenset(data.get("resource_places", ()))
     robots = _robots(data.get("robots"), file)
@@ -172,7 +170,6 @@ def plan_from_json(
         outcomes={p: o["probabilities"] for p, o in data.get("outcomes", {}).items()},
         failures={p: f["probability"] for p, f in data.get("failures", {}).items()},
         chance=frozenset(data.get("chance", ())),
-        rates={t: float(r["rate"]) for t, r in data.get("rates", {}).items()},
         evidence=_evidence(data),
         timing=Timing(
             float(agreement.get("evict_after", Timing().evict_after)),
@@ -183,7 +180,10 @@ def plan_from_json(
         folder=folder,
         file=file,
     )
-    return plan.validate()
+    # an unknown or immediate transition is left to Plan.validate
+    return plan.with_rates(
+        {t: float(r["rate"]) for t, r in data.get("rates", {}).items()}
+    ).validate()
 
 
 LEARNED = ("durations", "outcomes", "failures", "rates")
@@ -284,7 +284,7 @@ def plan_to_json(plan: Plan) -> Dict[str, Any]:
     plan with the same hash from it. The object names the functions but does not contain them."""
     data: Dict[str, Any] = {
         "plan": plan.name,
-        "net": net_to_json(plan.net),
+        "net": net_to_json(plan.file_net),
         "policy": policy_to_json(plan.policy),
         "actions": {p: _action_to_json(a) for p, a in plan.actions.items()},
         "resource_places": sorted(plan.resource_places),

@@ -189,6 +189,8 @@ class Plan:
     :ivar chance: decision places in which nobody chooses: the action finds out what comes next, or
         it happens by the weights. For the computation of policies.
     :ivar rates: transition -> rate (1/s) that replaces the one in the net's file; ``net`` has it.
+        :meth:`with_rates` sets both.
+    :ivar own_rates: transition -> rate (1/s) in the net's file, for each one in ``rates``.
     :ivar evidence: (key of the plan file, place or transition) -> where that value was learned.
     :ivar timing: times of the agreement protocol.
     :ivar fsync: whether promises and votes are on the disk before they are sent.
@@ -220,6 +222,7 @@ class Plan:
     failures: Mapping[str, float] = field(default_factory=dict)
     chance: FrozenSet[str] = frozenset()
     rates: Mapping[str, float] = field(default_factory=dict)
+    own_rates: Mapping[str, float] = field(default_factory=dict)
     evidence: Mapping[Tuple[str, str], Evidence] = field(default_factory=dict)
     timing: Timing = Timing()
     fsync: bool = False
@@ -234,6 +237,11 @@ class Plan:
     def action_places(self) -> Tuple[str, ...]:
         """The places whose tokens are robots, in net order."""
         return tuple(p.name for p in self.net.places if p.name not in self.resource_places)
+
+    @property
+    def file_net(self) -> Net:
+        """The net with the rates of its file, without those that ``rates`` puts in their place."""
+        return self.net.with_rates(self.own_rates)
 
     def action(self, robot: str, place: str) -> Action:
         """Return the action of ``robot`` in ``place``."""
@@ -345,6 +353,39 @@ class Plan:
         """
         policy.bind(self.net)
         return replace(self, policy=policy)
+
+    def with_rates(self, rates: Mapping[str, float]) -> Plan:
+        """Return the plan with further rates (1/s) in place of those of the net's file: exponential
+        transition -> rate. The plan remembers the rates of the file."""
+        known = self.net.transition_index
+        timed = [t for t in rates if t in known and self.net.transition(t).timed]
+        own = {t: self.net.transition(t).rate for t in timed}
+        return replace(
+            self,
+            net=self.net.with_rates(rates),
+            rates={**self.rates, **rates},
+            own_rates={**own, **self.own_rates},
+        )
+
+    def nominal(self) -> Plan:
+        """Return the plan with the rates of its net's file, and without the durations, outcomes and
+        failures that were learned from runs (those with ``evidence``). Its hash differs if a rate
+        does: it is for analysis, not for a run."""
+
+        def given(key: str) -> Dict[str, Any]:
+            values: Mapping[str, Any] = getattr(self, key)
+            return {name: v for name, v in values.items() if (key, name) not in self.evidence}
+
+        return replace(
+            self,
+            net=self.file_net,
+            durations=given("durations"),
+            outcomes=given("outcomes"),
+            failures=given("failures"),
+            rates={},
+            own_rates={},
+            evidence={},
+        )
 
     def with_notes(self, notes: Iterable[str]) -> Plan:
         """Return the plan with further notes for the user on how it was read."""

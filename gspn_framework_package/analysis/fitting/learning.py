@@ -216,7 +216,8 @@ class FitReport(NamedTuple):
         """
         names = tuple(logs)
         durations, outcomes = dict(plan.durations), dict(plan.outcomes)
-        failures, rates = dict(plan.failures), dict(plan.rates)
+        failures = dict(plan.failures)
+        rates: Dict[str, float] = {}
         evidence = dict(plan.evidence)
         for place, found in self.places.items():
             if found.fit is not None:
@@ -234,14 +235,11 @@ class FitReport(NamedTuple):
         for name, event in self.rates.items():
             rates[name] = event.rate
             evidence["rates", name] = Evidence(event.seen, names, event.interval)
-        net = plan.net.with_rates({t: e.rate for t, e in self.rates.items()})
         return replace(
-            plan,
-            net=net,
+            plan.with_rates(rates),
             durations=durations,
             outcomes=outcomes,
             failures=failures,
-            rates=rates,
             evidence=evidence,
         ).validate()
 

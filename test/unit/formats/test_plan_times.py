@@ -67,6 +67,33 @@ def test_only_what_a_run_reads_is_part_of_its_hash():
     assert plan_from_json({**without, "rates": {}}).hash() != plan_from_json(PLAN).hash()
 
 
+def test_a_plan_remembers_the_rates_of_its_net():
+    plan = plan_from_json(PLAN)
+    for held in (plan, plan_from_json(json.loads(json.dumps(plan_to_json(plan))))):
+        assert held.hash() == plan.hash()
+        assert held.net.transition("t").rate == 5
+        assert held.own_rates == {"t": 2}
+        nominal = held.nominal()
+        assert [nominal.net.transition(t).rate for t in "tu"] == [2, 3]
+        assert not nominal.rates and not nominal.evidence
+        # what has no evidence was written by a person
+        assert nominal.durations == {"c": Duration.exponential(0.5)}
+        assert nominal.outcomes == {} and nominal.failures == {"c": 0.01}
+
+
+def test_a_rate_that_is_learned_twice_has_one_nominal_value():
+    plan = plan_from_json(PLAN).with_rates({"t": 6.0, "u": 7.0}).with_rates({"t": 8.0})
+    assert plan.rates == {"t": 8, "u": 7}
+    assert [plan.net.transition(t).rate for t in "tu"] == [8, 7]
+    assert [plan.nominal().net.transition(t).rate for t in "tu"] == [2, 3]
+
+
+def test_a_plan_without_learned_values_is_nominal():
+    plain = plan_from_json({k: v for k, v in PLAN.items() if k not in ("rates", "durations")})
+    plain = plan_from_json({**plan_to_json(plain), "outcomes": {}})
+    assert plain.nominal() == plain and plain.nominal().hash() == plain.hash()
+
+
 @pytest.mark.parametrize(
     ("path", "value", "message", "line_has"),
     [
