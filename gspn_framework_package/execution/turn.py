@@ -120,6 +120,8 @@ class Turn:
         leaving = self.rules.immediate[robot.place]
         distribution = self.rules.policy.distribution(self.state.marking, robot.place)
         if distribution is not None:
+            if not distribution.choices:
+                return self._nothing(robot, "the policy lets it wait in this marking")
             choices = self._of_top_priority(distribution.choices)
         elif self.rules.policy.matches(self.state.marking):
             return self._nothing(

@@ -21,7 +21,8 @@ SUM_TOLERANCE = 1e-6
 
 class PolicyRow(NamedTuple):
     """A row: ``counts`` has the tokens of each place of the policy's tuple (None matches any
-    count); ``choices`` has pairs (transition, probability)."""
+    count); ``choices`` has pairs (transition, probability). A row without choices applies to every
+    place: robots wait in the markings that it matches."""
 
     counts: Tuple[Optional[int], ...]
     choices: Tuple[Tuple[str, float], ...]
@@ -32,8 +33,8 @@ class Policy:
 
     :param places: the places that the cells of a row refer to; other places may have any count.
     :param rows: the rows, in file order.
-    :raises PolicyError: a row has the wrong length or no choice, a count is not a number of tokens,
-        or probabilities are negative or do not sum to 1.
+    :raises PolicyError: a row has the wrong length, a count is not a number of tokens, or
+        probabilities are negative or do not sum to 1.
     """
 
     def __init__(self, places: Sequence[str] = (), rows: Iterable[PolicyRow] = ()) -> None:
@@ -85,8 +86,6 @@ class Policy:
                 element=element,
                 hint="the tuple of places is (%s)" % ", ".join(self.places[:12]),
             )
-        if not row.choices:
-            raise PolicyError("it chooses nothing", element=element)
         total = 0.0
         for transition, probability in row.choices:
             if not 0 <= probability <= 1:
@@ -95,7 +94,7 @@ class Policy:
                     element=element,
                 )
             total += probability
-        if abs(total - 1) > SUM_TOLERANCE:
+        if row.choices and abs(total - 1) > SUM_TOLERANCE:
             raise PolicyError("the probabilities sum to %g, not to 1" % total, element=element)
 
     def bind(self, net: Net) -> PolicyTable:
@@ -115,7 +114,7 @@ class Policy:
 class Distribution(NamedTuple):
     """The choice that a policy gives a robot: the ``row`` that applies (its number, from 0) and
     pairs (transition index, probability), renormalised over the transitions that leave the robot's
-    place."""
+    place. Without any pairs, the policy lets the robot wait."""
 
     row: int
     choices: Tuple[Tuple[int, float], ...]
@@ -148,11 +147,15 @@ class PolicyTable:
         self._restricted: Dict[Tuple[int, int], Distribution] = {}
         self._any = _RowIndex(columns)
         self._by_place: Dict[int, _RowIndex] = {}
+        self._waits: Optional[_RowIndex] = None  # the rows without choices, which suit every place
         speaks_of: Dict[Tuple[Tuple[str, float], ...], Tuple[int, ...]] = {}
         for number, row in enumerate(policy.rows):
             if row.choices not in speaks_of:
                 speaks_of[row.choices] = self._places_of(number, row)
             self._any.add(number, row)
+            if not row.choices:
+                self._waits = self._waits or _RowIndex(columns)
+                self._waits.add(number, row)
             for place in speaks_of[row.choices]:
                 index = self._by_place.get(place)
                 if index is None:
@@ -182,6 +185,10 @@ class PolicyTable:
         row applies to that place."""
         index = self._by_place.get(place)
         number = index.find(marking) if index is not None else None
+        if self._waits is not None:
+            waits = self._waits.find(marking)
+            if waits is not None and (number is None or self._goes_first(waits, number)):
+                number = waits
         if number is None:
             return None
         key = (number, place)
@@ -192,6 +199,12 @@ class PolicyTable:
     def matches(self, marking: Sequence[int]) -> bool:
         """Whether any row matches ``marking``, whatever place the row applies to."""
         return self._any.find(marking) is not None
+
+    def _goes_first(self, number: int, other: int) -> bool:
+        """Whether the row ``number`` takes precedence over the row ``other``."""
+        rows = self.policy.rows
+        wildcards = rows[number].counts.count(None), rows[other].counts.count(None)
+        return wildcards[0] < wildcards[1] or (wildcards[0] == wildcards[1] and number < other)
 
     def _restrict(self, number: int, place: int) -> Distribution:
         leaving = []
@@ -207,8 +220,10 @@ class PolicyTable:
         (place, earlier row, later row)."""
         found: List[Overlap] = []
         for place, index in self._by_place.items():
-            for earlier, later in index.overlaps(limit - len(found)):
-                found.append((place, earlier, later))
+            pairs = index.overlaps(limit - len(found))
+            if self._waits is not None:
+                pairs += index.overlaps_with(self._waits, limit - len(found) - len(pairs))
+            found += [(place, earlier, later) for earlier, later in pairs]
             if len(found) >= limit:
                 break
         return found
@@ -268,6 +283,16 @@ class _RowIndex:
                 if len(other_cells) == len(cells) and len(found) < limit:
                     found += _compatible(cells, rows, other_cells, other_rows, limit - len(found))
         return found[:limit]
+
+    def overlaps_with(self, other: _RowIndex, limit: int) -> List[Tuple[int, int]]:
+        """Return at most ``limit`` pairs of one row of each index that have equal precedence and
+        match a common marking."""
+        found: List[Tuple[int, int]] = []
+        for cells, rows in self._groups.items():
+            for other_cells, other_rows in other._groups.items():
+                if len(other_cells) == len(cells) and len(found) < limit:
+                    found += _compatible(cells, rows, other_cells, other_rows, limit - len(found))
+        return found
 
 
 def _compatible(

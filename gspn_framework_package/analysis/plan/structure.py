@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Dict, Iterable, List, NamedTuple, Set, Tuple
 
 from gspn_framework_package.model.condition import parse_condition
@@ -142,7 +143,10 @@ class PolicyCover:
         )
         self._any = any(all(c is None for c in row.counts) for row in plan.policy.rows)
         self._spoken: Dict[int, List[int]] = {}
+        self._waits: List[int] = []  # the rows without choices
         for number, row in enumerate(plan.policy.rows):
+            if not row.choices:
+                self._waits.append(number)
             inputs = {
                 p
                 for name, probability in row.choices
@@ -168,8 +172,8 @@ class PolicyCover:
 
     def always_moves(self, place: int) -> bool:
         """Whether the policy moves a robot out of ``place`` in every marking, whatever the others
-        do: it always decides for ``place``, and chooses only transitions that one robot alone can
-        fire."""
+        do: it always decides for ``place``, chooses only transitions that one robot alone can fire,
+        and no row lets robots wait there."""
         net = self._plan.net
         chosen = {
             net.transition_number(name)
@@ -177,9 +181,33 @@ class PolicyCover:
             for name, probability in self._plan.policy.rows[number].choices
             if probability > 0
         }
-        return self.speaks(place) and all(
-            fires_alone(net, t, place) for t in chosen if any(p == place for p, _ in net.inputs[t])
+        return (
+            self.speaks(place)
+            and not self._may_wait(place)
+            and all(
+                fires_alone(net, t, place)
+                for t in chosen
+                if any(p == place for p, _ in net.inputs[t])
+            )
         )
+
+    def _may_wait(self, place: int) -> bool:
+        """Whether a row without choices might apply to ``place``, about which other rows always
+        speak."""
+        rows = self._plan.policy.rows
+        always = [n for n in self._spoken[place] if all(c is None for c in rows[n].counts)]
+        last = always[0] if always else math.inf
+        name = self._plan.net.places[place].name
+        for number in self._waits:
+            cells = dict(zip(self._plan.policy.places, rows[number].counts))
+            if any(c is not None for c in cells.values()):
+                if cells.get(name) != 0:
+                    return True
+            elif number < last and not self._by_own_count(
+                place, [n for n in self._spoken[place] if n not in always]
+            ):
+                return True
+        return False
 
     def _by_own_count(self, place: int, rows: Iterable[int]) -> bool:
         """Whether these rows match every marking with a robot in ``place`` without reading any

@@ -497,8 +497,15 @@ def _book(tables: PlanTables) -> Tuple[kernel.Book, List[Set[int]], bool]:
 
 
 def _by_place(tables: PlanTables, row: PolicyRow) -> List[Tuple[int, List[int], List[float]]]:
-    """A row's choices for each place of robots: transitions and probabilities that sum to 1."""
+    """A row's choices for each place of robots: transitions and probabilities that sum to 1. A row
+    without choices has none for every place in which robots decide."""
     net = tables.net
+    if not row.choices:
+        return [
+            (p, [], [])
+            for p, leaving in enumerate(tables.immediate_from)
+            if leaving and not tables.is_resource[p]
+        ]
     found: Dict[int, Tuple[List[int], List[float]]] = {}
     for name, probability in row.choices:
         t = net.transition_index[name]

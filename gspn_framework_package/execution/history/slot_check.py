@@ -230,8 +230,8 @@ class SlotCheck(LoggedTeam):
 
     def _choices(self, robot: LoggedRobot) -> List[Tuple[str, float]]:
         """The choices that the policy gives the robot: those of the most specific matching row with
-        a transition that leaves its place; if no row matches and the plan is not strict, the
-        weights."""
+        a transition that leaves its place, or without any (then the robot waits); if no row matches
+        and the plan is not strict, the weights."""
         leaving = [t for t in self.leaving[robot.place] if not self.kind[t].timed]
         columns = self.plan.policy.places
         best: Optional[Tuple[int, int, List[Tuple[str, float]]]] = None
@@ -243,7 +243,7 @@ class SlotCheck(LoggedTeam):
             matches = True
             speaks = [(t, p) for t, p in row.choices if p > 0 and t in leaving]
             wildcards = sum(cell is None for cell in row.counts)
-            if speaks and (best is None or (wildcards, number) < best[:2]):
+            if (speaks or not row.choices) and (best is None or (wildcards, number) < best[:2]):
                 best = (wildcards, number, speaks)
         if best is not None:
             total = sum(p for _, p in best[2])

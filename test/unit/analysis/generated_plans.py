@@ -99,9 +99,7 @@ def small_plans(draw):
         rows = []
         for _ in range(draw(st.integers(1, 5))):
             counts = tuple(draw(st.sampled_from([None, None, 0, 1, 2])) for _ in places)
-            chosen = draw(
-                st.lists(st.sampled_from(immediates), min_size=1, max_size=2, unique=True)
-            )
+            chosen = draw(st.lists(st.sampled_from(immediates), max_size=2, unique=True))
             chances = [1.0] if len(chosen) == 1 else draw(st.sampled_from([[0.5, 0.5], [0.1, 0.9]]))
             rows.append(PolicyRow(counts, tuple(zip(chosen, chances))))
         policy = Policy(places, rows)

@@ -95,7 +95,7 @@ def _policies(draw, net, places):
     looks_at = draw(st.lists(st.sampled_from(places), max_size=2, unique=True))
     rows = []
     for _ in range(draw(st.integers(1, 3))):
-        chosen = draw(st.lists(st.sampled_from(immediate), min_size=1, max_size=3, unique=True))
+        chosen = draw(st.lists(st.sampled_from(immediate), max_size=3, unique=True))
         weights = [draw(st.integers(1, 3)) for _ in chosen]
         rows.append(
             PolicyRow(

@@ -285,6 +285,42 @@ def test_a_policy_that_keeps_everybody_waiting():
     assert odd.of("dead_markings")[0].details["marking"] == {"d": 1}
 
 
+def test_a_row_without_choices_is_a_row():
+    rows = policy(((1,), {}), ((2,), {"meet": 1.0}))
+    report = check(make_plan(choice(), policy=rows, strict=True, timing=Timing(evict_after=0)))
+    assert report.exit_code == 0 and severities(report, "policy") == [Severity.OK]
+    assert severities(report, "dead_markings") == [Severity.OK]
+    forever = policy(((1,), {"alone": 1.0}), ((2,), {}))
+    report = check(make_plan(choice(), policy=forever, strict=True))
+    (item,) = report.of("dead_markings")
+    assert item.details["marking"] == {"d": 2} and item.severity is Severity.WARNING
+
+
+@pytest.mark.parametrize(
+    ("rows", "dead"),
+    [
+        ([((None, None), {"alone": 1.0})], []),
+        ([((None, None), {"alone": 1.0}), ((None, None), {})], []),
+        ([((None, None), {}), ((None, None), {"alone": 1.0})], [{"d": 1}, {"d": 2}]),
+        ([((1, None), {"alone": 1.0}), ((2, None), {"alone": 1.0}), ((None, None), {})], []),
+        ([((None, None), {"alone": 1.0}), ((0, None), {})], []),
+        ([((None, None), {"alone": 1.0}), ((2, None), {})], [{"d": 2}]),
+        ([((2, None), {"alone": 1.0}), ((None, None), {})], [{"d": 1}]),
+        ([((1, None), {"alone": 1.0}), ((None, 0), {})], [{"d": 2}]),
+    ],
+)
+def test_dead_markings_where_rows_let_robots_wait(rows, dead):
+    """Structure and exploration agree on which rows can make everybody wait."""
+    plan = make_plan(choice(), policy=policy(*rows, places=("d", "b")))
+    found = [
+        item.details["marking"]
+        for name in ("dead_markings", "dead_after_loss")
+        for item in check(plan).of(name)
+        if item.severity is not Severity.OK
+    ]
+    assert sorted(map(str, found)) == sorted(map(str, dead))
+
+
 def test_rows_that_speak_of_nobody_there():
     builder = (
         choice()

@@ -222,6 +222,26 @@ def test_a_row_that_does_not_speak_of_the_robot_makes_it_wait_until_the_marking_
     assert run.done("b") == ["t2", "t1"]
 
 
+def test_a_row_without_choices_makes_robots_wait_until_the_marking_changes() -> None:
+    net = (
+        NetBuilder()
+        .place("P1")
+        .place("P2")
+        .place("R")
+        .immediate("t1", weight=2.0, inputs="P1", outputs="R")
+        .immediate("t2", inputs="P2", outputs="R")
+        .exponential("r", inputs="R", outputs="P2")
+        .build()
+    )
+    policy = Policy.from_table(["R"], [((0,), {}), (("-",), {"t1": 0.5, "t2": 0.5})])
+    run = Run(make_plan(net, ["P1", "R", "P2"], policy=policy, strict=True))
+    assert run.done("b", "r") == ["r"] and run.marking() == {"P1": 1, "P2": 2}
+    assert run.done("a") == []
+    assert run.why("a") == "the policy lets it wait in this marking"
+    assert not any(isinstance(c, Fault) for c in run.commands)
+    assert run.done("c", "t2") == ["t2", "t1"]  # the action decides, whatever the policy says
+
+
 def test_without_a_matching_row_weights_decide_but_not_in_a_strict_plan() -> None:
     net = (
         NetBuilder()

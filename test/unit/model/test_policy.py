@@ -65,6 +65,27 @@ def test_only_rows_that_speak_of_the_place_count_and_are_renormalised() -> None:
     assert table.matches((1, 1, 0)) and not table.matches((0, 1, 0))
 
 
+def test_a_row_without_choices_lets_robots_wait_in_every_place() -> None:
+    rows: List[Any] = [
+        ((1, "-", "-"), {"a": 1}),
+        ((1, 2, "-"), {}),
+        ((1, 2, 0), {"a": 1}),
+        (("-", "-", "-"), {}),
+    ]
+    table = Policy.from_table(PLACES, rows).bind(net())
+    assert ask(table, (1, 2, 0), "P") == {"a": 1.0}
+    assert ask(table, (1, 2, 1), "P") == {}
+    assert ask(table, (1, 0, 0), "P") == {"a": 1.0}
+    assert ask(table, (1, 2, 0), "Q") == {}
+    assert ask(table, (3, 3, 3), "Q") == {} and table.matches((3, 3, 3))
+    found = table.distribution((1, 2, 1), 0)
+    assert found is not None and found.row == 1
+    assert table.overlaps() == []
+    twice = Policy.from_table(["P", "Q"], [((1, "-"), {"a": 1}), (("-", 2), {})]).bind(net())
+    assert ask(twice, (1, 2, 0), "P") == {"a": 1.0}
+    assert twice.overlaps() == [(0, 0, 1)]
+
+
 @pytest.mark.parametrize(
     ("places", "rows", "message"),
     [
@@ -75,7 +96,6 @@ def test_only_rows_that_speak_of_the_place_count_and_are_renormalised() -> None:
         (PLACES, [((1, 1, 1), {"a": 0.5})], "sum to 0.5"),
         (PLACES, [((1, 1, 1), {"a": 1.5, "b": -0.5})], "not between 0 and 1"),
         (PLACES, [((1, 1, 1), {"a": "much"})], "'much' is not a probability"),
-        (PLACES, [((1, 1, 1), {})], "chooses nothing"),
         (["P", "P"], [], "occurs twice"),
         (["P", "X"], [], "no place 'X'"),
         (["P"], [((1,), {"zz": 1})], "no transition 'zz'"),
@@ -93,19 +113,24 @@ cells = st.one_of(st.none(), st.integers(0, 2))
 
 
 @given(
-    st.lists(st.tuples(st.tuples(cells, cells, cells), st.sampled_from("abc")), max_size=12),
+    st.lists(
+        st.tuples(st.tuples(cells, cells, cells), st.sampled_from(["a", "b", "c", ""])), max_size=12
+    ),
     st.tuples(st.integers(0, 2), st.integers(0, 2), st.integers(0, 2)),
     st.sampled_from(PLACES),
 )
 def test_look_up_equals_a_scan(rows: List[Any], marking: Any, place: str) -> None:
     table = Policy.from_table(
-        PLACES, [(["-" if c is None else c for c in m], {t: 1}) for m, t in rows]
+        PLACES, [(["-" if c is None else c for c in m], {t: 1} if t else {}) for m, t in rows]
     ).bind(net())
-    leaves = {"P": "ab", "Q": "c", "R": ""}[place]
+    leaves = {"P": ["a", "b", ""], "Q": ["c", ""], "R": [""]}[place]
     matching = [
         (counts.count(None), number, t)
         for number, (counts, t) in enumerate(rows)
         if t in leaves and all(c is None or c == n for c, n in zip(counts, marking))
     ]
-    expected = {min(matching)[2]: 1.0} if matching else None
+    expected = None
+    if matching:
+        chosen = min(matching)[2]
+        expected = {chosen: 1.0} if chosen else {}
     assert ask(table, marking, place) == expected
