@@ -123,7 +123,9 @@ class NameChecks:
     def _look_at_overlaps(self) -> None:
         overlaps = self.plan.policy.bind(self.net).overlaps()
         listed: List[Dict[str, Any]] = [
-            {"place": self.net.places[p].name, "rows": [a + 1, b + 1]} for p, a, b in overlaps
+            {"place": self.net.places[p].name, "rows": [a + 1, b + 1]}
+            for p, a, b in overlaps
+            if self.net.places[p].name not in self.plan.resource_places  # no robot decides there
         ]
         for entry in listed[:LISTED]:
             first, second = entry["rows"]

@@ -353,6 +353,24 @@ def test_overlapping_rows_are_reported():
     assert [item.details for item in overlaps] == [{"place": "d", "rows": [1, 2]}]
 
 
+def test_rows_that_share_only_a_resource_do_not_overlap():
+    """Both rows speak of transitions that take the tool, but robots of different places draw."""
+    net = (
+        NetBuilder("tools")
+        .place("a", tokens=1)
+        .place("b", tokens=1)
+        .place("tool", tokens=1)
+        .place("c")
+        .place("d")
+        .immediate("take_a", inputs=["a", "tool"], outputs="c")
+        .immediate("take_b", inputs=["b", "tool"], outputs="d")
+        .exponential("back_c", inputs="c", outputs=["a", "tool"])
+        .exponential("back_d", inputs="d", outputs=["b", "tool"])
+    )
+    rows = policy(((1,), {"take_a": 1.0}), ((1,), {"take_b": 1.0}), places=("tool",))
+    assert not check(make_plan(net, resources=["tool"], policy=rows)).of("policy_overlaps")
+
+
 def test_counters_and_resource_bounds():
     builder = (
         loop()

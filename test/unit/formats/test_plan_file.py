@@ -112,7 +112,9 @@ def test_a_plan_is_written_self_contained_and_is_the_same_plan() -> None:
     assert plan_from_json(changed(seed=8)).hash() != plan.hash()
 
 
-@pytest.mark.parametrize("name", ["patrol", "measure", "rendezvous", "tokens", "fork_join"])
+@pytest.mark.parametrize(
+    "name", ["patrol", "measure", "rendezvous", "tokens", "fork_join", "inspection"]
+)
 def test_the_example_plans_are_plans(name: str) -> None:
     plan = read_plan(str(PLANS / name))
     assert plan_from_json(plan_to_json(plan)).hash() == plan.hash()
