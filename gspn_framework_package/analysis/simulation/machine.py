@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import glob
 import importlib.util
 import inspect
+import os
 from functools import lru_cache
 from typing import Any, Callable, Dict, List, Tuple
 
@@ -65,6 +67,19 @@ def may_compile() -> bool:
 def is_loaded() -> bool:
     """Whether the compiled form is in memory already."""
     return compiled_kernel.cache_info().currsize > 0
+
+
+def is_cached() -> bool:
+    """Whether the machine code of the kernel seems to be on the disk, so that the compiled form is
+    there within seconds. Imports numba."""
+    play: Any = compiled_kernel()["play"]
+    folder = play.stats.cache_path
+    source = os.path.getmtime(kernel.__file__)
+    indices = glob.glob(os.path.join(glob.escape(folder or "."), "kernel.play-*.nbi"))
+    found = any(os.path.getmtime(path) >= source for path in indices)
+    if not found:
+        compiled_kernel.cache_clear()  # it is not in memory: see is_loaded
+    return found
 
 
 def as_lists(arrays: Tuple[Any, ...]) -> Tuple[Any, ...]:

@@ -1,0 +1,683 @@
+"""An old plan against a new one, as they run: do the real durations, outcomes and failures bear out
+what a computed policy promises?
+
+Both plans are simulated in pairs of runs with the same random numbers, and the differences within
+the pairs are averaged. The interval of their mean is right whether or not the two runs of a pair
+have much in common; the more they have, the narrower it is.
+
+>>> from gspn_framework_package.analysis.decisions.aims import Objective
+>>> from gspn_framework_package.model.builder import NetBuilder
+>>> from gspn_framework_package.model.plan import Plan, RobotSpec
+>>> from gspn_framework_package.model.policy import Policy
+>>> net = (NetBuilder().place("choose", 1).place("short").place("long")
+...        .immediate("walk", inputs="choose", outputs="long")
+...        .immediate("drive", inputs="choose", outputs="short")
+...        .exponential("walked", rate=0.5, inputs="long", outputs="choose")
+...        .exponential("driven", rate=2.0, inputs="short", outputs="choose").build())
+>>> plan = Plan(net, actions={"choose": None}, robots=(RobotSpec("r", "choose"),),
+...             policy=Policy.from_table((), [((), {"walk": 1})]))
+>>> faster = plan.with_policy(Policy.from_table((), [((), {"drive": 1})]))
+>>> aim = Objective.long_run({"walked": 1, "driven": 1})
+>>> found = compare_plans(plan, faster, aim, replications=50, seconds=None)
+>>> found.significant, abs(found.difference.mean - 1.5) < 0.2
+(True, True)
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time as clock
+from dataclasses import dataclass, field
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+from scipy import stats
+
+from gspn_framework_package.analysis.arrays import Booleans, Floats
+from gspn_framework_package.analysis.decisions.aims import Aim, Objective
+from gspn_framework_package.analysis.simulation import machine
+from gspn_framework_package.analysis.simulation.aimed_run import AimedRun, worth_compiling
+from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
+from gspn_framework_package.model.errors import LimitError, UsageError
+from gspn_framework_package.model.plan import Plan
+
+SECONDS = 10.0
+"""Default time of the machine for a comparison (s)."""
+
+LEAST_PAIRS = 20
+"""Fewest pairs of runs, however long they take: a t interval of fewer is not to be trusted where
+the values of a run are skewed."""
+
+MOST_PAIRS = 1_000_000
+
+POWER = 0.8
+"""Probability with which a difference of the stated size would be noticed, in what is said about
+the number of runs that this takes."""
+
+_WINDOWS = 20
+"""Parts of a first run in which the warm-up is looked for."""
+
+_FIRST_RUNS = 8
+"""First runs of each plan, which decide on the warm-up only."""
+
+_STRATA = 16
+"""Ends of a discounted run; see :func:`_discounted`."""
+
+_LONGEST = 20.0
+"""A run that may not reach a condition lasts so many times as long as a first look at it."""
+
+_PATIENCE = 10.0
+"""A run may take so many times the time of the whole comparison before it is given up."""
+
+
+class Measured(NamedTuple):
+    """A mean with its confidence interval; ``why`` says why there is none (``mean`` None)."""
+
+    mean: Optional[float]
+    low: Optional[float] = None
+    high: Optional[float] = None
+    why: str = ""
+
+    def to_json(self) -> Dict[str, Any]:
+        """As plain JSON values; an infinite bound is null."""
+        data: Dict[str, Any] = {
+            key: value if value is None or math.isfinite(value) else None
+            for key, value in (("mean", self.mean), ("low", self.low), ("high", self.high))
+        }
+        return {**data, "why": self.why} if self.why else data
+
+    def __str__(self) -> str:
+        if self.mean is None:
+            return "not known (%s)" % self.why
+        if self.low == self.high:
+            return "%.6g in every run" % self.mean
+        return "%.6g (%.6g to %.6g)" % (self.mean, self.low or 0.0, self.high or 0.0)
+
+
+@dataclass
+class Against:
+    """Two plans, simulated as they run.
+
+    :ivar objective: what was compared.
+    :ivar old: the value of the old plan; ``new``: that of the new one.
+    :ivar difference: new minus old.
+    :ivar significant: whether the interval of the difference excludes 0.
+    :ivar better: whether the new plan is better; None unless the difference is significant.
+    :ivar text: the result in words.
+    :ivar pairs: number of pairs of runs.
+    :ivar correlation: how much the runs of a pair have in common; None if nothing varies.
+    :ivar seconds: length of a run (s); None if it ends by itself.
+    :ivar warmup: time (s) at the start of a run that is left out.
+    :ivar needed: pairs of runs, and seconds of this machine, that it takes to notice a difference
+        of the ``size`` given, with the probability :data:`POWER`; None if it is significant.
+    :ivar confidence: level of the intervals.
+    :ivar seed: seed of the random numbers.
+    :ivar firings: number of firings in all runs.
+    :ivar notes: what the reader of the numbers should know.
+    """
+
+    objective: Objective
+    old: Measured
+    new: Measured
+    difference: Measured
+    significant: bool
+    text: str
+    pairs: int
+    better: Optional[bool] = None
+    correlation: Optional[float] = None
+    seconds: Optional[float] = None
+    warmup: float = 0.0
+    needed: Optional[Dict[str, float]] = None
+    confidence: float = 0.95
+    seed: int = 0
+    firings: int = 0
+    notes: List[str] = field(default_factory=list)
+
+    def to_json(self) -> Dict[str, Any]:
+        """As plain JSON values."""
+        return {
+            "old": self.old.to_json(),
+            "new": self.new.to_json(),
+            "difference": self.difference.to_json(),
+            "significant": self.significant,
+            "better": self.better,
+            "text": self.text,
+            "pairs": self.pairs,
+            "correlation": self.correlation,
+            "time": self.seconds,
+            "warmup": self.warmup,
+            "needed": self.needed,
+            "confidence": self.confidence,
+            "seed": self.seed,
+            "firings": self.firings,
+            "notes": list(self.notes),
+        }
+
+
+def compare_plans(
+    old: Plan,
+    new: Plan,
+    objective: Objective,
+    *,
+    seconds: Optional[float] = SECONDS,
+    replications: Optional[int] = None,
+    precision: Optional[float] = None,
+    time: Optional[float] = None,
+    warmup: Optional[float] = None,
+    expected: Optional[float] = None,
+    losses: float = 0.0,
+    seed: int = 0,
+    confidence: float = 0.95,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+) -> Against:
+    """Simulate two plans as they run, and compare what they are worth for an aim.
+
+    The runs end at the earliest of ``seconds``, ``replications`` and ``precision``, but there are
+    at least :data:`LEAST_PAIRS` pairs, unless ``replications`` asks for fewer.
+
+    :param old: a validated plan; ``new`` is another with the same places and transitions as far as
+        the aim names them.
+    :param seconds: time of this machine (s); None: no limit.
+    :param replications: number of pairs of runs.
+    :param precision: the half width of the difference, relative to the value of the old plan, that
+        is enough.
+    :param time: length of a run (s), for the long run and for the probability to reach a condition.
+        By default it is chosen.
+    :param warmup: time (s) at the start of a run that the long run leaves out. By default it is
+        found in first runs of both plans, which are not used otherwise.
+    :param expected: the difference that a model promises; how many runs it takes to notice a
+        difference is said for this size. By default, for the size that was seen.
+    :param losses: how often a robot is lost, per second and robot.
+    :param seed: the same seed gives the same runs.
+    :param confidence: level of the intervals.
+    :raises UsageError: a number makes no sense, or a plan lacks a name of the aim.
+    :raises ExpressionError: the condition cannot be read.
+    :raises RefusedError: a plan cannot be played: a timeless cycle.
+    :raises CancelledError: ``cancel`` returned true.
+    """
+    _check(old, new, objective, seconds, replications, precision, time, warmup, confidence)
+    work = _Comparison(old, new, objective, losses, seed, Watch(progress, cancel), seconds)
+    work.plan_runs(time, warmup)
+    most = MOST_PAIRS if replications is None else replications
+    if seconds is None and replications is None and precision is None:
+        most = 1000
+    while work.pairs < most and not work.is_over(precision, confidence):
+        work.compile_for(most, precision)
+        work.add()
+    return work.result(confidence, expected)
+
+
+def _check(
+    old: Plan,
+    new: Plan,
+    objective: Objective,
+    seconds: Optional[float],
+    replications: Optional[int],
+    precision: Optional[float],
+    time: Optional[float],
+    warmup: Optional[float],
+    confidence: float,
+) -> None:
+    for plan in (old, new):
+        for name in objective.rewards:
+            if name not in plan.net.place_index and name not in plan.net.transition_index:
+                raise UsageError("a reward names '%s', which the plan does not have" % name)
+    if not 0 < confidence < 1:
+        raise UsageError("a confidence of %g is not possible" % confidence)
+    if replications is not None and replications < 2:
+        raise UsageError("%d pairs of runs make no interval" % replications)
+    if seconds is not None and not seconds > 0:
+        raise UsageError("%g s are no time" % seconds)
+    if precision is not None and not 0 < precision < 1:
+        raise UsageError("a precision of %g is not possible" % precision)
+    if time is not None:
+        if objective.aim not in (Aim.LONG_RUN, Aim.REACH):
+            raise UsageError("runs for this aim end by themselves: leave out their length")
+        if not 0 < time < math.inf:
+            raise UsageError("a run of %g s is not possible" % time)
+    if warmup is not None:
+        if objective.aim is not Aim.LONG_RUN:
+            raise UsageError("a warm-up is for the long run only")
+        if not 0 <= warmup < (math.inf if time is None else time):
+            raise UsageError("a warm-up of %g s is not possible" % warmup)
+
+
+class _Comparison:
+    """Pairs of runs of two plans."""
+
+    def __init__(
+        self,
+        old: Plan,
+        new: Plan,
+        objective: Objective,
+        losses: float,
+        seed: int,
+        watch: Watch,
+        seconds: Optional[float],
+    ) -> None:
+        self.runs = tuple(AimedRun(plan, objective, watch, losses) for plan in (old, new))
+        self.objective = objective
+        self.pairs = 0
+        self.time: Optional[float] = None
+        self.warmup = 0.0
+        self.notes: List[str] = []
+        self._seed = seed
+        self._began = clock.monotonic()
+        self._pairs_began = self._began
+        self._seconds = seconds
+        if seconds is not None:
+            for run in self.runs:
+                run.deadline = self._began + _PATIENCE * max(seconds, 1.0)
+        self._may_compile = True
+        self._values: Tuple[List[float], List[float]] = ([], [])
+        self._drifts: Tuple[List[float], List[float]] = ([], [])
+        self._missed = [0, 0]
+        self._cut = [0, 0]
+        self._gave_up = ""
+        if dataclasses.replace(new, policy=old.policy).hash() != old.hash() or any(
+            getattr(old, key) != getattr(new, key) for key in ("durations", "outcomes", "failures")
+        ):
+            self.notes.append("the plans differ in more than their policies")
+        self.notes += list(dict.fromkeys(s for run in self.runs for s in run.assumptions))
+
+    # -- how long ----------------------------------------------------------------------------------
+
+    def plan_runs(self, time: Optional[float], warmup: Optional[float]) -> None:
+        """Decide how long a run and its warm-up are."""
+        aim = self.objective.aim
+        if aim is Aim.LONG_RUN:
+            self._plan_long_run(time, warmup)
+        elif aim is Aim.REACH:
+            self.time = time if time is not None else _LONGEST * max(map(self._span, (0, 1)))
+        self._pairs_began = clock.monotonic()
+
+    def _span(self, which: int) -> float:
+        """A time (s) in which each robot finishes some dozens of actions."""
+        run = self.runs[which]
+        run.begin(self._seed, 0, 1)
+        run.go(most=100 + 30 * len(run.tables.plan.robots))
+        return run.now if run.now > 0 else 1.0
+
+    def _plan_long_run(self, time: Optional[float], warmup: Optional[float]) -> None:
+        if time is not None and warmup is not None:
+            self.time, self.warmup = time, warmup
+            return
+        span = max(map(self._span, (0, 1)))
+        if time is not None:
+            span = min(span, time)
+        settles = span
+        for _ in range(6):
+            ends = [self._settling(which, span) for which in (0, 1)]
+            settles = max(ends)
+            if settles <= span / 2 or (time is not None and 2 * span > time):
+                break
+            span *= 2
+        found = max(settles, span / _WINDOWS)
+        self.warmup = found if warmup is None else warmup
+        if time is None:
+            time = self.warmup + max(span, 4 * self.warmup)
+        elif warmup is None and self.warmup > time / 2:
+            self.warmup = time / 2
+            self.notes.append(
+                "a run of %g s is short: its start counts for about %g s" % (time, found)
+            )
+        self.time = time
+        if warmup is None:
+            self.notes.append(
+                "the first %.4g s of each run of %.4g s are left out: the mean of %d first runs "
+                "settles then (MSER)" % (self.warmup, time, _FIRST_RUNS)
+            )
+
+    def _settling(self, which: int, span: float) -> float:
+        """The time (s) after which the mean of some runs of ``span`` settles, by the marginal
+        standard error rule (MSER) of K. P. White, *An effective truncation heuristic for bias
+        reduction in simulation output* (Simulation, 1997); ``span`` if it does not."""
+        run = self.runs[which]
+        means = np.zeros(_WINDOWS)
+        for number in range(_FIRST_RUNS):
+            run.begin(self._seed, number, 2)
+            before = 0.0
+            for k in range(_WINDOWS):
+                at = span * (k + 1) / _WINDOWS
+                run.go(at)
+                earned = run.earned(at)
+                means[k] += earned - before
+                before = earned
+        return span * truncation(means) / _WINDOWS
+
+    # -- the runs ----------------------------------------------------------------------------------
+
+    def compile_for(self, most: int, precision: Optional[float]) -> None:
+        """Use the compiled kernel if the pairs that are missing take long enough."""
+        if not self._may_compile or sum(r.firings for r in self.runs) < machine.WORTH_COMPILING:
+            return
+        now = clock.monotonic()
+        left = math.inf if self.pairs == 0 or precision is not None else 0.0
+        if self.pairs:
+            left = max(left, (most - self.pairs) * (now - self._pairs_began) / self.pairs)
+        if self._seconds is not None:
+            least = (LEAST_PAIRS - self.pairs) * (now - self._pairs_began) / max(self.pairs, 1)
+            left = min(left, max(self._began + self._seconds - now, least))
+        if worth_compiling(left):
+            for run in self.runs:
+                run.compile()
+        self._may_compile = False
+
+    def add(self) -> None:
+        """Simulate another pair."""
+        found = []
+        number = self.pairs
+        for which, run in enumerate(self.runs):
+            run.begin(self._seed, number)
+            try:
+                found.append(self._value(which, run))
+            except LimitError as error:
+                self._gave_up = "a run of the %s plan %s" % (
+                    ("old", "new")[which],
+                    str(error).replace("a run ", "", 1),
+                )
+                return
+        for values, value in zip(self._values, found):
+            values.append(value)
+        self.pairs += 1
+
+    def _value(self, which: int, run: AimedRun) -> float:
+        aim = self.objective.aim
+        if aim is Aim.DISCOUNTED:
+            return _discounted(run, self.objective.discount or 0.0, self._seed, self.pairs)
+        if aim is Aim.LONG_RUN:
+            assert self.time is not None
+            length = self.time - self.warmup
+            stops = [self.warmup + length * k / 3 for k in range(4)]
+            earned = []
+            for stop in stops:
+                run.go(stop)
+                earned.append(run.earned(stop))
+            self._drifts[which].append((earned[1] - earned[0] - earned[3] + earned[2]) * 3 / length)
+            self._cut[which] += run.ended is not None
+            return (earned[3] - earned[0]) / length
+        run.go(self.time if self.time is not None else math.inf)
+        if aim is Aim.REACH:
+            self._cut[which] += run.ended is None
+            return float(run.reached)
+        if not run.reached:
+            self._missed[which] += 1
+            return math.inf
+        return run.now if aim is Aim.TIME_TO else run.earned(run.now)
+
+    def is_over(self, precision: Optional[float], confidence: float) -> bool:
+        """Whether there are pairs enough."""
+        if self._gave_up:
+            return True
+        if self.pairs < LEAST_PAIRS:
+            return False
+        if self._seconds is not None:
+            now = clock.monotonic()
+            each = (now - self._pairs_began) / self.pairs
+            if now + each / 2 > self._began + self._seconds:
+                return True
+        if precision is not None and self.pairs >= 2 * LEAST_PAIRS and self.pairs % 10 == 0:
+            old = self._values[0]
+            middle = float(np.mean(old))
+            difference = self._difference(confidence)
+            if difference.low is not None and difference.high is not None and middle:
+                half = (difference.high - difference.low) / 2
+                return half <= precision * abs(middle)
+        return False
+
+    # -- the result --------------------------------------------------------------------------------
+
+    def _difference(self, confidence: float) -> Measured:
+        old, new = (np.array(values) for values in self._values)
+        if self.objective.aim is Aim.REACH:
+            return paired_shares(old > 0, new > 0, confidence)
+        if any(self._missed):
+            return Measured(None, why="not every run comes to the condition")
+        return mean(new - old, confidence)
+
+    def result(self, confidence: float, expected: Optional[float]) -> Against:
+        """What the pairs say."""
+        spent = clock.monotonic() - self._pairs_began
+        measured = []
+        for which, values in enumerate(self._values):
+            measured.append(self._measured(which, np.array(values), confidence))
+        if self.pairs < 2:
+            difference = Measured(None, why=self._gave_up or "there are no runs")
+        else:
+            difference = self._difference(confidence)
+        self._note_ends()
+        self._note_drift()
+        low, high = difference.low, difference.high
+        significant = low is not None and high is not None and (low > 0 or high < 0)
+        better = None
+        if significant:
+            better = (difference.mean or 0.0) > 0 if self.objective.maximise else (high or 0.0) < 0
+        correlation, needed = None, None
+        if difference.mean is not None:
+            correlation = _correlation(*self._values)
+            size = abs(difference.mean if expected is None else expected)
+            if not significant and size > 0:
+                needed = self._needed(size, confidence, spent)
+        if self._gave_up:
+            self.notes.append("%s and was given up" % self._gave_up)
+        found = Against(
+            self.objective,
+            measured[0],
+            measured[1],
+            difference,
+            significant,
+            "",
+            self.pairs,
+            better,
+            correlation,
+            self.time,
+            self.warmup,
+            needed,
+            confidence,
+            self._seed,
+            sum(run.firings for run in self.runs),
+            self.notes,
+        )
+        found.text = _sentence(found)
+        return found
+
+    def _measured(self, which: int, values: Floats, confidence: float) -> Measured:
+        if len(values) < 2:
+            return Measured(None, why=self._gave_up or "there are no runs")
+        if self.objective.aim is Aim.REACH:
+            return share(values > 0, confidence)
+        missed = self._missed[which]
+        if missed:
+            come = values[np.isfinite(values)]
+            text = "%d of %d runs never come to the condition" % (missed, len(values))
+            if len(come):
+                text += "; the others have %.6g on average" % come.mean()
+            return Measured(None, why=text)
+        return mean(values, confidence)
+
+    def _note_ends(self) -> None:
+        for which, name in enumerate(("old", "new")):
+            cut = self._cut[which]
+            if cut and self.objective.aim is Aim.LONG_RUN:
+                self.notes.append(
+                    "%d of %d runs of the %s plan end; the marking then stays as it is"
+                    % (cut, self.pairs, name)
+                )
+            elif cut:
+                self.notes.append(
+                    "%d of %d runs of the %s plan still go on after %.6g s; they count as not "
+                    "reaching the condition" % (cut, self.pairs, name, self.time or 0.0)
+                )
+
+    def _note_drift(self) -> None:
+        """Say so if the runs still change after their warm-up, by more than chance."""
+        for values, name in zip(self._drifts, ("old", "new")):
+            if len(values) < LEAST_PAIRS:
+                continue
+            drift = mean(np.array(values), 0.999)
+            assert drift.low is not None and drift.high is not None
+            if drift.low > 0 or drift.high < 0:
+                self.notes.append(
+                    "the runs of the %s plan have not settled after %.4g s (their last third "
+                    "differs from their first): take a longer warm-up" % (name, self.warmup)
+                )
+
+    def _needed(self, size: float, confidence: float, spent: float) -> Dict[str, float]:
+        differences = np.array(self._values[1]) - np.array(self._values[0])
+        pairs = pairs_needed(float(differences.std(ddof=1)), size, confidence)
+        pairs = max(pairs, LEAST_PAIRS)
+        return {
+            "size": size,
+            "pairs": pairs,
+            "seconds": pairs * spent / max(self.pairs, 1),
+            "power": POWER,
+        }
+
+
+def _discounted(run: AimedRun, discount: float, seed: int, number: int) -> float:
+    """The discounted reward of a run.
+
+    It is what the run earns on average until an exponential time of the rate ``discount``, without
+    any discount. Of that time, one is drawn in each of :data:`_STRATA` equally probable parts.
+    Therefore nothing is cut off, and the mean is exact.
+    """
+    shift = np.random.default_rng([seed % 2**63, number]).random()
+    whole = 0.0
+    for k in range(_STRATA):
+        stop = -math.log1p(-(k + shift) / _STRATA) / discount
+        run.go(stop)
+        whole += run.earned(stop)
+    return whole / _STRATA
+
+
+# -- statistics ------------------------------------------------------------------------------------
+
+
+def truncation(values: Floats) -> int:
+    """How many of the first values to leave out so that the mean of the others has the smallest
+    marginal standard error; the number of all values if that is more than half of them."""
+    count = len(values)
+    best, least = 0, math.inf
+    for start in range(count - 4):
+        rest = values[start:]
+        error = float(rest.var()) / len(rest)
+        if error < least * (1 - 1e-9):
+            best, least = start, error
+    return best if 2 * best <= count else count
+
+
+def mean(values: Floats, confidence: float) -> Measured:
+    """The mean of independent values, with Student's interval."""
+    middle = float(values.mean())
+    spread = float(values.std(ddof=1)) / math.sqrt(len(values))
+    half = float(stats.t.ppf(0.5 + confidence / 2, len(values) - 1)) * spread
+    return Measured(middle, middle - half, middle + half)
+
+
+def share(values: Booleans, confidence: float) -> Measured:
+    """A share, with Wilson's interval."""
+    count, p = len(values), float(values.mean())
+    z = float(stats.norm.ppf(0.5 + confidence / 2))
+    scale = 1 + z * z / count
+    middle = (p + z * z / (2 * count)) / scale
+    half = z / scale * math.sqrt(p * (1 - p) / count + z * z / (4 * count * count))
+    return Measured(p, max(middle - half, 0.0), min(middle + half, 1.0))
+
+
+def paired_shares(old: Booleans, new: Booleans, confidence: float) -> Measured:
+    """The difference of two shares that were seen in pairs, by D. G. Bonett and R. M. Price,
+    *Adjusted Wald confidence interval for a difference of binomial proportions based on paired
+    data* (J. Educ. Behav. Stat., 2012)."""
+    count = len(old)
+    gained, lost = int((new & ~old).sum()), int((old & ~new).sum())
+    up, down = (gained + 1) / (count + 2), (lost + 1) / (count + 2)
+    z = float(stats.norm.ppf(0.5 + confidence / 2))
+    half = z * math.sqrt((up + down - (up - down) ** 2) / (count + 2))
+    low, high = max(up - down - half, -1.0), min(up - down + half, 1.0)
+    return Measured((gained - lost) / count, low, high)
+
+
+def pairs_needed(spread: float, size: float, confidence: float) -> int:
+    """How many pairs it takes to notice a mean difference of ``size``, if differences have the
+    standard deviation ``spread``, with the probability :data:`POWER`."""
+    z = float(stats.norm.ppf(0.5 + confidence / 2) + stats.norm.ppf(POWER))
+    return max(2, math.ceil((z * spread / size) ** 2))
+
+
+def _correlation(old: Sequence[float], new: Sequence[float]) -> Optional[float]:
+    if len(old) < 3 or np.std(old) == 0 or np.std(new) == 0:
+        return None
+    return float(np.corrcoef(old, new)[0, 1])
+
+
+# -- words -----------------------------------------------------------------------------------------
+
+
+def _sentence(found: Against) -> str:
+    unit = " " + found.objective.unit if found.objective.unit else ""
+    difference = found.difference
+    runs = "%s pairs of runs" % format(found.pairs, ",")
+    if difference.mean is None:
+        sides = [
+            "the %s plan: %s" % (name, side)
+            for name, side in (("old", found.old), ("new", found.new))
+        ]
+        return "not decided (%s): %s" % (runs, "; ".join(sides))
+    level = "%g %%" % (100 * found.confidence)
+    interval = "%+.4g%s (%s interval: %+.4g to %+.4g)" % (
+        difference.mean,
+        unit,
+        level,
+        difference.low or 0.0,
+        difference.high or 0.0,
+    )
+    change = ""
+    if found.old.mean:
+        change = ", %+.3g %%" % (100 * difference.mean / abs(found.old.mean))
+    values = "%.5g%s instead of %.5g%s" % (
+        found.new.mean or 0.0,
+        unit,
+        found.old.mean or 0.0,
+        unit,
+    )
+    if found.significant:
+        word = "better" if found.better else "worse"
+        return "the new plan is %s than the old one: %s, a difference of %s%s, in %s" % (
+            word,
+            values,
+            interval,
+            change,
+            runs,
+        )
+    if difference.low == difference.high == 0:
+        return "no difference at all: the two plans did the same (%.5g%s) in each of %s" % (
+            found.new.mean or 0.0,
+            unit,
+            runs,
+        )
+    text = "the difference is not significant: %s, a difference of %s%s, in %s" % (
+        values,
+        interval,
+        change,
+        runs,
+    )
+    if found.needed is not None:
+        text += "; to notice a difference of %.4g%s takes about %s pairs (%s)" % (
+            found.needed["size"],
+            unit,
+            format(int(found.needed["pairs"]), ","),
+            _duration(found.needed["seconds"]),
+        )
+    return text
+
+
+def _duration(seconds: float) -> str:
+    for size, name in ((86_400.0, "days"), (3_600.0, "h"), (60.0, "min")):
+        if seconds >= 2 * size:
+            return "%.2g %s on this machine" % (seconds / size, name)
+    return "%.2g s on this machine" % seconds
+
+
+__all__ = ["Against", "Measured", "compare_plans"]
