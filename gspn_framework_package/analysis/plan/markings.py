@@ -61,8 +61,8 @@ class PlanMarkings:
         net = plan.net.without_places(self.left_out)
         self._own = len(net.transitions)
         if losses:
-            net = _with_losses(net, plan, set(self.left_out))
-        self.net = net = _with_end(net, plan)
+            net = with_losses(net, plan, set(self.left_out))
+        self.net = net = with_end(net, plan)
         self.space: StateSpace = explore(
             net, limit=limit, untimed=True, progress=progress, cancel=cancel
         )
@@ -288,7 +288,7 @@ class _Answers:
         if not self._plan.policy.rows:
             return np.full(len(states), verdict(None, False), dtype=bool)
         counts_of = self._markings.full_markings(states)[:, self._columns]
-        first, of = _distinct_rows(counts_of)
+        first, of = distinct_rows(counts_of)
         kinds = counts_of[first]
         place = self._markings.original(p)
         result = np.empty(len(kinds), dtype=bool)
@@ -306,7 +306,7 @@ class _Answers:
         return result[of]
 
 
-def _distinct_rows(rows: Indices) -> Tuple[Indices, Indices]:
+def distinct_rows(rows: Indices) -> Tuple[Indices, Indices]:
     """The index of the first of each distinct row, and for each row the number of its distinct
     row."""
     spans = [int(n) + 1 for n in rows.max(axis=0)]
@@ -320,7 +320,7 @@ def _distinct_rows(rows: Indices) -> Tuple[Indices, Indices]:
     return first, of.reshape(-1)
 
 
-def _with_end(net: Net, plan: Plan) -> Net:
+def with_end(net: Net, plan: Plan) -> Net:
     """The net without the firings after ``until``, so that the counts of a finished run are not
     explored.
 
@@ -334,7 +334,7 @@ def _with_end(net: Net, plan: Plan) -> Net:
     return Net(net.places, net.transitions, net.arcs + tuple(arcs), net.name)
 
 
-def _with_losses(net: Net, plan: Plan, left_out: set[str]) -> Net:
+def with_losses(net: Net, plan: Plan, left_out: set[str]) -> Net:
     """The net with one more transition for every action place in which a robot can be lost."""
     places: List[Place] = list(net.places)
     transitions: List[Transition] = list(net.transitions)

@@ -127,6 +127,7 @@ class RunRules:
     :param phases: whether durations get their phases. If not, each is exponential with its mean:
         far fewer states, from which :meth:`expected_states` tells how many there would be.
     :ivar net: the plan's net without the counters that nothing reads (``counters``).
+    :ivar timing: number of each action place -> its timing, the same for every robot.
     :ivar begin: the states that a run begins in: pairs (state, probability).
     :ivar splits: place -> why doing and done are told apart there.
     :ivar assumptions: what these rules had to assume: sentences for people.
@@ -144,7 +145,7 @@ class RunRules:
         self._full = [plan.net.transition_number(t.name) for t in net.transitions]
         self._short = {t: i for i, t in enumerate(self._full)}
         self.assumptions: List[str] = []
-        self._timing = {
+        self.timing = {
             p: self._of_team(timing, place.name)
             for p, place in enumerate(net.places)
             if self._rules.acts[p]
@@ -162,8 +163,8 @@ class RunRules:
             for t, transition in enumerate(net.transitions)
             if transition.timed and not self._robots_of[t]
         ]
-        self._doing = {p for p in self._timing if self._takes_time(p)}
-        self._ending = {p for p in self._timing if self._ends_at_once(p)}
+        self._doing = {p for p in self.timing if self._takes_time(p)}
+        self._ending = {p for p in self.timing if self._ends_at_once(p)}
         # Robots that move in zero time without changing the marking leave the draws of the others
         # as they are, so every draw has to be known.
         self._keeps_draws = any(
@@ -201,13 +202,13 @@ class RunRules:
         """The requests of a robot that is done in place ``p``, in the numbers of the explored
         net."""
         return tuple(
-            (t if t == POLICY else self._short[t], v) for t, v in self._timing[p].outcomes if v > 0
+            (t if t == POLICY else self._short[t], v) for t, v in self.timing[p].outcomes if v > 0
         )
 
     def _races(self, p: int) -> bool:
         """Whether place ``p`` is not split although its action takes time: what leaves it needs
         only the own token, and the duration is exponential."""
-        timing = self._timing[p]
+        timing = self.timing[p]
         return (
             timing.duration.mean > 0
             and _is_exponential(timing.duration)
@@ -221,7 +222,7 @@ class RunRules:
     def _takes_time(self, p: int) -> bool:
         """Whether robots in place ``p`` are told apart by doing and done."""
         return (
-            bool(self.net.consumers[p]) and self._timing[p].duration.mean > 0 and not self._races(p)
+            bool(self.net.consumers[p]) and self.timing[p].duration.mean > 0 and not self._races(p)
         )
 
     def _ends_at_once(self, p: int) -> bool:
@@ -229,8 +230,8 @@ class RunRules:
         the other, when the others have moved; without an action they are done on arrival."""
         name = self.net.places[p].name
         return (
-            bool(self._timing[p].outcomes)
-            and self._timing[p].duration.mean == 0
+            bool(self.timing[p].outcomes)
+            and self.timing[p].duration.mean == 0
             and self.plan.actions.get(name, True) is not None
         )
 
@@ -254,7 +255,7 @@ class RunRules:
                 width += 1
             elif self._races(p):
                 self._column[p] = width
-                rate = 1.0 / self._timing[p].duration.mean
+                rate = 1.0 / self.timing[p].duration.mean
                 self._racing.append(
                     _Racing(width, tuple((t, rate * v) for t, v in self._outcomes(p)))
                 )
@@ -268,7 +269,7 @@ class RunRules:
     def _split(self, p: int, first: int, with_phases: bool) -> Tuple[_Columns, int]:
         """The columns of place ``p``, from column ``first`` on, and the column after them."""
         outcomes = self._outcomes(p)
-        duration = self._timing[p].duration
+        duration = self.timing[p].duration
         width = first
         phases: Optional[Phases] = None
         if duration.mean > 0:
@@ -736,7 +737,7 @@ class RunRules:
 
     def _many(self) -> List[Tuple[int, float]]:
         """The places with durations of several phases, and how many."""
-        found = [(p, number_of_phases(self._timing[p].duration)) for p, _ in self._working]
+        found = [(p, number_of_phases(self.timing[p].duration)) for p, _ in self._working]
         return [(p, k) for p, k in found if k > 1]
 
     @property
@@ -748,7 +749,7 @@ class RunRules:
         """With what durations that are not made of phases were replaced: sentences for people."""
         found = []
         for p, _ in self._many():
-            duration = self._timing[p].duration
+            duration = self.timing[p].duration
             phases = phases_of(duration)
             if duration.branches is None and phases is not None:
                 found.append(
@@ -775,7 +776,7 @@ class RunRules:
         p, k = max(self._many(), key=lambda entry: entry[1])
         longest = "that of %s (%s)" % (
             self.net.places[p].name,
-            self._timing[p].duration.describe(),
+            self.timing[p].duration.describe(),
         )
         if math.isinf(k):
             return "durations that never vary have no exponential phases: %s" % longest

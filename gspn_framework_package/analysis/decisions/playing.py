@@ -1,0 +1,265 @@
+"""What a policy does in the states of a decision problem: the probability that each request is the
+first to fire, by the rules of the plan (``docs/semantics.md``)."""
+
+from __future__ import annotations
+
+from typing import Dict, List, NamedTuple, Optional, Tuple
+
+import numpy as np
+
+from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
+from gspn_framework_package.analysis.decisions.building import Stages
+from gspn_framework_package.analysis.decisions.run_net import Group, Stage
+from gspn_framework_package.analysis.plan.markings import distinct_rows
+from gspn_framework_package.analysis.plan.rules import Requests, first_to_fire
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.policy import Policy
+
+SURE = 1e-12
+"""A probability below this is a rounding error."""
+
+
+class Play(NamedTuple):
+    """What a policy does in each state in which robots ask.
+
+    :ivar shares: float array, one value per arc: the probability that it is the first to fire.
+    :ivar waits: float array, one value per state: the probability that none fires.
+    :ivar unsettled: boolean array, one value per state: the run would have to know more than the
+      state tells: which robot finished first, or what a robot has drawn before.
+    """
+
+    shares: Floats
+    waits: Floats
+    unsettled: Booleans
+
+
+class _Askers(NamedTuple):
+    """The robots of a group, in the states in which one of their requests can fire.
+
+    :ivar states: these states.
+    :ivar robots: how many they are.
+    :ivar levels: the priority of their requests.
+    :ivar able: the probability that a robot asks for something that can fire.
+    :ivar arcs: what can fire.
+    :ivar chances: with what probability a robot that asks for any of these asks for it.
+    """
+
+    states: Indices
+    robots: Indices
+    levels: Indices
+    able: Floats
+    arcs: Indices
+    chances: Floats
+
+
+def play(plan: Plan, policy: Policy, stages: Stages, late: Optional[Booleans]) -> Play:
+    """What ``policy`` does.
+
+    :param late: boolean array, one value per place of the plan's net: the order in which robots
+        finish matters there, but states do not know it. None: in the classical reading they need
+        not know.
+    """
+    return _Player(plan, policy, stages, late).play()
+
+
+class _Player:
+    def __init__(
+        self, plan: Plan, policy: Policy, stages: Stages, late: Optional[Booleans]
+    ) -> None:
+        self._plan = plan
+        self._stages = stages
+        self._late = late
+        self._policy = policy
+        self._table = policy.bind(plan.net)
+        place_of = stages.net.place_of
+        self._columns = [
+            (plan.net.place_number(name), place_of[plan.net.place_number(name)])
+            for name in policy.places
+        ]
+        self._weights = [t.weight for t in plan.net.transitions]
+
+    def play(self) -> Play:
+        stages = self._stages
+        count = len(stages)
+        shares = np.zeros(len(stages.labels), dtype=np.float64)
+        waits = np.zeros(count, dtype=np.float64)
+        unsettled = np.zeros(count, dtype=bool)
+        asked = (stages.stage == Stage.NAMED) | (stages.stage == Stage.DECIDED)
+        groups = [g for g in stages.net.groups if g.step in (Stage.NAMED, Stage.DECIDED)]
+        by_part: Dict[int, List[Group]] = {}
+        for group in groups:
+            by_part.setdefault(group.place, []).append(group)
+        found = [(part[0], self._askers(part, asked)) for part in by_part.values()]
+        waits[asked] = 1.0
+        codes = np.zeros((count, len(found)), dtype=np.int32)
+        kinds: List[Requests] = []
+        levels: List[int] = []
+        for i, (_, askers) in enumerate(found):
+            keys = np.stack([askers.robots, askers.levels], axis=1).astype(np.float64)
+            keys = np.concatenate([keys, askers.able[:, None]], axis=1)
+            unique, of = np.unique(np.round(keys, 15), axis=0, return_inverse=True)
+            codes[askers.states, i] = len(kinds) + 1 + of.reshape(-1)
+            for robots, level, able in unique.tolist():
+                kinds.append(Requests(int(robots), {i: able}))
+                levels.append(int(level))
+        some = np.flatnonzero(codes.any(axis=1)) if found else np.zeros(0, dtype=np.int64)
+        if len(some):
+            first, kind = distinct_rows(codes[some])
+            firsts = np.zeros((len(first), len(found)))
+            stays = np.empty(len(first))
+            for k, row in enumerate(codes[some[first]].tolist()):
+                present = [c - 1 for c in row if c]
+                urgency = [0] * len(found)
+                for c in present:
+                    for i in kinds[c].draw:
+                        urgency[i] = levels[c]
+                for chances in first_to_fire([kinds[c] for c in present], urgency):
+                    for i, v in chances.items():
+                        firsts[k, i] = v
+                stays[k] = max(1.0 - firsts[k].sum(), 0.0)
+                if stays[k] <= SURE:
+                    stays[k] = 0.0
+                    firsts[k] /= firsts[k].sum()
+            waits[some] = stays[kind]
+            place = np.full(count, -1, dtype=np.int64)
+            place[some] = kind
+            for i, (_, askers) in enumerate(found):
+                if len(askers.arcs):
+                    source = stages.sources[askers.arcs]
+                    np.add.at(shares, askers.arcs, askers.chances * firsts[place[source], i])
+            self._unsettled(found, codes, firsts, place, waits, unsettled)
+        return Play(shares, waits, unsettled)
+
+    def _unsettled(
+        self,
+        found: List[Tuple[Group, _Askers]],
+        codes: Indices,
+        firsts: Floats,
+        place: Indices,
+        waits: Floats,
+        unsettled: Booleans,
+    ) -> None:
+        """Mark the states in which the run knows more."""
+        if self._late is None:
+            return
+        several = np.zeros(len(unsettled), dtype=np.int64)
+        late = np.zeros(len(unsettled), dtype=bool)
+        for i, (group, askers) in enumerate(found):
+            goes = askers.states[firsts[place[askers.states], i] > SURE]
+            several[goes] += 1
+            late[goes] |= bool(self._late[group.at])
+            chancy = askers.states[(askers.able < 1 - SURE) & (askers.able > SURE)]
+            unsettled[chancy] = True
+        unsettled |= late & (several > 1)
+
+    def _askers(self, groups: List[Group], asked: Booleans) -> _Askers:
+        """The robots of groups in one place."""
+        stages = self._stages
+        arcs = np.concatenate([stages.arcs_of(t) for g in groups for t, _ in g.members])
+        arcs = arcs[asked[stages.sources[arcs]]]
+        if groups[0].named:
+            chances = np.ones(len(arcs))
+            levels = stages.priorities[stages.labels[arcs]]
+            states = stages.sources[arcs].astype(np.int64)
+            able = np.ones(len(arcs))
+        else:
+            arcs, chances, states, levels, able = self._drawn(groups[0], arcs)
+        robots = stages.space.column(groups[0].place, states)
+        return _Askers(states, robots, levels, able, arcs, chances)
+
+    def _drawn(
+        self, group: Group, arcs: Indices
+    ) -> Tuple[Indices, Floats, Indices, Indices, Floats]:
+        """What robots at the policy draw: the arcs, the chance of each among those that can fire;
+        their states, the priority there, and the probability of drawing any of them."""
+        stages = self._stages
+        net = self._plan.net
+        states = np.unique(stages.sources[arcs]).astype(np.int64)
+        answer = np.zeros(len(stages), dtype=np.int64)
+        answer[states], answers = self._answers(group.at, states)
+        leaving = [t for t in net.consumers[group.at] if not net.transitions[t].timed]
+        local = np.full(len(net.transitions), -1, dtype=np.int64)
+        local[leaving] = np.arange(len(leaving))
+        table = np.zeros((len(answers), len(leaving)))
+        for k, choices in enumerate(answers):
+            for t, v in choices or ():
+                table[k, local[t]] = v
+        origins = np.array(stages.net.origins)[stages.labels[arcs]]
+        weights = table[answer[stages.sources[arcs]], local[origins]]
+        arcs, weights = arcs[weights > 0], weights[weights > 0]
+        priority = stages.priorities[stages.labels[arcs]]
+        # Answer 0: the weights decide. There, weights of 0 count for the priority too.
+        highest = stages.highest(arcs, priority)
+        free = np.flatnonzero(answer[states] == 0)
+        if len(free):
+            highest[states[free]] = self._highest_ready(group, states[free])
+        top = priority == highest[stages.sources[arcs]]
+        arcs, weights = arcs[top], weights[top]
+        ready = np.bincount(stages.sources[arcs], weights=weights, minlength=len(stages))
+        # all that could be drawn, whether it can fire or not
+        whole = np.zeros(len(stages))
+        urgency = np.array([net.transitions[t].priority for t in leaving])
+        for level in np.unique(urgency).tolist():
+            sums = table[:, urgency >= level].sum(axis=1)
+            at = states[highest[states] == level]
+            whole[at] = sums[answer[at]]
+        at = states[answer[states] == 0]
+        whole[at] = ready[at]
+        states = states[ready[states] > 0]
+        chances = weights / ready[stages.sources[arcs]]
+        return (
+            arcs,
+            chances,
+            states,
+            highest[states],
+            np.minimum(ready[states] / whole[states], 1.0),
+        )
+
+    def _highest_ready(self, group: Group, states: Indices) -> Indices:
+        """The highest priority of what can fire from a place in ``states``."""
+        stages = self._stages
+        arcs = np.concatenate(
+            [
+                stages.arcs_of(t)
+                for g in stages.net.groups
+                if g.place == group.place
+                for t, _ in g.members
+            ]
+        )
+        return stages.highest(arcs, stages.priorities[stages.labels[arcs]])[states]
+
+    def _answers(
+        self, place: int, states: Indices
+    ) -> Tuple[Indices, List[Optional[Tuple[Tuple[int, float], ...]]]]:
+        """The number of the policy's answer to a robot in ``place`` for each of ``states``, and the
+        answers: what it draws from. The first is that the weights decide."""
+        net = self._plan.net
+        weights = tuple(
+            (t, self._weights[t])
+            for t in net.consumers[place]
+            if not net.transitions[t].timed and self._weights[t] > 0
+        )
+        answers: List[Optional[Tuple[Tuple[int, float], ...]]] = [
+            () if self._plan.strict else weights
+        ]
+        if not self._policy.rows:
+            return np.zeros(len(states), dtype=np.int64), answers
+        numbers: Dict[Tuple[Tuple[int, float], ...], int] = {}
+        counts = np.zeros((len(states), len(self._columns)), dtype=np.int64)
+        for i, (p, q) in enumerate(self._columns):
+            counts[:, i] = self._stages.space.column(q, states) if q >= 0 else net.places[p].tokens
+        first, of = distinct_rows(counts) if len(states) else (states, states)
+        marking = list(net.initial_marking)
+        known = np.zeros(len(first), dtype=np.int64)
+        for k, row in enumerate(counts[first].tolist()):
+            for (p, _), n in zip(self._columns, row):
+                marking[p] = n
+            distribution = self._table.distribution(marking, place)
+            if distribution is None and not self._table.matches(marking):
+                continue
+            choices = distribution.choices if distribution is not None else ()
+            if choices not in numbers:
+                numbers[choices] = len(answers)
+                answers.append(choices)
+            known[k] = numbers[choices]
+        return known[of], answers

@@ -1,0 +1,599 @@
+"""The decision problem of a plan: the Markov automaton of everything that its robots could choose.
+
+In zero time the following happens, in this order, until nothing more does: transitions that only
+take resources fire, by priority and weight; transitions that an action names, or that chance
+chooses, fire; then the policy makes one decision, among the transitions of the highest priority
+that can fire, or lets the robots wait where they may; then robots move that ask for an exponential
+transition. The states are those of the *untimed closure*, also after losses of robots: every
+marking in which a run may ask the policy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import AbstractSet, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
+
+import numpy as np
+
+from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
+from gspn_framework_package.analysis.decisions.aims import Objective
+from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automaton, Rewards
+from gspn_framework_package.analysis.decisions.building import Built, Stages, build, part_of
+from gspn_framework_package.analysis.decisions.playing import SURE, Play, play
+from gspn_framework_package.analysis.decisions.run_net import DecisionNet, Stage
+from gspn_framework_package.analysis.decisions.safety import Safety
+from gspn_framework_package.analysis.decisions.who_decides import Decider, who_decides
+from gspn_framework_package.analysis.graph import components, reachable_from
+from gspn_framework_package.analysis.limits import Limits, states_of
+from gspn_framework_package.analysis.plan.markings import distinct_rows, with_end
+from gspn_framework_package.analysis.plan.reading import RUN, checked_reading, net_notes
+from gspn_framework_package.analysis.plan.run_rules import RunRules
+from gspn_framework_package.analysis.plan.structure import only_written, robot_flows
+from gspn_framework_package.analysis.state_space.space import StateSpace, explore
+from gspn_framework_package.analysis.watch import Cancel, Progress
+from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.duration import Kind
+from gspn_framework_package.model.errors import RefusedError, UsageError
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
+from gspn_framework_package.model.policy import Policy
+
+
+@dataclass(frozen=True)
+class Team:
+    """The decision problem of a team of one size.
+
+    :ivar robots: its size.
+    :ivar automaton: the states, rows and arcs.
+    :ivar distinct: the markings that occur, one row each, in the place order of the plan's net;
+      omitted counters are 0.
+    :ivar marking_of: int array: for each state the number of its marking in ``distinct``.
+    :ivar twin: boolean array: the states in which robots wait that could go on.
+    :ivar decides: boolean array: the states in which the policy chooses.
+    :ivar by_policy: boolean array, one value per row: a policy may choose it if nothing else
+      speaks against it. Other rows of such a state are there for the evaluation of a policy.
+    :ivar states_in: int array: for each state its number among the states of all teams.
+    :ivar rows_in: int array: the same for its rows.
+    """
+
+    robots: int
+    automaton: Automaton
+    distinct: Indices
+    marking_of: Indices
+    twin: Booleans
+    decides: Booleans
+    by_policy: Booleans
+    states_in: Indices
+    rows_in: Indices
+
+    @property
+    def markings(self) -> Indices:
+        """The marking of each state."""
+        return self.distinct[self.marking_of]
+
+
+class Decisions:
+    """The decision problems of a plan; made by :meth:`of`.
+
+    :ivar plan: the plan.
+    :ivar teams: the problem of each team size, that of the plan's own team first.
+    :ivar deciders: place -> why the policy chooses there.
+    :ivar chance: place -> why chance, or the action, chooses there.
+    :ivar assumptions: sentences for people.
+    """
+
+    @classmethod
+    def of(
+        cls,
+        plan: Plan,
+        *,
+        reading: str = RUN,
+        may_wait: Iterable[str] = (),
+        never: Iterable[str] = (),
+        conditions: Iterable[str] = (),
+        team_sizes: Optional[Iterable[int]] = None,
+        limits: Limits = Limits(),  # noqa: B008 (immutable)
+        progress: Optional[Progress] = None,
+        cancel: Optional[Cancel] = None,
+    ) -> Decisions:
+        """The decision problems of a plan.
+
+        :param plan: a validated plan.
+        :param reading: how time is read: ``run`` or ``net``.
+        :param may_wait: places in which a robot may wait although it could go on.
+        :param never: conditions that may never hold.
+        :param conditions: further conditions that will be asked, so that no counter in them is
+            left out.
+        :param team_sizes: the sizes of teams; None: the plan's own, and those that losses leave.
+        :param limits: how far the exploration may go.
+        :raises LimitError: there are too many states.
+        :raises RefusedError: it is open who decides, or what may never be cannot be avoided.
+        :raises UsageError: a name or a team size does not fit the plan.
+        """
+        return cls(
+            plan,
+            checked_reading(reading),
+            frozenset(may_wait),
+            tuple(never),
+            tuple(conditions),
+            None if team_sizes is None else sorted(set(team_sizes), reverse=True),
+            limits,
+            progress,
+            cancel,
+        )
+
+    def __init__(
+        self,
+        plan: Plan,
+        reading: str,
+        may_wait: AbstractSet[str],
+        never: Sequence[str],
+        conditions: Sequence[str],
+        team_sizes: Optional[Sequence[int]],
+        limits: Limits,
+        progress: Optional[Progress],
+        cancel: Optional[Cancel],
+    ) -> None:
+        self.plan = plan
+        self.reading = reading
+        self.may_wait = may_wait
+        found = who_decides(plan, reading, may_wait)
+        self.deciders: Dict[str, str] = {p: d.reason for p, d in found.items() if d.policy}
+        self.chance: Dict[str, str] = {p: d.reason for p, d in found.items() if not d.policy}
+        own = _team_size(plan)
+        self._own_size = own
+        largest = max(team_sizes) if team_sizes else own
+        if team_sizes and largest != own:
+            plan = plan.for_robots(largest)
+        losses = plan.timing.evict_after > 0 and largest > 1
+        if team_sizes and min(team_sizes) < largest:
+            losses = True
+        if any(flow.taken != flow.put for flow in robot_flows(plan)):
+            losses = False
+        self._largest = plan
+        timing = PlanTiming(plan)
+        self._rules = RunRules(plan, timing, phases=False) if reading == RUN else None
+        self.left_out = _left_out(plan, [*never, *conditions])
+        self._net = DecisionNet(plan, self.left_out, self._rules, found, losses=losses)
+        self.assumptions = self._assume(found, timing)
+        net = with_end(self._net.net, plan)
+        self._space: StateSpace = explore(
+            net,
+            limit=limits.states or states_of(len(net.places) + len(net.transitions)),
+            untimed=True,
+            progress=progress,
+            cancel=cancel,
+            memory=limits.memory,
+            seconds=limits.seconds,
+        )
+        self._space.require_complete("what the robots can choose")
+        self._over = (
+            self._space.holds(plan.until) if plan.until else np.zeros(len(self._space), dtype=bool)
+        )
+        self._stages = Stages(self._net, self._space, self._over)
+        self._late = self._order_matters()
+        self._plays: Dict[Policy, Play] = {}
+        present = self._play(plan.policy)
+        self._built: Built = build(self._stages, self._voluntary(), present.waits > SURE)
+        self._check_chosen(plan.policy, found)
+        self._found = found
+        self.never = tuple(never)
+        self._safety: Optional[Safety] = self._judge(never) if never else None
+        self.teams: List[Team] = self._teams(own, team_sizes)
+
+    # -- what is assumed ---------------------------------------------------------------------------
+
+    def _assume(self, found: Mapping[str, Decider], timing: PlanTiming) -> List[str]:
+        sentences = [
+            "%s decides in %s: %s"
+            % ("the policy" if decider.policy else "chance", place, decider.reason)
+            for place, decider in found.items()
+        ]
+        if self._rules is None:
+            return sentences + net_notes(self.plan).assumptions
+        sentences += timing.assumptions + self._rules.assumptions
+        longer = [
+            p
+            for p, place in self._rules.timing.items()
+            if place.duration.mean > 0 and place.duration.kind is not Kind.EXPONENTIAL
+        ]
+        if longer:
+            sentences.append(
+                "durations are taken as exponential with their means (%s)"
+                % ", ".join(self._rules.net.places[p].name for p in longer)
+            )
+        if any(chance > 0 for chance in self.plan.failures.values()):
+            sentences.append("actions always succeed")
+        return sentences
+
+    # -- states ------------------------------------------------------------------------------------
+
+    def _voluntary(self) -> Booleans:
+        """The states in which robots may wait by choice: nothing that could fire takes robots only
+        from places where nobody may wait, or something else goes first that takes no time."""
+        net, stages = self._net, self._stages
+        count = len(stages)
+        waiting = {self.plan.net.place_number(name) for name in self.may_wait}
+        later = self._partner_comes()
+        allowed = np.ones(count, dtype=bool)
+        for t, askers in enumerate(net.askers):
+            if net.steps[t] is not Stage.DECIDED or waiting.intersection(askers):
+                continue
+            states = stages.sources[stages.arcs_of(t)]
+            free = np.zeros(len(states), dtype=bool)
+            for p in askers:
+                if p in later:
+                    free |= later[p][states]
+            allowed[states[~free]] = False
+        for step in (Stage.ASKED, Stage.ARRIVED):
+            allowed |= stages.has(np.flatnonzero(stages.kinds == step))
+        return allowed
+
+    def _partner_comes(self) -> Dict[int, Booleans]:
+        """For places of the plan's net: the states in which a robot there may wait for a partner
+        that is still doing, since the marking enables a transition that lacks it."""
+        if self._rules is None:
+            return {}
+        plan, stages, space = self.plan.net, self._stages, self._space
+        found: Dict[int, Booleans] = {}
+        late = self._doing_places
+        acts = {plan.place_number(name) for name in self.plan.action_places}
+        by_origin: Dict[int, List[int]] = {}
+        for t, origin in enumerate(self._net.origins):
+            if self._net.steps[t] in (Stage.DECIDED, Stage.NAMED):
+                by_origin.setdefault(origin, []).append(t)
+        for origin, variants in by_origin.items():
+            robots = [(p, w) for p, w in plan.inputs[origin] if p in acts]
+            if not any(p in late and (len(robots) > 1 or w > 1) for p, w in robots):
+                continue
+            enabled = self._enabled(origin)
+            for t in variants:
+                enabled[stages.sources[stages.arcs_of(t)]] = False
+            for p, _ in robots:
+                found.setdefault(p, np.zeros(len(space), dtype=bool))
+                found[p] |= enabled
+        return found
+
+    def _enabled(self, t: int) -> Booleans:
+        """The states whose marking enables transition number ``t`` of the plan's net."""
+        net, space = self.plan.net, self._space
+        number = self._net.place_of
+        enabled = np.ones(len(space), dtype=bool)
+        for p, w in net.inputs[t]:
+            enabled &= space.column(number[p]) >= w
+        for p, w in net.inhibitors[t]:
+            enabled &= space.column(number[p]) < w
+        for p, change in net.effect(t):
+            capacity = net.places[p].capacity
+            if change > 0 and capacity is not None:
+                enabled &= space.column(number[p]) + change <= capacity
+        return enabled
+
+    @cached_property
+    def _doing_places(self) -> Set[int]:
+        """The places (numbers of the plan's net) in which robots are told apart by doing and
+        done."""
+        if self._rules is None:
+            return set()
+        whole = {q for q in self._net.place_of if q >= 0}
+        return {group.at for group in self._net.groups if group.place not in whole}
+
+    def _order_matters(self) -> Optional[Booleans]:
+        """The places (of the plan's net) in which the run knows which robot finished last, and
+        that matters; states do not know it. None in the classical reading."""
+        if self._rules is None:
+            return None
+        net = self.plan.net
+        late = np.zeros(len(net.places), dtype=bool)
+        for p, timing in self._rules.timing.items():
+            name = self._rules.net.places[p].name
+            full = net.place_number(name)
+            if not any(t == POLICY and v > 0 for t, v in timing.outcomes):
+                continue
+            late[full] = any(
+                not net.transitions[t].timed
+                and sum(
+                    w
+                    for q, w in net.inputs[t]
+                    if net.places[q].name not in self.plan.resource_places
+                )
+                > 1
+                for t in net.consumers[full]
+            )
+        return late
+
+    def _markings_of(self, states: Indices) -> Indices:
+        """The markings of states in the place order of the plan's net."""
+        number = self._net.place_of
+        kept = [p for p, q in enumerate(number) if q >= 0]
+        columns = [self._space.column(number[p], states) for p in kept]
+        most = max((int(c.max(initial=0)) for c in columns), default=0)
+        full = np.zeros((len(states), len(number)), dtype=np.min_scalar_type(most))
+        for p, column in zip(kept, columns):
+            full[:, p] = column
+        return full
+
+    # -- teams -------------------------------------------------------------------------------------
+
+    def _teams(self, own: int, sizes: Optional[Sequence[int]]) -> List[Team]:
+        space, built = self._space, self._built
+        robots = np.zeros(len(space), dtype=np.int64)
+        conserved = all(flow.taken == flow.put for flow in robot_flows(self.plan))
+        if conserved:
+            for name in self.plan.action_places:
+                robots += space.column(self._net.place_of[self.plan.net.place_number(name)])
+        else:
+            robots[:] = own
+        found = sorted(set(np.unique(robots).tolist()) - {0}, reverse=True)
+        wanted = [n for n in found if sizes is None or n in sizes]
+        if own in wanted:
+            wanted.remove(own)
+            wanted.insert(0, own)
+        needed = self._needed()
+        return [
+            self._team(n, (robots == n)[built.original] & needed, self._start(n, robots))
+            for n in wanted
+        ]
+
+    def _needed(self) -> Booleans:
+        """The states that timed play reaches from any marking in which a run may ask the policy."""
+        built = self._built
+        automaton = built.automaton
+        count = len(self._space)
+        starts = np.zeros(len(automaton), dtype=bool)
+        starts[0] = True
+        starts[:count] |= ~self._is_named()
+        if starts[:count].all():
+            return np.ones(len(automaton), dtype=bool)
+        return reachable_from(
+            len(automaton),
+            automaton.row_states[automaton.arc_rows],
+            automaton.targets,
+            starts,
+        )
+
+    def _is_named(self) -> Booleans:
+        """The states in which some robot is further than needed to see all markings: it has named
+        a transition, or it is doing something before it asks the policy."""
+        found = np.zeros(len(self._space), dtype=bool)
+        for name in self._net.resting:
+            found |= self._space.column(self._net.net.place_number(name)) > 0
+        return found
+
+    def _start(self, size: int, robots: Indices) -> int:
+        """The state in which a team of this size begins."""
+        if size == int(robots[0]):
+            return 0
+        if len(self._largest.robots) < size:  # the net alone says where they are
+            return int(np.flatnonzero(robots == size)[0])
+        net = self._largest.for_robots(size).net
+        marking = self._net.start(net.initial_marking)
+        state = self._space.find(marking)
+        return int(np.flatnonzero(robots == size)[0]) if state is None else state
+
+    def _team(self, size: int, states: Booleans, start: int) -> Team:
+        built = self._built
+        part, kept, rows = part_of(built.automaton, states, ((start, 1.0),))
+        original = built.original[kept]
+        if self._doing_places:
+            markings = self._markings_of(np.unique(original))
+            at = np.searchsorted(np.unique(original), original)
+            first, of = distinct_rows(markings)
+            distinct, marking_of = markings[first], of[at]
+        else:
+            unique, marking_of = np.unique(original, return_inverse=True)
+            distinct = self._markings_of(unique)
+        stage = self._stages.stage[original]
+        twin = kept >= len(self._space)
+        return Team(
+            size,
+            part,
+            distinct,
+            marking_of.reshape(-1).astype(np.int64),
+            twin,
+            (stage == Stage.DECIDED) & ~twin,
+            built.allowed[rows],
+            kept,
+            rows,
+        )
+
+    # -- what is asked -----------------------------------------------------------------------------
+
+    def rewards(self, team: Team, objective: Objective) -> Rewards:
+        """What a run earns in a team's automaton.
+
+        :raises UsageError: the net has no such place or transition, or a reward is on a counter.
+        :raises RefusedError: a reward is earned on a cycle that takes no time.
+        """
+        return self.earnings(team, objective.rewards)
+
+    def earnings(self, team: Team, rewards: Mapping[str, float]) -> Rewards:
+        """The same for a map from places (per token and second) and transitions (per firing)."""
+        net, automaton = self.plan.net, team.automaton
+        per_state = np.zeros(len(team.distinct), dtype=np.float64)
+        per_firing = np.zeros(len(net.transitions) + 1, dtype=np.float64)
+        for name, value in rewards.items():
+            if name in net.place_index:
+                if name in self.left_out:
+                    raise UsageError(
+                        "'%s' only counts and grows without end, so its tokens are no reward"
+                        % name,
+                        hint="reward the transition that counts",
+                    )
+                per_state += value * team.distinct[:, net.place_index[name]]
+            elif name in net.transition_index:
+                per_firing[net.transition_index[name]] += value
+            else:
+                raise UsageError("the net has no place or transition '%s'" % name)
+        impulse = per_firing[automaton.fired]
+        self._check_timeless(team, impulse)
+        return Rewards(per_state[team.marking_of], impulse)
+
+    def _check_timeless(self, team: Team, impulse: Floats) -> None:
+        """:raises RefusedError: a reward is earned on a cycle that takes no time."""
+        automaton = team.automaton
+        if not impulse.any():
+            return
+        rows = automaton.arc_rows
+        sources = automaton.row_states[rows]
+        timeless = ~automaton.tangible[sources] & ~automaton.tangible[automaton.targets]
+        timeless &= self.allowed(team)[rows]
+        if not (impulse[timeless] != 0).any():
+            return
+        cycles = components(len(automaton), sources[timeless], automaton.targets[timeless]).of
+        wrong = np.flatnonzero(
+            timeless & (impulse != 0) & (cycles[sources] == cycles[automaton.targets])
+        )
+        if len(wrong):
+            arc = int(wrong[0])
+            name = self.plan.net.transitions[automaton.fired[arc]].name
+            raise RefusedError(
+                "it has a reward, and can fire without end in no time at %s"
+                % self.named(team, int(sources[arc])),
+                element=name,
+                hint="reward something that takes time",
+            )
+
+    def goal(self, team: Team, condition: str) -> Booleans:
+        """The states of a team in which a condition holds.
+
+        :raises ExpressionError: it cannot be parsed.
+        :raises UsageError: it reads a counter that was left out.
+        """
+        parsed = parse_condition(condition, [p.name for p in self.plan.net.places])
+        unknown = [p for p in self.left_out if p in parsed.places]
+        if unknown:
+            raise UsageError(
+                "'%s' only counts, and was left out" % unknown[0],
+                hint="say beforehand that the condition will be asked",
+            )
+        holds = parsed.holds_in_columns(team.distinct.astype(np.int64).T, len(team.distinct))
+        return np.asarray(holds[team.marking_of], dtype=bool)
+
+    def allowed(self, team: Team) -> Booleans:
+        """The rows of a team that a policy may choose: also with regard to what may never be."""
+        if self._safety is None:
+            return team.by_policy
+        safe = self._safety.safe[self._built.original[team.states_in]]
+        automaton = team.automaton
+        wrong = np.zeros(len(automaton.choices), dtype=bool)
+        wrong[automaton.arc_rows[~safe[automaton.targets]]] = True
+        chosen = automaton.choices != CHANCE
+        unsafe_state = ~safe[automaton.row_states]
+        return team.by_policy & (~wrong | ~chosen | unsafe_state)
+
+    def _judge(self, never: Sequence[str]) -> Safety:
+        waits = self._built.wait_row >= 0
+        waits[waits] = self._built.allowed[self._built.wait_row[waits]]
+        return Safety(self._largest, self._stages, never, waits)
+
+    # -- policies ----------------------------------------------------------------------------------
+
+    def _play(self, policy: Policy) -> Play:
+        found = self._plays.get(policy)
+        if found is None:
+            found = play(self._largest, policy, self._stages, self._late)
+            self._plays = {policy: found}
+        return found
+
+    def weights_of(self, team: Team, policy: Policy) -> Floats:
+        """The probability of each row under a policy, by the plan's own rules.
+
+        :raises RefusedError: these rows do not tell what the policy does.
+        """
+        self._check_chosen(policy, self._found)
+        played = self._play(policy)
+        built, stages = self._built, self._stages
+        weights = np.zeros(len(built.automaton.choices), dtype=np.float64)
+        states = np.flatnonzero(np.diff(built.automaton.rows) == 1)
+        weights[built.automaton.rows[states]] = 1.0
+        arcs = np.flatnonzero(built.arc_row >= 0)
+        weights[built.arc_row[arcs]] = played.shares[arcs]
+        waiting = np.flatnonzero(played.waits > SURE)
+        waiting = waiting[np.isin(stages.stage[waiting], (Stage.NAMED, Stage.DECIDED))]
+        unheard = np.zeros(len(built.original), dtype=bool)
+        lost = waiting[built.wait_row[waiting] < 0]
+        lost = lost[np.diff(built.automaton.rows)[lost] > 1]
+        unheard[lost] = True
+        heard = waiting[built.wait_row[waiting] >= 0]
+        weights[built.wait_row[heard]] = played.waits[heard]
+        single = states[states < len(stages)]
+        single = single[stages.stage[single] == Stage.DECIDED]
+        unheard[single[played.waits[single] > SURE]] = True
+        mine = weights[team.rows_in]
+        self._check_heard(team, mine, unheard, played)
+        return mine
+
+    def _check_heard(self, team: Team, weights: Floats, unheard: Booleans, played: Play) -> None:
+        """:raises RefusedError: the policy leads to a state in which its rows do not tell what it
+        does."""
+        wrong = unheard.copy()
+        wrong[: len(played.unsettled)] |= played.unsettled
+        wrong = wrong[team.states_in]
+        if not wrong.any():
+            return
+        automaton = team.automaton
+        taken = weights[automaton.arc_rows] > 0
+        reached = reachable_from(
+            len(automaton),
+            automaton.row_states[automaton.arc_rows][taken],
+            automaton.targets[taken],
+            np.array([s for s, _ in automaton.initial]),
+        )
+        states = np.flatnonzero(reached & wrong)
+        if not len(states):
+            return
+        state = int(states[0])
+        if unheard[team.states_in[state]]:
+            raise RefusedError(
+                "the policy lets robots wait at %s, which is not among the choices"
+                % self.named(team, state),
+                hint="name the place with --may-wait",
+            )
+        raise RefusedError(
+            "what the policy does at %s depends on which robot finished first or has drawn what"
+            % self.named(team, state),
+            hint="gspn analyse and gspn simulate follow that",
+        )
+
+    def _check_chosen(self, policy: Policy, found: Mapping[str, Decider]) -> None:
+        """:raises RefusedError: the policy chooses what chance never does."""
+        for row in policy.rows:
+            for name, chance in row.choices:
+                t = self.plan.net.transition_number(name)
+                for p, _ in self.plan.net.inputs[t]:
+                    decider = found.get(self.plan.net.places[p].name)
+                    if (
+                        chance > 0
+                        and decider is not None
+                        and not decider.policy
+                        and t not in {u for u, _ in decider.chances}
+                    ):
+                        raise RefusedError(
+                            "a row of the policy chooses it, but chance decides in %s and never "
+                            "does: %s" % (self.plan.net.places[p].name, decider.reason),
+                            element=name,
+                        )
+
+    # -- for people --------------------------------------------------------------------------------
+
+    def named(self, team: Team, state: int) -> str:
+        """The marking of a state, for messages."""
+        counts = team.distinct[team.marking_of[state]].tolist()
+        return "(%s)" % ", ".join(
+            "%s: %d" % (place.name, n) for place, n in zip(self.plan.net.places, counts) if n
+        )
+
+
+def _team_size(plan: Plan) -> int:
+    return sum(p.tokens for p in plan.net.places if p.name not in plan.resource_places)
+
+
+def _left_out(plan: Plan, conditions: Sequence[str]) -> Tuple[str, ...]:
+    """Counters that nothing reads, and no condition either."""
+    names = [p.name for p in plan.net.places]
+    read: Set[str] = set()
+    for condition in conditions:
+        read.update(parse_condition(condition, names).places)
+    return tuple(name for name in only_written(plan) if name not in read)

@@ -1,0 +1,108 @@
+"""Who chooses in a place: the policy, or chance (the action, or the weights). The computation of a
+policy may only change what the policy chooses, so every answer comes with its reason."""
+
+from __future__ import annotations
+
+from typing import AbstractSet, Dict, List, NamedTuple, Tuple
+
+from gspn_framework_package.analysis.plan.reading import RUN
+from gspn_framework_package.model.errors import RefusedError, UsageError
+from gspn_framework_package.model.plan import Plan
+
+
+class Decider(NamedTuple):
+    """Who chooses in an action place with immediate outputs.
+
+    :ivar policy: whether the policy chooses (where the action names no transition).
+    :ivar reason: why, for people.
+    :ivar chances: where chance does: (number of the transition, weight).
+    """
+
+    policy: bool
+    reason: str
+    chances: Tuple[Tuple[int, float], ...] = ()
+
+
+def who_decides(plan: Plan, reading: str, may_wait: AbstractSet[str]) -> Dict[str, Decider]:
+    """Who chooses in each action place that immediate transitions leave.
+
+    :param reading: how time is read.
+    :param may_wait: places in which a robot may wait although it could go on.
+    :raises RefusedError: a place has immediate and exponential outputs, or chance has no weights.
+    :raises UsageError: ``may_wait`` names a place in which nobody can wait.
+    """
+    net = plan.net
+    spoken = _spoken_of(plan)
+    found: Dict[str, Decider] = {}
+    for name in plan.action_places:
+        leaving = net.consumers[net.place_number(name)]
+        immediate = [t for t in leaving if not net.transitions[t].timed]
+        if not immediate:
+            continue
+        if len(immediate) < len(leaving) and not (reading == RUN and name in plan.outcomes):
+            raise RefusedError(
+                "immediate and exponential transitions leave it, so it is open who decides",
+                element=name,
+                hint="let the policy choose an immediate transition into a place of its own"
+                + (", or give its outcomes" if reading == RUN else ""),
+            )
+        found[name] = _decider(plan, name, immediate, reading, name in may_wait, name in spoken)
+    for name in sorted(may_wait):
+        if name not in found:
+            raise UsageError(
+                "nothing is chosen in '%s', so no robot waits there by choice" % name,
+                hint="choose from: %s" % ", ".join(found) if found else "no policy decides here",
+            )
+        if not found[name].policy:
+            raise UsageError(
+                "a robot in '%s' cannot wait by choice: %s" % (name, found[name].reason)
+            )
+    return found
+
+
+def _decider(
+    plan: Plan, name: str, immediate: List[int], reading: str, may_wait: bool, spoken: bool
+) -> Decider:
+    transitions = plan.net.transitions
+    outcomes = plan.outcomes.get(name)
+    named = {t: v for t, v in (outcomes or {}).items() if t and v > 0}
+    by_weight = tuple((t, transitions[t].weight) for t in immediate if transitions[t].weight > 0)
+    by_action = tuple(
+        (t, named[transitions[t].name]) for t in immediate if transitions[t].name in named
+    )
+    leaves_it = outcomes is not None and outcomes.get("", 0) > 0
+    if name in plan.chance:
+        chances = by_weight if reading == RUN and by_weight else by_action or by_weight
+        if not chances:
+            raise RefusedError(
+                "chance decides there, but no transition has a weight",
+                element=name,
+                hint="give the transitions weights, or take it out of the plan's 'chance'",
+            )
+        return Decider(False, "the plan's key 'chance' lists it", chances)
+    if outcomes is not None and not named:
+        return Decider(True, "its outcomes leave it to the policy")
+    if named and not leaves_it:
+        return Decider(False, "its outcomes say what the action names", by_action)
+    if named:
+        if reading == RUN:
+            return Decider(True, "its outcomes leave to the policy what the action does not name")
+        return Decider(True, "the rates of the net count, not its outcomes")
+    if may_wait:
+        return Decider(True, "a robot may wait there")
+    if plan.actions.get(name, True) is None:
+        return Decider(True, "no action runs there")
+    if len(by_weight) < len(immediate):
+        return Decider(True, "a transition that leaves it has the weight 0")
+    if spoken:
+        return Decider(True, "the present policy speaks of it")
+    return Decider(False, "nothing but the weights decides there", by_weight)
+
+
+def _spoken_of(plan: Plan) -> Dict[str, None]:
+    """The places that rows of the policy speak of."""
+    net = plan.net
+    chosen = {t for row in plan.policy.rows for t, v in row.choices if v > 0}
+    return {
+        net.places[p].name: None for t in chosen for p, _ in net.inputs[net.transition_number(t)]
+    }

@@ -1,0 +1,105 @@
+"""The decision problem of a plan: its states, who decides, and what policies do in it."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dense_automata import long_run
+from hypothesis import HealthCheck, assume, given, settings
+
+sys.path.append(str(Path(__file__).parents[1]))
+
+from generated_plans import small_plans
+from running_plans import running_plans
+
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.decisions.problem import Decisions
+from gspn_framework_package.analysis.plan.reading import NET, RUN
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.duration import Duration
+from gspn_framework_package.model.errors import LimitError, RefusedError
+
+PLANS = ["patrol", "rendezvous", "fork_join", "measure", "tokens"]
+
+many = settings(max_examples=25, suppress_health_check=list(HealthCheck))
+
+
+def exponential(plan):
+    """The plan with exponential durations of the same means, whose actions succeed."""
+    durations = {
+        p: Duration.exponential(d.mean) if d.mean > 0 else d for p, d in plan.durations.items()
+    }
+    return replace(plan, durations=durations, failures={}, timeouts={})
+
+
+def assert_same(plan, decisions, policy, reading):
+    """What the policy does on the rows is what the analysis of the plan finds."""
+    team = decisions.teams[0]
+    weights = decisions.weights_of(team, policy)
+    sums = np.bincount(team.automaton.row_states, weights=weights, minlength=len(team.automaton))
+    flow, time = long_run(team.automaton, weights)
+    rows = team.automaton.arc_rows
+    used = np.bincount(team.automaton.row_states[rows], weights=np.abs(flow)) > 1e-12
+    assert sums[np.flatnonzero(used)] == pytest.approx(1.0, abs=1e-12)
+    analysis = Analysis(plan.with_policy(policy), timing=reading)
+    measures = analysis.measures
+    for t, transition in enumerate(plan.net.transitions):
+        assert flow[team.automaton.fired == t].sum() == pytest.approx(
+            measures.throughput[transition.name], abs=1e-9
+        ), transition.name
+    for p, place in enumerate(plan.net.places):
+        if place.name in measures.mean_tokens and place.name not in decisions.left_out:
+            assert time @ team.markings[:, p] == pytest.approx(
+                measures.mean_tokens[place.name], abs=1e-9
+            ), place.name
+
+
+@pytest.mark.parametrize("reading", [NET, RUN])
+@pytest.mark.parametrize("name", PLANS)
+def test_the_present_policy_does_what_the_analysis_says(name, reading):
+    plan = exponential(read_plan("plans/%s/plan.json" % name))
+    try:
+        analysis = Analysis(plan, timing=reading)
+        analysis.measures  # noqa: B018
+    except RefusedError:
+        pytest.skip("it has no steady state")
+    assert_same(plan, Decisions.of(plan, reading=reading), plan.policy, reading)
+
+
+def check_generated(plan, reading):
+    plan = exponential(plan)
+    try:
+        decisions = Decisions.of(plan, reading=reading)
+        team = decisions.teams[0]
+        assume(len(team.automaton) <= 1500)
+        decisions.weights_of(team, plan.policy)
+        Analysis(plan, timing=reading).measures  # noqa: B018
+    except (RefusedError, LimitError):
+        assume(False)
+    assert_same(plan, decisions, plan.policy, reading)
+
+
+@many
+@given(running_plans())
+def test_generated_plans_by_their_nets(plan):
+    check_generated(plan, NET)
+
+
+@many
+@given(running_plans())
+def test_generated_plans_as_they_run(plan):
+    check_generated(plan, RUN)
+
+
+@many
+@given(small_plans())
+def test_generated_plans_with_everything_by_their_nets(plan):
+    check_generated(plan, NET)
+
+
+@many
+@given(small_plans())
+def test_generated_plans_with_everything_as_they_run(plan):
+    check_generated(plan, RUN)
