@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import enum
+import fnmatch
 import math
-from dataclasses import dataclass, field
-from typing import FrozenSet, Mapping, NamedTuple, Optional, Tuple
+from dataclasses import dataclass, field, replace
+from typing import Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.plan.reading import RUN
@@ -18,6 +19,9 @@ WIDTH = 1e-6
 
 NARROWEST = 1e-12
 """Narrowest width that can be asked for: rounding errors are not much smaller."""
+
+_LISTED = 6
+"""Most rewards in the words for an objective."""
 
 
 class Aim(enum.Enum):
@@ -85,7 +89,10 @@ class Objective:
 
     def describe(self) -> str:
         """The objective in words."""
-        listed = ", ".join("%s: %g" % item for item in self.rewards.items())
+        named = ["%s: %g" % item for item in self.rewards.items()]
+        listed = ", ".join(named[:_LISTED])
+        if len(named) > _LISTED:
+            listed += " and %d more" % (len(named) - _LISTED)
         if self.aim is Aim.LONG_RUN:
             return "the highest reward per second in the long run (%s)" % listed
         if self.aim is Aim.TIME_TO:
@@ -149,6 +156,38 @@ class Request:
     width: float = WIDTH
     limits: Limits = Limits()
 
+    def resolved(self, net: Net) -> Request:
+        """The request with its patterns replaced by the names in ``net`` that they match: ``*``
+        and ``?`` as in file names, in rewards and in ``may_wait``. A name of the net itself is not
+        taken for a pattern.
+
+        :raises UsageError: nothing matches a pattern; see also :meth:`check`.
+        :raises ExpressionError: see :meth:`check`.
+        """
+        places = [place.name for place in net.places]
+        names = [*places, *(t.name for t in net.transitions)]
+        rewards: Dict[str, float] = {}
+        for pattern, value in self.objective.rewards.items():
+            for name in _matching(pattern, names):
+                rewards[name] = value
+        deciding = [
+            place
+            for place, leaving in zip(places, net.consumers)
+            if any(not net.transitions[t].timed for t in leaving)
+        ]
+        may_wait = {
+            name
+            for pattern in self.may_wait
+            for name in ([pattern] if pattern in places else _matching(pattern, deciding))
+        }
+        found = replace(
+            self,
+            objective=replace(self.objective, rewards=rewards),
+            may_wait=frozenset(may_wait),
+        )
+        found.check(net)
+        return found
+
     def check(self, net: Net) -> None:
         """Check that all names and conditions fit ``net``, and that the parts fit each other.
 
@@ -193,6 +232,16 @@ class Request:
                 raise UsageError("%g is not a reward of '%s'" % (value, name))
         if objective.aim is Aim.DISCOUNTED and not 0 < (objective.discount or 0) < math.inf:
             raise UsageError("a discount is a rate above 0, per second")
+
+
+def _matching(pattern: str, names: Sequence[str]) -> List[str]:
+    """The names that a pattern matches; the pattern itself if it is one of them, or no pattern."""
+    if pattern in names or not set(pattern) & set("*?["):
+        return [pattern]
+    found = fnmatch.filter(names, pattern)
+    if not found:
+        raise UsageError("nothing in the net matches '%s'" % pattern)
+    return found
 
 
 def _known(net: Net, name: str, what: str) -> None:

@@ -61,6 +61,18 @@ def test_a_request_that_fits_the_net_is_accepted():
     Request(Objective.time_to("b == 1"), uncertain={"go": (0.5, 2.0)}).check(NET)
 
 
+def test_patterns_stand_for_names_of_the_net():
+    found = Request(Objective.long_run({"[ab]": 1, "go": 2, "ba*": 3}), may_wait={"*"}).resolved(
+        NET
+    )
+    assert found.objective.rewards == {"a": 1, "b": 1, "go": 2, "back": 3}
+    assert found.may_wait == {"b"}
+    with pytest.raises(UsageError, match=r"matches 'x\*'"):
+        Request(Objective.long_run({"x*": 1})).resolved(NET)
+    with pytest.raises(UsageError, match="'c', which is neither"):
+        Request(Objective.long_run({"c": 1})).resolved(NET)
+
+
 @pytest.mark.parametrize(
     ("request_", "error", "message"),
     [
