@@ -21,8 +21,8 @@ def add_aim_arguments(group: Any) -> None:
         default=[],
         metavar="NAME=R",
         help="R per token in a place and second, or per firing of a transition; a negative R is a "
-        "cost. NAME may be a pattern, as for files ('Seen_*=1'). The average per second in the long "
-        "run is made as high as possible. May be repeated",
+        "cost. NAME may be a pattern, as for files ('Seen_*=1'). The average per second in the "
+        "long run is made as high as possible. May be repeated",
     )
     group.add_argument(
         "--mean-time-to", metavar="CONDITION", help="make the mean time until then the shortest"
