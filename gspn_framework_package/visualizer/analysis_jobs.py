@@ -17,13 +17,18 @@ from typing import Any, Dict, Optional, Sequence
 
 from gspn_framework_package.formats.net_json import net_to_json
 from gspn_framework_package.formats.plan_json import plan_to_json
-from gspn_framework_package.model.errors import InputError, LimitError, UsageError
+from gspn_framework_package.model.errors import InputError, LimitError, RefusedError, UsageError
 from gspn_framework_package.visualizer.documents import Document
+from gspn_framework_package.visualizer.optimise_form import request_of
+from gspn_framework_package.visualizer.optimised import Optimised, proposed_name, save_beside
 
 JOBS_AT_ONCE = 2
 JOBS_KEPT = 20
 SECONDS = 120.0
 """Time limit of one analysis, in seconds, unless the page asks for less."""
+
+OPTIMISE_SECONDS = 600.0
+"""The same for the computation of a policy."""
 
 STATES = 2_000_000
 """Largest limit on states that the page may ask for."""
@@ -46,11 +51,16 @@ QUESTIONS = (
     "rewards",
     "simulate",
     "predict",
+    "optimise",
 )
 
 
 class _Job:
-    def __init__(self, request: Dict[str, Any], seconds: float) -> None:
+    def __init__(
+        self, request: Dict[str, Any], seconds: float, document: Document, session: str
+    ) -> None:
+        self.document, self.session = document, session
+        self.optimised: Optional[Optimised] = None
         self.started = time.monotonic()
         self.seconds = seconds
         self.state = "running"
@@ -112,6 +122,10 @@ class _Job:
                     continue
                 if "progress" in message:
                     self.progress = message["progress"]
+                elif "plan" in message and self.document.plan is not None:
+                    self.optimised = Optimised(
+                        self.document.plan, message["plan"], message["changed"], message["same"]
+                    )
                 elif "part" in message:
                     self.result = {**(self.result or {}), **message["part"]}
                 elif "error" in message:
@@ -140,6 +154,11 @@ class _Job:
             "progress": self.progress,
             "result": self.result,
             "error": self.error,
+            "saves_as": (
+                proposed_name(self.document.file)
+                if self.optimised is not None and self.document.file
+                else None
+            ),
         }
 
 
@@ -150,16 +169,29 @@ class AnalysisJobs:
         self._lock = threading.Lock()
         self._jobs: OrderedDict[str, _Job] = OrderedDict()
 
-    def start(self, document: Document, marking: Sequence[int], fields: Dict[str, Any]) -> str:
+    def start(
+        self,
+        document: Document,
+        marking: Sequence[int],
+        fields: Dict[str, Any],
+        session: str = "",
+    ) -> str:
         """Start an analysis and return its key.
 
         :param marking: the current marking of the page, used if ``from`` is ``marking``.
         :param fields: the requested ``parts``, the ``limit`` on states, ``seconds``, and the
             parameters of the parts.
+        :param session: the key of the open net, by which :meth:`latest` finds it.
         :raises LimitError: too many analyses are running.
+        :raises FormError: fields of the form for a policy cannot be used.
         """
         limit = _bounded(fields, "limit", 100_000, 1, STATES)
-        seconds = _bounded(fields, "seconds", 60.0, 0.1, SECONDS)
+        most = OPTIMISE_SECONDS if "optimise" in fields else SECONDS
+        seconds = _bounded(fields, "seconds", 60.0, 0.1, most)
+        if "optimise" in fields:
+            if document.plan is None:
+                raise UsageError("only a plan has a policy that can be computed; this is a net")
+            request_of(fields["optimise"], document.plan.net)  # report what is wrong in it now
         request: Dict[str, Any] = {key: fields[key] for key in QUESTIONS if key in fields}
         request.update(limit=int(limit), seconds=seconds)
         if document.plan is not None:
@@ -173,7 +205,7 @@ class AnalysisJobs:
                     "%d analyses are running already" % JOBS_AT_ONCE, hint="cancel one, or wait"
                 )
             key = secrets.token_hex(6)
-            self._jobs[key] = _Job(request, seconds)
+            self._jobs[key] = _Job(request, seconds, document, session)
             for old in list(self._jobs)[:-JOBS_KEPT]:
                 if not self._jobs[old].running:
                     del self._jobs[old]
@@ -186,6 +218,36 @@ class AnalysisJobs:
     def cancel(self, key: str) -> None:
         """Kill a job. :raises InputError: no job has that key."""
         self._job(key).kill()
+
+    def optimised(self, key: str) -> Optimised:
+        """The policy that a job has computed. :raises InputError: there is none."""
+        found = self._job(key).optimised
+        if found is None:
+            raise InputError("that analysis has not computed a policy")
+        return found
+
+    def latest(self, session: str) -> Optional[str]:
+        """The key of the latest job of an open net that has computed a policy, if there is one."""
+        with self._lock:
+            for key, job in reversed(self._jobs.items()):
+                if job.session == session and job.optimised is not None and job.state == "done":
+                    return key
+        return None
+
+    def save(self, key: str, name: object, overwrite: bool) -> str:
+        """Write a plan with a computed policy beside the plan that was open.
+
+        :returns: the path of the new file.
+        :raises GspnError: there is no such policy, the plan does not come from a file of this
+            server, or the file cannot be written; see
+            :func:`~gspn_framework_package.visualizer.optimised.save_beside`.
+        """
+        found, file = self.optimised(key), self._job(key).document.file
+        if not file:
+            raise RefusedError(
+                "it does not come from a plan file of this server", hint="download the plan"
+            )
+        return save_beside(file, name, found.text, overwrite)
 
     def _job(self, key: str) -> _Job:
         with self._lock:

@@ -13,11 +13,13 @@ import os
 import resource
 import sys
 from dataclasses import replace
+from importlib import import_module
 from typing import Any, Dict, List, Optional, Union
 
 import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.decisions.report import MOST_CHOICES
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.monitoring.prediction import (
     Span,
@@ -28,11 +30,13 @@ from gspn_framework_package.analysis.monitoring.prediction import (
 from gspn_framework_package.analysis.report import INFINITE, Questions, report
 from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.formats.net_json import net_from_json
-from gspn_framework_package.formats.plan_json import plan_from_json
+from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_short_json
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.analysis_jobs import ALL
+from gspn_framework_package.visualizer.optimise_form import request_of, simulated_of
+from gspn_framework_package.visualizer.optimised import PolicyChanges
 
 MEMORY_BYTES = 4 << 30
 TIMES = 200
@@ -73,6 +77,9 @@ def _analyse(request: Dict[str, Any]) -> None:
     def progress(what: str, count: int, seconds: float) -> None:
         _say(progress={"what": what, "count": count, "seconds": round(seconds, 2)})
 
+    if "optimise" in request:
+        _optimise(request, progress)
+        return
     subject = _subject(request)
     if "simulate" in request:
         _say(part={"simulation": _simulate(subject, request["simulate"], progress)})
@@ -81,12 +88,9 @@ def _analyse(request: Dict[str, Any]) -> None:
         _say(part={"prediction": _predict(subject, request["predict"], progress)})
         return
     questions = _questions(request)
-    limits = Limits(
-        states=request["limit"], seconds=float(request["seconds"]), memory=MEMORY_BYTES // 2
-    )
     analysis = Analysis(
         subject,
-        limits=limits,
+        limits=_limits(request),
         timing=_reading(request) if isinstance(subject, Plan) else None,
         structure=questions.structure,
         progress=progress,
@@ -98,6 +102,37 @@ def _analyse(request: Dict[str, Any]) -> None:
     if found.get("steady_state") is not None:
         found["likely_states"] = _likely_states(analysis)
     _say(part=found)
+
+
+def _optimise(request: Dict[str, Any], progress: Any) -> None:
+    """Compute a policy, and report it: the new plan on its own, since it may be large."""
+    optimise = import_module("gspn_framework_package.analysis.decisions.optimise").optimise
+    plan = plan_from_json(request["plan"])
+    asked = request_of(request["optimise"], plan.net, _limits(request))
+    simulated = simulated_of(request["optimise"])
+    found = optimise(plan, asked, simulated=simulated, progress=progress)
+    changes = PolicyChanges(found.plan, found.choices[:MOST_CHOICES])
+    _say(plan=plan_to_short_json(found.plan), changed=changes.changed, same=changes.same)
+    answer = found.to_json()
+    del answer["plan"]
+    _say(part={"optimised": _readable(answer)})
+
+
+def _readable(value: Any) -> Any:
+    """The value, with numbers that JSON does not have replaced: "infinite", or None."""
+    if isinstance(value, dict):
+        return {key: _readable(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_readable(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else INFINITE if value > 0 else "-" + INFINITE
+    return value
+
+
+def _limits(request: Dict[str, Any]) -> Limits:
+    return Limits(
+        states=request["limit"], seconds=float(request["seconds"]), memory=MEMORY_BYTES // 2
+    )
 
 
 def _simulate(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, Any]:

@@ -7,6 +7,7 @@ the appropriate status.
 from __future__ import annotations
 
 import json
+import os
 import re
 import secrets
 import threading
@@ -24,6 +25,8 @@ from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
 from gspn_framework_package.visualizer.documents import Document, read_upload
 from gspn_framework_package.visualizer.guard import SECURITY_HEADERS, Guard, LoginError, is_loopback
 from gspn_framework_package.visualizer.hub import Cursor, Hub
+from gspn_framework_package.visualizer.optimise_form import FormError
+from gspn_framework_package.visualizer.optimised import ROWS, ExistsError
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.reasons import reasons_in
 from gspn_framework_package.visualizer.session import Session
@@ -78,7 +81,12 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
     @app.errorhandler(GspnError)
     def explain(error: GspnError) -> Answer:
-        return {"error": project.told(str(error))}, 400 if isinstance(error, InputError) else 409
+        answer: Dict[str, Any] = {"error": project.told(str(error))}
+        if isinstance(error, FormError):
+            answer["fields"] = error.fields
+        elif isinstance(error, ExistsError):
+            answer["exists"] = True
+        return answer, 400 if isinstance(error, InputError) else 409
 
     @app.errorhandler(413)
     def too_large(error: Exception) -> Answer:
@@ -207,7 +215,8 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
             if "event" in fields
             else hub.board()
         )
-        return {"job": jobs.start(opened.document, board.marking, fields), "event": board.n}
+        key = jobs.start(opened.document, board.marking, fields, opened.key)
+        return {"job": key, "event": board.n}
 
     @app.route("/api/analysis/<job>")
     def progress(job: str) -> Dict[str, Any]:
@@ -218,6 +227,33 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
         _body()
         jobs.cancel(job)
         return {}
+
+    # -- computed policies -------------------------------------------------------------------------
+
+    @app.route("/api/optimised")
+    def latest_policy() -> Dict[str, Any]:
+        return {"job": jobs.latest(session().key)}
+
+    @app.route("/api/analysis/<job>/rows")
+    def policy_rows(job: str) -> Dict[str, Any]:
+        return jobs.optimised(job).rows(_number("from"), _number("limit", ROWS))
+
+    @app.route("/api/analysis/<job>/choices")
+    def choices_at(job: str) -> Dict[str, Any]:
+        board = session().hub.board_at(_number("at"))
+        return {"at": board.n, "choices": jobs.optimised(job).choices(board.marking)}
+
+    @app.route("/api/analysis/<job>/plan")
+    def download_plan(job: str) -> Response:
+        response = Response(jobs.optimised(job).text, mimetype="application/json")
+        response.headers["Content-Disposition"] = "attachment; filename=plan_optimised.json"
+        return response
+
+    @app.route("/api/analysis/<job>/save", methods=["POST"])
+    def save_plan(job: str) -> Dict[str, Any]:
+        fields = _body()
+        path = jobs.save(job, fields.get("name"), fields.get("overwrite") is True)
+        return {"name": os.path.basename(path), "path": project.path_of(path)}
 
     return app
 

@@ -32,13 +32,15 @@ UPLOAD_FILES = 10
 
 class Document(NamedTuple):
     """An open net: ``title`` for people, ``plan`` if it is a plan, ``executable`` if the operator
-    served it as a plan, ``notes`` on how it was read."""
+    served it as a plan, ``notes`` on how it was read, ``file``: the plan file that the operator
+    chose, beside which other plans may be saved ("" if there is none)."""
 
     title: str
     net: Net
     plan: Optional[Plan] = None
     executable: bool = False
     notes: Tuple[str, ...] = ()
+    file: str = ""
 
 
 class FileEntry(NamedTuple):
@@ -125,7 +127,9 @@ class Folder:
         whole = self.resolve(path)
         _check_files(whole)
         found = read_net_or_plan(whole, net_will_do=True)
-        return _checked(Document(path, found.net, found.plan, found.plan is not None, found.notes))
+        is_plan = found.plan is not None
+        file = whole if is_plan else ""
+        return _checked(Document(path, found.net, found.plan, is_plan, found.notes, file))
 
     def _inside(self, whole: str) -> bool:
         real = os.path.realpath(whole)
@@ -141,7 +145,7 @@ class Folder:
         if name.endswith(LOG_ENDINGS):
             return "log"
         if name.endswith(".json"):
-            return "plan" if _looks_like_plan(whole) else ""
+            return "plan" if looks_like_plan(whole) else ""
         endings = tuple(ending for known in FORMATS.values() for ending in known.extensions)
         return "net" if name.endswith(endings) else ""
 
@@ -186,7 +190,7 @@ def _check_files(whole: str) -> None:
             raise InputError("it names '%s', which is not a file" % name, file=whole)
 
 
-def _looks_like_plan(path: str) -> bool:
+def looks_like_plan(path: str) -> bool:
     """Whether a JSON file begins like a plan; it is read completely only when it is opened."""
     try:
         with open(path, encoding="utf-8") as file:

@@ -62,14 +62,13 @@ class Project:
             "can_open": self._folder is not None,
             "files": [entry._asdict() for entry in entries],
             "cut": [
-                {"path": r.path, "log": self._log_name(r.log), "events": r.events}
-                for r in self._cut
+                {"path": r.path, "log": self.path_of(r.log), "events": r.events} for r in self._cut
             ],
         }
 
-    def _log_name(self, log: str) -> Optional[str]:
-        """A log as a path in the folder; None if it is outside the folder."""
-        return self._folder.inside(log) if self._folder is not None else None
+    def path_of(self, file: str) -> Optional[str]:
+        """A file as a path in the folder; None if it is outside the folder."""
+        return self._folder.inside(file) if self._folder is not None else None
 
     def open(self, path: str, room: bool = True) -> Session:
         """The session of a file of the folder; one per file, however its path is written.
@@ -81,7 +80,7 @@ class Project:
             raise InputError("no folder is served here")
         folder, name = self._folder, self._folder.name(path)
         session = self.sessions.get_or_open(FILE_KEY + name, lambda: self._make(folder, name), room)
-        self._take_note(lambda run: self._log_name(run.log) == name)
+        self._take_note(lambda run: self.path_of(run.log) == name)
         return session
 
     def session(self, key: str, room: bool = False) -> Session:

@@ -56,7 +56,7 @@ def _server() -> WebServer:
     robots = int(_parameter("robots", 0))
     if robots:
         plan = plan.for_robots(robots)
-    document = Document(_title(path), plan.net, plan, notes=tuple(plan.notes))
+    document = Document(_title(path), plan.net, plan, notes=tuple(plan.notes), file=plan.file or "")
     project = Project()
     project.show(Session("live", document, RosWatch(plan, _parameter("run", ""))))
     token, viewer_token = _tokens()

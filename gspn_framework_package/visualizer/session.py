@@ -67,6 +67,7 @@ class Session:
             "title": self.document.title,
             "executable": self.executable,
             "simulable": self._home is None,
+            "saves": bool(self.document.file),
             "notes": list(self.document.notes),
             "scene": self.scene,
         }

@@ -1,12 +1,14 @@
 """A real browser (Debian's Chromium) on a real server. Whatever a page logs as an error, or asks
 for elsewhere, fails its test."""
 
+import json
 import os
 import shutil
 import sys
 from pathlib import Path
 
 import pytest
+from page_reading import resize
 
 from gspn_framework_package.visualizer.documents import Document, Folder
 from gspn_framework_package.visualizer.project import Project
@@ -30,6 +32,18 @@ PICTURES = ROOT / ".workspace" / "screenshots"
 # ms that any condition may take: other jobs of run_tests run beside these, before the analyses,
 # which run at a low priority
 DEADLINE = 120_000
+
+LOOKS = [  # width and height, theme, and what is looked for: no width changes a colour
+    ((1280, 720), "light", {"label-content-name-mismatch": {"enabled": True}}),
+    ((1280, 720), "dark", ["color-contrast"]),
+    ((390, 844), "dark", {"label-content-name-mismatch": {"enabled": True}}),
+]
+AXE = """async (rules) => {
+  const options = { preload: false, resultTypes: ["violations"], ...(Array.isArray(rules) ? { runOnly: rules } : { rules }) };
+  const { violations } = await axe.run(document, options);
+  const where = (nodes) => nodes.slice(0, 3).map((n) => `${n.failureSummary} ${n.html.slice(0, 160)}`);
+  return violations.map((v) => ({ rule: v.id, help: v.help, where: where(v.nodes) }));
+}"""
 
 
 @pytest.fixture(scope="session", name="browser")
@@ -145,3 +159,35 @@ def _picture():
         page.screenshot(path=str(PICTURES / (name + ".png")))
 
     return take
+
+
+@pytest.fixture(scope="session", name="axe")
+def _axe():
+    """Looks for violations with axe-core, in both themes, at 1280 and 390 pixels."""
+    package = pytest.importorskip("axe_playwright_python")
+    source = (Path(package.__file__).parent / "axe.min.js").read_text()
+
+    def check(page, state, panel=None):
+        for (width, height), theme, rules in LOOKS:
+            resize(page, width, height)
+            if panel is not None:
+                page.wait_for_selector(
+                    "body[data-form='%s']" % ("narrow" if width < 640 else "wide")
+                )
+            page.evaluate("(theme) => { document.documentElement.dataset.theme = theme; }", theme)
+            if (
+                panel is not None
+                and page.get_attribute("#fold-" + panel, "aria-expanded") == "false"
+            ):
+                page.click("#fold-" + panel)
+            if not page.evaluate("() => Boolean(window.axe)"):
+                page.evaluate(source)
+            found = page.evaluate(AXE, rules)
+            assert not found, "%s, %d px, %s: %s" % (
+                state,
+                width,
+                theme,
+                json.dumps(found, indent=1),
+            )
+
+    return check

@@ -1,9 +1,5 @@
 """The page is of use at every width, by keyboard, and with a screen reader."""
 
-import json
-from pathlib import Path
-
-import pytest
 from page_reading import boxes, overlaps, resize, settle
 from told_run import ToldRun
 
@@ -11,50 +7,6 @@ from gspn_framework_package.formats.plan_file import read_plan
 
 FORMS = {390: 844, 800: 1000, 1280: 720, 1440: 900, 3840: 2160}
 CONTROLS = "#open-screen, #start, #theme, #help, #folds button, #tools button, .zoom button, #play, #scrubber"
-
-LOOKS = [  # width and height, theme, and what is looked for: no width changes a colour
-    ((1280, 720), "light", {"label-content-name-mismatch": {"enabled": True}}),
-    ((1280, 720), "dark", ["color-contrast"]),
-    ((390, 844), "dark", {"label-content-name-mismatch": {"enabled": True}}),
-]
-AXE = """async (rules) => {
-  const options = { preload: false, resultTypes: ["violations"], ...(Array.isArray(rules) ? { runOnly: rules } : { rules }) };
-  const { violations } = await axe.run(document, options);
-  const where = (nodes) => nodes.slice(0, 3).map((n) => `${n.failureSummary} ${n.html.slice(0, 160)}`);
-  return violations.map((v) => ({ rule: v.id, help: v.help, where: where(v.nodes) }));
-}"""
-
-
-@pytest.fixture(scope="session", name="axe")
-def _axe():
-    """Looks for violations with axe-core, in both themes, at 1280 and 390 pixels."""
-    package = pytest.importorskip("axe_playwright_python")
-    source = (Path(package.__file__).parent / "axe.min.js").read_text()
-
-    def check(page, state, panel=None):
-        for (width, height), theme, rules in LOOKS:
-            resize(page, width, height)
-            if panel is not None:
-                page.wait_for_selector(
-                    "body[data-form='%s']" % ("narrow" if width < 640 else "wide")
-                )
-            page.evaluate("(theme) => { document.documentElement.dataset.theme = theme; }", theme)
-            if (
-                panel is not None
-                and page.get_attribute("#fold-" + panel, "aria-expanded") == "false"
-            ):
-                page.click("#fold-" + panel)
-            if not page.evaluate("() => Boolean(window.axe)"):
-                page.evaluate(source)
-            found = page.evaluate(AXE, rules)
-            assert not found, "%s, %d px, %s: %s" % (
-                state,
-                width,
-                theme,
-                json.dumps(found, indent=1),
-            )
-
-    return check
 
 
 def test_axe_finds_nothing_in_any_mode(serve_folder, open_page, axe, tmp_path):

@@ -1,10 +1,8 @@
 // The analysis panel: sends questions to the server, shows the progress, and highlights the results on the net.
 
-import { $, h, attempt, number, plural, seconds, toast } from "./dom.js";
-import { get, post } from "./api.js";
+import { $, h, number, plural, toast } from "./dom.js";
 import { AnswerViews } from "./analysis_views.js";
-
-const POLL = 250;
+import { BackgroundJob } from "./jobs.js";
 
 /** The question of a request in readable words. */
 function questionText(request) {
@@ -35,8 +33,6 @@ export class AnalysisPanel extends EventTarget {
     this.model = model;
     this.refusal = refusal;
     this.panel = $("analysis");
-    this.job = null;
-    this.result = {};
     this.views = new AnswerViews(model, view, (detail) =>
       this.dispatchEvent(new CustomEvent("choose", { detail })),
     );
@@ -102,6 +98,7 @@ export class AnalysisPanel extends EventTarget {
         h("div", { class: "body" }, body),
       );
     this.status = h("div", { class: "answer", role: "status" });
+    this.job = new BackgroundJob(this.model.session, this.status, "an-cancel");
     this.answers = h("div", { id: "answers" });
     this.panel.replaceChildren(
       this.refusal
@@ -246,7 +243,7 @@ export class AnalysisPanel extends EventTarget {
       toast(`no analysis: ${this.refusal}`);
       return;
     }
-    if (this.job) {
+    if (this.job.running) {
       toast("an analysis is running: wait, or cancel it", true);
       return;
     }
@@ -286,63 +283,21 @@ export class AnalysisPanel extends EventTarget {
     };
     tell(from.value === "initial" ? "from the initial marking" : "from the current marking");
     this.asked.append(about);
-    const job = (this.job = { key: null, unwanted: false });
-    this.showProgress({ seconds: 0, progress: {} });
-    const started = await attempt(() => post("analysis", body, { id: this.model.session.id }));
-    if (started) {
-      job.key = started.job;
-      if (body.from === "marking") tell(`from the marking after event ${started.event}`);
-      if (job.unwanted) attempt(() => this.cancel(job));
-    }
-    if (this.job !== job) return;
-    if (!started) {
-      this.job = null;
-      this.status.replaceChildren();
-      this.tellNoAnswer("it did not start");
-      return;
-    }
-    this.follow(job, request, body);
-  }
-
-  /** Cancel a job, even before the server has returned its key. */
-  cancel(job) {
-    job.unwanted = true;
-    return job.key && post(`analysis/${job.key}/cancel`);
-  }
-
-  async follow(job, request, body) {
-    while (this.job === job) {
-      await new Promise((resolve) => {
-        setTimeout(resolve, POLL);
+    try {
+      const report = await this.job.run(body, {
+        most: body.limit,
+        started: ({ event }) => {
+          if (body.from === "marking") tell(`from the marking after event ${event}`);
+        },
+        found: (result) => this.show(result, request, body),
       });
-      const report = await get(`analysis/${job.key}`).catch((error) => ({
-        state: "failed",
-        error: error.message,
-        seconds: 0,
-      }));
-      if (this.job !== job) return;
-      if (report.result) this.show(report.result, request, body);
-      if (report.state === "running") {
-        this.showProgress(report);
-        continue;
-      }
-      this.job = null;
+      if (!report) return;
       if (report.state === "done" && !request.structure)
         this.answers.scrollIntoView({ block: "nearest" });
-      const words = {
-        done: `Done in ${seconds(report.seconds)}.`,
-        cancelled: `Cancelled after ${seconds(report.seconds)}.`,
-        failed: report.error,
-      };
       if (report.state === "failed") this.tellNoAnswer(report.result ? "not to all of it" : "");
-      this.status.replaceChildren(
-        h(
-          "p",
-          { class: report.state === "done" ? "muted" : "", "data-state": report.state },
-          report.state === "failed" && h("span", { class: "badge bad", text: "no answer" }),
-          ` ${words[report.state]}`,
-        ),
-      );
+    } catch (error) {
+      toast(error.message);
+      this.tellNoAnswer("it did not start");
     }
   }
 
@@ -350,28 +305,6 @@ export class AnalysisPanel extends EventTarget {
   tellNoAnswer(why) {
     this.answers.append(
       h("p", {}, h("span", { class: "badge bad", text: "no answer" }), why ? ` ${why}` : ""),
-    );
-  }
-
-  showProgress(report) {
-    const { what, count } = report.progress || {};
-    const most = Number(this.settings.limit.value);
-    const bar = h("progress", what === "states" && count < most ? { max: most, value: count } : {});
-    const text = `${seconds(report.seconds)}${what ? ` · ${count.toLocaleString("en")} ${what}` : ""}`;
-    if (this.cancelButton && this.status.contains(this.cancelButton)) {
-      this.status.firstChild.replaceWith(bar);
-      this.progressText.textContent = text;
-      return;
-    }
-    this.progressText = h("span", { class: "muted", text });
-    this.cancelButton = h("button", {
-      id: "an-cancel",
-      text: "Cancel",
-      onclick: () => this.job && attempt(() => this.cancel(this.job)),
-    });
-    this.status.replaceChildren(
-      bar,
-      h("div", { class: "buttons" }, this.cancelButton, this.progressText),
     );
   }
 
@@ -383,7 +316,6 @@ export class AnalysisPanel extends EventTarget {
   }
 
   close() {
-    if (this.job) Promise.resolve(this.cancel(this.job)).catch(() => {});
-    this.job = null;
+    this.job.close();
   }
 }

@@ -1,9 +1,11 @@
 // Requests to this page's server, and the stream of news: server-sent events, or polling if they are not available.
 
 export class ApiError extends Error {
-  constructor(message, status) {
+  /** `data`: what else the server says: `fields` (name -> what is wrong with it), `exists`. */
+  constructor(message, status, data = {}) {
     super(message);
     this.status = status;
+    this.data = data;
   }
 }
 
@@ -15,7 +17,11 @@ async function answerOf(response) {
     if (response.ok) throw new ApiError("the server's answer cannot be read", response.status);
   }
   if (!response.ok)
-    throw new ApiError(data.error || `the server answered ${response.status}`, response.status);
+    throw new ApiError(
+      data.error || `the server answered ${response.status}`,
+      response.status,
+      data,
+    );
   return data;
 }
 

@@ -2,6 +2,9 @@
 
 import { $, h, ask, attempt, dialogOpen } from "./dom.js";
 
+/** The tabs of the details, in their order. */
+export const TABS = ["inspector", "robots", "analysis", "optimise"];
+
 const TABLE = [
   ["Space", "pause the view, play; run and stop a simulation"],
   ["→  ←", "a step, a step back"],
@@ -14,7 +17,7 @@ const TABLE = [
   ["+  −", "zoom"],
   ["/", "search; then ↓ and Enter go through the list"],
   ["Shift + Enter", "in the list: fire"],
-  ["1  2  3", "inspector, robots, analysis"],
+  ["1  2  3  4", "inspector, robots, analysis, optimise"],
   ["P  D  T", "fold and unfold: places and transitions, details, time line"],
   ["W", "more room for the details"],
   ["O", "open another net"],
@@ -147,7 +150,8 @@ function actionOf(event, page) {
     case "1":
     case "2":
     case "3":
-      return () => page.showTab(["inspector", "robots", "analysis"][Number(event.key) - 1]);
+    case "4":
+      return () => page.showTab(TABS[Number(event.key) - 1]);
     case "o":
     case "O":
       return () => page.openScreen(true);

@@ -8,11 +8,12 @@ import { NodeList } from "./list.js";
 import { Inspector } from "./inspector.js";
 import { RobotsPanel } from "./robots_panel.js";
 import { AnalysisPanel } from "./analysis_panel.js";
+import { OptimisePanel } from "./optimise_panel.js";
 import { FiringLog } from "./log.js";
 import { TimeLine } from "./timeline.js";
 import { Tools } from "./tools.js";
 import { Room } from "./room.js";
-import { bindKeys, showHelp } from "./keys.js";
+import { TABS, bindKeys, showHelp } from "./keys.js";
 import { Panels } from "./panels.js";
 import { openingScreen, hideOpening } from "./opening.js";
 import { setPalette } from "./colours.js";
@@ -25,7 +26,6 @@ const MODE_SAYS = {
   REPLAY: "a recorded run",
   SIMULATE: "the token game; nothing moves in the world",
 };
-const TABS = ["inspector", "robots", "analysis"];
 const NOT_HEARD = ["lost", "gone", "locked"]; // states of the connection in which no news arrives
 const clock = (time) => time.toLocaleTimeString([], { hour12: false });
 
@@ -138,6 +138,7 @@ class Page {
     this.inspector = new Inspector(model, this.orders);
     this.robots = new RobotsPanel(model, this.orders);
     this.analysis = new AnalysisPanel(model, this.view, this.mayAct ? "" : ONLY_LOOK);
+    this.optimise = new OptimisePanel(model, this.view, this.mayAct ? "" : ONLY_LOOK);
     this.log = new FiringLog(model);
     this.line = new TimeLine(model);
     this.room = new Room(model);
@@ -235,13 +236,15 @@ class Page {
     delete document.body.dataset.ready;
     this.stream?.close();
     this.tools?.stopRunning();
-    for (const part of [this.view, this.robots, this.line, this.analysis]) part?.close();
+    for (const part of [this.view, this.robots, this.line, this.analysis, this.optimise])
+      part?.close();
     this.stream =
       this.model =
       this.view =
       this.robots =
       this.line =
       this.analysis =
+      this.optimise =
       this.tools =
         null;
     this.selection = null;
@@ -269,12 +272,20 @@ class Page {
       this.view.reset();
       for (const part of [this.list, this.inspector, this.log]) part.update();
       this.robots.update();
+      this.optimise.later();
       this.line.later();
       this.showRun();
     });
     model.addEventListener("events", ({ detail }) => {
       this.view.show(detail.events);
-      for (const part of [this.list, this.inspector, this.robots, this.log, this.line])
+      for (const part of [
+        this.list,
+        this.inspector,
+        this.robots,
+        this.optimise,
+        this.log,
+        this.line,
+      ])
         part.later();
       if (detail.events.some((event) => event.k !== "fire")) this.showRun();
       if (model.mode === "SIMULATE") this.sayFiring(detail.events);
@@ -326,6 +337,12 @@ class Page {
     this.list.addEventListener("choose", chosen);
     this.inspector.addEventListener("choose", chosen);
     this.analysis.addEventListener("choose", chosen);
+    this.optimise.addEventListener("choose", chosen);
+    this.optimise.addEventListener("saved", async ({ detail }) => {
+      this.hello = (await get("hello").catch(() => null)) || this.hello;
+      if (detail.open)
+        await attempt(async () => this.go((await post("open", { path: detail.path })).id));
+    });
     const fire = ({ detail }) => model.mode === "SIMULATE" && this.tools.fire(detail);
     this.list.addEventListener("fire", fire);
     this.inspector.addEventListener("fire", fire);
@@ -396,6 +413,7 @@ class Page {
       $(tab).hidden = !on;
     }
     if (name === "robots") this.robots?.update();
+    if (name === "optimise") this.optimise?.open();
   }
 
   // -- around the net ------------------------------------------------------------------------------

@@ -154,10 +154,12 @@ export function drawLost(node, robots) {
   node.element.append(node.lost);
 }
 
-/** Show the colour and text of a result; null removes both. `wanted.kind`: bad, good, mark, or heat with a level from
+const MARKS = ["bad", "good", "mark", "best", "present", "both"];
+
+/** Show the mark and text of a result; null removes both. `wanted.kind`: one of MARKS, or heat with a level from
  * 0 to 1. */
 export function paintNode(node, wanted) {
-  node.element.classList.remove("paint-bad", "paint-good", "paint-mark");
+  node.element.classList.remove(...MARKS.map((kind) => `paint-${kind}`));
   const body = node.element.querySelector(node.kind === "place" ? "circle" : "rect.body");
   body.style.fill = "";
   if (node.value) {

@@ -1,0 +1,123 @@
+// An analysis in the server's background: starts it, shows its progress with a button that cancels it, and its end.
+
+import { h, attempt, seconds } from "./dom.js";
+import { get, post } from "./api.js";
+
+const POLL = 250;
+
+/** One analysis at a time, for one panel. */
+export class BackgroundJob {
+  /** `session`: the open net. `status`: where the progress is shown. `cancelId`: id of the button that cancels. */
+  constructor(session, status, cancelId) {
+    this.session = session;
+    this.status = status;
+    this.cancelId = cancelId;
+    this.job = null;
+  }
+
+  get running() {
+    return this.job !== null;
+  }
+
+  /**
+   * Run an analysis to its end.
+   * `body`: the request. `most`: the number of states that fills the progress bar; 0: unknown.
+   * `started(answer)` is called when it runs, `found(result)` whenever there is more of the answer.
+   * Resolves to its last report, with `key`; to null if another panel or net has taken its place.
+   * Throws the server's error if it does not start.
+   */
+  async run(body, { most = 0, started = () => {}, found = () => {} }) {
+    const job = (this.job = { key: null, unwanted: false });
+    this.most = most;
+    this.showProgress({ seconds: 0, progress: {} });
+    try {
+      const answer = await post("analysis", body, { id: this.session.id });
+      job.key = answer.job;
+      started(answer);
+      if (job.unwanted) attempt(() => this.cancel(job));
+    } catch (error) {
+      if (this.job === job) {
+        this.job = null;
+        this.status.replaceChildren();
+      }
+      throw error;
+    }
+    return this.follow(job, found);
+  }
+
+  /** Cancel a job, even before the server has returned its key. */
+  cancel(job) {
+    job.unwanted = true;
+    return job.key && post(`analysis/${job.key}/cancel`);
+  }
+
+  async follow(job, found) {
+    while (this.job === job) {
+      await new Promise((resolve) => {
+        setTimeout(resolve, POLL);
+      });
+      const report = await get(`analysis/${job.key}`).catch((error) => ({
+        state: "failed",
+        error: error.message,
+        seconds: 0,
+      }));
+      if (this.job !== job) return null;
+      if (report.result) found(report.result);
+      if (report.state === "running") {
+        this.showProgress(report);
+        continue;
+      }
+      this.job = null;
+      this.showEnd(report);
+      return { ...report, key: job.key };
+    }
+    return null;
+  }
+
+  showEnd(report) {
+    const words = {
+      done: `Done in ${seconds(report.seconds)}.`,
+      cancelled: `Cancelled after ${seconds(report.seconds)}.`,
+      failed: report.error,
+    };
+    this.status.replaceChildren(
+      h(
+        "p",
+        { class: report.state === "done" ? "muted" : "", "data-state": report.state },
+        report.state === "failed" && h("span", { class: "badge bad", text: "no answer" }),
+        ` ${words[report.state]}`,
+      ),
+    );
+  }
+
+  showProgress(report) {
+    const { what, count } = report.progress || {};
+    const bar = h(
+      "progress",
+      what === "states" && count < this.most
+        ? { max: this.most, value: count, "aria-label": "Progress" }
+        : { "aria-label": "Progress" },
+    );
+    const text = `${seconds(report.seconds)}${what ? ` · ${count.toLocaleString("en")} ${what}` : ""}`;
+    if (this.cancelButton && this.status.contains(this.cancelButton)) {
+      this.status.firstChild.replaceWith(bar);
+      this.progressText.textContent = text;
+      return;
+    }
+    this.progressText = h("span", { class: "muted", text });
+    this.cancelButton = h("button", {
+      id: this.cancelId,
+      text: "Cancel",
+      onclick: () => this.job && attempt(() => this.cancel(this.job)),
+    });
+    this.status.replaceChildren(
+      bar,
+      h("div", { class: "buttons" }, this.cancelButton, this.progressText),
+    );
+  }
+
+  close() {
+    if (this.job) Promise.resolve(this.cancel(this.job)).catch(() => {});
+    this.job = null;
+  }
+}

@@ -1,0 +1,380 @@
+// The form of the Optimise tab: what a policy is to be the best for. What is wrong is said at its field.
+
+import { h, natural } from "./dom.js";
+
+const AIMS = [
+  ["long_run", "reward in the long run"],
+  ["discounted", "discounted reward"],
+  ["reach", "probability to reach …"],
+  ["time_to", "mean time until …"],
+  ["cost_to", "mean cost until …"],
+];
+
+/** The parts of the form that an aim uses. */
+const USES = {
+  long_run: ["direction", "rewards", "at_least"],
+  discounted: ["direction", "rewards", "discount"],
+  reach: ["direction", "goal"],
+  time_to: ["goal"],
+  cost_to: ["goal", "rewards"],
+};
+
+const id = (name) => `op-${name.replaceAll(".", "-")}`;
+
+export class OptimiseForm {
+  constructor(model) {
+    this.model = model;
+    this.controls = new Map(); // name of a field -> its control
+    this.parts = {}; // name of a part -> the elements that are shown or hidden together
+    this.lists = {};
+    this.element = h("div", {}, this.aim(), this.constraints(), this.settings());
+    this.element.addEventListener("input", ({ target }) => this.forget(target));
+    this.showParts();
+  }
+
+  // -- building ------------------------------------------------------------------------------------
+
+  section(title, open, ...body) {
+    return h(
+      "details",
+      { class: "question", open },
+      h("summary", { text: title }),
+      h("div", { class: "body" }, body),
+    );
+  }
+
+  /** A label and its control, as two cells of a form. */
+  field(name, label, control) {
+    control.id = id(name);
+    this.controls.set(name, control);
+    const cells = [h("label", { for: control.id, text: label }), control];
+    this.parts[name] = cells;
+    return cells;
+  }
+
+  select(options, attributes = {}) {
+    return h(
+      "select",
+      attributes,
+      options.map(([value, text]) => h("option", { value, text })),
+    );
+  }
+
+  numeric(attributes) {
+    return h("input", { type: "number", step: "any", ...attributes });
+  }
+
+  text(attributes) {
+    return h("input", { type: "text", spellcheck: "false", autocomplete: "off", ...attributes });
+  }
+
+  aim() {
+    const aim = this.select(AIMS);
+    aim.addEventListener("change", () => this.showParts());
+    return this.section(
+      "Aim",
+      true,
+      h(
+        "div",
+        { class: "form" },
+        this.field("aim", "Aim", aim),
+        this.field(
+          "direction",
+          "Make it",
+          this.select([
+            ["most", "as high as possible"],
+            ["least", "as low as possible"],
+          ]),
+        ),
+        this.field("goal", "Condition", this.text({ placeholder: "p1 >= 1 and p2 == 0" })),
+        this.field("discount", "Discount (per second)", this.numeric({ min: 0, value: 0.01 })),
+      ),
+      this.list(
+        "rewards",
+        "Rewards",
+        "Per token and second in a place, or per firing of a transition. Costs are negative.",
+        "Add a reward",
+        (name) => [this.nodes(`${name}.name`, "Rewarded"), this.amount(`${name}.value`, "Reward")],
+        ({ name, value }) => ({ name: name.value, value: value.value }),
+      ),
+    );
+  }
+
+  constraints() {
+    const plain = (label, name) => this.entryControl(name, label, this.text({}));
+    return this.section(
+      "Constraints",
+      false,
+      this.list(
+        "never",
+        "Never",
+        "Conditions that must never hold, not even while robots are lost.",
+        "Add a condition",
+        (name) => [plain("Condition", name)],
+        ({ entry }) => entry.value,
+      ),
+      this.list(
+        "at_least",
+        "At least",
+        "Mean tokens of a place, or firings of a transition per second.",
+        "Add a lower bound",
+        (name) => [this.nodes(`${name}.name`, "Bounded"), this.amount(`${name}.bound`, "At least")],
+        ({ name, bound }) => ({ name: name.value, bound: bound.value }),
+      ),
+      this.waiting(),
+    );
+  }
+
+  /** The places in which a robot chooses, and so may be allowed to wait. */
+  waiting() {
+    const { places, transitions, arcs } = this.model.scene;
+    const decides = new Set(
+      arcs
+        .filter(([, t, forth, , inhibitor]) => forth && !inhibitor && !transitions[t].timed)
+        .map(([p]) => p),
+    );
+    this.mayWait = places
+      .filter((place, p) => place.kind === "action" && decides.has(p))
+      .map(({ name }) => name)
+      .sort(natural)
+      .map((name) => h("input", { type: "checkbox", value: name }));
+    const group = h(
+      "fieldset",
+      { id: id("may_wait"), tabindex: "-1" },
+      h("legend", { text: "May wait" }),
+      h("p", {
+        class: "muted",
+        text: this.mayWait.length
+          ? "Places where a robot may stay although it could go on."
+          : "No robot chooses in any place of this plan.",
+      }),
+      h(
+        "div",
+        { class: "choices" },
+        this.mayWait.map((box) => h("label", { title: box.value }, box, ` ${box.value}`)),
+      ),
+    );
+    this.controls.set("may_wait", group);
+    return group;
+  }
+
+  settings() {
+    return this.section(
+      "Settings",
+      false,
+      h(
+        "div",
+        { class: "form" },
+        this.field(
+          "timing",
+          "Time",
+          this.select([
+            ["run", "as the plan runs"],
+            ["net", "as in its net alone"],
+          ]),
+        ),
+        this.field(
+          "fitted",
+          "Rates",
+          this.select([
+            ["fitted", "as learned, where the plan says"],
+            ["nominal", "those of the net"],
+          ]),
+        ),
+        this.field(
+          "simulated",
+          "Compare by simulation (s)",
+          this.numeric({ min: 0, max: 60, value: 5 }),
+        ),
+        this.field("limit", "Max. states", this.numeric({ min: 1, max: 2000000, value: 500000 })),
+        this.field("seconds", "Max. seconds", this.numeric({ min: 1, max: 600, value: 120 })),
+      ),
+    );
+  }
+
+  /** A list of entries that grows and shrinks. `controls(name)` makes those of an entry, `value(controls)` reads
+   * them. */
+  list(name, title, says, adds, controls, value) {
+    const entries = h("div", { class: "entries" });
+    const list = (this.lists[name] = { entries, items: [], value, controls });
+    const add = h("button", {
+      type: "button",
+      id: id(name),
+      text: adds,
+      onclick: () => this.addEntry(name).focus(),
+    });
+    this.controls.set(name, add);
+    list.legend = h("legend", { text: title });
+    list.says = h("p", { class: "muted", text: says });
+    const group = h("fieldset", {}, list.legend, list.says, entries, add);
+    this.parts[name] = [group];
+    if (name === "rewards") this.addEntry(name);
+    return group;
+  }
+
+  /** Add an empty entry to a list; returns its first control. */
+  addEntry(name) {
+    const list = this.lists[name];
+    const made = new Map();
+    this.making = made;
+    const controls = list.controls(name);
+    const item = { controls: made };
+    item.element = h(
+      "div",
+      { class: "entry" },
+      controls,
+      h("button", {
+        type: "button",
+        class: "icon",
+        text: "×",
+        onclick: () => {
+          const at = list.items.indexOf(item);
+          list.items.splice(at, 1);
+          item.element.remove();
+          this.number(list);
+          const next = list.items[Math.min(at, list.items.length - 1)];
+          (next ? next.element.querySelector("button") : this.controls.get(name)).focus();
+        },
+      }),
+    );
+    list.items.push(item);
+    list.entries.append(item.element);
+    this.number(list);
+    return controls[0];
+  }
+
+  /** Name the controls of a list's entries by their position, for screen readers. */
+  number(list) {
+    list.items.forEach(({ controls, element }, i) => {
+      for (const { control, label } of controls.values())
+        control.setAttribute("aria-label", `${label} ${i + 1}`);
+      element.querySelector("button").setAttribute("aria-label", `Remove entry ${i + 1}`);
+    });
+  }
+
+  entryControl(name, label, control) {
+    this.making.set(name.includes(".") ? name.split(".").pop() : "entry", { control, label });
+    return control;
+  }
+
+  amount(name, label) {
+    return this.entryControl(name, label, this.numeric({}));
+  }
+
+  /** A choice among all places and transitions. */
+  nodes(name, label) {
+    const { places, transitions } = this.model.scene;
+    const group = (title, nodes) =>
+      h(
+        "optgroup",
+        { label: title },
+        nodes
+          .map((node) => node.name)
+          .sort(natural)
+          .map((text) => h("option", { value: text, text })),
+      );
+    return this.entryControl(
+      name,
+      label,
+      h(
+        "select",
+        {},
+        h("option", { value: "", text: "choose …" }),
+        group("Places", places),
+        group("Transitions", transitions),
+      ),
+    );
+  }
+
+  /** Show the parts that the chosen aim uses. */
+  showParts() {
+    const { value } = this.controls.get("aim");
+    const costs = value === "cost_to";
+    for (const name of ["direction", "goal", "discount", "rewards", "at_least"])
+      for (const element of this.parts[name]) element.hidden = !USES[value].includes(name);
+    const { rewards } = this.lists;
+    rewards.legend.textContent = costs ? "Costs" : "Rewards";
+    rewards.says.textContent = `Per token and second in a place, or per firing of a transition.${
+      costs ? "" : " Costs are negative."
+    }`;
+    this.controls.get("rewards").textContent = costs ? "Add a cost" : "Add a reward";
+  }
+
+  // -- reading, and what is wrong --------------------------------------------------------------------
+
+  value(name) {
+    return this.controls.get(name).value;
+  }
+
+  /** The fields of the request: {optimise, limit, seconds}. */
+  read() {
+    const aim = this.value("aim");
+    const entries = (name) =>
+      USES[aim].includes(name) || name === "never"
+        ? this.lists[name].items.map(({ controls }) =>
+            this.lists[name].value(
+              Object.fromEntries([...controls].map(([key, { control }]) => [key, control])),
+            ),
+          )
+        : [];
+    return {
+      optimise: {
+        aim,
+        maximise: this.value("direction") === "most",
+        goal: this.value("goal"),
+        discount: this.value("discount"),
+        rewards: entries("rewards"),
+        never: entries("never"),
+        at_least: entries("at_least"),
+        may_wait: this.mayWait.filter((box) => box.checked).map((box) => box.value),
+        timing: this.value("timing"),
+        fitted: this.value("fitted") === "fitted",
+        simulated: this.value("simulated"),
+      },
+      limit: Math.round(Number(this.value("limit"))),
+      seconds: Number(this.value("seconds")),
+    };
+  }
+
+  /** The control of a field, such as rewards.0.value. */
+  control(name) {
+    const [list, at, key] = name.split(".");
+    const item = this.lists[list]?.items[Number(at)];
+    if (item) return (item.controls.get(key || "entry") || [...item.controls.values()][0]).control;
+    return this.controls.get(list) || this.controls.get("aim");
+  }
+
+  /** Say at each field what is wrong with it: {name: text}. The uppermost one gets the focus. */
+  tell(fields) {
+    this.clear();
+    for (const [name, text] of Object.entries(fields)) {
+      const control = this.control(name);
+      const error = h("p", { class: "wrong", id: `${id(name)}-wrong`, text });
+      const entry = control.closest(".entry");
+      if (entry) entry.after(error);
+      else if (control.tagName === "FIELDSET") control.append(error);
+      else control.after(error);
+      error.control = control;
+      control.setAttribute("aria-invalid", "true");
+      control.setAttribute("aria-describedby", error.id);
+      control.closest("details").open = true;
+    }
+    this.element.querySelector("[aria-invalid='true']")?.focus();
+  }
+
+  clear() {
+    for (const error of this.element.querySelectorAll(".wrong")) this.remove(error);
+  }
+
+  /** What was wrong with a field is being changed. */
+  forget(control) {
+    for (const error of this.element.querySelectorAll(".wrong"))
+      if (error.control === control || error.control.contains(control)) this.remove(error);
+  }
+
+  remove(error) {
+    error.control.removeAttribute("aria-invalid");
+    error.control.removeAttribute("aria-describedby");
+    error.remove();
+  }
+}

@@ -1,0 +1,386 @@
+// The Optimise tab: asks the server for the best policy, shows it beside the present one, and saves it where the
+// operator says so. Nothing is replaced unasked.
+
+import { $, h, announce, ask, attempt, toast } from "./dom.js";
+import { get, post } from "./api.js";
+import { BackgroundJob } from "./jobs.js";
+import { OptimiseForm } from "./optimise_form.js";
+import { ChoiceList, ChoicePainter, OptimiseViews } from "./optimise_views.js";
+import { PolicyTable, choiceText } from "./policy_table.js";
+
+const FOLLOW = 150; // ms between two looks at the marking on display
+
+/** Fires "choose" (detail {kind, index, fly}) and "saved" (detail {path, open}). */
+export class OptimisePanel extends EventTarget {
+  /** `refusal`: why no policy can be computed or saved; "" if one can. */
+  constructor(model, view, refusal = "") {
+    super();
+    this.model = model;
+    this.refusal = refusal;
+    this.panel = $("optimise");
+    this.panel.replaceChildren();
+    this.painter = new ChoicePainter(model, view);
+    this.views = new OptimiseViews((name) => this.node(name));
+    this.status = h("div", { class: "answer", role: "status" });
+    this.answers = h("div", { id: "optimised" });
+    this.job = new BackgroundJob(model.session, this.status, "op-cancel");
+    this.shown = null; // the key of the answer that is shown
+  }
+
+  /** The tab is opened. It is built when that happens for the first time. */
+  open() {
+    if (!this.built) this.build();
+    if (this.refusal && this.model.scene.plan) this.showLatest();
+  }
+
+  build() {
+    this.built = true;
+    const muted = (text) => h("p", { class: "muted", text });
+    if (!this.model.scene.plan) {
+      this.panel.replaceChildren(
+        muted("A policy is computed for a plan. This is a net without robots and actions."),
+      );
+      return;
+    }
+    if (this.refusal) {
+      this.panel.replaceChildren(
+        muted(`Policies are not computed from here: ${this.refusal}.`),
+        this.status,
+        this.answers,
+      );
+      return;
+    }
+    this.form = new OptimiseForm(this.model);
+    this.panel.replaceChildren(
+      muted("Computes the best policy for an aim. Nothing is changed until you save it."),
+      this.form.element,
+      h(
+        "div",
+        { class: "buttons" },
+        h("button", {
+          class: "primary",
+          id: "op-start",
+          text: "Optimise",
+          onclick: () => this.optimise(),
+        }),
+      ),
+      this.status,
+      this.answers,
+    );
+  }
+
+  node(name) {
+    const { places, transitions } = this.model.scene;
+    const [p, t] = [places, transitions].map((nodes) => nodes.findIndex((n) => n.name === name));
+    const detail =
+      p >= 0
+        ? { kind: "place", index: p, fly: true }
+        : t >= 0 && { kind: "transition", index: t, fly: true };
+    return detail
+      ? h("button", {
+          class: "link",
+          text: name,
+          onclick: () => this.dispatchEvent(new CustomEvent("choose", { detail })),
+        })
+      : name;
+  }
+
+  // -- asking ----------------------------------------------------------------------------------------
+
+  async optimise() {
+    if (this.job.running) {
+      toast("a policy is being computed: wait, or cancel it", true);
+      return;
+    }
+    this.form.clear();
+    this.discard();
+    const body = this.form.read();
+    try {
+      const report = await this.job.run(body, { most: body.limit });
+      if (report?.state === "done" && report.result) this.show(report);
+    } catch (error) {
+      const { fields } = error.data || {};
+      if (fields) this.form.tell(fields);
+      this.status.replaceChildren(
+        h(
+          "p",
+          { "data-state": "refused" },
+          h("span", { class: "badge bad", text: "not started" }),
+          ` ${error.message}`,
+        ),
+      );
+    }
+  }
+
+  /** For those who may only look: the latest answer that the server has for this plan. */
+  async showLatest() {
+    const { model } = this;
+    const latest = await get("optimised", { id: model.session.id }).catch(() => null);
+    if (!latest?.job) {
+      if (!this.shown)
+        this.status.replaceChildren(h("p", { text: "No policy has been computed yet." }));
+      return;
+    }
+    if (latest.job === this.shown) return;
+    const report = await attempt(() => get(`analysis/${latest.job}`));
+    if (!report?.result) return;
+    this.status.replaceChildren(h("p", { text: "The operator's latest answer:" }));
+    this.show({ ...report, key: latest.job });
+  }
+
+  // -- the answer ------------------------------------------------------------------------------------
+
+  show(report) {
+    const answer = report.result.optimised;
+    this.shown = report.key;
+    this.choices = new ChoiceList(answer, ({ marking, place, present, best }) => {
+      this.stopFollowing();
+      const there = Object.entries(marking).map(([name, count]) => `${name}: ${count}`);
+      this.painter.paint([{ place, present, best }], `When ${there.join(", ")}`);
+      announce(`${place}: present ${choiceText(present)}, best ${choiceText(best)}`);
+    });
+    const rows = new PolicyTable(report.key, (marking, choose, title) => {
+      this.stopFollowing();
+      this.choices.clear();
+      this.painter.paint(this.asChoices(choose), title);
+    });
+    const table = h(
+      "details",
+      { class: "question" },
+      h("summary", { text: "Policy" }),
+      h("div", { class: "body" }, rows.element),
+    );
+    table.addEventListener("toggle", () => table.open && rows.start === undefined && rows.show());
+    this.answers.replaceChildren(
+      ...[
+        this.views.result(answer),
+        this.keeping(report),
+        this.views.constraints(answer),
+        this.choices.element,
+        table,
+        this.views.teams(answer),
+        this.views.sensitivities(answer),
+        this.views.assumptions(answer),
+      ].filter(Boolean),
+    );
+    this.choices.element.querySelector(".body").prepend(this.following());
+    this.answers.scrollIntoView({ block: "nearest" });
+  }
+
+  /** The choices of a row, by the places that they leave. */
+  asChoices(choose) {
+    const { places, transitions, arcs } = this.model.scene;
+    const found = new Map();
+    for (const [name, probability] of Object.entries(choose)) {
+      const t = transitions.findIndex((transition) => transition.name === name);
+      for (const [p, , , , inhibitor] of arcs.filter(([, to, forth]) => to === t && forth)) {
+        if (inhibitor || places[p].kind !== "action") continue;
+        if (!found.has(p)) found.set(p, { place: places[p].name, present: null, best: {} });
+        found.get(p).best[name] = probability;
+      }
+    }
+    return [...found.values()];
+  }
+
+  // -- the marking on display --------------------------------------------------------------------------
+
+  /** The button that shows the choices in the marking on display, and keeps doing so. */
+  following() {
+    this.here = h("p", { class: "muted", hidden: true });
+    this.follow = h("button", {
+      id: "op-follow",
+      "aria-pressed": "false",
+      text: "Follow the marking on display",
+      onclick: () => {
+        if (this.follow.getAttribute("aria-pressed") === "true") {
+          this.stopFollowing();
+          this.painter.clear();
+        } else {
+          this.choices.clear();
+          this.follow.setAttribute("aria-pressed", "true");
+          this.look(true);
+        }
+      },
+    });
+    return h("div", {}, h("div", { class: "buttons" }, this.follow), this.here);
+  }
+
+  stopFollowing() {
+    this.follow?.setAttribute("aria-pressed", "false");
+    if (this.here) this.here.hidden = true;
+  }
+
+  /** The board has changed. */
+  later() {
+    if (this.follow?.getAttribute("aria-pressed") !== "true" || this.timer) return;
+    this.timer = setTimeout(() => {
+      this.timer = 0;
+      this.look();
+    }, FOLLOW);
+  }
+
+  /** Show the choices at the marking on display. `first`: the user has just asked for that. */
+  async look(first = false) {
+    const { model, shown } = this;
+    if (!first && !this.painter.on) {
+      this.stopFollowing(); // something else is painted, or the marks were cleared
+      return;
+    }
+    const at = model.board.n;
+    const answer = await get(`analysis/${shown}/choices`, { id: model.session.id, at }).catch(
+      (error) => ({ error: error.message }),
+    );
+    if (this.shown !== shown || this.follow.getAttribute("aria-pressed") !== "true") return;
+    if (answer.error) {
+      this.stopFollowing();
+      toast(answer.error);
+      return;
+    }
+    this.painter.paint(answer.choices, "The marking on display");
+    this.here.hidden = false;
+    this.here.textContent = answer.choices.length
+      ? answer.choices
+          .map(
+            ({ place, present, best }) =>
+              `${place}: now ${choiceText(present)}, best ${choiceText(best)}`,
+          )
+          .join("; ")
+      : "No robot has a choice in this marking.";
+    if (model.board.n !== at) this.later();
+  }
+
+  // -- keeping it ----------------------------------------------------------------------------------------
+
+  keeping(report) {
+    const { session } = this.model;
+    const name = h("input", {
+      id: "op-name",
+      type: "text",
+      spellcheck: "false",
+      autocomplete: "off",
+      value: report.saves_as || "",
+      oninput: () => this.tellSaving(""),
+    });
+    this.saving = h("p", { id: "op-saving", role: "status", hidden: true });
+    const refusal =
+      this.refusal || (session.saves ? "" : "it does not come from a plan file of this server");
+    return h(
+      "section",
+      { class: "question keeping", "aria-label": "Keep or discard" },
+      h(
+        "div",
+        { class: "body" },
+        refusal
+          ? h("p", { class: "muted", text: `The plan cannot be saved here: ${refusal}.` })
+          : [
+              h("p", {
+                class: "muted",
+                text: "Saves the plan with the new policy as a new file beside the present one, which stays as it is.",
+              }),
+              h("div", { class: "form" }, h("label", { for: "op-name", text: "Save as" }), name),
+            ],
+        this.saving,
+        h(
+          "div",
+          { class: "buttons" },
+          !refusal &&
+            h("button", {
+              class: "primary",
+              id: "op-save",
+              text: "Accept and save",
+              onclick: () => this.save(report.key, name),
+            }),
+          h("a", {
+            class: "button",
+            id: "op-download",
+            href: `/api/analysis/${report.key}/plan`,
+            download: "plan_optimised.json",
+            text: "Download",
+          }),
+          h("button", { id: "op-discard", text: "Discard", onclick: () => this.discard(true) }),
+        ),
+      ),
+    );
+  }
+
+  /** Say how saving went; `wrong`: what is wrong with the name. */
+  tellSaving(text, wrong = false, ...more) {
+    const name = $("op-name");
+    this.saving.hidden = !text;
+    this.saving.className = wrong ? "wrong" : "";
+    this.saving.replaceChildren(text, ...more);
+    name?.toggleAttribute("aria-invalid", wrong);
+    if (wrong) {
+      name.setAttribute("aria-invalid", "true");
+      name.setAttribute("aria-describedby", "op-saving");
+      name.focus();
+    } else name?.removeAttribute("aria-describedby");
+  }
+
+  async save(key, name) {
+    const file = name.value.trim();
+    let saved = null;
+    try {
+      saved = await post(`analysis/${key}/save`, { name: file });
+    } catch (error) {
+      if (!error.data?.exists) {
+        this.tellSaving(error.message, true);
+        return;
+      }
+      const answer = await ask(
+        "Replace the file?",
+        [
+          h("p", {}, "The file ", h("strong", { text: file }), " exists already."),
+          h("p", {}, "If you replace it, the plan in it is lost."),
+        ],
+        [
+          ["Keep it", "", "primary"],
+          ["Replace it", "replace", "danger"],
+        ],
+        async () => {
+          saved = await post(`analysis/${key}/save`, { name: file, overwrite: true });
+        },
+      );
+      if (answer !== "replace" || !saved) {
+        this.tellSaving("Nothing was saved. Choose another name.", true);
+        return;
+      }
+    }
+    const { path } = saved;
+    this.tellSaving(
+      `Saved as ${saved.name}. The present plan is unchanged. `,
+      false,
+      path
+        ? h("button", {
+            id: "op-open",
+            text: "Open the new plan",
+            onclick: () => this.tellSaved(path, true),
+          })
+        : "",
+    );
+    this.tellSaved(path, false);
+  }
+
+  tellSaved(path, open) {
+    this.dispatchEvent(new CustomEvent("saved", { detail: { path, open } }));
+  }
+
+  /** Forget the answer that is shown. `asked`: the user did it. */
+  discard(asked = false) {
+    this.stopFollowing();
+    this.painter.clear();
+    this.shown = null;
+    this.answers.replaceChildren();
+    if (!asked) return;
+    this.status.replaceChildren(
+      h("p", { class: "muted", text: "Discarded. Nothing was changed." }),
+    );
+    $("op-start")?.focus();
+  }
+
+  close() {
+    clearTimeout(this.timer);
+    this.job.close();
+    this.painter.clear();
+  }
+}

@@ -1,0 +1,363 @@
+// A computed policy beside the present one: in words and tables, and painted on the net.
+
+import { $, h, number, plural, LIST_STEPS } from "./dom.js";
+import { choiceText, percent } from "./policy_table.js";
+
+const SENSITIVITIES = 12;
+
+const precise = (value) =>
+  typeof value === "number" ? String(Number(value.toPrecision(10))) : String(value ?? "–");
+const signed = (value) => `${value > 0 ? "+" : ""}${number(value)}`;
+const markingText = (counts) =>
+  Object.entries(counts)
+    .filter(([, count]) => count)
+    .map(([name, count]) => `${name}: ${count}`)
+    .join(", ") || "no token anywhere";
+const alike = (a, b) => {
+  const names = Object.keys(a);
+  return names.length === Object.keys(b).length && names.every((name) => a[name] === b[name]);
+};
+
+function table(head, rows) {
+  return h(
+    "table",
+    {},
+    h(
+      "thead",
+      {},
+      h(
+        "tr",
+        {},
+        head.map((text, i) => h("th", { class: i ? "number" : "", text })),
+      ),
+    ),
+    h(
+      "tbody",
+      {},
+      rows.map((row) =>
+        h(
+          "tr",
+          {},
+          row.map((cell, i) => h("td", { class: i ? "number" : "" }, cell)),
+        ),
+      ),
+    ),
+  );
+}
+
+function section(title, open, ...body) {
+  return h(
+    "details",
+    { class: "question", open },
+    h("summary", { text: title }),
+    h("div", { class: "body" }, body),
+  );
+}
+
+const sentences = (list) =>
+  h(
+    "ul",
+    { class: "reasons" },
+    list.map((text) => h("li", { text })),
+  );
+
+/** The parts of an answer. */
+export class OptimiseViews {
+  /** `node(name)`: a link to a place or transition. */
+  constructor(node) {
+    this.node = node;
+  }
+
+  worth(value, { unit }) {
+    return typeof value === "number" ? `${number(value)}${unit ? ` ${unit}` : ""}` : String(value);
+  }
+
+  /** Present against best. */
+  result(answer) {
+    const { objective, present_policy: present, gain, simulation } = answer;
+    const rows = [
+      [
+        "Present policy",
+        present.value === null || present.value === undefined
+          ? h("span", { class: "muted", text: `not known: ${present.why || "no reason given"}` })
+          : this.worth(present.value, objective),
+      ],
+      [
+        "Best policy",
+        answer.value === null || answer.value === undefined
+          ? h("span", { class: "badge warn", text: "none" })
+          : h("strong", { text: this.worth(answer.value, objective) }),
+      ],
+      [
+        "Gain",
+        gain === null || gain === undefined
+          ? "–"
+          : Math.abs(gain) < 5e-7
+            ? "none: the present policy is among the best"
+            : `${gain > 0 ? "+" : ""}${percent(gain)}`,
+      ],
+    ];
+    const interval = `between ${precise(answer.lower)} and ${precise(answer.upper)}`;
+    const bounds =
+      typeof answer.lower !== "number" || typeof answer.upper !== "number"
+        ? "There is no certified interval for the best value."
+        : answer.exact === false
+          ? `By simulation, its value is ${interval}; whether there is a better one is not known.`
+          : `The best possible value is ${interval}: that is certified.`;
+    const waits = answer.silent
+      ? ` In ${plural(answer.silent, "case")} robots first let robots in another place choose, which takes no time.`
+      : "";
+    return section(
+      "Present against best",
+      true,
+      h("p", {}, "Aim: ", objective.text, "."),
+      h(
+        "dl",
+        { class: "facts" },
+        rows.map(([name, value]) => [h("dt", { text: name }), h("dd", {}, value)]),
+      ),
+      h("p", { text: bounds }),
+      simulation && h("p", {}, "Simulated as they run: ", simulation.text),
+      h("p", {
+        class: "muted",
+        text: `The new policy has ${plural(answer.rows, "row")}.${waits}`,
+      }),
+      answer.undecided.length > 0 && [
+        h("p", {}, h("span", { class: "badge warn", text: "not decided" })),
+        sentences(answer.undecided),
+      ],
+    );
+  }
+
+  teams({ teams, objective }) {
+    if (teams.length < 2) return null;
+    return section(
+      "Teams",
+      false,
+      h("p", {
+        class: "muted",
+        text: "Choices are also computed for the teams that losses leave.",
+      }),
+      table(
+        ["Robots", "States", "Value", "Best from", "to"],
+        teams.map((team) => [
+          String(team.robots),
+          team.states.toLocaleString("en"),
+          team.value === null ? team.why || "none" : this.worth(team.value, objective),
+          precise(team.lower),
+          precise(team.upper),
+        ]),
+      ),
+    );
+  }
+
+  constraints({ constraints, objective }) {
+    if (!constraints.length) return null;
+    return section(
+      "Constraints",
+      true,
+      table(
+        ["At least", "Bound", "Reached", "Costs per unit"],
+        constraints.map(({ name, value, bound, price }) => [
+          this.node(name),
+          number(bound),
+          number(value),
+          price === null || price === undefined
+            ? "not known"
+            : price === 0
+              ? "nothing"
+              : this.worth(price, objective),
+        ]),
+      ),
+      h("p", {
+        class: "muted",
+        text: "What a constraint costs: by how much the best value would improve if the bound were lower by 1.",
+      }),
+    );
+  }
+
+  sensitivities({ sensitivities }) {
+    const size = ({ elasticity, derivative }) => Math.abs(elasticity ?? derivative ?? 0);
+    const known = [...sensitivities].sort((a, b) => size(b) - size(a));
+    if (!known.length) return null;
+    return section(
+      "What the value depends on",
+      false,
+      h("p", {
+        class: "muted",
+        text: "By how much the value changes if a transition becomes 1 % faster.",
+      }),
+      table(
+        ["Transition", "Rate (1/s)", "Change"],
+        known
+          .slice(0, SENSITIVITIES)
+          .map(({ transition, rate, elasticity, derivative }) => [
+            this.node(transition),
+            number(rate),
+            typeof elasticity === "number"
+              ? `${signed(Number(elasticity.toPrecision(4)))} %`
+              : `${signed(0.01 * rate * derivative)}`,
+          ]),
+      ),
+      known.length > SENSITIVITIES &&
+        h("p", { class: "muted", text: `and ${known.length - SENSITIVITIES} more` }),
+    );
+  }
+
+  assumptions({ assumptions }) {
+    if (!assumptions.length) return null;
+    return section("Assumptions", false, sentences(assumptions));
+  }
+}
+
+/** The listed choices: the arrow keys go through them, and the selected one is shown on the net. */
+export class ChoiceList {
+  /** `show(choice)` is called with the selected one. */
+  constructor(answer, show) {
+    this.choices = answer.choices;
+    this.show = show;
+    this.list = h(
+      "ul",
+      { id: "op-choices", role: "listbox", tabindex: "0", "aria-label": "Choices" },
+      this.choices.map((choice, i) => this.item(choice, i)),
+    );
+    this.list.onkeydown = (event) => {
+      const steps = LIST_STEPS[event.key];
+      if (!steps || !this.choices.length) return;
+      event.preventDefault();
+      event.stopPropagation();
+      const at = this.at === undefined ? (steps > 0 ? -1 : 0) : this.at;
+      this.select(Math.max(0, Math.min(this.choices.length - 1, at + steps)));
+    };
+    this.list.onclick = (event) => {
+      const item = event.target.closest("li[data-at]");
+      if (item) this.select(Number(item.dataset.at));
+    };
+    const differing = this.choices.filter(({ present, best }) => !alike(present, best)).length;
+    const all = answer.choices_in_all ?? this.choices.length;
+    const listed = `${this.choices.length.toLocaleString("en")} listed`;
+    const some = all > this.choices.length ? ` (of ${all.toLocaleString("en")} in all)` : "";
+    const differ = `${differing} of ${listed}${some} ${differing === 1 ? "differs" : "differ"}`;
+    this.element = section(
+      "Choices",
+      true,
+      h("p", {
+        class: "muted",
+        text: this.choices.length
+          ? `${differ}. Select one to see it on the net.`
+          : "No robot ever has a choice.",
+      }),
+      this.choices.length > 0 && this.list,
+    );
+  }
+
+  item({ marking, place, present, best, loss }, i) {
+    const same = alike(present, best);
+    return h(
+      "li",
+      { role: "option", id: `op-choice-${i}`, "data-at": i, "aria-selected": "false" },
+      h(
+        "span",
+        { class: "where" },
+        h("strong", { text: place }),
+        ` when ${markingText(marking)}: `,
+      ),
+      same
+        ? `${choiceText(best)}, as now`
+        : [`now ${choiceText(present)} → best ${choiceText(best)}`],
+      !same &&
+        typeof loss === "number" &&
+        loss > 0 &&
+        h("span", { class: "muted", text: `; loses ${number(loss)}` }),
+    );
+  }
+
+  select(at) {
+    this.clear();
+    this.at = at;
+    const item = this.list.children[at];
+    item.setAttribute("aria-selected", "true");
+    this.list.setAttribute("aria-activedescendant", item.id);
+    item.scrollIntoView({ block: "nearest" });
+    this.show(this.choices[at]);
+  }
+
+  clear() {
+    this.list.querySelector("[aria-selected='true']")?.setAttribute("aria-selected", "false");
+    this.list.removeAttribute("aria-activedescendant");
+  }
+}
+
+/** Paints choices on the net, present and best in marks that differ in their lines and words. */
+export class ChoicePainter {
+  constructor(model, view) {
+    this.view = view;
+    this.places = new Map(model.scene.places.map((p, i) => [p.name, i]));
+    this.transitions = new Map(model.scene.transitions.map((t, i) => [t.name, i]));
+    this.legend = h("span", { class: "legend-words" });
+  }
+
+  /** Whether what the net shows now was painted here. */
+  get on() {
+    return $("legend").contains(this.legend) && !$("legend").hidden;
+  }
+
+  /** `choices`: [{place, present, best}], `present` null if it is not known. `title` says where they are. */
+  paint(choices, title) {
+    const marks = { places: {}, transitions: {} };
+    for (const { place, present, best } of choices) {
+      const waits = [
+        present && !Object.keys(present).length && "present",
+        best && !Object.keys(best).length && "best",
+      ].filter(Boolean);
+      if (this.places.has(place))
+        marks.places[this.places.get(place)] = {
+          kind: "mark",
+          text: waits.length ? `${waits.join(" and ")}: wait` : "chooses here",
+        };
+      for (const name of new Set([...Object.keys(best), ...Object.keys(present || {})])) {
+        const [now, then] = [present?.[name], best[name]];
+        const said = [
+          now !== undefined && ["present", now],
+          then !== undefined && ["best", then],
+        ].filter(Boolean);
+        marks.transitions[this.transitions.get(name)] = {
+          kind: said.length === 2 ? "both" : said[0][0],
+          text: this.words(said),
+        };
+      }
+    }
+    this.view.paint(marks);
+    const sign = (kind) => h("span", { class: `key-sign ${kind}`, "aria-hidden": "true" });
+    this.legend.replaceChildren(
+      h("strong", { text: title }),
+      sign("present"),
+      h("span", { text: "present (dashed)" }),
+      sign("best"),
+      h("span", { text: "best (solid)" }),
+    );
+    $("legend").replaceChildren(
+      this.legend,
+      h("button", {
+        class: "icon small",
+        "aria-label": "Clear highlighting",
+        text: "×",
+        onclick: () => this.clear(),
+      }),
+    );
+    $("legend").hidden = false;
+  }
+
+  words(said) {
+    const shown = (probability) => (probability === 1 ? "" : ` ${percent(probability)}`);
+    if (said.length === 2 && said[0][1] === said[1][1])
+      return `present and best${shown(said[0][1])}`;
+    return said.map(([who, probability]) => `${who}${shown(probability)}`).join(", ");
+  }
+
+  clear() {
+    if (!this.on) return;
+    this.view.paint(null);
+    $("legend").hidden = true;
+  }
+}
