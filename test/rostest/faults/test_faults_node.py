@@ -188,6 +188,57 @@ class FullTest(Faults, RobotTestCase):
         team.close()
         self.assertIsNone(team.verify())
 
+    def test_when_those_for_whom_the_policy_lets_others_wait_die_the_rest_goes_on(self):
+        """Nobody goes through the gate while a robot decides (no row speaks of the gate) or
+        measures (an empty choice); the two at the gate go when both of those are lost."""
+        names = ("decides", "measures", "first", "second")
+        places = ("Decide", "Measure", "Gate", "Gate")
+        transitions = [
+            ("decided", "Decide", "Through", False),
+            ("measured", "Measure", "Through", True),
+            ("go", "Gate", "Through", False),
+        ]
+        net = {
+            "places": [{"name": name} for name in ("Decide", "Measure", "Gate", "Through")],
+            "transitions": [{"name": t, "timed": timed} for t, _, _, timed in transitions],
+            "arcs": [
+                arc
+                for t, source, target, _ in transitions
+                for arc in ({"from": source, "to": t}, {"from": t, "to": target})
+            ],
+        }
+        rows = [([1, "-"], {"decided": 1}), ([0, 1], {}), ([0, 0], {"go": 1})]
+        team = self.team(
+            {
+                "net": net,
+                "policy": {
+                    "places": ["Decide", "Measure"],
+                    "rows": [{"marking": cells, "choose": choice} for cells, choice in rows],
+                },
+                "strict": True,
+                "actions": {
+                    **dict.fromkeys(("Decide", "Measure"), "actions.until_cancelled"),
+                    **dict.fromkeys(("Gate", "Through")),
+                },
+                "robots": dict(zip(names, places)),
+                "agreement": {"evict_after": 2},
+            },
+            names,
+            actions="def until_cancelled(is_cancelled):\n    is_cancelled.wait(600)\n",
+        ).start()
+
+        def reason():
+            (robot,) = [r for r in team["first"].status()["robots"] if r["robot"] == "first"]
+            return robot["waits_for"]
+
+        for victim, why in (("decides", "no policy row applies"), ("measures", "lets it wait")):
+            wait_for(lambda why=why: why in reason(), 40, "a robot at the gate: " + why)
+            self.assertEqual(team.transitions(), [])
+            team[victim].kill()
+        self.assertEqual([team[name].exit_code(40) for name in names[2:]], [0, 0])
+        self.assertEqual(team["first"].logged_transitions(), ["go", "go"])
+        self.assertIsNone(team.verify())
+
 
 class PartialTest(Faults, RobotTestCase):
     MODE = "partial"

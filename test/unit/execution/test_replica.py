@@ -25,7 +25,14 @@ from gspn_framework_package.execution.firing import Ended, StartAction
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec, Synchronisation
+from gspn_framework_package.model.plan import (
+    FunctionAction,
+    Plan,
+    RobotSpec,
+    Synchronisation,
+    Timing,
+)
+from gspn_framework_package.model.policy import Policy
 
 TOUR, MEET, TOKENS, CROWD = range(4)
 
@@ -512,3 +519,64 @@ def test_many_robots_that_want_the_next_slot_do_not_defeat_each_other() -> None:
     messages, firings = world.protocol_messages, len(world.published)
     world.run(2.2)
     assert world.protocol_messages - messages < 18 * (len(world.published) - firings)
+
+
+def deciders(partial: bool) -> Plan:
+    """One robot decides, one measures, two are at the gate. The policy lets them wait there: without
+    a word of the gate while somebody decides, by an empty choice while somebody measures."""
+    net = (
+        NetBuilder("deciders")
+        .place("Decide", tokens=1)
+        .place("Measure", tokens=1)
+        .place("Gate", tokens=2)
+        .place("Through")
+        .immediate("decided", inputs="Decide", outputs="Through")
+        .exponential("measured", inputs="Measure", outputs="Through")
+        .immediate("go", inputs="Gate", outputs="Through")
+        .build()
+    )
+    policy = Policy.from_table(
+        ["Decide", "Measure", "Gate"],
+        [((1, "-", "-"), {"decided": 1}), ((0, 1, "-"), {}), ((0, 0, "-"), {"go": 1})],
+    )
+    act = FunctionAction("actions.act", "act")
+    places = ["Decide", "Measure", "Gate", "Gate"]
+    return Plan(
+        net=net,
+        policy=policy,
+        strict=True,
+        actions={"Decide": act, "Measure": act, "Gate": None, "Through": None},
+        robots=tuple(RobotSpec("r%d" % (i + 1), place) for i, place in enumerate(places)),
+        synchronisation=Synchronisation.PARTIAL if partial else Synchronisation.FULL,
+        timing=Timing(evict_after=0.4, fence_after=0.0),
+    ).validate()
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_when_those_for_whom_the_policy_lets_others_wait_die_the_rows_of_the_rest_decide(
+    partial: bool,
+) -> None:
+    world = Team(deciders(partial), 1)
+    world.mishaps = False
+    world.action_time = (1000.0, 1000.0)
+    for node in world.nodes.values():
+        node.start()
+
+    def fired() -> List[str]:
+        return [f.firing.transition for _, f in world.published]
+
+    def reason() -> str:
+        robots = {robot["robot"]: robot for robot in world.status("r3")["robots"]}
+        assert robots["r3"]["state"] == "Waiting"
+        return str(robots["r3"]["waits_for"])
+
+    for dead, why in (("r1", "no policy row applies to Gate"), ("r2", "the policy lets it wait")):
+        world.run(world.now + 1.0)
+        assert fired() == [] and reason().startswith(why)
+        world.nodes[dead].crash()
+        assert world.run(
+            world.now + 10.0, lambda dead=dead: dead not in world.status("r3")["members"]
+        )
+    assert world.run(world.now + 5.0, lambda: len(fired()) == 2)
+    assert fired() == ["go", "go"] and world.status("r3")["members"] == ["r3", "r4"]
+    world.check()
