@@ -26,6 +26,7 @@ from gspn_framework_package.formats import vocabulary
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions
 from gspn_framework_package.formats.format import Format, XmlReader
 from gspn_framework_package.formats.pnml_family import PNML, member
+from gspn_framework_package.formats.repetition import FileSample
 from gspn_framework_package.formats.vocabulary import known
 from gspn_framework_package.formats.xml_tree import (
     all_of,
@@ -37,6 +38,7 @@ from gspn_framework_package.formats.xml_tree import (
     line_of,
     name_of,
     number_text,
+    parse_xml,
     position_in,
     serialise,
     tag,
@@ -95,30 +97,53 @@ def from_xml(
 
     :raises NetError: there is no such net, or it is not a place/transition net.
     """
-    element = choose_net(all_of(root, "net"), options.net, file)
-    reader = _Reader(element, file, options)
-    vocabulary.check(root, _ROOT, "the document", reader.draft.fail)
-    reader.read()
-    name = label(element, "name", "text") or (element.get("id") or "").strip()
-    return reader.draft.net(name), reader.draft.notes
+    reader = _Reader(root, file, options)
+    reader.note_timing(len(reader.untimed))
+    return reader.draft.net(reader.name), reader.draft.notes
+
+
+def from_sample(sample: FileSample, options: ReadOptions) -> Optional[Tuple[Net, List[str]]]:
+    """Read the net of a large file from its sample, with notes; None if the file has to be read as
+    a whole.
+
+    :raises GspnError: something is wrong in the file; the line in the error is one of the sample.
+    """
+    root = parse_xml(sample.document)
+    if tag(root) != "pnml" or member(root).kind != PNML:
+        return None
+    reader = _Reader(root, None, options)
+    net = None if reader.references else reader.draft.net_of_sample(sample, reader.name)
+    if net is None:
+        return None
+    untimed = set(reader.untimed)
+    reader.note_timing(sum(sampled in untimed for sampled in sample.transitions.sampled))
+    return net, reader.draft.notes
 
 
 class _Reader:
-    """Reads a net element and its pages in one pass."""
+    """Reads the net in a document, with its pages, in one pass.
 
-    def __init__(self, net: etree._Element, file: Optional[str], options: ReadOptions) -> None:
-        self.net = net
+    :ivar name: the name of the net.
+    :ivar draft: what was read.
+    :ivar references: the reference places and transitions, by id.
+    :ivar untimed: the ids of the transitions without timing.
+    """
+
+    def __init__(self, root: etree._Element, file: Optional[str], options: ReadOptions) -> None:
+        self.net = net = choose_net(all_of(root, "net"), options.net, file)
+        self.name = label(net, "name", "text") or (net.get("id") or "").strip()
         self.options = options
         self.draft = NetDraft(file, options.constants)
         self.references: Dict[str, _Reference] = {}
         self.arcs: List[etree._Element] = []
-        self.untimed = 0
+        self.untimed: List[Optional[str]] = []
         self.parameters = 0
         self.means = STOCHASTIC in _data({"toolspecific": all_of(net, "toolspecific")})
         self.tina = _TINA in (net.get("type") or "").lower()
+        vocabulary.check(root, _ROOT, "the document", self.draft.fail)
+        self._read()
 
-    def read(self) -> None:
-        """Fill the draft."""
+    def _read(self) -> None:
         kind = (self.net.get("type") or "").lower()
         if any(word in kind for word in _COLOURED):
             self.draft.fail(
@@ -136,10 +161,13 @@ class _Reader:
         self._nodes(self.net, _NET)
         for arc in self.arcs:
             self._arc(arc)
-        if self.untimed:
+
+    def note_timing(self, untimed: int) -> None:
+        """Note what was assumed on time; ``untimed`` transitions have none in the file."""
+        if untimed:
             self.draft.note(
                 "%d transition%s without timing: exponential with rate 1"
-                % (self.untimed, "" if self.untimed == 1 else "s")
+                % (untimed, "" if untimed == 1 else "s")
             )
         if self.parameters:
             meaning = "means, as ProM writes them" if self.means else "rates, as pm4py writes them"
@@ -251,6 +279,8 @@ class _Reader:
                 line,
                 "immediate and exponential transitions are read",
             )
+        if not kind and not data.get("distributionParameters", "").strip("[](){} "):
+            self.untimed.append(identifier)
         text = own.get("servers")
         servers = self.options.servers(1)
         if text:
@@ -290,8 +320,6 @@ class _Reader:
     def _rate(self, kind: str, data: Data, own: Data, what: str, line: int) -> float:
         text = data.get("distributionParameters", "").strip("[](){} ")
         if not text:
-            if not kind:
-                self.untimed += 1
             return 1.0
         value = self.draft.number(text.rstrip(";,"), "rate", what, line)
         if own.get("parameter") == "rate":

@@ -10,6 +10,7 @@ from gspn_framework_package.formats import dot, jani, pipe, pnml, pnpro, prism, 
 from gspn_framework_package.formats.draft import ReadOptions
 from gspn_framework_package.formats.foreign import refuse_foreign
 from gspn_framework_package.formats.format import Bounds, Format, NetAndNotes, NetFile
+from gspn_framework_package.formats.repetition import MIN_BYTES, sample_of
 from gspn_framework_package.formats.source import read_bytes, write_bytes
 from gspn_framework_package.formats.xml_tree import line_of, tag
 from gspn_framework_package.model.errors import GspnError, InputError, UsageError
@@ -66,9 +67,22 @@ def read_net_with_notes(
     file = NetFile(read_bytes(str(path)), str(path), _formats_read())
     try:
         _check_constants(file.data, options.constants)
-        return _read(file, options)
+        return _read_sample(file, options) or _read(file, options)
     except GspnError as error:
         raise error.located(file=file.path) from None
+
+
+def _read_sample(file: NetFile, options: ReadOptions) -> Optional[NetAndNotes]:
+    """Read a large file that repeats itself; None if it is not one, or if something is wrong with
+    it, which :func:`_read` then reports."""
+    format = options.format
+    if len(file.data) < MIN_BYTES or format not in (None, pnml.FORMAT.name) or not file.is_xml:
+        return None
+    sample = sample_of(file.data)
+    try:
+        return None if sample is None else pnml.from_sample(sample, options)
+    except GspnError:
+        return None
 
 
 def _check_constants(data: bytes, constants: Mapping[str, float]) -> None:

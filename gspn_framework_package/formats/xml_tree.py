@@ -159,8 +159,13 @@ def position_in(graphics: etree._Element) -> Optional[Position]:
 
 def coordinates(element: etree._Element) -> Optional[Position]:
     """Return the attributes ``x`` and ``y`` as a position; None unless both are finite numbers."""
+    return point(element.get("x", ""), element.get("y", ""))
+
+
+def point(x_text: str, y_text: str) -> Optional[Position]:
+    """Return two coordinates as a position; None unless both are finite numbers."""
     try:
-        x, y = float(element.get("x", "")), float(element.get("y", ""))
+        x, y = float(x_text), float(y_text)
     except ValueError:
         return None
     return (x, y) if math.isfinite(x) and math.isfinite(y) else None
