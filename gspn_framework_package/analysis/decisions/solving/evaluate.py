@@ -1,0 +1,257 @@
+"""The value of a given policy, which may draw among its rows, and where its runs spend their time.
+
+A policy leaves one row in every state, drawn rows mixed into one. That automaton has only one
+policy, so its optimum is the value, with the same certificate.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Optional, Tuple
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices, Matrix
+from gspn_framework_package.analysis.decisions.aims import Aim
+from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automaton, Rewards
+from gspn_framework_package.analysis.decisions.solving import layers
+from gspn_framework_package.analysis.decisions.solving.graphs import any_of_row, forward
+from gspn_framework_package.analysis.decisions.solving.optimum import optimum
+from gspn_framework_package.analysis.solution.linear import solve as solve_linear
+from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.model.errors import RefusedError
+
+WIDTH = 1e-9
+"""Default width of the interval, relative to the value."""
+
+
+class Evaluated(NamedTuple):
+    """The value of a policy.
+
+    :ivar value: the value from the automaton's initial states.
+    :ivar lower: certified lower bound of the value.
+    :ivar upper: certified upper bound.
+    :ivar values: float array: the value from each state, or, in the long run, the bias. NaN where
+      the policy says nothing.
+    :ivar row_values: float array: the value of the state of each row if it takes this row now and
+      follows the policy later.
+    :ivar gains: float array: the gain per second from each state; None but in the long run.
+    :ivar flow: float array: how often each row is taken. In the long run: times per second;
+      otherwise in the whole run (for DISCOUNTED: each time discounted).
+    :ivar sojourn: float array: the time in each state. In the long run: its share; otherwise in
+      seconds of the whole run (for DISCOUNTED: discounted). 0 in vanishing states.
+    :ivar method: how it was found.
+    """
+
+    value: float
+    lower: float
+    upper: float
+    values: Floats
+    row_values: Floats
+    gains: Optional[Floats]
+    flow: Floats
+    sojourn: Floats
+    method: str
+
+
+def evaluate(
+    automaton: Automaton,
+    aim: Aim,
+    rewards: Optional[Rewards],
+    weights: Floats,
+    *,
+    goal: Optional[Booleans] = None,
+    discount: Optional[float] = None,
+    width: float = WIDTH,
+    watch: Optional[Watch] = None,
+) -> Evaluated:
+    """The value of a policy.
+
+    :param weights: float array over the rows: the probability with which each state takes it. The
+      row of a tangible state counts as 1. States whose rows have no weight have no policy; a run
+      may not come there.
+    :param goal: see :func:`~.optimum.optimum`, as for the other arguments.
+    :raises RefusedError: a run comes to a state without a policy, or the value is infinite.
+    :raises LimitError: the bounds did not come close enough.
+    """
+    rows = np.where(automaton.tangible[automaton.row_states], 1.0, np.asarray(weights, float))
+    mixed, row_of_arc = _mixed(automaton, rows)
+    if aim in (Aim.LONG_RUN, Aim.DISCOUNTED):
+        goal = None
+    own = None
+    if rewards is not None:
+        own = Rewards(rewards.rate, np.asarray(rewards.impulse, dtype=np.float64)[row_of_arc])
+    silent = np.bincount(automaton.row_states, weights=rows, minlength=len(automaton)) <= 0
+    if goal is not None:
+        silent &= ~goal
+    try:
+        solved = optimum(
+            mixed,
+            aim,
+            own,
+            goal=goal,
+            discount=discount,
+            maximise=True,
+            width=width,
+            allowed=~silent,
+            watch=watch,
+        )
+    except RefusedError as error:
+        if silent.any() and "allowed" in error.message:
+            raise RefusedError("the policy says nothing in a state that a run comes to") from error
+        raise
+    sojourn, flow = _flows(
+        automaton, mixed, aim, rows, goal, discount, solved.gains is not None, watch or Watch()
+    )
+    row_values = _row_values(automaton, aim, rewards, goal, solved.values)
+    return Evaluated(
+        0.5 * (solved.lower + solved.upper),
+        solved.lower,
+        solved.upper,
+        solved.values,
+        row_values,
+        solved.gains,
+        flow,
+        sojourn,
+        solved.method,
+    )
+
+
+def _mixed(automaton: Automaton, weights: Floats) -> Tuple[Automaton, Indices]:
+    """The automaton with one row per state, and the arc that each of its arcs was."""
+    total = np.bincount(automaton.row_states, weights=weights, minlength=len(automaton))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(weights > 0, weights / total[automaton.row_states], 0.0)
+    kept = np.flatnonzero(share[automaton.arc_rows] > 0)
+    states = automaton.row_states[automaton.arc_rows[kept]]
+    arcs = np.searchsorted(states, np.arange(len(automaton) + 1))
+    mixed = Automaton(
+        automaton.tangible,
+        np.arange(len(automaton) + 1, dtype=np.int64),
+        arcs.astype(np.int64),
+        automaton.targets[kept],
+        automaton.values[kept] * share[automaton.arc_rows[kept]],
+        automaton.fired[kept],
+        np.full(len(automaton), CHANCE, dtype=np.int32),
+        automaton.initial,
+    )
+    return mixed, kept
+
+
+def _row_values(
+    automaton: Automaton,
+    aim: Aim,
+    rewards: Optional[Rewards],
+    goal: Optional[Booleans],
+    values: Floats,
+) -> Floats:
+    """What each row is worth if the policy follows."""
+    earned = np.zeros(len(automaton.choices))
+    if rewards is not None and aim in (Aim.LONG_RUN, Aim.COST_TO, Aim.DISCOUNTED):
+        earned = layers.earnings(automaton, rewards)
+    found = earned + np.bincount(
+        automaton.arc_rows,
+        weights=automaton.values * np.where(np.isnan(values), 0.0, values)[automaton.targets],
+        minlength=len(automaton.choices),
+    )
+    unknown = any_of_row(layers.arrows_of(automaton), np.isnan(values)[automaton.targets])
+    found[unknown] = np.nan
+    fixed = automaton.tangible if goal is None else automaton.tangible | goal
+    owners = automaton.row_states
+    result: Floats = np.where(fixed[owners], values[owners], found)
+    return result
+
+
+def _flows(
+    automaton: Automaton,
+    mixed: Automaton,
+    aim: Aim,
+    weights: Floats,
+    goal: Optional[Booleans],
+    discount: Optional[float],
+    long_run: bool,
+    watch: Watch,
+) -> Tuple[Floats, Floats]:
+    """Time in each state, and how often each row is taken."""
+    size = len(automaton)
+    starts = np.zeros(size)
+    for state, probability in automaton.initial:
+        starts[state] += probability
+    ends = np.zeros(size, dtype=bool) if goal is None else goal
+    arrows = layers.arrows_of(mixed)
+    open_rows = ~ends
+    reached = forward(arrows, np.flatnonzero(starts > 0), open_rows)
+    exits: Floats = np.where(mixed.tangible, mixed.exit_rates, 1.0)
+    if aim is Aim.DISCOUNTED:
+        exits = np.where(mixed.tangible, exits + (discount or 0.0), 1.0)
+    sources = mixed.row_states[mixed.arc_rows]
+    kept = reached[sources] & ~ends[sources] & (sources != mixed.targets)
+    loops = ~ends[sources] & (sources == mixed.targets)
+    exits = exits - np.bincount(sources[loops], weights=mixed.values[loops], minlength=size)
+    inflow = sparse.csr_matrix(
+        (mixed.values[kept], (mixed.targets[kept], sources[kept])), shape=(size, size)
+    )
+    amount = np.zeros(size)
+    if long_run:
+        amount = _in_the_long_run(inflow, exits, mixed.tangible, starts, reached, watch)
+    else:
+        moving = np.flatnonzero(reached & ~ends & _leading(inflow, ends, exits))
+        if len(moving):
+            part = inflow[moving][:, moving]
+            amount[moving] = solve_linear(part, exits[moving], starts[moving], watch=watch).values
+    sojourn = np.where(mixed.tangible & ~ends, amount, 0.0)
+    total = np.bincount(automaton.row_states, weights=weights, minlength=size)
+    visits = np.where(mixed.tangible, amount * mixed.exit_rates, amount)
+    visits[ends] = 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(weights > 0, weights / total[automaton.row_states], 0.0)
+    return sojourn, visits[automaton.row_states] * share
+
+
+def _leading(inflow: Matrix, ends: Booleans, exits: Floats) -> Booleans:
+    """The states from which the run surely ends or is discounted, as those of no closed class."""
+    count, of = csgraph.connected_components(inflow, connection="strong")
+    out = np.asarray(inflow.sum(axis=0)).reshape(-1)
+    leaking = exits - out > 1e-12 * np.maximum(exits, 1e-300)
+    bottom = np.ones(count, dtype=bool)
+    bottom[of[np.flatnonzero(leaking)]] = False
+    coo = inflow.tocoo()
+    across = of[coo.col] != of[coo.row]
+    bottom[of[coo.col[across]]] = False
+    bottom[of[np.flatnonzero(ends)]] = False
+    result: Booleans = ~bottom[of]
+    return result
+
+
+def _in_the_long_run(
+    inflow: Matrix,
+    exits: Floats,
+    tangible: Booleans,
+    starts: Floats,
+    reached: Booleans,
+    watch: Watch,
+) -> Floats:
+    """Share of time in the tangible states, visits per second of the vanishing ones."""
+    count, of = csgraph.connected_components(inflow, connection="strong")
+    coo = inflow.tocoo()
+    bottom = np.ones(count, dtype=bool)
+    bottom[of[coo.col[of[coo.col] != of[coo.row]]]] = False
+    bottom[of[~reached]] = False
+    transient = np.flatnonzero(reached & ~bottom[of])
+    entering = starts.copy()
+    if len(transient):
+        part = inflow[transient][:, transient]
+        visits = solve_linear(part, exits[transient], starts[transient], watch=watch).values
+        entering = entering + inflow[:, transient] @ visits
+    amount = np.zeros(len(starts))
+    for number in np.flatnonzero(bottom):
+        states = np.flatnonzero((of == number) & reached)
+        probability = float(entering[states].sum())
+        if len(states) == 1:
+            amount[states] = probability
+            continue
+        part = inflow[states][:, states]
+        found = solve_linear(part, exits[states], None, watch=watch).values
+        amount[states] = probability * found / float(found[tangible[states]].sum())
+    return amount

@@ -1,0 +1,899 @@
+"""The best policy of an automaton for an aim, with certified bounds of its value.
+
+Whatever method found the values, the bounds come from the equations they satisfy (Puterman, *Markov
+Decision Processes*, Wiley 1994): with the drift ``d`` of :mod:`.fixed_point`, the best gain in the
+long run is between min d and max d; discounted values are off by at most max |d| / discount; mean
+times ``V`` are between ``V / (1 - min d)`` and ``V / (1 - max d)``. Costs and probabilities are off
+by at most the drift times the mean time until the end, which is bounded in the same way. End
+components in which a policy could stay without cost are merged first, so that the equations have
+one solution (de Alfaro, *Computing Minimum and Maximum Reachability Times*, CONCUR 1999).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Callable, List, NamedTuple, Optional, Tuple
+
+import numpy as np
+
+from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
+from gspn_framework_package.analysis.decisions.aims import NARROWEST, WIDTH, Aim
+from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewards
+from gspn_framework_package.analysis.decisions.solving import layers
+from gspn_framework_package.analysis.decisions.solving.fixed_point import Found, drift_range, solve
+from gspn_framework_package.analysis.decisions.solving.graphs import (
+    Arrows,
+    EndComponents,
+    any_of_row,
+    any_of_state,
+    avoiding,
+    end_components,
+    forward,
+    reaching,
+    rows_into,
+    rows_toward,
+    surely,
+)
+from gspn_framework_package.analysis.decisions.solving.layers import Layer, Reduced, lifted, merged
+from gspn_framework_package.analysis.decisions.solving.model import Model
+from gspn_framework_package.analysis.graph import flat_ranges
+from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
+
+_TIE = 1e-9
+"""Rows whose values differ by less than this share of the largest value are equally good."""
+
+_FLOOR = 1e-13
+"""A width of this share of what flows through the equations counts as zero: it is rounding."""
+
+
+class Solved(NamedTuple):
+    """The best policy.
+
+    :ivar lower: certified lower bound of the best value from the automaton's initial states, and
+      upper one: ``upper``. If it is maximised, the policy itself has at least the value ``lower``;
+      if it is minimised, at most ``upper``.
+    :ivar row_of: int array: the row that each state takes: the first of those that are equally good
+      (within 1e-9 of the largest value); -1 where no row is allowed, in goals, and where the
+      goal is not reached surely though it should be.
+    :ivar values: float array: for each state its probability, cost, time or discounted reward, or,
+      in the long run, its bias: what beginning there earns beyond the gain. NaN where no row is
+      allowed; infinite where the goal is not reached surely.
+    :ivar row_values: float array: for each row the value of its state if it takes this row now and
+      the best ones later. NaN for rows that are not allowed; infinitely bad for rows that spoil the
+      gain of the long run for ever, or after which the goal is not reached surely.
+    :ivar gains: float array: the best gain per second from each state; None but in the long run.
+    :ivar method: how it was found.
+    :ivar rounds: how many sweeps or rounds of policy iteration that took.
+    """
+
+    lower: float
+    upper: float
+    row_of: Indices
+    values: Floats
+    row_values: Floats
+    gains: Optional[Floats]
+    method: str
+    rounds: int
+
+
+def optimum(
+    automaton: Automaton,
+    aim: Aim,
+    rewards: Optional[Rewards] = None,
+    *,
+    goal: Optional[Booleans] = None,
+    discount: Optional[float] = None,
+    maximise: bool = True,
+    width: float = WIDTH,
+    allowed: Optional[Booleans] = None,
+    start_values: Optional[Floats] = None,
+    watch: Optional[Watch] = None,
+) -> Solved:
+    """The best stationary policy for an aim.
+
+    :param rewards: what a run earns, or costs; None for TIME_TO and REACH.
+    :param goal: boolean array over the states: where TIME_TO, COST_TO and REACH end.
+    :param discount: the rate (1/s) of DISCOUNTED.
+    :param width: how far the bounds may be apart, relative to the value.
+    :param allowed: boolean array over the rows: which may be taken; None: all.
+    :param start_values: values of the states from which to begin, as of a similar problem.
+    :param watch: receives progress, and may stop the work.
+    :raises RefusedError: the aim has no finite value here; the message says why.
+    :raises LimitError: the bounds did not come as close as asked, or not in time.
+    :raises UsageError: the arguments make no sense.
+    """
+    if not NARROWEST <= width < 1:
+        raise UsageError(
+            "a relative width of %g is not possible" % width,
+            hint="give a number from %g to 1" % NARROWEST,
+        )
+    work = _Work(automaton, maximise, width, allowed, start_values, watch or Watch())
+    if aim is Aim.LONG_RUN:
+        return work.long_run(_given(rewards))
+    if aim is Aim.DISCOUNTED:
+        if discount is None or not 0 < discount < math.inf:
+            raise UsageError("a discounted reward needs a positive rate of discount (1/s)")
+        return work.discounted(_given(rewards), discount)
+    if goal is None:
+        raise UsageError("this aim needs a goal")
+    if aim is Aim.REACH:
+        return work.reach(goal)
+    if aim is Aim.TIME_TO:
+        ones = np.ones(len(automaton))
+        return work.total(Rewards(ones, np.zeros(len(automaton.targets))), goal, "time")
+    return work.total(_given(rewards), goal, "cost")
+
+
+def _given(rewards: Optional[Rewards]) -> Rewards:
+    if rewards is None:
+        raise UsageError("this aim needs rewards")
+    return rewards
+
+
+class _Work:
+    """One problem; the arguments are those of :func:`optimum`."""
+
+    def __init__(
+        self,
+        automaton: Automaton,
+        maximise: bool,
+        width: float,
+        allowed: Optional[Booleans],
+        start_values: Optional[Floats],
+        watch: Watch,
+    ) -> None:
+        self._automaton = automaton
+        self._maximise = maximise
+        self._sign = 1.0 if maximise else -1.0
+        self._width = width
+        self._allowed = allowed
+        self._start_values = start_values
+        self._watch = watch
+        self._starts = np.array([s for s, _ in automaton.initial], dtype=np.int64)
+        self._shares = np.array([p for _, p in automaton.initial])
+
+    # -- parts -------------------------------------------------------------------------------------
+
+    def _reduced(
+        self,
+        rewards: Optional[Rewards],
+        goal: Optional[Booleans] = None,
+        known: Optional[Floats] = None,
+        discount: float = 0.0,
+    ) -> Reduced:
+        automaton = self._automaton
+        if rewards is None:
+            constant, impulse = np.zeros(len(automaton.choices)), None
+        else:
+            constant = self._sign * layers.earnings(automaton, rewards)
+            impulse = np.asarray(rewards.impulse, dtype=np.float64)
+        return layers.reduce(
+            automaton,
+            constant,
+            impulse,
+            self._allowed,
+            goal=goal,
+            known=known,
+            discount=discount,
+        )
+
+    def _begin(self, stack: List[Layer]) -> Optional[Floats]:
+        """The values to begin with, in terms of the innermost model."""
+        if self._start_values is None:
+            return None
+        values = self._sign * np.nan_to_num(self._start_values, posinf=0.0, neginf=0.0)
+        for layer in stack:
+            values = values[layer.model.state_ids]
+        return values
+
+    def _mean(self, values: Floats) -> float:
+        """The mean of the values of the states (of the automaton) over the start."""
+        return float(values[self._starts] @ self._shares)
+
+    def _narrow(self, low: float, high: float, scale: float) -> bool:
+        largest = max(abs(low), abs(high))
+        return high - low <= max(0.45 * self._width * largest, _FLOOR * scale)
+
+    def _solved(
+        self,
+        low: float,
+        high: float,
+        values: Floats,
+        chosen: Indices,
+        row_values: Floats,
+        method: str,
+        rounds: int,
+        gains: Optional[Floats] = None,
+    ) -> Solved:
+        """The result, with the signs that the caller sees."""
+        sign = self._sign
+        known = np.abs(values[np.isfinite(values)])
+        if not self._narrow(0.45 * low, 0.45 * high, float(known.max(initial=0.0))):
+            raise LimitError(
+                "the bounds came to %.12g and %.12g only" % (sign * low, sign * high),
+                hint="ask for a wider interval",
+            )
+        lower, upper = (low, high) if self._maximise else (-high, -low)
+        return Solved(
+            lower + 0.0,
+            upper + 0.0,
+            chosen,
+            sign * values,
+            sign * row_values,
+            None if gains is None else sign * gains,
+            method,
+            rounds,
+        )
+
+    def _steady(
+        self,
+        model: Model,
+        values: Floats,
+        gain: float,
+        good: Callable[[Indices, float], bool],
+        chosen: Indices,
+        matters: Booleans,
+    ) -> Tuple[Indices, float]:
+        """The policy with stable ties, as far as its certificate is good enough: its rows, and its
+        least drift."""
+        row_values = model.row_values(values, gain)
+        scale = float(np.abs(row_values[np.isfinite(row_values)]).max(initial=0.0))
+        for slack in (_TIE, 1e-2 * _TIE, 1e-4 * _TIE):
+            rows = model.best_rows(row_values, slack * scale)
+            if (rows == chosen).all():
+                break
+            low, _ = drift_range(model, values.copy(), matters, rows)
+            if good(rows, low):
+                return rows, low
+        return chosen, drift_range(model, values.copy(), matters, chosen)[0]
+
+    def _row_values(self, reduced: Reduced, values: Floats) -> Floats:
+        """The value of each row of the automaton."""
+        automaton = self._automaton
+        known = np.where(reduced.live, values, 0.0)
+        found = reduced.constant + np.bincount(
+            automaton.arc_rows,
+            weights=automaton.values * known[automaton.targets],
+            minlength=len(automaton.choices),
+        )
+        found = np.where(
+            automaton.tangible[automaton.row_states], values[automaton.row_states], found
+        )
+        ends = any_of_row(layers.arrows_of(automaton), ~reduced.live[automaton.targets])
+        if self._allowed is not None:
+            ends |= ~self._allowed
+        found[ends] = np.nan
+        return found
+
+    # -- discounted --------------------------------------------------------------------------------
+
+    def discounted(self, rewards: Rewards, discount: float) -> Solved:
+        """DISCOUNTED."""
+        reduced = self._reduced(rewards, discount=discount)
+        model, number = reduced.layer.model, reduced.layer.number
+        matters = reduced.reachable(self._automaton)
+        starts = number[self._starts]
+
+        def bounds(values: Floats, low: float, high: float) -> Tuple[float, float]:
+            value = float(values[starts] @ self._shares)
+            return value + low / discount, value + high / discount
+
+        def accept(values: Floats, low: float, high: float) -> bool:
+            return self._narrow(*bounds(values, low, high), float(np.abs(values).max(initial=0.0)))
+
+        start = self._begin([reduced.layer])
+        found = solve(model, accept, matters=matters, start=start, watch=self._watch)
+        chosen, low = self._steady(
+            model,
+            found.values,
+            0.0,
+            lambda rows, low: accept(found.values, low, found.high),
+            found.chosen,
+            matters,
+        )
+        lower, upper = bounds(found.values, low, found.high)
+        values, rows = lifted([reduced.layer], found.values, chosen)
+        return self._solved(
+            lower,
+            upper,
+            values,
+            rows,
+            self._row_values(reduced, values),
+            found.method,
+            found.rounds,
+        )
+
+    # -- time and cost until a goal ----------------------------------------------------------------
+
+    def total(self, rewards: Rewards, goal: Booleans, what: str) -> Solved:
+        """TIME_TO and COST_TO."""
+        automaton = self._automaton
+        reduced = self._reduced(rewards, goal, np.zeros(len(automaton)))
+        base = reduced.layer.model
+        everything = np.ones(len(base.constant), dtype=bool)
+        avoid, _ = avoiding(base.arrows, base.into, everything)
+        hopeless = reaching(base.arrows, avoid)[0] if avoid.any() else avoid
+        reachable = reduced.reachable(automaton)
+        begin = reduced.layer.number[self._starts]
+        begin = begin[begin >= 0]
+        costs = (self._sign * base.constant)[reachable[base.row_states]]
+        negative = bool((costs < 0).any())
+        proper = not hopeless[begin].any()
+        if proper:
+            inside, rows = ~hopeless, ~hopeless[base.row_states]
+        elif self._maximise:
+            raise RefusedError(
+                "the highest mean %s is infinite: a policy can keep from the goal" % what
+            )
+        else:
+            inside, rows = surely(base.arrows, base.into, everything)
+            if not inside[begin].all():
+                raise RefusedError(
+                    "the mean %s is infinite: no policy reaches the goal surely" % what,
+                    hint="ask for the highest probability to reach it",
+                )
+            if negative:
+                raise RefusedError(
+                    "costs are negative where a policy can keep from the goal, so that there may "
+                    "be no least cost",
+                    hint="make them positive",
+                )
+        component, inner, count = _without_cost(base, inside, rows, proper)
+        layer = merged(base, component, count, inner, states=inside, rows=rows)
+        values, chosen, lower, upper, found = self._total_of(
+            layer, [reduced.layer, layer], begin, proper, what == "time"
+        )
+        values, picked = lifted([reduced.layer, layer], values, chosen)
+        unknown = reduced.layer.number >= 0
+        values[unknown & np.isnan(values)] = -math.inf * 1.0 if not self._maximise else math.inf
+        values[goal] = 0.0
+        return self._solved(
+            lower,
+            upper,
+            values,
+            picked,
+            self._row_values(reduced, values),
+            found.method,
+            found.rounds,
+        )
+
+    def _total_of(
+        self, layer: Layer, stack: List[Layer], begin: Indices, proper: bool, timed: bool
+    ) -> Tuple[Floats, Indices, float, float, Found]:
+        model = layer.model
+        if not len(model):  # the run begins in the goal
+            nothing = np.zeros(0)
+            rows = np.zeros(0, dtype=np.int64)
+            return nothing, rows, 0.0, 0.0, Found(nothing, rows, 0.0, 0.0, 0.0, "none needed", 0)
+        safe = rows_into(model.arrows, model.into, np.ones(len(model.constant), dtype=bool))
+        inner = layer.number[begin]
+        matters = forward(model.arrows, np.unique(inner))
+        shares = self._shares[stack[0].number[self._starts] >= 0]
+        guard = None if proper else safe
+        start = self._begin(stack)
+        if not timed:
+            bounded = _Bounded(self, model, inner, shares, matters, guard, proper)
+            return bounded.solve(start)
+
+        def accept(values: Floats, low: float, high: float) -> bool:
+            # in terms of -time the constant is -1: the drift of the scaled equations
+            return -0.4 * self._width <= low and high <= 0.4 * self._width
+
+        found = solve(model, accept, matters=matters, safe=guard, start=start, watch=self._watch)
+        chosen, low = self._steady(
+            model,
+            found.values,
+            0.0,
+            lambda rows, low: (
+                accept(found.values, low, found.high) and (proper or _surely_ends(model, rows))
+            ),
+            found.chosen,
+            matters,
+        )
+        value = float(found.values[inner] @ shares)
+        if self._maximise:
+            return found.values, chosen, value / (1 - low), value / (1 - found.high), found
+        return found.values, chosen, value / (1 + low), value / (1 + found.high), found
+
+    # -- probability -------------------------------------------------------------------------------
+
+    def reach(self, goal: Booleans) -> Solved:
+        """REACH."""
+        ones = goal.astype(np.float64)
+        reduced = self._reduced(None, goal, ones * self._sign)
+        base = reduced.layer.model
+        everything = np.ones(len(base.constant), dtype=bool)
+        chosen: Indices = np.full(len(base), -1, dtype=np.int64)
+        values: Floats = np.full(len(base), np.nan)
+        avoid, keeping = avoiding(base.arrows, base.into, everything)
+        if self._maximise:
+            able, _ = reaching(base.arrows, any_of_state(base.arrows, base.into))
+            never, sure = ~able, surely(base.arrows, base.into, everything)
+            certain, possible = sure
+            toward = rows_into(base.arrows, base.into, possible)
+            chosen[never] = base.first_rows[never]
+        else:
+            never = avoid
+            certain = ~(reaching(base.arrows, avoid)[0]) if avoid.any() else ~avoid
+            toward = base.first_rows
+            first = np.flatnonzero(keeping)[::-1]
+            staying_row = np.full(len(base), -1, dtype=np.int64)
+            staying_row[base.row_states[first]] = first
+            chosen[never] = staying_row[never]
+        chosen[certain] = toward[certain]
+        values[never], values[certain] = 0.0, self._sign
+        rest = ~never & ~certain
+        lower = upper = None
+        method, rounds = "graph", 0
+        inner = reduced.layer.number[self._starts]
+        known = self._sign * goal[self._starts].astype(np.float64)
+        if rest.any():
+            rows = rest[base.row_states]
+            parts = end_components(base.arrows, rest, rows & ~base.into)
+            layer = merged(
+                base,
+                parts.of,
+                parts.number,
+                parts.rows,
+                states=rest,
+                known=np.nan_to_num(values),
+            )
+            # what the goal itself adds is among the constants already
+            begin = layer.number[inner[(inner >= 0) & rest[np.maximum(inner, 0)]]]
+            model = layer.model
+            matters = forward(model.arrows, np.unique(begin))
+            shares = self._shares[(inner >= 0) & rest[np.maximum(inner, 0)]]
+            offset = float(known @ self._shares)
+            settled = (inner >= 0) & ~rest[np.maximum(inner, 0)]
+            offset += float(values[inner[settled]] @ self._shares[settled])
+            bounded = _Bounded(self, model, begin, shares, matters, None, True, offset)
+            part_values, part_rows, lower, upper, found = bounded.solve(
+                self._begin([reduced.layer, layer])
+            )
+            values = layer.lift(part_values, values)
+            chosen = layer.lift_rows(part_rows, chosen)
+            method, rounds = found.method, found.rounds
+        whole, picked = lifted([reduced.layer], values, chosen)
+        whole[goal] = self._sign
+        if lower is None or upper is None:
+            lower = upper = self._mean(whole)
+        low, high = (0.0, 1.0) if self._maximise else (-1.0, 0.0)
+        return self._solved(
+            max(lower, low),
+            min(upper, high),
+            whole,
+            picked,
+            self._row_values(reduced, whole),
+            method,
+            rounds,
+        )
+
+    # -- long run ----------------------------------------------------------------------------------
+
+    def long_run(self, rewards: Rewards) -> Solved:
+        """LONG_RUN."""
+        automaton = self._automaton
+        reduced = self._reduced(rewards)
+        base = reduced.layer.model
+        reachable = reduced.reachable(automaton)
+        everything = np.ones(len(base), dtype=bool)
+        parts = end_components(base.arrows, everything, np.ones(len(base.constant), dtype=bool))
+        classes = _Classes(base, parts)
+        bias = np.full(len(base), np.nan)
+        chosen = np.full(len(base), -1, dtype=np.int64)
+        lows, highs = np.full(parts.number, np.nan), np.full(parts.number, np.nan)
+        method, rounds, largest = "graph", 0, 0
+        single = classes.sizes == 1
+        states = classes.first[single]
+        lows[single] = highs[single] = base.constant[base.arrows.rows[states]]
+        bias[states], chosen[states] = 0.0, base.arrows.rows[states]
+        begun = self._begin([reduced.layer])
+        for number in np.flatnonzero(~single).tolist():
+            inside = classes.states(number)
+            matters = bool(reachable[inside].any())
+            part, listed = classes.part(inside)
+            found, rows, low, high = self._gain(
+                part, None if begun is None else begun[inside], matters
+            )
+            lows[number], highs[number] = low, high
+            bias[inside], chosen[inside] = found.values, listed[rows]
+            if len(inside) > largest:
+                largest, method, rounds = len(inside), found.method, found.rounds
+        gains = np.full(len(base), np.nan)
+        held = parts.of >= 0
+        middle = 0.5 * (lows + highs)
+        gains[held] = middle[parts.of[held]]
+        inner = reduced.layer.number[self._starts]
+        spread = float(np.ptp(middle)) if parts.number else 0.0
+        if spread == 0.0 and parts.number == 1:
+            gains[:] = middle[0]
+            lower, upper = float(lows[0]), float(highs[0])
+            stays = held
+        else:
+            lower, upper, stays = self._quotient(base, parts, lows, highs, gains, chosen, inner)
+        if not stays.all():
+            self._transient(base, stays, gains, bias, chosen)
+        whole, picked = lifted([reduced.layer], bias, chosen)
+        all_gains = reduced.layer.lift(gains, np.full(len(automaton), np.nan))
+        row_values = self._row_values(reduced, whole)
+        if spread > 0.0:
+            self._spoil(row_values, all_gains, upper - lower)
+        return self._solved(lower, upper, whole, picked, row_values, method, rounds, all_gains)
+
+    def _gain(
+        self, model: Model, start: Optional[Floats], matters: bool
+    ) -> Tuple[Found, Indices, float, float]:
+        """The best gain of one end component."""
+        flowing = float(np.abs(model.constant).max(initial=0.0))
+
+        def accept(values: Floats, low: float, high: float) -> bool:
+            scale = flowing + float(np.abs(values).max(initial=0.0)) * 1e-2 * float(
+                model.exits.max()
+            )
+            return self._narrow(low, high, scale)
+
+        try:
+            found = solve(model, accept, long_run=True, start=start, watch=self._watch)
+        except LimitError:
+            if matters:
+                raise
+            # no run comes here: any answer does
+            found = solve(model, lambda *_: True, long_run=True, start=start, watch=self._watch)
+        rows, low = self._steady(
+            model,
+            found.values,
+            found.gain,
+            lambda rows, low: accept(found.values, low, found.high),
+            found.chosen,
+            np.ones(len(model), dtype=bool),
+        )
+        return found, rows, low, found.high
+
+    def _quotient(
+        self,
+        base: Model,
+        parts: EndComponents,
+        lows: Floats,
+        highs: Floats,
+        gains: Floats,
+        chosen: Indices,
+        begin: Indices,
+    ) -> Tuple[float, float, Booleans]:
+        """In which end components to stay, and how to come there: fills in the gains and the rows
+        of all other states. Returns the bounds, and the states of the components to stay in."""
+        component, inner = parts.of, parts.rows
+        model, staying_rows, layer = _with_exits(base, parts, 0.5 * (lows + highs))
+        starts = layer.number[begin]
+        matters = forward(model.arrows, np.unique(starts))
+        names = np.full(len(model), -1, dtype=np.int64)
+        held = component >= 0
+        names[layer.number[held]] = component[held]
+        seen = names[matters & (names >= 0)]
+        # the highest gain of a component is known within this
+        below = float((0.5 * (highs - lows))[seen].max(initial=0.0))
+        bounded = _Bounded(self, model, starts, self._shares, matters, None, True, 0.0, below)
+        values, rows, lower, upper, _ = bounded.solve(None)
+        staying_state = np.zeros(len(model), dtype=bool)
+        # staying is preferred to moving on to another component that is as good
+        row_values = model.row_values(values)
+        has = np.flatnonzero(staying_rows >= 0)
+        scale = float(np.abs(row_values).max(initial=0.0))
+        as_good = row_values[staying_rows[has]] >= values[has] - 1e-12 * scale
+        staying_state[has[as_good]] = True
+        stays = held & staying_state[layer.number]
+        gains[:] = values[layer.number]
+        moving = ~staying_state
+        picked = model.row_ids[rows]
+        into = np.full(len(base), -1, dtype=np.int64)
+        real = moving & (picked < len(base.constant))
+        owners = base.row_states[picked[real]]
+        leaves = np.zeros(len(base), dtype=bool)
+        leaves[owners] = True
+        _, after = reaching(base.arrows, leaves, inner)
+        toward = rows_toward(base.arrows, after, inner)
+        within = held & ~stays
+        into[within] = toward[within]
+        into[owners] = picked[real]
+        chosen[~stays] = into[~stays]
+        return lower, upper, stays
+
+    def _transient(
+        self, base: Model, stays: Booleans, gains: Floats, bias: Floats, chosen: Indices
+    ) -> None:
+        """The bias of the states outside of the components that are stayed in, and their rows."""
+        rest = ~stays
+        number, size = layers.numbered(rest, np.zeros(0, dtype=np.int64), 0)
+        rows = np.zeros(len(base.constant), dtype=bool)
+        scale = float(np.abs(gains).max(initial=0.0))
+        # The rows that keep the gain, of which the bias decides; where one could stay, the row
+        # by which it leaves.
+        kept = base.matrix @ gains >= gains[base.row_states] - 1e-9 * scale
+        kept |= base.tangible[base.row_states]
+        held = end_components(base.arrows, rest, rest[base.row_states]).of >= 0
+        rows |= kept & (rest & ~held)[base.row_states]
+        rows[chosen[rest & held]] = True
+        earned = base.constant - np.where(
+            base.tangible[base.row_states], gains[base.row_states], 0.0
+        )
+        part = base.earning(earned).part(number, size, rows, np.nan_to_num(bias))
+        layer = Layer(part, base.arrows, number, np.zeros(len(rows), dtype=bool))
+        flowing = float(np.abs(np.nan_to_num(bias)).max(initial=0.0))
+
+        def accept(values: Floats, low: float, high: float) -> bool:
+            largest = max(scale, 1e-3 * float(np.abs(part.constant).max(initial=0.0)))
+            return max(abs(low), abs(high)) <= max(1e-9 * largest, 1e-15 * flowing)
+
+        try:
+            found = solve(part, accept, watch=self._watch)
+        except LimitError:  # it decides nothing but among equals
+            bias[rest] = 0.0
+            return
+        layer.lift(found.values, bias)
+        ties = part.row_values(found.values)
+        largest = float(np.abs(ties[np.isfinite(ties)]).max(initial=0.0))
+        layer.lift_rows(part.best_rows(ties, _TIE * largest), chosen)
+
+    def _spoil(self, row_values: Floats, gains: Floats, width: float) -> None:
+        """Mark the rows after which the gain is lower."""
+        automaton = self._automaton
+        after = np.bincount(
+            automaton.arc_rows,
+            weights=automaton.values * np.nan_to_num(gains)[automaton.targets],
+            minlength=len(automaton.choices),
+        )
+        own = gains[automaton.row_states]
+        scale = float(np.nanmax(np.abs(gains)))
+        worse = ~automaton.tangible[automaton.row_states] & (after < own - max(width, 1e-9 * scale))
+        row_values[worse & ~np.isnan(row_values)] = -math.inf
+
+
+class _Bounded:
+    """Bounds of a total from the drift and the mean time until the end."""
+
+    def __init__(
+        self,
+        work: _Work,
+        model: Model,
+        begin: Indices,
+        shares: Floats,
+        matters: Booleans,
+        safe: Optional[Indices],
+        proper: bool,
+        offset: float = 0.0,
+        margin: float = 0.0,
+    ) -> None:
+        self._work, self._model = work, model
+        self._begin, self._shares = begin, shares
+        self._matters, self._safe, self._proper = matters, safe, proper
+        self._offset, self._margin = offset, margin
+
+    def solve(self, start: Optional[Floats]) -> Tuple[Floats, Indices, float, float, Found]:
+        """Values, rows, bounds, and how they were found."""
+        work, model = self._work, self._model
+        longest = self._longest(None) if self._proper else None
+        tolerance = 1e-3 * work._width * max(1e-3, float(np.abs(model.constant).max(initial=0.0)))
+        values = start
+        rounds = 0
+        while True:
+
+            def accept(values: Floats, low: float, high: float, target: float = tolerance) -> bool:
+                if longest is not None:
+                    slow = float(longest[self._begin] @ self._shares)
+                    if not len(self._begin):  # the answer is known; these are further states
+                        slow = float(longest.max(initial=0.0))
+                    value = float(values[self._begin] @ self._shares) + self._offset
+                    return work._narrow(
+                        value + min(low, 0.0) * slow - self._margin,
+                        value + max(high, 0.0) * slow + self._margin,
+                        float(np.abs(values).max(initial=0.0)) + 2 * self._margin / _FLOOR,
+                    )
+                return max(abs(low), abs(high)) <= target
+
+            found = solve(
+                model,
+                accept,
+                matters=self._matters,
+                safe=self._safe,
+                start=values,
+                watch=work._watch,
+            )
+            rounds += found.rounds
+            lower, upper, chosen = self._bounds(found, longest)
+            scale = float(np.abs(found.values).max(initial=0.0))
+            if work._narrow(lower, upper, scale + 2 * self._margin / _FLOOR):
+                return found.values, chosen, lower, upper, found._replace(rounds=rounds)
+            worst = max(abs(found.low), abs(found.high))
+            if longest is not None or tolerance < 1e-15 * worst:
+                raise LimitError(
+                    "the bounds came to %.12g and %.12g only" % (lower, upper),
+                    hint="ask for a wider interval",
+                )
+            tolerance = 0.1 * min(tolerance, worst)
+            values = found.values
+
+    def _bounds(self, found: Found, longest: Optional[Floats]) -> Tuple[float, float, Indices]:
+        work, model, values = self._work, self._model, found.values
+        value = float(values[self._begin] @ self._shares) + self._offset
+        if longest is not None:
+            slow = float(longest[self._begin] @ self._shares)
+            chosen, low = work._steady(
+                model,
+                values,
+                0.0,
+                lambda rows, low: work._narrow(
+                    value + low * slow, value + max(found.high, 0.0) * slow, 0.0
+                ),
+                found.chosen,
+                self._matters,
+            )
+            return (
+                value + min(low, 0.0) * slow - self._margin,
+                value + max(found.high, 0.0) * slow + self._margin,
+                chosen,
+            )
+        # Costs are not negative, and no policy stays for ever without any. The policy's own mean
+        # time bounds what it may cost more.
+        chosen, low = work._steady(
+            model,
+            values,
+            0.0,
+            lambda rows, low: low >= 2 * found.low and _surely_ends(model, rows),
+            found.chosen,
+            self._matters,
+        )
+        own = self._longest(chosen)
+        assert own is not None
+        lower = value + min(low, 0.0) * float(own[self._begin] @ self._shares)
+        return lower, value + self._saved(values, found.high), chosen
+
+    def _saved(self, values: Floats, high: float) -> float:
+        """How much less than the values another policy may cost at most.
+
+        A smaller cost ``(1 - e) V - f Z`` satisfies the inequality of all rows: ``Z`` is the
+        longest mean time in states without cost before one with a cost, and ``e`` and ``f`` as
+        large as the drift asks."""
+        if high <= 0:
+            return 0.0
+        model, matters = self._model, self._matters
+        costly = model.tangible & (model.constant[model.first_rows] < 0)
+        rate = -model.constant[model.first_rows]
+        value = float(values[self._begin] @ self._shares)
+        free = model.tangible & ~costly
+        if not (free & matters).any():
+            least = float(rate[costly & matters].min(initial=math.inf))
+            share = high / least
+            return -value * share / (1 - share) if share < 0.5 else math.inf
+        timed = model.earning(np.where(model.tangible[model.row_states], 1.0, 0.0))
+        rows = model.constant == 0
+        kept = any_of_state(model.arrows, rows)
+        number, size = layers.numbered(kept, np.zeros(0, dtype=np.int64), 0)
+        part = timed.part(number, size, rows)
+        longest = np.zeros(len(model))
+        longest[kept] = _slowest(part, self._work._watch)
+        after = model.matrix @ longest
+        paid = -model.constant > 0
+        asked = np.where(model.tangible[model.row_states], high, 0.0) + high * after
+        paid &= matters[model.row_states]
+        share = float((asked[paid] / -model.constant[paid]).max(initial=0.0))
+        if share >= 0.5:
+            return math.inf
+        return -share * value + high * float(longest[self._begin] @ self._shares)
+
+    def _longest(self, chosen: Optional[Indices]) -> Optional[Floats]:
+        """An upper bound of the mean time until the end, of a policy or of the slowest one."""
+        model = self._model if chosen is None else self._model.taking(chosen)
+        return _slowest(
+            model.earning(np.where(model.tangible[model.row_states], 1.0, 0.0)), self._work._watch
+        )
+
+
+def _without_cost(
+    model: Model, states: Booleans, rows: Booleans, proper: bool
+) -> Tuple[Indices, Booleans, int]:
+    """The end components in which a policy could stay without any cost: the component of each
+    state, their rows, and how many there are."""
+    if proper:
+        return np.full(len(model), -1, dtype=np.int64), np.zeros(len(rows), dtype=bool), 0
+    free = rows & (model.constant == 0.0) & ~model.into & states[model.row_states]
+    found = end_components(model.arrows, states, free)
+    return found.of, found.rows, found.number
+
+
+def _slowest(model: Model, watch: Watch) -> Floats:
+    """Upper bounds of the highest mean times; the model earns 1 per second."""
+
+    def accept(values: Floats, low: float, high: float) -> bool:
+        return high <= 0.5
+
+    found = solve(model, accept, watch=watch)
+    return found.values / (1 - max(found.high, 0.0))
+
+
+class _Classes:
+    """The maximal end components of a model, taken one at a time."""
+
+    def __init__(self, model: Model, parts: EndComponents) -> None:
+        self._model = model
+        held = np.flatnonzero(parts.of >= 0)
+        self._order = held[np.argsort(parts.of[held], kind="stable")]
+        self._begins = np.searchsorted(parts.of[self._order], np.arange(parts.number + 1))
+        self._rows = parts.rows
+        self._number = np.full(len(model), -1, dtype=np.int64)
+        self.sizes = np.diff(self._begins)
+        """How many states each has."""
+        self.first = self._order[self._begins[:-1]]
+        """A state of each."""
+
+    def states(self, component: int) -> Indices:
+        """The states of a component."""
+        return self._order[self._begins[component] : self._begins[component + 1]]
+
+    def part(self, states: Indices) -> Tuple[Model, Indices]:
+        """The model of a component, and the row of the whole model that each of its rows is."""
+        model, arrows = self._model, self._model.arrows
+        if len(states) == len(model) and self._rows.all():
+            return model, np.arange(len(model.constant))
+        counts = arrows.rows[states + 1] - arrows.rows[states]
+        listed = flat_ranges(arrows.rows[states], arrows.rows[states + 1])
+        inside = self._rows[listed]
+        owners = np.repeat(np.arange(len(states)), counts)[inside]
+        listed = listed[inside]
+        lengths = arrows.arcs[listed + 1] - arrows.arcs[listed]
+        entries = flat_ranges(arrows.arcs[listed], arrows.arcs[listed + 1])
+        self._number[states] = np.arange(len(states))
+        local = Arrows(
+            np.searchsorted(owners, np.arange(len(states) + 1)),
+            np.concatenate([[0], np.cumsum(lengths)]),
+            self._number[arrows.targets[entries]].astype(np.int32),
+        )
+        part = Model(
+            model.tangible[states],
+            local,
+            model.values[entries],
+            model.constant[listed],
+            model.exits[states],
+            np.arange(len(listed)),
+            states,
+            np.zeros(len(listed), dtype=bool),
+        )
+        return part, listed
+
+
+def _with_exits(base: Model, parts: EndComponents, gains: Floats) -> Tuple[Model, Indices, Layer]:
+    """The model in which each end component is one state that may stay, with its gain, or leave.
+
+    :return: the model; the row of each of its states in which it stays (-1: none); how its states
+      come from ``base``. Rows that stay come from no row of ``base``.
+    """
+    idle = base.earning(np.zeros(len(base.constant)))
+    layer = merged(idle, parts.of, parts.number, parts.rows)
+    model = layer.model
+    held = np.flatnonzero(parts.of >= 0)
+    staying = np.full(len(model), -1, dtype=np.int64)
+    staying[layer.number[held]] = parts.of[held]
+    stops = np.flatnonzero(staying >= 0)
+    rows, arcs = model.arrows.rows, model.arrows.arcs
+    at = rows[stops + 1]
+    added = np.zeros(len(model) + 1, dtype=np.int64)
+    added[1:] = np.cumsum(staying >= 0)
+    tangible, exits = model.tangible.copy(), model.exits.copy()
+    tangible[stops], exits[stops] = False, 1.0
+    following = np.where(staying >= 0, rows[1:] + added[:-1], -1)
+    whole = Model(
+        tangible,
+        Arrows(rows + added, np.insert(arcs, at, arcs[at]), model.arrows.targets),
+        model.values,
+        np.insert(model.constant, at, gains[staying[stops]]),
+        exits,
+        np.insert(model.row_ids, at, len(base.constant)),
+        model.state_ids,
+        np.insert(model.into, at, True),
+    )
+    return whole, following, layer
+
+
+def _surely_ends(model: Model, chosen: Indices) -> bool:
+    taken = model.taking(chosen)
+    reached, _ = reaching(taken.arrows, any_of_state(taken.arrows, taken.into))
+    return bool(reached.all())
