@@ -24,6 +24,10 @@ from gspn_framework_package.visualizer.optimised import Optimised, proposed_name
 
 JOBS_AT_ONCE = 2
 JOBS_KEPT = 20
+
+POLICIES_KEPT = 4
+"""How many of the latest computed policies are kept; each may take tens of megabytes."""
+
 SECONDS = 120.0
 """Time limit of one analysis, in seconds, unless the page asks for less."""
 
@@ -209,6 +213,9 @@ class AnalysisJobs:
             for old in list(self._jobs)[:-JOBS_KEPT]:
                 if not self._jobs[old].running:
                     del self._jobs[old]
+            policies = [job for job in self._jobs.values() if job.optimised is not None]
+            for job in policies[:-POLICIES_KEPT]:
+                job.optimised = None
         return key
 
     def report(self, key: str) -> Dict[str, Any]:
@@ -223,7 +230,7 @@ class AnalysisJobs:
         """The policy that a job has computed. :raises InputError: there is none."""
         found = self._job(key).optimised
         if found is None:
-            raise InputError("that analysis has not computed a policy")
+            raise InputError("there is no policy of that analysis (any more)")
         return found
 
     def latest(self, session: str) -> Optional[str]:

@@ -115,6 +115,12 @@ def _optimise(request: Dict[str, Any], progress: Any) -> None:
     _say(plan=plan_to_short_json(found.plan), changed=changes.changed, same=changes.same)
     answer = found.to_json()
     del answer["plan"]
+    answer["asked"] = {
+        "never": list(asked.never),
+        "may_wait": sorted(asked.may_wait),
+        "timing": asked.reading,
+        "fitted": asked.fitted,
+    }
     _say(part={"optimised": _readable(answer)})
 
 

@@ -80,7 +80,7 @@ class _Form:
         )
         self._field("simulated", lambda: simulated_of(self._form), 0.0)
         if not self._wrong:
-            self._field("aim", lambda: request.check(self._net), None)
+            request = self._field("aim", lambda: request.resolved(self._net), request)
         if self._wrong:
             raise FormError(self._wrong)
         return request

@@ -66,9 +66,11 @@ class Optimised:
     ) -> None:
         self._present = present
         self.text = json.dumps(data, indent=2, ensure_ascii=False) + "\n"
+        self._places = data.get("policy", {}).get("places", [])
+        self._rows = data.get("policy", {}).get("rows", [])
         self._states = {**dict.fromkeys(same, False), **dict.fromkeys(changed, True)}
-        count = len(data.get("policy", {}).get("rows", ()))
-        self._order = changed + [row for row in range(count) if self._states.get(row) is not True]
+        others = (row for row in range(len(self._rows)) if not self._states.get(row))
+        self._order = [*changed, *others]
         self._lock = threading.Lock()
         self._rules: Optional[Tuple[PlanRules, PlanRules]] = None
 
@@ -79,14 +81,12 @@ class Optimised:
             ``number`` in the file (from 1), its ``marking``, what it may ``choose``, and whether it
             ``differs``; None: not known.
         """
-        policy = json.loads(self.text).get("policy", {})
-        rows = policy.get("rows", [])
         return {
-            "places": policy.get("places", []),
-            "total": len(rows),
+            "places": self._places,
+            "total": len(self._rows),
             "changed": sum(self._states.values()),
             "rows": [
-                {"number": row + 1, "differs": self._states.get(row), **rows[row]}
+                {"number": row + 1, "differs": self._states.get(row), **self._rows[row]}
                 for row in self._order[start : start + min(count, ROWS)]
             ],
         }

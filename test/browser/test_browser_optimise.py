@@ -76,7 +76,14 @@ def test_a_policy_is_computed_shown_and_saved(shop, open_page, axe, picture):
     ]
     assert asked["may_wait"] == ["Choose"] and asked["never"] == ["Fast + Slow >= 2"]
     text = page.inner_text("#optimised")
-    for expected in ("1.3333 1/s", "2 1/s", "+50 %", "certified", "the policy decides in Choose"):
+    for expected in (
+        "1.3333 1/s",
+        "2 1/s",
+        "+50 %",
+        "certified",
+        "the policy decides in Choose",
+        "Never Fast + Slow >= 2. Robots may wait in Choose. Time as the plan runs.",
+    ):
         assert expected in page.locator("#optimised").text_content(), expected
     assert "take_slow" in text
     # a choice of the list, by keyboard: present and best differ in their lines and words

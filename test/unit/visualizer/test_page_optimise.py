@@ -1,5 +1,6 @@
 """Computed policies on the page: the form, the answer in parts, and where it is saved."""
 
+import copy
 import json
 
 import pytest
@@ -124,6 +125,7 @@ def test_a_policy_is_computed_and_told_in_parts(shop):
     found = shop.report["result"]["optimised"]
     assert found["value"] == pytest.approx(2.0) and found["gain"] == pytest.approx(0.5)
     assert "plan" not in found
+    assert found["asked"]["never"] == FORM["never"] and found["asked"]["may_wait"] == ["Choose"]
     assert shop.report["saves_as"] == "plan_optimised.json"
     # whoever may look sees the latest answer, and the plan
     latest = shop.get("/api/optimised?id=" + shop.key, **shop.viewer).get_json()
@@ -198,6 +200,16 @@ def test_a_plan_without_a_file_is_downloaded_and_not_saved(monkeypatch, tmp_path
     assert answer.status_code == 409 and "download" in answer.get_json()["error"]
     assert json.loads(client.get(path + "/plan").get_data())["plan"] == "shop"
     client.app.extensions["gspn_jobs"].close()
+
+
+def test_only_the_latest_policies_are_kept(monkeypatch, shop):
+    monkeypatch.setattr(analysis_jobs, "POLICIES_KEPT", 1)
+    jobs = shop.app.extensions["gspn_jobs"]
+    jobs._jobs["later"] = copy.copy(jobs._jobs[shop.job])
+    assert shop.post("/api/analysis?id=" + shop.key, {}, **shop.role).status_code == 200
+    assert shop.get("/api/analysis/later/rows", **shop.role).status_code == 200
+    gone = shop.get("/api/analysis/%s/rows" % shop.job, **shop.role)
+    assert gone.status_code == 400 and "(any more)" in gone.get_json()["error"]
 
 
 def test_a_net_has_no_policy_to_compute():

@@ -148,6 +148,13 @@ export class OptimiseForm {
           ? "Places where a robot may stay although it could go on."
           : "No robot chooses in any place of this plan.",
       }),
+      this.mayWait.length > 3 &&
+        h(
+          "div",
+          { class: "buttons" },
+          h("button", { type: "button", text: "All", onclick: () => this.waitIn(true) }),
+          h("button", { type: "button", text: "None", onclick: () => this.waitIn(false) }),
+        ),
       h(
         "div",
         { class: "choices" },
@@ -156,6 +163,10 @@ export class OptimiseForm {
     );
     this.controls.set("may_wait", group);
     return group;
+  }
+
+  waitIn(all) {
+    for (const box of this.mayWait) box.checked = all;
   }
 
   settings() {

@@ -309,12 +309,14 @@ export class OptimisePanel extends EventTarget {
     this.saving.hidden = !text;
     this.saving.className = wrong ? "wrong" : "";
     this.saving.replaceChildren(text, ...more);
-    name?.toggleAttribute("aria-invalid", wrong);
     if (wrong) {
       name.setAttribute("aria-invalid", "true");
       name.setAttribute("aria-describedby", "op-saving");
       name.focus();
-    } else name?.removeAttribute("aria-describedby");
+    } else {
+      name.removeAttribute("aria-invalid");
+      name.removeAttribute("aria-describedby");
+    }
   }
 
   async save(key, name) {

@@ -72,6 +72,19 @@ export class OptimiseViews {
     return typeof value === "number" ? `${number(value)}${unit ? ` ${unit}` : ""}` : String(value);
   }
 
+  /** What else was asked, in words. */
+  asked({ never, may_wait: waiting, timing, fitted }) {
+    return [
+      never.length && `Never ${never.join("; never ")}`,
+      waiting.length && `Robots may wait in ${waiting.join(", ")}`,
+      `Time as ${timing === "run" ? "the plan runs" : "in the net alone"}`,
+      fitted ? "Rates as learned, where the plan says" : "Rates of the net",
+    ]
+      .filter(Boolean)
+      .map((text) => `${text}.`)
+      .join(" ");
+  }
+
   /** Present against best. */
   result(answer) {
     const { objective, present_policy: present, gain, simulation } = answer;
@@ -111,6 +124,7 @@ export class OptimiseViews {
       "Present against best",
       true,
       h("p", {}, "Aim: ", objective.text, "."),
+      h("p", { class: "muted", text: this.asked(answer.asked) }),
       h(
         "dl",
         { class: "facts" },
