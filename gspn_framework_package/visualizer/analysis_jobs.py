@@ -195,7 +195,7 @@ class AnalysisJobs:
         if "optimise" in fields:
             if document.plan is None:
                 raise UsageError("only a plan has a policy that can be computed; this is a net")
-            request_of(fields["optimise"], document.plan.net)  # report what is wrong in it now
+            request_of(fields["optimise"], document.plan)  # report what is wrong in it now
         request: Dict[str, Any] = {key: fields[key] for key in QUESTIONS if key in fields}
         request.update(limit=int(limit), seconds=seconds)
         if document.plan is not None:

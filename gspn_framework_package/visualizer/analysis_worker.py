@@ -108,7 +108,7 @@ def _optimise(request: Dict[str, Any], progress: Any) -> None:
     """Compute a policy, and report it: the new plan on its own, since it may be large."""
     optimise = import_module("gspn_framework_package.analysis.decisions.optimise").optimise
     plan = plan_from_json(request["plan"])
-    asked = request_of(request["optimise"], plan.net, _limits(request))
+    asked = request_of(request["optimise"], plan, _limits(request))
     simulated = simulated_of(request["optimise"])
     found = optimise(plan, asked, simulated=simulated, progress=progress)
     changes = PolicyChanges(found.plan, found.choices[:MOST_CHOICES])
@@ -118,6 +118,7 @@ def _optimise(request: Dict[str, Any], progress: Any) -> None:
     answer["asked"] = {
         "never": list(asked.never),
         "may_wait": sorted(asked.may_wait),
+        "uncertain": {name: list(rates) for name, rates in asked.uncertain.items()},
         "timing": asked.reading,
         "fitted": asked.fitted,
     }

@@ -9,7 +9,7 @@ from gspn_framework_package.analysis.decisions.aims import Aim, AtLeast, Objecti
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.plan.reading import RUN, checked_reading
 from gspn_framework_package.model.errors import GspnError, UsageError
-from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
 
 ENTRIES = 100
 """Most entries of each list of the form."""
@@ -36,16 +36,16 @@ class FormError(UsageError):
         self.fields = dict(fields)
 
 
-def request_of(form: object, net: Net, limits: Optional[Limits] = None) -> Request:
+def request_of(form: object, plan: Plan, limits: Optional[Limits] = None) -> Request:
     """Read the form.
 
     :param form: the JSON object that the page sends: ``aim``, ``maximise``, ``goal``, ``discount``,
         ``rewards`` (``name`` and ``value`` each), ``never`` (conditions), ``at_least`` (``name``
-        and ``bound`` each), ``may_wait`` (places), ``timing``, ``fitted``.
-    :param net: the net of the plan.
+        and ``bound`` each), ``may_wait`` (places), ``uncertain`` (``name``, ``low`` and ``high``
+        each), ``timing``, ``fitted``, ``teams``.
     :raises FormError: fields cannot be used.
     """
-    return _Form(form, net).read(limits or Limits())
+    return _Form(form, plan).read(limits or Limits())
 
 
 def simulated_of(form: Mapping[str, Any]) -> float:
@@ -60,11 +60,12 @@ def simulated_of(form: Mapping[str, Any]) -> float:
 class _Form:
     """The fields of one form. Each is checked alone, so that all errors are found at once."""
 
-    def __init__(self, form: object, net: Net) -> None:
+    def __init__(self, form: object, plan: Plan) -> None:
         if not isinstance(form, dict):
             raise UsageError("'optimise' is an object")
         self._form: Dict[str, Any] = form
-        self._net = net
+        self._net = plan.net
+        self._robots = len(plan.robots)
         self._wrong: Dict[str, str] = {}
 
     def read(self, limits: Limits) -> Request:
@@ -76,6 +77,8 @@ class _Form:
             may_wait=frozenset(self._list("may_wait", self._may_wait)),
             reading=self._field("timing", self._timing, RUN),
             fitted=self._form.get("fitted", True) is not False,
+            uncertain=dict(self._list("uncertain", self._uncertain)),
+            team_sizes=self._field("teams", self._teams, None),
             limits=limits,
         )
         self._field("simulated", lambda: simulated_of(self._form), 0.0)
@@ -165,6 +168,21 @@ class _Form:
         Request(Objective.reach("true"), may_wait=frozenset((item,))).check(self._net)
         return item
 
+    def _uncertain(self, field: str, item: Any) -> Tuple[str, Tuple[float, float]]:
+        name, low = _pair(field, item, "low", "an exponential transition")
+        found = name, (low, _number(item.get("high"), field + ".high", "a rate per second"))
+        Request(Objective.reach("true"), uncertain=dict([found])).check(self._net)
+        return found
+
+    def _teams(self) -> Optional[Tuple[int, ...]]:
+        """The sizes of teams, the largest first; None: that of the plan, and those that losses
+        leave."""
+        sizes = {"plan": None, "own": (self._robots,), "all": tuple(range(self._robots, 0, -1))}
+        chosen = self._form.get("teams", "plan")
+        if not isinstance(chosen, str) or chosen not in sizes:
+            raise UsageError("choose %s" % ", ".join(sizes))
+        return sizes[chosen]
+
     def _timing(self) -> str:
         return checked_reading(str(self._form.get("timing", RUN)))
 
@@ -185,11 +203,13 @@ class _Form:
             raise FormError({field: str(error)}) from None
 
 
-def _pair(field: str, item: Any, key: str) -> Tuple[str, float]:
+def _pair(
+    field: str, item: Any, key: str, what: str = "a place or a transition"
+) -> Tuple[str, float]:
     """The name and the number of an entry."""
     name = item.get("name") if isinstance(item, dict) else None
     if not isinstance(name, str) or not name:
-        raise FormError({field + ".name": "choose a place or a transition"})
+        raise FormError({field + ".name": "choose %s" % what})
     return name, _number(item.get(key), "%s.%s" % (field, key), "a number")
 
 

@@ -5,7 +5,7 @@ import json
 
 import pytest
 from page_client import HOST, PageClient, folder_project, small_net
-from told_policy import WORKER, shop_net, write_shop
+from told_policy import WORKER, write_shop
 from waiting import wait_for
 
 from gspn_framework_package.analysis.decisions.aims import Aim, AtLeast
@@ -31,19 +31,27 @@ FORM = {
 }
 
 
-def test_the_form_becomes_a_request():
-    request = request_of(FORM, shop_net())
+@pytest.fixture(name="plan")
+def _plan(tmp_path):
+    return read_plan(str(write_shop(tmp_path)))
+
+
+def test_the_form_becomes_a_request(plan):
+    request = request_of(FORM, plan)
     assert request.objective.aim is Aim.LONG_RUN and request.objective.maximise
     assert request.objective.rewards == {"fast_done": 1.0, "slow_done": 1.0}
     assert request.never == ("Fast == 1 and Slow == 1",)
     assert request.at_least == (AtLeast("fast_done", 0.5),)
     assert request.may_wait == {"Choose"} and request.reading == "run" and request.fitted
-    least = request_of({**FORM, "maximise": False, "fitted": False}, shop_net())
+    least = request_of({**FORM, "maximise": False, "fitted": False}, plan)
     assert not least.objective.maximise and not least.fitted
     goal = {"goal": " Slow >= 1 ", "at_least": []}
-    assert request_of({**FORM, "aim": "time_to", **goal}, shop_net()).objective.goal == "Slow >= 1"
-    found = request_of({**FORM, "aim": "discounted", "at_least": [], "discount": "0.1"}, shop_net())
+    assert request_of({**FORM, "aim": "time_to", **goal}, plan).objective.goal == "Slow >= 1"
+    found = request_of({**FORM, "aim": "discounted", "at_least": [], "discount": "0.1"}, plan)
     assert found.objective.discount == 0.1
+    rates = [{"name": "fast_done", "low": "1.5", "high": 3}]
+    found = request_of({**FORM, "at_least": [], "uncertain": rates, "teams": "own"}, plan)
+    assert found.uncertain == {"fast_done": (1.5, 3.0)} and found.team_sizes == (1,)
 
 
 @pytest.mark.parametrize(
@@ -75,6 +83,14 @@ def test_the_form_becomes_a_request():
         ({"may_wait": ["Gone"]}, {"may_wait.0": "no such place"}),
         ({"may_wait": [[]]}, {"may_wait.0": "choose a place"}),
         ({"timing": "walk"}, {"timing": "no reading 'walk'"}),
+        ({"teams": "dream"}, {"teams": "choose plan, own, all"}),
+        ({"uncertain": [{"name": "", "low": 1}]}, {"uncertain.0.name": "exponential"}),
+        ({"uncertain": [{"name": "fast_done", "low": 1}]}, {"uncertain.0.high": "give a rate"}),
+        (
+            {"uncertain": [{"name": "take_fast", "low": 1, "high": 2}]},
+            {"uncertain.0": "not an exp"},
+        ),
+        ({"uncertain": [{"name": "fast_done", "low": 3, "high": 2}]}, {"uncertain.0": "3 to 2"}),
         ({"simulated": "900"}, {"simulated": "0 to 60"}),
         (
             {"never": ["?"], "simulated": "x", "rewards": [{"name": "Fast", "value": "x"}]},
@@ -82,9 +98,9 @@ def test_the_form_becomes_a_request():
         ),
     ],
 )
-def test_what_is_wrong_is_said_at_its_field(changes, fields):
+def test_what_is_wrong_is_said_at_its_field(changes, fields, plan):
     with pytest.raises(FormError) as caught:
-        request_of({**FORM, **changes}, shop_net())
+        request_of({**FORM, **changes}, plan)
     found = caught.value.fields
     assert found.keys() == fields.keys()
     for name, words in fields.items():
@@ -219,8 +235,7 @@ def test_a_net_has_no_policy_to_compute():
     assert answer.status_code == 400 and "only a plan" in answer.get_json()["error"]
 
 
-def test_rows_come_in_pages_and_those_that_differ_first(tmp_path):
-    plan = read_plan(str(write_shop(tmp_path)))
+def test_rows_come_in_pages_and_those_that_differ_first(plan):
     rows = [{"marking": [n], "choose": {}} for n in range(1200)]
     found = Optimised(plan, {"policy": {"places": ["Choose"], "rows": rows}}, [700, 900], [3])
     first = found.rows(0, 4)

@@ -122,6 +122,18 @@ export class OptimiseForm {
         ({ name, bound }) => ({ name: name.value, bound: bound.value }),
       ),
       this.waiting(),
+      this.list(
+        "uncertain",
+        "Uncertain rates",
+        "Lowest and highest rate (1/s) of an exponential transition: the policy is the best for the worst of them.",
+        "Add a rate",
+        (name) => [
+          this.nodes(`${name}.name`, "Uncertain", true),
+          this.amount(`${name}.low`, "Lowest"),
+          this.amount(`${name}.high`, "Highest"),
+        ],
+        ({ name, low, high }) => ({ name: name.value, low: low.value, high: high.value }),
+      ),
     );
   }
 
@@ -190,6 +202,15 @@ export class OptimiseForm {
           this.select([
             ["fitted", "as learned, where the plan says"],
             ["nominal", "those of the net"],
+          ]),
+        ),
+        this.field(
+          "teams",
+          "Teams",
+          this.select([
+            ["plan", "the plan's, and those that losses leave"],
+            ["own", "the plan's only"],
+            ["all", "of every size up to the plan's"],
           ]),
         ),
         this.field(
@@ -272,8 +293,8 @@ export class OptimiseForm {
     return this.entryControl(name, label, this.numeric({}));
   }
 
-  /** A choice among all places and transitions. */
-  nodes(name, label) {
+  /** A choice among all places and transitions, or among the exponential transitions. */
+  nodes(name, label, timed = false) {
     const { places, transitions } = this.model.scene;
     const group = (title, nodes) =>
       h(
@@ -291,8 +312,8 @@ export class OptimiseForm {
         "select",
         {},
         h("option", { value: "", text: "choose …" }),
-        group("Places", places),
-        group("Transitions", transitions),
+        !timed && group("Places", places),
+        group("Transitions", timed ? transitions.filter((t) => t.timed) : transitions),
       ),
     );
   }
@@ -321,7 +342,7 @@ export class OptimiseForm {
   read() {
     const aim = this.value("aim");
     const entries = (name) =>
-      USES[aim].includes(name) || name === "never"
+      USES[aim].includes(name) || ["never", "uncertain"].includes(name)
         ? this.lists[name].items.map(({ controls }) =>
             this.lists[name].value(
               Object.fromEntries([...controls].map(([key, { control }]) => [key, control])),
@@ -338,7 +359,9 @@ export class OptimiseForm {
         never: entries("never"),
         at_least: entries("at_least"),
         may_wait: this.mayWait.filter((box) => box.checked).map((box) => box.value),
+        uncertain: entries("uncertain"),
         timing: this.value("timing"),
+        teams: this.value("teams"),
         fitted: this.value("fitted") === "fitted",
         simulated: this.value("simulated"),
       },

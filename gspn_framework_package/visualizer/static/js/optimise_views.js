@@ -73,10 +73,14 @@ export class OptimiseViews {
   }
 
   /** What else was asked, in words. */
-  asked({ never, may_wait: waiting, timing, fitted }) {
+  asked({ never, may_wait: waiting, uncertain, timing, fitted }) {
+    const rates = Object.entries(uncertain).map(
+      ([name, [low, high]]) => `${name} from ${number(low)} to ${number(high)} per second`,
+    );
     return [
       never.length && `Never ${never.join("; never ")}`,
       waiting.length && `Robots may wait in ${waiting.join(", ")}`,
+      rates.length && `The best for the worst rates of ${rates.join(", ")}`,
       `Time as ${timing === "run" ? "the plan runs" : "in the net alone"}`,
       fitted ? "Rates as learned, where the plan says" : "Rates of the net",
     ]
