@@ -3,7 +3,7 @@ first to fire, by the rules of the plan (``docs/semantics.md``)."""
 
 from __future__ import annotations
 
-from typing import Dict, List, NamedTuple, Optional, Tuple
+from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -33,6 +33,87 @@ class Play(NamedTuple):
     unsettled: Booleans
 
 
+Choices = Tuple[Tuple[int, float], ...]
+"""What a robot draws from: pairs (number of a transition of the plan's net, probability)."""
+
+
+class Answers:
+    """What a robot is told that asks for a decision; made from a policy.
+
+    :param plan: the plan, with weights for markings of which the policy says nothing.
+    """
+
+    def __init__(self, plan: Plan, policy: Policy, stages: Stages) -> None:
+        self._plan = plan
+        self._policy = policy
+        self._space = stages.space
+        self._table = policy.bind(plan.net)
+        place_of = stages.net.place_of
+        numbers = [plan.net.place_number(name) for name in policy.places]
+        self._columns = [(p, place_of[p]) for p in numbers]
+
+    def of(self, place: int, states: Indices) -> Tuple[Indices, List[Choices]]:
+        """The number of the answer to a robot in ``place`` for each of ``states``, and the answers.
+        The first is that the weights decide."""
+        net = self._plan.net
+        weights = tuple(
+            (t, net.transitions[t].weight)
+            for t in net.consumers[place]
+            if not net.transitions[t].timed and net.transitions[t].weight > 0
+        )
+        answers: List[Choices] = [() if self._plan.strict else weights]
+        if not self._policy.rows:
+            return np.zeros(len(states), dtype=np.int64), answers
+        numbers: Dict[Choices, int] = {}
+        counts = np.zeros((len(states), len(self._columns)), dtype=np.int64)
+        for i, (p, q) in enumerate(self._columns):
+            counts[:, i] = self._space.column(q, states) if q >= 0 else net.places[p].tokens
+        first, of = distinct_rows(counts) if len(states) else (states, states)
+        marking = list(net.initial_marking)
+        known = np.zeros(len(first), dtype=np.int64)
+        for k, row in enumerate(counts[first].tolist()):
+            for (p, _), n in zip(self._columns, row):
+                marking[p] = n
+            distribution = self._table.distribution(marking, place)
+            if distribution is None and not self._table.matches(marking):
+                continue
+            choices = distribution.choices if distribution is not None else ()
+            if choices not in numbers:
+                numbers[choices] = len(answers)
+                answers.append(choices)
+            known[k] = numbers[choices]
+        return known[of], answers
+
+
+class DecidedAnswers:
+    """What a robot is told by decisions, state by state.
+
+    :param kind: int array: for each state the number of its decision; -1: none, so it waits.
+    :param kinds: the decisions: transition (of the plan's net) -> probability.
+    """
+
+    def __init__(self, plan: Plan, kind: Indices, kinds: Sequence[Mapping[int, float]]) -> None:
+        self._net = plan.net
+        self._kind = kind
+        self._kinds = kinds
+
+    def of(self, place: int, states: Indices) -> Tuple[Indices, List[Choices]]:
+        """As :meth:`Answers.of`; the first answer is not used."""
+        mine = {t for t in self._net.consumers[place] if not self._net.transitions[t].timed}
+        numbers: Dict[Choices, int] = {}
+        answers: List[Choices] = [()]
+        number = np.zeros(len(self._kinds) + 1, dtype=np.int64)
+        for k, decision in enumerate(({}, *self._kinds)):  # -1: waits
+            here = [(t, v) for t, v in decision.items() if t in mine and v > 0]
+            total = sum(v for _, v in here)
+            choices = tuple((t, v / total) for t, v in here)
+            if choices not in numbers:
+                numbers[choices] = len(answers)
+                answers.append(choices)
+            number[k] = numbers[choices]
+        return number[self._kind[states] + 1], answers
+
+
 class _Askers(NamedTuple):
     """The robots of a group, in the states in which one of their requests can fire.
 
@@ -52,31 +133,33 @@ class _Askers(NamedTuple):
     chances: Floats
 
 
-def play(plan: Plan, policy: Policy, stages: Stages, late: Optional[Booleans]) -> Play:
-    """What ``policy`` does.
+def play(
+    plan: Plan,
+    answers: Union[Answers, DecidedAnswers],
+    stages: Stages,
+    late: Optional[Booleans],
+) -> Play:
+    """What a policy does that gives these answers.
 
     :param late: boolean array, one value per place of the plan's net: the order in which robots
         finish matters there, but states do not know it. None: in the classical reading they need
         not know.
     """
-    return _Player(plan, policy, stages, late).play()
+    return _Player(plan, answers, stages, late).play()
 
 
 class _Player:
     def __init__(
-        self, plan: Plan, policy: Policy, stages: Stages, late: Optional[Booleans]
+        self,
+        plan: Plan,
+        answers: Union[Answers, DecidedAnswers],
+        stages: Stages,
+        late: Optional[Booleans],
     ) -> None:
         self._plan = plan
+        self._told = answers
         self._stages = stages
         self._late = late
-        self._policy = policy
-        self._table = policy.bind(plan.net)
-        place_of = stages.net.place_of
-        self._columns = [
-            (plan.net.place_number(name), place_of[plan.net.place_number(name)])
-            for name in policy.places
-        ]
-        self._weights = [t.weight for t in plan.net.transitions]
 
     def play(self) -> Play:
         stages = self._stages
@@ -176,13 +259,13 @@ class _Player:
         net = self._plan.net
         states = np.unique(stages.sources[arcs]).astype(np.int64)
         answer = np.zeros(len(stages), dtype=np.int64)
-        answer[states], answers = self._answers(group.at, states)
+        answer[states], answers = self._told.of(group.at, states)
         leaving = [t for t in net.consumers[group.at] if not net.transitions[t].timed]
         local = np.full(len(net.transitions), -1, dtype=np.int64)
         local[leaving] = np.arange(len(leaving))
         table = np.zeros((len(answers), len(leaving)))
         for k, choices in enumerate(answers):
-            for t, v in choices or ():
+            for t, v in choices:
                 table[k, local[t]] = v
         origins = np.array(stages.net.origins)[stages.labels[arcs]]
         weights = table[answer[stages.sources[arcs]], local[origins]]
@@ -227,39 +310,3 @@ class _Player:
             ]
         )
         return stages.highest(arcs, stages.priorities[stages.labels[arcs]])[states]
-
-    def _answers(
-        self, place: int, states: Indices
-    ) -> Tuple[Indices, List[Optional[Tuple[Tuple[int, float], ...]]]]:
-        """The number of the policy's answer to a robot in ``place`` for each of ``states``, and the
-        answers: what it draws from. The first is that the weights decide."""
-        net = self._plan.net
-        weights = tuple(
-            (t, self._weights[t])
-            for t in net.consumers[place]
-            if not net.transitions[t].timed and self._weights[t] > 0
-        )
-        answers: List[Optional[Tuple[Tuple[int, float], ...]]] = [
-            () if self._plan.strict else weights
-        ]
-        if not self._policy.rows:
-            return np.zeros(len(states), dtype=np.int64), answers
-        numbers: Dict[Tuple[Tuple[int, float], ...], int] = {}
-        counts = np.zeros((len(states), len(self._columns)), dtype=np.int64)
-        for i, (p, q) in enumerate(self._columns):
-            counts[:, i] = self._stages.space.column(q, states) if q >= 0 else net.places[p].tokens
-        first, of = distinct_rows(counts) if len(states) else (states, states)
-        marking = list(net.initial_marking)
-        known = np.zeros(len(first), dtype=np.int64)
-        for k, row in enumerate(counts[first].tolist()):
-            for (p, _), n in zip(self._columns, row):
-                marking[p] = n
-            distribution = self._table.distribution(marking, place)
-            if distribution is None and not self._table.matches(marking):
-                continue
-            choices = distribution.choices if distribution is not None else ()
-            if choices not in numbers:
-                numbers[choices] = len(answers)
-                answers.append(choices)
-            known[k] = numbers[choices]
-        return known[of], answers

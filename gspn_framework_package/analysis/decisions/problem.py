@@ -10,7 +10,7 @@ marking in which a run may ask the policy.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import AbstractSet, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 
@@ -20,7 +20,13 @@ from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.decisions.aims import Objective
 from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automaton, Rewards
 from gspn_framework_package.analysis.decisions.building import Built, Stages, build, part_of
-from gspn_framework_package.analysis.decisions.playing import SURE, Play, play
+from gspn_framework_package.analysis.decisions.playing import (
+    SURE,
+    Answers,
+    DecidedAnswers,
+    Play,
+    play,
+)
 from gspn_framework_package.analysis.decisions.run_net import DecisionNet, Stage
 from gspn_framework_package.analysis.decisions.safety import Safety
 from gspn_framework_package.analysis.decisions.who_decides import Decider, who_decides
@@ -55,6 +61,7 @@ class Team:
       speaks against it. Other rows of such a state are there for the evaluation of a policy.
     :ivar states_in: int array: for each state its number among the states of all teams.
     :ivar rows_in: int array: the same for its rows.
+    :ivar problem: the decision problem that it belongs to.
     """
 
     robots: int
@@ -66,6 +73,7 @@ class Team:
     by_policy: Booleans
     states_in: Indices
     rows_in: Indices
+    problem: Decisions = field(repr=False)
 
     @property
     def markings(self) -> Indices:
@@ -81,6 +89,12 @@ class Decisions:
     :ivar deciders: place -> why the policy chooses there.
     :ivar chance: place -> why chance, or the action, chooses there.
     :ivar assumptions: sentences for people.
+    :ivar found: place -> who decides there.
+    :ivar left_out: counters that nothing reads.
+    :ivar stages: the states of all teams, and the steps between them.
+    :ivar built: their automaton.
+    :ivar present: what the plan's own policy does.
+    :ivar safety: what may never be; None: nothing was asked.
     """
 
     @classmethod
@@ -158,7 +172,7 @@ class Decisions:
         self._net = DecisionNet(plan, self.left_out, self._rules, found, losses=losses)
         self.assumptions = self._assume(found, timing)
         net = with_end(self._net.net, plan)
-        self._space: StateSpace = explore(
+        self.space: StateSpace = explore(
             net,
             limit=limits.states or states_of(len(net.places) + len(net.transitions)),
             untimed=True,
@@ -167,19 +181,19 @@ class Decisions:
             memory=limits.memory,
             seconds=limits.seconds,
         )
-        self._space.require_complete("what the robots can choose")
+        self.space.require_complete("what the robots can choose")
         self._over = (
-            self._space.holds(plan.until) if plan.until else np.zeros(len(self._space), dtype=bool)
+            self.space.holds(plan.until) if plan.until else np.zeros(len(self.space), dtype=bool)
         )
-        self._stages = Stages(self._net, self._space, self._over)
+        self.stages = Stages(self._net, self.space, self._over)
         self._late = self._order_matters()
         self._plays: Dict[Policy, Play] = {}
-        present = self._play(plan.policy)
-        self._built: Built = build(self._stages, self._voluntary(), present.waits > SURE)
+        self.present = self._play(plan.policy)
+        self.built: Built = build(self.stages, self._voluntary(), self.present.waits > SURE)
         self._check_chosen(plan.policy, found)
-        self._found = found
+        self.found = found
         self.never = tuple(never)
-        self._safety: Optional[Safety] = self._judge(never) if never else None
+        self.safety: Optional[Safety] = self._judge(never) if never else None
         self.teams: List[Team] = self._teams(own, team_sizes)
 
     # -- what is assumed ---------------------------------------------------------------------------
@@ -212,7 +226,7 @@ class Decisions:
     def _voluntary(self) -> Booleans:
         """The states in which robots may wait by choice: nothing that could fire takes robots only
         from places where nobody may wait, or something else goes first that takes no time."""
-        net, stages = self._net, self._stages
+        net, stages = self._net, self.stages
         count = len(stages)
         waiting = {self.plan.net.place_number(name) for name in self.may_wait}
         later = self._partner_comes()
@@ -235,7 +249,7 @@ class Decisions:
         that is still doing, since the marking enables a transition that lacks it."""
         if self._rules is None:
             return {}
-        plan, stages, space = self.plan.net, self._stages, self._space
+        plan, stages, space = self.plan.net, self.stages, self.space
         found: Dict[int, Booleans] = {}
         late = self._doing_places
         acts = {plan.place_number(name) for name in self.plan.action_places}
@@ -257,7 +271,7 @@ class Decisions:
 
     def _enabled(self, t: int) -> Booleans:
         """The states whose marking enables transition number ``t`` of the plan's net."""
-        net, space = self.plan.net, self._space
+        net, space = self.plan.net, self.space
         number = self._net.place_of
         enabled = np.ones(len(space), dtype=bool)
         for p, w in net.inputs[t]:
@@ -307,7 +321,7 @@ class Decisions:
         """The markings of states in the place order of the plan's net."""
         number = self._net.place_of
         kept = [p for p, q in enumerate(number) if q >= 0]
-        columns = [self._space.column(number[p], states) for p in kept]
+        columns = [self.space.column(number[p], states) for p in kept]
         most = max((int(c.max(initial=0)) for c in columns), default=0)
         full = np.zeros((len(states), len(number)), dtype=np.min_scalar_type(most))
         for p, column in zip(kept, columns):
@@ -317,7 +331,7 @@ class Decisions:
     # -- teams -------------------------------------------------------------------------------------
 
     def _teams(self, own: int, sizes: Optional[Sequence[int]]) -> List[Team]:
-        space, built = self._space, self._built
+        space, built = self.space, self.built
         robots = np.zeros(len(space), dtype=np.int64)
         conserved = all(flow.taken == flow.put for flow in robot_flows(self.plan))
         if conserved:
@@ -338,9 +352,9 @@ class Decisions:
 
     def _needed(self) -> Booleans:
         """The states that timed play reaches from any marking in which a run may ask the policy."""
-        built = self._built
+        built = self.built
         automaton = built.automaton
-        count = len(self._space)
+        count = len(self.space)
         starts = np.zeros(len(automaton), dtype=bool)
         starts[0] = True
         starts[:count] |= ~self._is_named()
@@ -356,9 +370,9 @@ class Decisions:
     def _is_named(self) -> Booleans:
         """The states in which some robot is further than needed to see all markings: it has named
         a transition, or it is doing something before it asks the policy."""
-        found = np.zeros(len(self._space), dtype=bool)
+        found = np.zeros(len(self.space), dtype=bool)
         for name in self._net.resting:
-            found |= self._space.column(self._net.net.place_number(name)) > 0
+            found |= self.space.column(self._net.net.place_number(name)) > 0
         return found
 
     def _start(self, size: int, robots: Indices) -> int:
@@ -369,11 +383,11 @@ class Decisions:
             return int(np.flatnonzero(robots == size)[0])
         net = self._largest.for_robots(size).net
         marking = self._net.start(net.initial_marking)
-        state = self._space.find(marking)
+        state = self.space.find(marking)
         return int(np.flatnonzero(robots == size)[0]) if state is None else state
 
     def _team(self, size: int, states: Booleans, start: int) -> Team:
-        built = self._built
+        built = self.built
         part, kept, rows = part_of(built.automaton, states, ((start, 1.0),))
         original = built.original[kept]
         if self._doing_places:
@@ -384,8 +398,8 @@ class Decisions:
         else:
             unique, marking_of = np.unique(original, return_inverse=True)
             distinct = self._markings_of(unique)
-        stage = self._stages.stage[original]
-        twin = kept >= len(self._space)
+        stage = self.stages.stage[original]
+        twin = kept >= len(self.space)
         return Team(
             size,
             part,
@@ -396,9 +410,26 @@ class Decisions:
             built.allowed[rows],
             kept,
             rows,
+            self,
         )
 
     # -- what is asked -----------------------------------------------------------------------------
+
+    def enabled(self, team: Team, t: int) -> Booleans:
+        """Boolean array: which of the team's distinct markings enable transition number ``t`` of
+        the plan's net."""
+        net = self.plan.net
+        counts = team.distinct
+        found = np.ones(len(counts), dtype=bool)
+        for p, w in net.inputs[t]:
+            found &= counts[:, p] >= w
+        for p, w in net.inhibitors[t]:
+            found &= counts[:, p] < w
+        for p, change in net.effect(t):
+            capacity = net.places[p].capacity
+            if change > 0 and capacity is not None:
+                found &= counts[:, p].astype(np.int64) + change <= capacity
+        return found
 
     def rewards(self, team: Team, objective: Objective) -> Rewards:
         """What a run earns in a team's automaton.
@@ -473,9 +504,9 @@ class Decisions:
 
     def allowed(self, team: Team) -> Booleans:
         """The rows of a team that a policy may choose: also with regard to what may never be."""
-        if self._safety is None:
+        if self.safety is None:
             return team.by_policy
-        safe = self._safety.safe[self._built.original[team.states_in]]
+        safe = self.safety.safe[self.built.original[team.states_in]]
         automaton = team.automaton
         wrong = np.zeros(len(automaton.choices), dtype=bool)
         wrong[automaton.arc_rows[~safe[automaton.targets]]] = True
@@ -484,16 +515,17 @@ class Decisions:
         return team.by_policy & (~wrong | ~chosen | unsafe_state)
 
     def _judge(self, never: Sequence[str]) -> Safety:
-        waits = self._built.wait_row >= 0
-        waits[waits] = self._built.allowed[self._built.wait_row[waits]]
-        return Safety(self._largest, self._stages, never, waits)
+        waits = self.built.wait_row >= 0
+        waits[waits] = self.built.allowed[self.built.wait_row[waits]]
+        return Safety(self._largest, self.stages, never, waits)
 
     # -- policies ----------------------------------------------------------------------------------
 
     def _play(self, policy: Policy) -> Play:
         found = self._plays.get(policy)
         if found is None:
-            found = play(self._largest, policy, self._stages, self._late)
+            answers = Answers(self._largest, policy, self.stages)
+            found = play(self._largest, answers, self.stages, self._late)
             self._plays = {policy: found}
         return found
 
@@ -502,9 +534,27 @@ class Decisions:
 
         :raises RefusedError: these rows do not tell what the policy does.
         """
-        self._check_chosen(policy, self._found)
-        played = self._play(policy)
-        built, stages = self._built, self._stages
+        self._check_chosen(policy, self.found)
+        return self._weights(team, self._play(policy))
+
+    def weights_of_decided(
+        self, team: Team, kind: Indices, kinds: Sequence[Mapping[int, float]]
+    ) -> Floats:
+        """The probability of each row under decisions.
+
+        :param kind: int array: for each of the team's distinct markings the number of its decision;
+          -1: none.
+        :param kinds: the decisions: transition -> probability.
+        :raises RefusedError: these rows do not tell what the decisions do.
+        """
+        of_state = np.full(len(self.space), -1, dtype=np.int64)
+        mine = np.flatnonzero(~team.twin)
+        of_state[team.states_in[mine]] = kind[team.marking_of[mine]]
+        answers = DecidedAnswers(self.plan, of_state, kinds)
+        return self._weights(team, play(self.plan, answers, self.stages, self._late))
+
+    def _weights(self, team: Team, played: Play) -> Floats:
+        built, stages = self.built, self.stages
         weights = np.zeros(len(built.automaton.choices), dtype=np.float64)
         states = np.flatnonzero(np.diff(built.automaton.rows) == 1)
         weights[built.automaton.rows[states]] = 1.0
