@@ -29,6 +29,11 @@ NODES = 20_000
 ARCS = 100_000
 UPLOAD_FILES = 10
 
+PLAN_BYTES = 32 << 20
+"""How many bytes of a JSON file are searched for the keys of a plan."""
+
+_CHUNK = 1 << 20
+
 
 class Document(NamedTuple):
     """An open net: ``title`` for people, ``plan`` if it is a plan, ``executable`` if the operator
@@ -191,14 +196,23 @@ def _check_files(whole: str) -> None:
 
 
 def looks_like_plan(path: str) -> bool:
-    """Whether a JSON file begins like a plan; it is read completely only when it is opened."""
+    """Whether a JSON file has the keys of a plan; it is parsed only when it is opened. (A computed
+    policy of many megabytes may stand before the last of them.)"""
+    wanted, known, end = {b'"net"', b'"actions"'}, b'"gspn"', b""
     try:
-        with open(path, encoding="utf-8") as file:
-            head = file.read(200_000)
-    except (OSError, UnicodeDecodeError):
-        return False
-    own = '"net"' in head and '"actions"' in head
-    return own or '"gspn"' in head
+        with open(path, "rb") as file:
+            for _ in range(PLAN_BYTES // _CHUNK):
+                chunk = file.read(_CHUNK)
+                part = end + chunk
+                wanted = {key for key in wanted if key not in part}
+                if not wanted or known in part:
+                    return True
+                if not chunk:
+                    return False
+                end = part[-16:]
+    except OSError:
+        pass
+    return False
 
 
 def read_upload(files: object) -> Document:

@@ -56,6 +56,17 @@ def test_the_folder_lists_nets_and_plans(served):
     ]
 
 
+def test_a_plan_with_a_very_long_policy_is_listed(served):
+    rows = [{"marking": [i % 2], "choose": {"u": 1}} for i in range(60_000)]
+    actions = plan_of("net.xml")["actions"]
+    long = {"net": "net.xml", "policy": {"places": ["b"], "rows": rows}, "actions": actions}
+    (served / "long.json").write_text(json.dumps(long))
+    (served / "other.json").write_text(json.dumps({"net": "net.xml", "rows": rows}))
+    assert (served / "long.json").stat().st_size > 2 * documents._CHUNK
+    found = {e.path: e.kind for e in Folder(str(served)).entries()}
+    assert found["long.json"] == "plan" and "other.json" not in found
+
+
 @pytest.mark.parametrize(
     "path", ["../secret.xml", "./../secret.xml", "x/../../secret.xml", "/etc/passwd", "a\0b"]
 )

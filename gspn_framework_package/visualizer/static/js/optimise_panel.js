@@ -137,6 +137,7 @@ export class OptimisePanel extends EventTarget {
       this.stopFollowing();
       const there = Object.entries(marking).map(([name, count]) => `${name}: ${count}`);
       this.painter.paint([{ place, present, best }], `When ${there.join(", ")}`);
+      this.painter.flyTo(place);
       announce(`${place}: present ${choiceText(present)}, best ${choiceText(best)}`);
     });
     const rows = new PolicyTable(report.key, (marking, choose, title) => {

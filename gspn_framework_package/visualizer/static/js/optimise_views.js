@@ -366,6 +366,11 @@ export class ChoicePainter {
     $("legend").hidden = false;
   }
 
+  /** Move the view to a place, unless it is in sight. */
+  flyTo(place) {
+    if (this.places.has(place)) this.view.flyTo("place", this.places.get(place));
+  }
+
   words(said) {
     const shown = (probability) => (probability === 1 ? "" : ` ${percent(probability)}`);
     if (said.length === 2 && said[0][1] === said[1][1])
