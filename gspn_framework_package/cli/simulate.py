@@ -13,6 +13,7 @@ from typing import Iterator, Tuple
 from gspn_framework_package.analysis.plan.reading import READINGS, RUN
 from gspn_framework_package.analysis.simulation import Simulation, simulate
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.against import add_against_arguments, refuse_aims, run_against
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
@@ -104,11 +105,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="P",
         help="level of the confidence intervals (default %(default)s)",
     )
+    add_against_arguments(parser.add_argument_group("an old plan against a new one"))
 
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, and print the means."""
     subject, notes = read_subject(args)
+    if args.against is not None:
+        return run_against(subject, notes, args)
+    refuse_aims(args)
     if args.log:
         return simulate_to_log(subject, notes, args)
     with ProgressLine() as progress:

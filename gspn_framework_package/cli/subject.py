@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from typing import List, Tuple, Union
+from typing import Any, List, Tuple, Union
 
 from gspn_framework_package.cli import net_input, numbers
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
+
+FITTED, NOMINAL = "fitted", "nominal"
 
 
 def add_subject_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,6 +24,18 @@ def add_subject_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--robots", type=numbers.robots, metavar="N", help="of a plan: for a team of N robots"
     )
+    add_rates_argument(parser)
+
+
+def add_rates_argument(parser: Any) -> None:
+    """Declare which times of a plan count, on a parser or on a group of its arguments."""
+    parser.add_argument(
+        "--rates",
+        choices=(FITTED, NOMINAL),
+        default=FITTED,
+        help="of a plan: what was learned from runs counts (default), or the rates of its net's "
+        "file do",
+    )
 
 
 def read_subject(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]:
@@ -31,9 +45,11 @@ def read_subject(args: argparse.Namespace) -> Tuple[Union[Net, Plan], List[str]]
     """
     subject, notes = net_input.read_net_or_plan_argument(args)
     if not isinstance(subject, Plan):
-        if args.robots is not None or args.only_net:
-            raise UsageError("--robots and --only-net are for plans")
+        if args.robots is not None or args.only_net or args.rates == NOMINAL:
+            raise UsageError("--robots, --only-net and --rates are for plans")
         return subject, notes
+    if args.rates == NOMINAL:
+        subject = subject.nominal()
     if args.robots is not None:
         subject = subject.for_robots(args.robots)
     return (subject.net if args.only_net else subject), notes

@@ -61,6 +61,14 @@ _WINDOWS = 20
 _FIRST_RUNS = 8
 """First runs of each plan, which decide on the warm-up only."""
 
+_MOST_LONGER = 6
+"""A warm-up is lengthened so many times at most."""
+
+_ROUNDING = 1e-9
+
+_LOOKS = (20, 60, 200, 600)
+"""Numbers of pairs at which a warm-up that turns out to be too short is lengthened."""
+
 _STRATA = 16
 """Ends of a discounted run; see :func:`_discounted`."""
 
@@ -206,6 +214,8 @@ def compare_plans(
     while work.pairs < most and not work.is_over(precision, confidence):
         work.compile_for(most, precision)
         work.add()
+        if warmup is None and time is None and work.pairs in _LOOKS:
+            work.settle()
     return work.result(confidence, expected)
 
 
@@ -271,10 +281,13 @@ class _Comparison:
             for run in self.runs:
                 run.deadline = self._began + _PATIENCE * max(seconds, 1.0)
         self._may_compile = True
+        self._chosen = False
+        self._longer = 0
         self._values: Tuple[List[float], List[float]] = ([], [])
         self._drifts: Tuple[List[float], List[float]] = ([], [])
         self._missed = [0, 0]
         self._cut = [0, 0]
+        self._late = [0, 0]
         self._gave_up = ""
         if dataclasses.replace(new, policy=old.policy).hash() != old.hash() or any(
             getattr(old, key) != getattr(new, key) for key in ("durations", "outcomes", "failures")
@@ -324,11 +337,7 @@ class _Comparison:
                 "a run of %g s is short: its start counts for about %g s" % (time, found)
             )
         self.time = time
-        if warmup is None:
-            self.notes.append(
-                "the first %.4g s of each run of %.4g s are left out: the mean of %d first runs "
-                "settles then (MSER)" % (self.warmup, time, _FIRST_RUNS)
-            )
+        self._chosen = warmup is None
 
     def _settling(self, which: int, span: float) -> float:
         """The time (s) after which the mean of some runs of ``span`` settles, by the marginal
@@ -348,6 +357,26 @@ class _Comparison:
         return span * truncation(means) / _WINDOWS
 
     # -- the runs ----------------------------------------------------------------------------------
+
+    def settle(self) -> None:
+        """If the runs still change after their warm-up, begin again with a longer one, as long as
+        half of the time is left."""
+        if self.objective.aim is not Aim.LONG_RUN or not any(
+            self._drifting(which) for which in (0, 1)
+        ):
+            return
+        now = clock.monotonic()
+        if self._seconds is not None and now > self._began + self._seconds / 2:
+            return
+        if self._longer >= _MOST_LONGER:
+            return
+        self._longer += 1
+        self.warmup *= 4
+        self.time = 5 * self.warmup
+        self.pairs = 0
+        self._pairs_began = now
+        self._values, self._drifts = ([], []), ([], [])
+        self._cut, self._late = [0, 0], [0, 0]
 
     def compile_for(self, most: int, precision: Optional[float]) -> None:
         """Use the compiled kernel if the pairs that are missing take long enough."""
@@ -397,6 +426,7 @@ class _Comparison:
                 earned.append(run.earned(stop))
             self._drifts[which].append((earned[1] - earned[0] - earned[3] + earned[2]) * 3 / length)
             self._cut[which] += run.ended is not None
+            self._late[which] += run.ended is not None and run.now > self.warmup
             return (earned[3] - earned[0]) / length
         run.go(self.time if self.time is not None else math.inf)
         if aim is Aim.REACH:
@@ -448,7 +478,7 @@ class _Comparison:
         else:
             difference = self._difference(confidence)
         self._note_ends()
-        self._note_drift()
+        self._note_warmup()
         low, high = difference.low, difference.high
         significant = low is not None and high is not None and (low > 0 or high < 0)
         better = None
@@ -511,17 +541,29 @@ class _Comparison:
                     "reaching the condition" % (cut, self.pairs, name, self.time or 0.0)
                 )
 
-    def _note_drift(self) -> None:
-        """Say so if the runs still change after their warm-up, by more than chance."""
-        for values, name in zip(self._drifts, ("old", "new")):
-            if len(values) < LEAST_PAIRS:
-                continue
-            drift = mean(np.array(values), 0.999)
-            assert drift.low is not None and drift.high is not None
-            if drift.low > 0 or drift.high < 0:
+    def _drifting(self, which: int) -> bool:
+        """Whether runs still change after their warm-up: some end then, or their first and last
+        third differ by more than chance and rounding."""
+        if self._late[which]:
+            return True
+        if len(self._drifts[which]) < LEAST_PAIRS:
+            return False
+        drift = mean(np.array(self._drifts[which]), 0.999)
+        least = _ROUNDING * float(np.mean(np.abs(self._values[which])))
+        return (drift.low or 0.0) > least or (drift.high or 0.0) < -least
+
+    def _note_warmup(self) -> None:
+        if self._chosen:
+            again = ", and in later ones that still changed" if self._longer else ""
+            self.notes.append(
+                "the first %.4g s of each run of %.4g s are left out, as found in %d first runs "
+                "(MSER)%s" % (self.warmup, self.time or 0.0, _FIRST_RUNS, again)
+            )
+        for which, name in enumerate(("old", "new")):
+            if self._drifting(which):
                 self.notes.append(
-                    "the runs of the %s plan have not settled after %.4g s (their last third "
-                    "differs from their first): take a longer warm-up" % (name, self.warmup)
+                    "the runs of the %s plan have not settled after %.4g s: take a longer warm-up"
+                    % (name, self.warmup)
                 )
 
     def _needed(self, size: float, confidence: float, spent: float) -> Dict[str, float]:
@@ -619,6 +661,8 @@ def _sentence(found: Against) -> str:
     unit = " " + found.objective.unit if found.objective.unit else ""
     difference = found.difference
     runs = "%s pairs of runs" % format(found.pairs, ",")
+    if difference.mean is None and found.old.why == found.new.why:
+        return "not decided (%s): %s" % (runs, difference.why)
     if difference.mean is None:
         sides = [
             "the %s plan: %s" % (name, side)

@@ -272,6 +272,20 @@ def test_pairs_with_the_same_random_numbers_show_small_differences():
     assert (found.difference.high - found.difference.low) / 2 < alone / 3
 
 
+def test_a_warm_up_that_is_too_short_is_lengthened():
+    """A robot leaves for good after a hundred seconds or so: the first runs do not show it."""
+    net = NetBuilder().place("busy", 1).place("gone")
+    net.exponential("work", rate=1.0, inputs="busy", outputs="busy")
+    net.exponential("leave", rate=0.01, inputs="busy", outputs="gone")
+    plan = Plan(
+        net.build(), actions={"busy": ACT, "gone": None}, robots=(RobotSpec("r", "busy"),)
+    ).validate()
+    aim = Objective.long_run({"work": 1.0})
+    found = compare_plans(plan, plan, aim, seconds=None, replications=100)
+    assert found.old.low <= 0.01 and found.warmup > 150.0
+    assert any("later ones that still changed" in note for note in found.notes)
+
+
 @pytest.mark.parametrize(
     ("objective", "options", "message"),
     [
