@@ -101,9 +101,7 @@ def evaluate(
         if silent.any() and "allowed" in error.message:
             raise RefusedError("the policy says nothing in a state that a run comes to") from error
         raise
-    sojourn, flow = _flows(
-        automaton, mixed, aim, rows, goal, discount, solved.gains is not None, watch or Watch()
-    )
+    sojourn, flow = flows(automaton, aim, weights, goal=goal, discount=discount, watch=watch)
     row_values = _row_values(automaton, aim, rewards, goal, solved.values)
     return Evaluated(
         0.5 * (solved.lower + solved.upper),
@@ -163,17 +161,21 @@ def _row_values(
     return result
 
 
-def _flows(
+def flows(
     automaton: Automaton,
-    mixed: Automaton,
     aim: Aim,
     weights: Floats,
-    goal: Optional[Booleans],
-    discount: Optional[float],
-    long_run: bool,
-    watch: Watch,
+    *,
+    goal: Optional[Booleans] = None,
+    discount: Optional[float] = None,
+    watch: Optional[Watch] = None,
 ) -> Tuple[Floats, Floats]:
-    """Time in each state, and how often each row is taken."""
+    """The time that a policy spends in each state, and how often it takes each row; see
+    :class:`Evaluated`. The arguments are those of :func:`evaluate`."""
+    watch = watch or Watch()
+    weights = np.where(automaton.tangible[automaton.row_states], 1.0, np.asarray(weights, float))
+    mixed, _ = _mixed(automaton, weights)
+    long_run = aim is Aim.LONG_RUN
     size = len(automaton)
     starts = np.zeros(size)
     for state, probability in automaton.initial:

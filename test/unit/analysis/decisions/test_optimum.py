@@ -1,5 +1,6 @@
 """Optimal policies: all policies enumerated, textbook problems, and what is refused."""
 
+import dataclasses
 import math
 import os
 
@@ -191,7 +192,7 @@ def test_the_spider_and_the_fly():
     )
     goal = np.zeros(len(line), dtype=bool)
     goal[0] = True
-    begins = line.__class__(**{**line.__dict__, "initial": ((1, 1.0),)})
+    begins = dataclasses.replace(line, initial=((1, 1.0),))
     solved = optimum(begins, Aim.TIME_TO, None, goal=goal, maximise=False, width=1e-9)
     assert solved.upper == pytest.approx(1 / (1 - 2 * p), rel=1e-9)
     # distance 2: p V0 + (1 - 2p) V1 + p V2 + 1 = V2
