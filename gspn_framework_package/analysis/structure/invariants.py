@@ -98,6 +98,7 @@ def transition_surpluses(
         np.concatenate([columns.items, columns.number + places]),
         np.concatenate([columns.indices, places]),
         columns.values + [-1] * len(places),
+        np.concatenate([columns.up, np.zeros(len(places), dtype=bool)]),
     )
     rows = _semiflows(columns, Effort(limit, watch))
     return [{names[t]: w for t, w in row if t < len(names)} for row in rows]
@@ -147,22 +148,24 @@ class _Columns(NamedTuple):
     ``values[k]`` at the index ``indices[k]``.
 
     :ivar number: the number of columns.
+    :ivar up: whether the values are positive.
     """
 
     number: int
     items: Indices
     indices: Indices
     values: List[int]  # not an array: a value may be larger than 2**63
+    up: Booleans
 
 
 def _transition_columns(net: Net) -> _Columns:
-    changes = incidence.effects(net)
-    return _Columns(len(net.transitions), changes.transitions, changes.places, changes.values)
+    transitions, places, values, up = incidence.effects(net)
+    return _Columns(len(net.transitions), transitions, places, values, up)
 
 
 def _place_columns(net: Net) -> _Columns:
-    changes = incidence.effects(net)
-    return _Columns(len(net.places), changes.places, changes.transitions, changes.values)
+    transitions, places, values, up = incidence.effects(net)
+    return _Columns(len(net.places), places, transitions, values, up)
 
 
 def _place_semiflows(net: Net, effort: Effort) -> List[Semiflow]:
@@ -266,9 +269,8 @@ class _Elimination:
             limit.
         """
         kept = np.ones(columns.number, dtype=bool)
-        items, indices = columns.items, columns.indices
+        items, indices, up = columns.items, columns.indices, columns.up
         size = int(indices.max()) + 1 if len(indices) else 0
-        up = np.fromiter((value > 0 for value in columns.values), dtype=bool, count=len(items))
         while True:
             self._effort.spend(len(items) // _VECTORISED, _ROWS)
             raised = np.bincount(indices[up], minlength=size)

@@ -13,7 +13,7 @@ idle + busy = 1
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 from typing import (
     Any,
     Callable,
@@ -43,6 +43,7 @@ from gspn_framework_package.analysis.structure.invariants import (
     uncovered_transition,
 )
 from gspn_framework_package.analysis.structure.siphons import (
+    Directions,
     PlaceSet,
     largest_siphon,
     minimal_siphons,
@@ -140,7 +141,7 @@ def conflict_sets(net: Net) -> List[Tuple[str, ...]]:
         return arcs.places * max(len(kinds), 1) + kind_of[arcs.transitions]
 
     changes = incidence.effects(net)
-    signs = np.array([change > 0 for change in changes.values], dtype=bool)
+    signs = changes.positive
     changed = meetings(changes)
     readers, inhibited = incidence.flatten(net.inputs), incidence.flatten(net.inhibitors)
     taken = np.isin(meetings(readers), changed[~signs])  # another reader takes
@@ -204,12 +205,12 @@ class Structure:
     @property
     def siphons(self) -> List[PlaceSet]:
         """The minimal siphons."""
-        return self._search("siphons", minimal_siphons)
+        return self._search("siphons", partial(minimal_siphons, arcs=self._arcs))
 
     @property
     def traps(self) -> List[PlaceSet]:
         """The minimal traps."""
-        return self._search("traps", minimal_traps)
+        return self._search("traps", partial(minimal_traps, arcs=self._arcs))
 
     @property
     def unguarded_siphon(self) -> Optional[PlaceSet]:
@@ -218,9 +219,9 @@ class Structure:
 
         def search(net: Net, limit: int, watch: Watch) -> Optional[PlaceSet]:
             try:
-                return unguarded_siphon(net, limit, watch, minimal=self.siphons)
+                return unguarded_siphon(net, limit, watch, minimal=self.siphons, arcs=self._arcs)
             except LimitError:
-                return unguarded_siphon(net, limit, watch)
+                return unguarded_siphon(net, limit, watch, arcs=self._arcs)
 
         return self._search("unguarded", search)
 
@@ -228,7 +229,11 @@ class Structure:
     def unmarked_siphon(self) -> Tuple[str, ...]:
         """The places of the largest siphon that holds no token: none of them ever gets one."""
         empty = [place.name for place in self.net.places if not place.tokens]
-        return largest_siphon(self.net, empty)
+        return largest_siphon(self.net, empty, arcs=self._arcs)
+
+    @cached_property
+    def _arcs(self) -> Directions:
+        return Directions(self.net)
 
     @cached_property
     def classes(self) -> NetClasses:
@@ -258,7 +263,7 @@ class Structure:
     def strictly_conservative(self) -> bool:
         """Whether every firing preserves the number of tokens."""
         return all(
-            sum(c for _, c in self.net.effect(t)) == 0 for t in range(len(self.net.transitions))
+            sum([c for _, c in self.net.effect(t)]) == 0 for t in range(len(self.net.transitions))
         )
 
     @property

@@ -41,29 +41,43 @@ class PlaceSet(NamedTuple):
 
 
 def minimal_siphons(
-    net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
+    net: Net,
+    limit: int = STRUCTURE_LIMIT,
+    watch: Optional[Watch] = None,
+    *,
+    arcs: Optional[Directions] = None,
 ) -> List[PlaceSet]:
     """The minimal siphons, by size.
 
+    :param arcs: the arcs of the net, if known.
     :raises LimitError: the search took more than ``limit`` steps.
     """
-    return _listed(net, _siphon_rules(net), Effort(limit, watch))
+    return _listed(net, (arcs or Directions(net)).siphons, Effort(limit, watch))
 
 
 def minimal_traps(
-    net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
+    net: Net,
+    limit: int = STRUCTURE_LIMIT,
+    watch: Optional[Watch] = None,
+    *,
+    arcs: Optional[Directions] = None,
 ) -> List[PlaceSet]:
     """The minimal traps, by size.
 
+    :param arcs: the arcs of the net, if known.
     :raises LimitError: the search took more than ``limit`` steps.
     """
-    return _listed(net, _trap_rules(net), Effort(limit, watch))
+    return _listed(net, (arcs or Directions(net)).traps, Effort(limit, watch))
 
 
-def largest_siphon(net: Net, within: Iterable[str]) -> Tuple[str, ...]:
-    """The largest siphon inside a set of places (names), in the order of the net; it may be
-    empty."""
-    return _largest(net, _siphon_rules(net), within)
+def largest_siphon(
+    net: Net, within: Iterable[str], *, arcs: Optional[Directions] = None
+) -> Tuple[str, ...]:
+    """The largest siphon inside a set of places (names), in the order of the net; it may be empty.
+
+    :param arcs: the arcs of the net, if known.
+    """
+    return _largest(net, (arcs or Directions(net)).siphons, within)
 
 
 def unguarded_siphon(
@@ -72,15 +86,18 @@ def unguarded_siphon(
     watch: Optional[Watch] = None,
     *,
     minimal: Optional[Sequence[PlaceSet]] = None,
+    arcs: Optional[Directions] = None,
 ) -> Optional[PlaceSet]:
     """A siphon that holds no marked trap; None if every siphon holds one (Commoner's condition,
     under which an ordinary net without priorities, inhibitor arcs and capacities has no deadlock).
 
     :param minimal: the minimal siphons, if known: then no search is needed.
+    :param arcs: the arcs of the net, if known.
     :raises LimitError: the search took more than ``limit`` steps.
     """
     effort = Effort(limit, watch)
-    siphons, traps = _siphon_rules(net), _trap_rules(net)
+    arcs = arcs or Directions(net)
+    siphons, traps = arcs.siphons, arcs.traps
     marked = np.array([count > 0 for count in net.initial_marking], dtype=bool)
     for siphon in minimal or ():
         places = [net.place_index[name] for name in siphon.places]
@@ -205,24 +222,14 @@ def _pairs(rows: Sequence[Sequence[int]]) -> Tuple[Indices, Indices]:
     )
 
 
-def _siphon_rules(net: Net) -> _Rules:
-    return _Rules(
-        net.producers,
-        _sets(net.inputs),
-        _sets(net.outputs),
-        net.consumers,
-        range(len(net.places)),
-    )
+class Directions:
+    """The arcs of a net in terms of siphons and of traps, made once for all questions on both."""
 
-
-def _trap_rules(net: Net) -> _Rules:
-    return _Rules(
-        net.consumers,
-        _sets(net.outputs),
-        _sets(net.inputs),
-        net.producers,
-        range(len(net.places)),
-    )
+    def __init__(self, net: Net) -> None:
+        taken, fed = _sets(net.inputs), _sets(net.outputs)
+        numbers = range(len(net.places))
+        self.siphons = _Rules(net.producers, taken, fed, net.consumers, numbers)
+        self.traps = _Rules(net.consumers, fed, taken, net.producers, numbers)
 
 
 def _sets(arcs: Sequence[Sequence[Tuple[int, int]]]) -> List[Tuple[int, ...]]:
@@ -294,17 +301,20 @@ class _Inside:
 
     def _settle(self, leaving: List[int]) -> None:
         places, left, rules = self._places, self._left, self.rules
+        steps = 0
         while leaving:
             p = leaving.pop()
             if not places[p]:
                 continue
             places[p] = 0
             self.size -= 1
-            self._effort.spend(1 + len(rules.asking[p]), _PLACES)
+            steps += 1
             for t in rules.asking[p]:
+                steps += 1
                 left[t] = rest = left[t] - 1
                 if not rest:
                     leaving += [q for q in rules.fed[t] if places[q]]
+        self._effort.spend(steps, _PLACES)
 
     def demand(self, required: Iterable[int]) -> Tuple[Set[int], bool, bool]:
         """What a siphon (trap) inside this one must contain if it contains ``required``.
