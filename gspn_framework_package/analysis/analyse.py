@@ -32,7 +32,7 @@ from typing import (
 import numpy as np
 
 from gspn_framework_package.analysis.chain.markov_chain import Chain
-from gspn_framework_package.analysis.limits import Limits, states_of
+from gspn_framework_package.analysis.limits import Limits, states_of, structure_of
 from gspn_framework_package.analysis.plan.reading import NET, RUN, TimingNotes, checked_reading
 from gspn_framework_package.analysis.plan.space import PlanSpace, explore_plan
 from gspn_framework_package.analysis.solution.measures import Measures
@@ -122,7 +122,8 @@ class Analysis:
         self.limit: int = states_of(nodes)
         for given in (limits.states, limit):
             self.limit = self.limit if given is None else given
-        self.limits = limits._replace(states=self.limit)
+        self._steps: int = limits.structure or structure_of(nodes)
+        self.limits = limits._replace(states=self.limit, structure=self._steps)
         self._by_structure = structure
         self._engine = engine
         self._progress, self._cancel = progress, cancel
@@ -135,7 +136,7 @@ class Analysis:
     @cached_property
     def structure(self) -> Structure:
         """The structural properties of the net."""
-        return Structure(self.net, limit=self.limits.structure, watch=self._watch)
+        return Structure(self.net, limit=self._steps, watch=self._watch)
 
     @cached_property
     def space(self) -> StateSpace:

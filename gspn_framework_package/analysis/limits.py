@@ -12,8 +12,8 @@ STATE_LIMIT = 2_000_000
 """Default limit on the markings visited."""
 
 LARGE_NET = 10_000
-"""Number of places and transitions above which the default limit on markings falls, since each
-marking takes longer."""
+"""Number of places and transitions above which the default limits on markings and on steps fall,
+since each of them takes longer."""
 
 TREE_LIMIT = 50_000
 """Default limit on the nodes of a coverability tree."""
@@ -34,14 +34,15 @@ class Limits(NamedTuple):
 
     :ivar states: most markings to visit; None: see :func:`states_of`.
     :ivar tree: most nodes of a coverability tree.
-    :ivar structure: most elementary steps of each search for invariants, siphons and traps.
+    :ivar structure: most elementary steps of each search for invariants, siphons and traps; None:
+      see :func:`structure_of`.
     :ivar seconds: longest time (s) of each part.
     :ivar memory: most bytes that a state space or a coverability tree may take.
     """
 
     states: Optional[int] = None
     tree: int = TREE_LIMIT
-    structure: int = STRUCTURE_LIMIT
+    structure: Optional[int] = None
     seconds: float = SECONDS
     memory: int = MEMORY
 
@@ -49,6 +50,14 @@ class Limits(NamedTuple):
 def states_of(nodes: int) -> int:
     """The default limit on markings for a net with ``nodes`` places and transitions."""
     return STATE_LIMIT if nodes <= LARGE_NET else max(STATE_LIMIT * LARGE_NET // nodes, 20_000)
+
+
+def structure_of(nodes: int) -> int:
+    """The default limit on the steps of each search for a net with ``nodes`` places and
+    transitions. A search without branches takes five or six for each node."""
+    if nodes <= LARGE_NET:
+        return STRUCTURE_LIMIT
+    return min(max(STRUCTURE_LIMIT // 2, 8 * nodes), STRUCTURE_LIMIT)
 
 
 class Effort:

@@ -53,10 +53,10 @@ def add_limit_arguments(parser: Any) -> None:
     parser.add_argument(
         "--limit-structure",
         type=int,
-        default=STRUCTURE_LIMIT,
         metavar="N",
-        help="steps of each search for invariants, siphons and traps at most (default "
-        "%(default)s: a second or two)",
+        help="steps of each search for invariants, siphons and traps at most (default %s: a second "
+        "or two; down to half in nets of over %s nodes)"
+        % (format(STRUCTURE_LIMIT, ","), format(LARGE_NET, ",")),
     )
     parser.add_argument(
         "--limit-time",

@@ -12,7 +12,14 @@ from waiting import wait_for
 
 from gspn_framework_package.analysis import analyse
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.limits import LARGE_NET, STATE_LIMIT, Limits, states_of
+from gspn_framework_package.analysis.limits import (
+    LARGE_NET,
+    STATE_LIMIT,
+    STRUCTURE_LIMIT,
+    Limits,
+    states_of,
+    structure_of,
+)
 from gspn_framework_package.analysis.report import Questions, report
 from gspn_framework_package.analysis.structure import invariants
 from gspn_framework_package.benchmark.large_nets import cells, ring, workflow
@@ -125,6 +132,10 @@ def test_every_part_can_be_cancelled(net, parts):
 def test_large_nets_have_fewer_states_unless_one_asks():
     assert states_of(LARGE_NET) == STATE_LIMIT > states_of(10 * LARGE_NET) > 100_000
     assert Analysis(ring(20_000)).limits.states == states_of(40_000)
+    assert structure_of(LARGE_NET) == STRUCTURE_LIMIT == 2 * structure_of(4 * LARGE_NET)
+    assert structure_of(20 * LARGE_NET) > 6 * 20 * LARGE_NET  # enough where nothing branches
+    assert Analysis(ring(20_000)).limits.structure == structure_of(40_000)
+    assert Analysis(ring(20), limits=Limits(structure=50)).limits.structure == 50
     assert Analysis(ring(20_000), limit=5).limits.states == 5
 
 
