@@ -15,7 +15,7 @@ times have no memory. :attr:`PlanTiming.splits` names the places where the two d
 
 from __future__ import annotations
 
-from typing import Dict, List, NamedTuple, Optional, Tuple
+from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.model.duration import Duration, Kind
 from gspn_framework_package.model.net import Net
@@ -166,12 +166,12 @@ class PlanTiming:
         if no_time:
             self.assumptions.append(
                 "the actions of %s take no time, since the plan gives no durations for them"
-                % _listed(no_time)
+                % listed(no_time)
             )
         if by_rates:
             self.assumptions.append(
                 "the actions of %s take exponential times, by the rates of the net"
-                % _listed(by_rates)
+                % listed(by_rates)
             )
         decided = [
             net.places[p].name
@@ -181,7 +181,7 @@ class PlanTiming:
             and not self._is_idle(p)
         ]
         if decided:
-            self.assumptions.append("the policy, not the action, decides in %s" % _listed(decided))
+            self.assumptions.append("the policy, not the action, decides in %s" % listed(decided))
 
 
 def why_blocked(net: Net, t: int, place: int) -> str:
@@ -200,7 +200,7 @@ def why_blocked(net: Net, t: int, place: int) -> str:
     return ""
 
 
-def _listed(names: List[str], most: int = 5) -> str:
+def listed(names: Sequence[str], most: int = 5) -> str:
     """The first names of a list, and how many more there are."""
     more: Optional[str] = "and %d more" % (len(names) - most) if len(names) > most else None
     return ", ".join(names[:most]) + (", " + more if more else "")

@@ -42,7 +42,7 @@ from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Kind
 from gspn_framework_package.model.errors import RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
+from gspn_framework_package.model.plan_timing import POLICY, PlanTiming, listed
 from gspn_framework_package.model.policy import Policy
 
 
@@ -199,10 +199,12 @@ class Decisions:
     # -- what is assumed ---------------------------------------------------------------------------
 
     def _assume(self, found: Mapping[str, Decider], timing: PlanTiming) -> List[str]:
+        alike: Dict[Tuple[bool, str], List[str]] = {}
+        for place, decider in found.items():
+            alike.setdefault((decider.policy, decider.reason), []).append(place)
         sentences = [
-            "%s decides in %s: %s"
-            % ("the policy" if decider.policy else "chance", place, decider.reason)
-            for place, decider in found.items()
+            "%s decides in %s: %s" % ("the policy" if policy else "chance", listed(places), reason)
+            for (policy, reason), places in alike.items()
         ]
         if self._rules is None:
             return sentences + net_notes(self.plan).assumptions
@@ -215,7 +217,7 @@ class Decisions:
         if longer:
             sentences.append(
                 "durations are taken as exponential with their means (%s)"
-                % ", ".join(self._rules.net.places[p].name for p in longer)
+                % listed([self._rules.net.places[p].name for p in longer])
             )
         if any(chance > 0 for chance in self.plan.failures.values()):
             sentences.append("actions always succeed")
