@@ -66,6 +66,9 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
     ),
     "verify": Verb(".verify", "check the logs of a run against the rules, from the logs alone"),
     "fit": Verb(".fit", "learn durations, outcomes and failures from the logs of runs"),
+    "optimise": Verb(
+        ".optimise", "compute the best policy of a plan for an aim, with certified bounds"
+    ),
     "film": Verb(
         ".film",
         "film robots in a room, without a display: a recorded run, or a patrol simulated for it",

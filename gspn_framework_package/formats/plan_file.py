@@ -49,12 +49,12 @@ def read_plan(path: str) -> Plan:
 
 
 def plan_document(path: str, plan: Plan, folder: str) -> Dict[str, Any]:
-    """The JSON object of a plan file, with what the plan has learned and the policy that it got
-    since it was read, and all else as the file has it.
+    """The JSON object of a plan file, with what the plan has learned since it was read, the policy
+    and the robots that it got, and all else as the file has it.
 
     :param path: the plan file, or its folder.
-    :param plan: the plan that was read from it, possibly with other durations, outcomes, failures
-        and rates, and another policy.
+    :param plan: the plan that was read from it, possibly with other durations, outcomes, failures,
+        rates, policy and robots.
     :param folder: where the object will be written: if that is another folder, it contains the net
         and the policy themselves, not the names of their files.
     """
@@ -67,8 +67,11 @@ def plan_document(path: str, plan: Plan, folder: str) -> Dict[str, Any]:
         data["net"] = whole["net"]
         if isinstance(data.get("policy"), str):
             data["policy"] = whole["policy"]
-    if plan.policy != _read(path, document).policy:
+    read = _read(path, document)
+    if plan.policy != read.policy:
         data["policy"] = policy_to_json(plan.policy)
+    if plan.robots != read.robots:
+        data.update(net=whole["net"], robots=whole["robots"])
     data.update({key: whole[key] for key in LEARNED if key in whole})
     return data
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional
 
 from gspn_framework_package.analysis.decisions.aims import Request
 from gspn_framework_package.formats.plan_json import plan_to_json
@@ -12,6 +12,9 @@ from gspn_framework_package.model.plan import Plan
 
 MOST_CHOICES = 1_000
 """Most choices that a report lists."""
+
+_PLACES = 8
+"""Most places of a marking in the text."""
 
 _LISTED = 8
 """Most choices, and most sensitivities, in the text."""
@@ -74,6 +77,9 @@ class Report:
     :ivar silent: pairs of a marking and a place for which the policy has no say, since robots in
       another place decide first.
     :ivar exact: whether the bounds are certified. If not, the policy was improved by simulation.
+    :ivar choices: the choices in markings, at most :data:`MOST_CHOICES`; first those that differ
+      between the two policies, the costliest of them first.
+    :ivar choices_in_all: how many there are, and ``choices_that_differ`` of them.
     :ivar simulation: old and new plan, simulated as they run: JSON, with ``text`` for people.
     """
 
@@ -91,6 +97,7 @@ class Report:
     undecided: List[str] = field(default_factory=list)
     choices: List[MarkingChoice] = field(default_factory=list)
     choices_in_all: int = 0
+    choices_that_differ: int = 0
     simulation: Optional[Dict[str, Any]] = None
 
     @property
@@ -140,6 +147,7 @@ class Report:
                 for choice in self.choices[:MOST_CHOICES]
             ],
             "choices_in_all": self.choices_in_all,
+            "choices_that_differ": self.choices_that_differ,
             "simulation": self.simulation,
             "plan": plan_to_json(self.plan),
         }
@@ -200,13 +208,12 @@ class Report:
             return []
         lines = ["where it differs from the present policy, the costliest first:"]
         for choice in different[:_LISTED]:
-            marking = ", ".join("%s: %d" % item for item in choice.marking.items())
             lines.append(
                 "  (%s) in %s: %s -> %s"
-                % (marking, choice.place, _said(choice.present), _said(choice.best))
+                % (_shown(choice), choice.place, _said(choice.present), _said(choice.best))
             )
-        if len(different) > _LISTED:
-            lines.append("  and more (--json lists %s)" % format(len(self.choices), ","))
+        if self.choices_that_differ > _LISTED:
+            lines.append("  and %d more" % (self.choices_that_differ - _LISTED))
         return lines
 
     def _sensitive(self) -> List[str]:
@@ -223,18 +230,16 @@ def _finite(value: Optional[float]) -> Optional[float]:
     return value if value is not None and math.isfinite(value) else None
 
 
+def _shown(choice: MarkingChoice) -> str:
+    """The marking of a choice, cut if it is long."""
+    shown = ["%s: %d" % item for item in choice.marking.items()]
+    more = ["and %d more" % (len(shown) - _PLACES)] if len(shown) > _PLACES else []
+    return ", ".join(shown[:_PLACES] + more)
+
+
 def _said(choices: Mapping[str, float]) -> str:
     if not choices:
         return "wait"
     if len(choices) == 1:
         return next(iter(choices))
     return ", ".join("%s %.3g" % item for item in choices.items())
-
-
-def differing_first(choices: List[MarkingChoice]) -> List[MarkingChoice]:
-    """The choices: first those that differ between the policies, the costliest of them first."""
-
-    def key(choice: MarkingChoice) -> Tuple[bool, float]:
-        return dict(choice.present) == dict(choice.best), -(choice.loss or 0.0)
-
-    return sorted(choices, key=key)

@@ -1,0 +1,126 @@
+"""From a plan and a request to the plan with the best policy."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.decisions.aims import Objective, Request
+from gspn_framework_package.analysis.decisions.optimise import optimise
+from gspn_framework_package.analysis.preflight.check_plan import check
+from gspn_framework_package.analysis.preflight.report import Severity
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.errors import RefusedError
+from gspn_framework_package.model.plan import Plan, RobotSpec
+from gspn_framework_package.model.policy import Policy
+
+PLANS = Path(__file__).resolve().parents[4] / "plans"
+CHECKS = Objective.long_run({"*:Temperature_*": 1.0})
+ALONE = " or ".join(
+    "'p%d:Check_Temperature_L%d' + 'p%d:Alarm_L%d' > 1" % (4 * k + 1, k + 1, 4 * k + 2, k + 1)
+    for k in range(4)
+)
+
+
+def two_ways(**settings) -> Plan:
+    """One robot that walks (2 s) or drives (0.5 s); its present policy lets it walk."""
+    net = (
+        NetBuilder("two_ways")
+        .place("choose", 1)
+        .place("far")
+        .place("near")
+        .immediate("walk", inputs="choose", outputs="far")
+        .immediate("drive", inputs="choose", outputs="near")
+        .exponential("walked", rate=0.5, inputs="far", outputs="choose")
+        .exponential("driven", rate=2.0, inputs="near", outputs="choose")
+        .build()
+    )
+    return Plan(
+        net,
+        actions={"choose": None},
+        robots=(RobotSpec("r", "choose"),),
+        policy=Policy.from_table((), [((), {"walk": 1})]),
+        **settings,
+    )
+
+
+def test_the_faster_way_is_found_and_said():
+    report = optimise(
+        two_ways(), Request(Objective.long_run({"walked": 1, "driven": 1})), simulated=0
+    )
+    assert report.present == pytest.approx(0.5, rel=1e-9)
+    assert report.teams[0].value == pytest.approx(2.0, rel=1e-9)
+    assert report.gain == pytest.approx(3.0)
+    choice = report.choices[0]
+    assert (choice.place, choice.present, choice.best) == ("choose", {"walk": 1}, {"drive": 1})
+    assert choice.marking == {"choose": 1}
+    assert (report.choices_in_all, report.choices_that_differ) == (1, 1)
+    text = "\n".join(report.lines())
+    assert "best policy: 2 1/s" in text
+    assert "(choose: 1) in choose: walk -> drive" in text
+    data = json.loads(json.dumps(report.to_json(), allow_nan=False))
+    assert data["lower"] <= data["value"] <= data["upper"]
+    assert data["plan"]["policy"]["rows"][0]["choose"] == {"drive": 1.0}
+    assert data["undecided"] == []
+    assert any("the policy decides in choose" in sentence for sentence in data["assumptions"])
+
+
+@pytest.mark.parametrize(
+    ("objective", "value"),
+    [
+        (Objective.time_to("near == 1 or far == 1"), 0.0),
+        (Objective.cost_to("far == 1", {"walk": 3.0, "drive": 5.0}), 3.0),
+        (Objective.discounted({"walked": 1.0, "driven": 1.0}, 0.1), 20.0),
+        (dataclasses.replace(Objective.long_run({"walked": 1.0}), maximise=False), 0.0),
+    ],
+)
+def test_each_aim_has_its_value(objective, value):
+    report = optimise(two_ways(), Request(objective), simulated=0)
+    assert report.teams[0].value == pytest.approx(value, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("reading", ["net", "run"])
+def test_the_patrol_with_waiting_keeps_its_rule_in_every_team(reading):
+    plan = read_plan(str(PLANS / "patrol"))
+    request = Request(CHECKS, never=(ALONE,), may_wait=frozenset({"p*:Decide_*"}), reading=reading)
+    report = optimise(plan, request, simulated=0)
+    own = report.teams[0]
+    assert own.value == pytest.approx(1.325220304, rel=1e-8)
+    assert own.lower is not None
+    assert own.upper is not None
+    assert own.upper - own.lower <= 1e-6 * own.upper
+    assert own.lower - 1e-9 <= own.value <= own.upper + 1e-9
+    assert [team.robots for team in report.teams] == [4, 3, 2, 1]
+    assert report.present == pytest.approx(1.194798945367 if reading == "net" else 1.2816834472)
+    strict = dataclasses.replace(report.plan, strict=True)
+    findings = [item for item in check(strict).items if item.severity is not Severity.OK]
+    assert {item.check for item in findings} <= {"never_fire"}
+    analysis = Analysis(report.plan, timing=reading)
+    checks = sum(
+        value for name, value in analysis.measures.throughput.items() if ":Temperature_" in name
+    )
+    assert checks == pytest.approx(own.value, rel=1e-9)
+    assert analysis.reach(ALONE).reachable is False
+
+
+def test_what_cannot_be_kept_is_refused():
+    with pytest.raises(RefusedError, match="cannot be avoided"):
+        optimise(
+            two_ways(),
+            Request(Objective.long_run({"walked": 1}), never=("near + far > 0",)),
+            simulated=0,
+        )
+
+
+def test_a_policy_that_is_the_best_already_is_kept():
+    plan = two_ways()
+    plan = plan.with_policy(Policy.from_table((), [((), {"drive": 1})]))
+    report = optimise(plan, Request(Objective.long_run({"walked": 1, "driven": 1})), simulated=0)
+    assert report.plan.policy == plan.policy
+    assert report.gain == 0
+    assert report.choices_that_differ == 0
