@@ -90,7 +90,7 @@ def test_a_policy_is_computed_shown_and_saved(shop, open_page, axe, picture):
     page.focus("#op-choices")
     page.keyboard.press("ArrowDown")
     painted = {
-        "Choose": "paint-mark|chooses here",
+        "Choose": "paint-mark|",
         "take_fast": "paint-both|present 50 %, best",
         "take_slow": "paint-present|present 50 %",
     }

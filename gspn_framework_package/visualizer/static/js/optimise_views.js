@@ -1,6 +1,6 @@
 // A computed policy beside the present one: in words and tables, and painted on the net.
 
-import { $, h, number, plural, LIST_STEPS } from "./dom.js";
+import { $, h, natural, number, plural, LIST_STEPS } from "./dom.js";
 import { choiceText, percent } from "./policy_table.js";
 
 const SENSITIVITIES = 12;
@@ -79,7 +79,7 @@ export class OptimiseViews {
     );
     return [
       never.length && `Never ${never.join("; never ")}`,
-      waiting.length && `Robots may wait in ${waiting.join(", ")}`,
+      waiting.length && `Robots may wait in ${[...waiting].sort(natural).join(", ")}`,
       rates.length && `The best for the worst rates of ${rates.join(", ")}`,
       `Time as ${timing === "run" ? "the plan runs" : "in the net alone"}`,
       fitted ? "Rates as learned, where the plan says" : "Rates of the net",
@@ -135,7 +135,7 @@ export class OptimiseViews {
         rows.map(([name, value]) => [h("dt", { text: name }), h("dd", {}, value)]),
       ),
       h("p", { text: bounds }),
-      simulation && h("p", {}, "Simulated as they run: ", simulation.text),
+      simulation && h("p", {}, "Simulated as they run: ", simulation.text, "."),
       h("p", {
         class: "muted",
         text: `The new policy has ${plural(answer.rows, "row")}.${waits}`,
@@ -222,9 +222,15 @@ export class OptimiseViews {
     );
   }
 
-  assumptions({ assumptions }) {
-    if (!assumptions.length) return null;
-    return section("Assumptions", false, sentences(assumptions));
+  assumptions({ assumptions, simulation }) {
+    const notes = simulation?.notes || [];
+    if (!assumptions.length && !notes.length) return null;
+    return section(
+      "Assumptions",
+      false,
+      sentences(assumptions),
+      notes.length > 0 && [h("p", { text: "In the simulation:" }), sentences(notes)],
+    );
   }
 }
 
@@ -251,11 +257,14 @@ export class ChoiceList {
       const item = event.target.closest("li[data-at]");
       if (item) this.select(Number(item.dataset.at));
     };
-    const differing = this.choices.filter(({ present, best }) => !alike(present, best)).length;
-    const all = answer.choices_in_all ?? this.choices.length;
-    const listed = `${this.choices.length.toLocaleString("en")} listed`;
-    const some = all > this.choices.length ? ` (of ${all.toLocaleString("en")} in all)` : "";
-    const differ = `${differing} of ${listed}${some} ${differing === 1 ? "differs" : "differ"}`;
+    const listed = this.choices.length;
+    const all = answer.choices_in_all ?? listed;
+    const differing =
+      answer.choices_that_differ ??
+      this.choices.filter(({ present, best }) => !alike(present, best)).length;
+    const differ = `${differing.toLocaleString("en")} of ${all.toLocaleString("en")} ${
+      differing === 1 ? "differs" : "differ"
+    }${all > listed ? `; ${listed.toLocaleString("en")} are listed` : ""}`;
     this.element = section(
       "Choices",
       true,
@@ -331,7 +340,7 @@ export class ChoicePainter {
       if (this.places.has(place))
         marks.places[this.places.get(place)] = {
           kind: "mark",
-          text: waits.length ? `${waits.join(" and ")}: wait` : "chooses here",
+          text: waits.length ? `${waits.join(" and ")}: wait` : "",
         };
       for (const name of new Set([...Object.keys(best), ...Object.keys(present || {})])) {
         const [now, then] = [present?.[name], best[name]];
