@@ -13,12 +13,12 @@ import os
 import resource
 import sys
 from dataclasses import replace
-from importlib import import_module
 from typing import Any, Dict, List, Optional, Union
 
 import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.decisions.optimise import optimise
 from gspn_framework_package.analysis.decisions.report import MOST_CHOICES
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.monitoring.prediction import (
@@ -106,7 +106,6 @@ def _analyse(request: Dict[str, Any]) -> None:
 
 def _optimise(request: Dict[str, Any], progress: Any) -> None:
     """Compute a policy, and report it: the new plan on its own, since it may be large."""
-    optimise = import_module("gspn_framework_package.analysis.decisions.optimise").optimise
     plan = plan_from_json(request["plan"])
     asked = request_of(request["optimise"], plan, _limits(request))
     simulated = simulated_of(request["optimise"])

@@ -4,10 +4,9 @@ import json
 
 import pytest
 from page_reading import resize, settle
-from told_policy import WORKER, write_shop
+from shop import write_shop
 
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.visualizer import analysis_jobs
 
 VIEWER, OPERATOR = "v" * 16, "o" * 16
 
@@ -18,9 +17,8 @@ MARKS = """() => Object.fromEntries([...document.querySelectorAll("#net .transit
 
 
 @pytest.fixture(name="shop")
-def _shop(serve_folder, tmp_path, monkeypatch):
+def _shop(serve_folder, tmp_path):
     """The address of a server whose folder has a plan with a known best policy, and the folder."""
-    monkeypatch.setattr(analysis_jobs, "WORKER", WORKER)
     folder = tmp_path / "shop"
     folder.mkdir()
     write_shop(folder)

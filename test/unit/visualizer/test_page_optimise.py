@@ -5,7 +5,7 @@ import json
 
 import pytest
 from page_client import HOST, PageClient, folder_project, small_net
-from told_policy import WORKER, write_shop
+from shop import write_shop
 from waiting import wait_for
 
 from gspn_framework_package.analysis.decisions.aims import Aim, AtLeast
@@ -108,9 +108,8 @@ def test_what_is_wrong_is_said_at_its_field(changes, fields, plan):
 
 
 @pytest.fixture(name="shop")
-def _shop(tmp_path, monkeypatch):
+def _shop(tmp_path):
     """A client of a server that serves the shop's folder, and has computed its best policy."""
-    monkeypatch.setattr(analysis_jobs, "WORKER", WORKER)
     write_shop(tmp_path)
     guard = Guard("127.0.0.1", 8090, viewer_token="v" * 16, token="o" * 16)
     client = PageClient(folder_project(tmp_path), guard)
@@ -200,8 +199,7 @@ def test_a_plan_is_saved_beside_the_present_one_and_replaces_nothing_unasked(sho
     assert sorted(shop.folder.iterdir()) == before
 
 
-def test_a_plan_without_a_file_is_downloaded_and_not_saved(monkeypatch, tmp_path):
-    monkeypatch.setattr(analysis_jobs, "WORKER", WORKER)
+def test_a_plan_without_a_file_is_downloaded_and_not_saved(tmp_path):
     plan = read_plan(str(write_shop(tmp_path)))
     project = Project()
     project.show(Session("log", Document("a run", plan.net, plan)))
