@@ -15,7 +15,7 @@ from typing import Any, Dict, List, Optional, Tuple
 from gspn_framework_package.benchmark.processes import cost_of, descendants
 from gspn_framework_package.benchmark.room_report import figures
 from gspn_framework_package.benchmark.team_run import Master, need_ros
-from gspn_framework_package.execution.event_log import EventLog, read_log, replay
+from gspn_framework_package.execution.event_log import EventLog, log_files, read_log, replay
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
@@ -220,7 +220,7 @@ def measure_ros(
 def read_logs(folder: str) -> Dict[str, Any]:
     """The findings from the robots' own logs of a run: whether they are consistent and valid
     (``gspn verify``), and failed actions."""
-    logs = [read_log(os.path.join(folder, name)) for name in sorted(os.listdir(folder))]
+    logs = [read_log(path) for path in log_files([folder])]
     verdict = verify(logs)
     # each robot's log has all of them, up to its own end
     failed = {

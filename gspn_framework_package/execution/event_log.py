@@ -2,9 +2,10 @@
 history.
 
 The first line is the *header*: format and version, run, robot, the id of this log, and the complete
-plan, so that a run can be replayed and verified from the log alone. Every other line is a *record*:
-a JSON object with its ``kind``, its fields, the wall clock (``wall``, seconds since 1970) and a
-monotonic clock (``mono``, seconds, comparable between the processes of one host). Kinds:
+plan, so that a run can be replayed and verified from the log alone (a large policy is in a file
+beside the logs, see ``stored_policy``). Every other line is a *record*: a JSON object with its
+``kind``, its fields, the wall clock (``wall``, seconds since 1970) and a monotonic clock (``mono``,
+seconds, comparable between the processes of one host). Kinds:
 
 ==============  ====================================================================================
 ``slot``        a slot of the agreed log: ``slot``, ``entries``, ``origins`` (the robot that put
@@ -36,7 +37,8 @@ monotonic clock (``mono``, seconds, comparable between the processes of one host
 reader drops it, and a writer that resumes the file first removes it.
 
 The last field of every line, ``sum``, is a running hash of this line and all lines before it. It
-reveals a line that was changed, dropped or inserted. (Logs of version 1 have none.)
+reveals a line that was changed, dropped or inserted. (Logs of version 1 have none. Version 3 is
+version 2 with the policy in a file of its own.)
 """
 
 from __future__ import annotations
@@ -63,6 +65,7 @@ from typing import (
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import Command, Firing, firing_from_json
+from gspn_framework_package.execution.stored_policy import hash_of, read_stored, stored_separately
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
@@ -73,6 +76,8 @@ FORMAT = "gspn event log"
 VERSION = 2
 UNSUMMED = 1
 """The version whose lines have no running hash; still read and continued."""
+POLICY_APART = 3
+"""The version whose header has only the hash of the policy."""
 
 Record = Dict[str, Any]
 
@@ -158,6 +163,9 @@ class EventLogWriter:
         try:
             os.makedirs(os.path.dirname(os.path.abspath(path)), exist_ok=True)
             known = _repair(path)
+            plan = stored_separately(first["plan"], path, fsync)
+            if plan is not first["plan"]:
+                first = {**first, "version": POLICY_APART, "plan": plan}
             if known is not None:
                 for key in ("run", "robot", "plan_hash"):
                     if known.get(key) != first[key]:
@@ -325,11 +333,16 @@ class EventLog:
 
     @property
     def plan(self) -> Plan:
-        """The plan in the header. :raises LogError: it is invalid, or its hash differs from the
-        recorded one."""
+        """The plan in the header. :raises LogError: it is invalid, its hash differs from the
+        recorded one, or its policy, which is in another file, is missing or was altered."""
         if self._plan is None:
+            data = self.header["plan"]
+            name = hash_of(data)
+            policy = None if name is None else read_stored(self.path, name)
+            if policy is not None:
+                data = {key: value for key, value in data.items() if key != "policy"}
             try:
-                plan = plan_from_json(self.header["plan"])
+                plan = plan_from_json(data, policy=policy)
             except (GspnError, KeyError) as error:
                 raise LogError("holds no plan (%s)" % error, file=self.path, line=1) from None
             if plan.hash() != self.header["plan_hash"]:
@@ -536,10 +549,10 @@ def _header(line: bytes, path: str) -> Record:
         raise LogError("is not an event log", file=path, line=1, hint=hint) from None
     if not isinstance(head, dict) or head.get("format") != FORMAT:
         raise LogError("is not an event log", file=path, line=1, hint=hint)
-    if head.get("version") not in (UNSUMMED, VERSION):
+    if head.get("version") not in (UNSUMMED, VERSION, POLICY_APART):
         raise LogError(
-            "is of version %.20r; this program reads versions %d and %d"
-            % (head.get("version"), UNSUMMED, VERSION),
+            "is of version %.20r; this program reads versions %d to %d"
+            % (head.get("version"), UNSUMMED, POLICY_APART),
             file=path,
             line=1,
             hint="read it with the version of the package that wrote it",
