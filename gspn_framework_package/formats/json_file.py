@@ -14,6 +14,7 @@ Step = Union[str, int]
 """A step from an element to one inside it: a key or an index."""
 
 _TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\],:]|[^\s{}\[\],:"]+')
+_UNUSUAL = re.compile(r"[0-9]{300}|[eE]\+?[0-9]{3}")  # a number may be too large
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
 
@@ -65,12 +66,13 @@ def read_document(path: str) -> JsonDocument:
     raw = read_bytes(path)
     try:
         text = raw.decode("utf-8-sig")
+        unusual = _UNUSUAL.search(text) is not None
         data = json.loads(
             text,
             object_pairs_hook=_without_doubles,
             parse_constant=_refuse_number,
-            parse_float=_finite,
-            parse_int=_whole,
+            parse_float=_finite if unusual else None,
+            parse_int=_whole if unusual else None,
         )
         if _SURROGATE.search(text):
             json.dumps(data, ensure_ascii=False).encode("utf-8")

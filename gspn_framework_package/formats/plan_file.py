@@ -48,6 +48,21 @@ def read_plan(path: str) -> Plan:
         raise
 
 
+def _plan_or_its_net(path: str, net_will_do: bool) -> NetOrPlan:
+    """As :func:`read_plan`; but from an input file of the thesis that is to be read as a net, the
+    net."""
+    try:
+        file, document = _open(path)
+        if thesis_input.is_thesis_input(document.data):
+            found = _net_of_thesis(file, document, net_will_do)
+            if found is not None:
+                return found
+        return _as_found(_read(file, document))
+    except InputError:
+        _refuse_net(path)
+        raise
+
+
 def plan_document(path: str, plan: Plan, folder: str) -> Dict[str, Any]:
     """The JSON object of a plan file, with what the plan has learned since it was read, the policy
     and the robots that it got, and all else as the file has it.
@@ -151,27 +166,23 @@ def read_net_or_plan(
                 "said of a net only",
                 hint="this is a plan, which has its own setting for it",
             )
-        return _net_of_thesis(path, net_will_do) or _whole_plan(path)
+        return _plan_or_its_net(path, net_will_do)
     found, notes = read_net_with_notes(path, options)
     return NetOrPlan(found, None, tuple(notes))
 
 
-def _whole_plan(path: str) -> NetOrPlan:
-    plan = read_plan(path)
+def _as_found(plan: Plan) -> NetOrPlan:
     return NetOrPlan(plan.net, plan, tuple(plan.notes))
 
 
-def _net_of_thesis(path: str, net_will_do: bool) -> Optional[NetOrPlan]:
-    """Return the net of an input file of the thesis that is to be read as a net; None if it is a
-    plan."""
-    path, document = _open(path)
-    if not thesis_input.is_thesis_input(document.data):
-        return None
+def _net_of_thesis(path: str, document: JsonDocument, net_will_do: bool) -> Optional[NetOrPlan]:
+    """Return the net of an input file of the thesis that is to be read as a net; None if it is to
+    be read as a plan."""
     if not thesis_input.has_mapping(document.data):
         reason = "it maps no place to an action"
     elif net_will_do:
         try:
-            return _whole_plan(path)
+            return _as_found(_read(path, document))
         except GspnError as error:
             reason = ": ".join(filter(None, (error.element, error.message)))
     else:
@@ -200,7 +211,7 @@ def _own_form(document: JsonDocument, path: str) -> Plan:
     if isinstance(data.get("policy"), str):
         policy = read_policy(os.path.join(folder, data["policy"]))
     try:
-        plan = plan_from_json(data, net, policy, file=path, folder=folder)
+        plan = plan_from_json(data, net, policy, file=path, folder=folder, checked=True)
     except GspnError as error:
         if error.file in (None, path):
             error.located(file=path, line=_line(document, error.element or ""))

@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import (
     Any,
     Dict,
@@ -269,6 +270,10 @@ class Plan:
     def hash(self) -> str:
         """Return a hex digest of everything that determines the course of a run; replicas whose
         digests differ must not cooperate."""
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> str:
         text = json.dumps(self._essence(), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
@@ -285,7 +290,7 @@ class Plan:
             "arcs": [list(a) for a in self.net.arcs],
             "policy": [
                 list(self.policy.places),
-                [[list(r.counts), list(map(list, r.choices))] for r in self.policy.rows],
+                self.policy.rows,  # named tuples become lists
             ],
             "idle": sorted(p for p in self.action_places if self.actions.get(p) is None),
             "idle_per_robot": {

@@ -9,8 +9,20 @@ or a million.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from operator import itemgetter
-from typing import Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import (
+    Callable,
+    Dict,
+    Iterable,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+)
 
 from gspn_framework_package.model.errors import PolicyError
 from gspn_framework_package.model.net import Net
@@ -40,17 +52,15 @@ class Policy:
     def __init__(self, places: Sequence[str] = (), rows: Iterable[PolicyRow] = ()) -> None:
         self.places: Tuple[str, ...] = tuple(places)
         self.rows: Tuple[PolicyRow, ...] = tuple(rows)
-        doubles = (
-            {p for p in self.places if self.places.count(p) > 1}
-            if len(self.places) < 10_000
-            else set()
-        )
-        if doubles:
-            raise PolicyError(
-                "the place '%s' occurs twice in the tuple of places" % sorted(doubles)[0]
-            )
+        if len(set(self.places)) != len(self.places):
+            doubles = sorted(p for p, n in Counter(self.places).items() if n > 1)
+            raise PolicyError("the place '%s' occurs twice in the tuple of places" % doubles[0])
+        fits: Set[Tuple[Tuple[str, float], ...]] = set()  # choices that were checked: few differ
         for number, row in enumerate(self.rows, 1):
-            self._check_row(number, row)
+            if len(row.counts) != len(self.places) or row.choices not in fits:
+                self._check_row(number, row)
+                fits.add(row.choices)
+        self._table: Optional[PolicyTable] = None
 
     @classmethod
     def from_table(
@@ -63,17 +73,17 @@ class Policy:
         """
         rows = []
         for number, (cells, choices) in enumerate(table, 1):
-            element = "policy row %d" % number
             if isinstance(cells, (str, int)):
                 cells = (cells,)
-            if not isinstance(choices, Mapping):
+            if type(choices) is not dict and not isinstance(choices, Mapping):
                 raise PolicyError(
-                    "%r is not a map from transition to probability" % (choices,), element=element
+                    "%r is not a map from transition to probability" % (choices,),
+                    element="policy row %d" % number,
                 )
             rows.append(
                 PolicyRow(
-                    tuple(_cell(c, element) for c in cells),
-                    tuple((str(t), _probability(p, element)) for t, p in choices.items()),
+                    tuple([c if type(c) is int and c >= 0 else _cell(c, number) for c in cells]),
+                    tuple([(str(t), _probability(p, number)) for t, p in choices.items()]),
                 )
             )
         return cls(places, rows)
@@ -99,7 +109,10 @@ class Policy:
 
     def bind(self, net: Net) -> PolicyTable:
         """Prepare the policy for ``net``. :raises PolicyError: see :class:`PolicyTable`."""
-        return PolicyTable(self, net)
+        table = self._table
+        if table is None or table.net is not net:
+            table = self._table = PolicyTable(self, net)
+        return table
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Policy) and (self.places, self.rows) == (other.places, other.rows)
@@ -143,16 +156,15 @@ class PolicyTable:
                 raise PolicyError(
                     "the net has no place '%s'" % name, element="the policy's tuple of places"
                 )
-        columns = [net.place_index[p] for p in policy.places]
+        self._columns = columns = [net.place_index[p] for p in policy.places]
         self._restricted: Dict[Tuple[int, int], Distribution] = {}
-        self._any = _RowIndex(columns)
+        self._any: Optional[_RowIndex] = None  # all rows; rarely asked for
         self._by_place: Dict[int, _RowIndex] = {}
         self._waits: Optional[_RowIndex] = None  # the rows without choices, which suit every place
         speaks_of: Dict[Tuple[Tuple[str, float], ...], Tuple[int, ...]] = {}
         for number, row in enumerate(policy.rows):
             if row.choices not in speaks_of:
                 speaks_of[row.choices] = self._places_of(number, row)
-            self._any.add(number, row)
             if not row.choices:
                 self._waits = self._waits or _RowIndex(columns)
                 self._waits.add(number, row)
@@ -198,6 +210,11 @@ class PolicyTable:
 
     def matches(self, marking: Sequence[int]) -> bool:
         """Whether any row matches ``marking``, whatever place the row applies to."""
+        if self._any is None:
+            rows = _RowIndex(self._columns)
+            for number, row in enumerate(self.policy.rows):
+                rows.add(number, row)
+            self._any = rows
         return self._any.find(marking) is not None
 
     def _goes_first(self, number: int, other: int) -> bool:
@@ -231,6 +248,11 @@ class PolicyTable:
 
 Projection = Callable[[Sequence[int]], Tuple[int, ...]]
 KeyedRows = Dict[Tuple[int, ...], int]
+Cells = Tuple[Tuple[int, int], ...]
+
+
+MANY_GROUPS = 24
+"""With more groups than this, rows are in a tree: trying group by group would be slow."""
 
 
 class _RowIndex:
@@ -241,6 +263,7 @@ class _RowIndex:
         self._groups: Dict[Tuple[int, ...], Dict[Tuple[int, ...], int]] = {}
         self._doubles: List[Tuple[int, int]] = []
         self._levels: Optional[List[List[Tuple[Projection, KeyedRows]]]] = None
+        self._tree: Optional[_RowTree] = None
 
     def add(self, number: int, row: PolicyRow) -> None:
         if None in row.counts:
@@ -252,9 +275,13 @@ class _RowIndex:
         first = group.setdefault(key, number)  # type: ignore[arg-type]
         if first != number:
             self._doubles.append((first, number))
-        self._levels = None
+        self._levels = self._tree = None
 
     def find(self, marking: Sequence[int]) -> Optional[int]:
+        if len(self._groups) > MANY_GROUPS:
+            if self._tree is None:
+                self._tree = _RowTree(self._columns, self._groups)
+            return self._tree.find(marking)
         if self._levels is None:
             self._levels = self._sorted_levels()
         for level in self._levels:
@@ -295,6 +322,90 @@ class _RowIndex:
         return found
 
 
+class _Branch:
+    """A node of a tree of rows.
+
+    :ivar ends: precedence (negative number of cells) and number of the best row that ends here.
+    :ivar cells: what that row has yet to match, if it is the only one from here on.
+    :ivar column: the place that tells the other rows apart.
+    :ivar by_count: tokens there -> node.
+    :ivar any: the node of the rows that have a wildcard there.
+    """
+
+    __slots__ = ("any", "by_count", "cells", "column", "ends")
+
+    def __init__(self) -> None:
+        self.ends: Optional[Tuple[int, int]] = None
+        self.cells: Tuple[Tuple[int, int], ...] = ()
+        self.column = -1
+        self.by_count: Dict[int, _Branch] = {}
+        self.any: Optional[_Branch] = None
+
+
+class _RowTree:
+    """Rows with many different sets of wildcards, in a tree: each node compares one place, and rows
+    with a wildcard there are in a branch of their own. A look-up visits the nodes whose rows still
+    match; rows that a few places tell apart are found in a few steps."""
+
+    def __init__(self, columns: Sequence[int], groups: Mapping[Tuple[int, ...], KeyedRows]) -> None:
+        self._root = _Branch()
+        rows = [
+            (
+                (-len(cells), number),
+                tuple((columns[cell], count) for cell, count in zip(cells, key)),
+            )
+            for cells, keyed in groups.items()
+            for key, number in keyed.items()
+        ]
+        todo = [(self._root, rows)]
+        while todo:
+            node, rows = todo.pop()
+            if len(rows) == 1:
+                ((node.ends, node.cells),) = rows
+                continue
+            node.ends = min((rank for rank, cells in rows if not cells), default=None)
+            frequency: Dict[int, int] = {}
+            for _, cells in rows:
+                for column, _ in cells:
+                    frequency[column] = frequency.get(column, 0) + 1
+            if not frequency:
+                continue
+            node.column = max(frequency, key=lambda column: (frequency[column], -column))
+            parts: Dict[Optional[int], List[Tuple[Tuple[int, int], Cells]]] = {}
+            for rank, cells in rows:
+                if cells:
+                    count = next((n for column, n in cells if column == node.column), None)
+                    rest = tuple(cell for cell in cells if cell[0] != node.column)
+                    parts.setdefault(count, []).append((rank, rest))
+            for count, part in parts.items():
+                branch = _Branch()
+                if count is None:
+                    node.any = branch
+                else:
+                    node.by_count[count] = branch
+                todo.append((branch, part))
+
+    def find(self, marking: Sequence[int]) -> Optional[int]:
+        best: Optional[Tuple[int, int]] = None
+        todo = [self._root]
+        while todo:
+            node = todo.pop()
+            ends = node.ends
+            if ends is not None and (best is None or ends < best):
+                for column, count in node.cells:
+                    if marking[column] != count:
+                        break
+                else:
+                    best = ends
+            if node.column >= 0:
+                if node.any is not None:
+                    todo.append(node.any)
+                branch = node.by_count.get(marking[node.column])
+                if branch is not None:
+                    todo.append(branch)
+        return None if best is None else best[1]
+
+
 def _compatible(
     cells: Tuple[int, ...],
     rows: KeyedRows,
@@ -327,7 +438,7 @@ def _projection(columns: Sequence[int]) -> Projection:
     return itemgetter(*columns)
 
 
-def _cell(cell: object, element: str) -> Optional[int]:
+def _cell(cell: object, row: int) -> Optional[int]:
     if isinstance(cell, str):
         text = cell.strip()
         if text == "-":
@@ -340,16 +451,18 @@ def _cell(cell: object, element: str) -> Optional[int]:
         return int(cell)
     raise PolicyError(
         "%r is not a number of tokens" % (cell,),
-        element=element,
+        element="policy row %d" % row,
         hint="write a whole number, or '-' for any",
     )
 
 
-def _probability(value: object, element: str) -> float:
+def _probability(value: object, row: int) -> float:
+    if type(value) is float and math.isfinite(value):
+        return value
     try:
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         number = math.nan
     if isinstance(value, bool) or not math.isfinite(number):
-        raise PolicyError("%r is not a probability" % (value,), element=element)
+        raise PolicyError("%r is not a probability" % (value,), element="policy row %d" % row)
     return number

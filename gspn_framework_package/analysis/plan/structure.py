@@ -141,24 +141,33 @@ class PolicyCover:
             len(plan.robots),
             sum(p.tokens for p in plan.net.places if p.name not in plan.resource_places),
         )
-        self._any = any(all(c is None for c in row.counts) for row in plan.policy.rows)
+        # the rows that look at one place at most: only those can match whatever the others hold
+        self._few_cells: Dict[int, List[Tuple[str, int]]] = {}
+        for number, row in enumerate(plan.policy.rows):
+            if row.counts.count(None) >= len(row.counts) - 1:
+                self._few_cells[number] = [
+                    (p, c) for p, c in zip(plan.policy.places, row.counts) if c is not None
+                ]
+        self._any = not all(self._few_cells.values())
         self._spoken: Dict[int, List[int]] = {}
         self._waits: List[int] = []  # the rows without choices
+        speaks_of: Dict[Tuple[Tuple[str, float], ...], Set[int]] = {}
         for number, row in enumerate(plan.policy.rows):
             if not row.choices:
                 self._waits.append(number)
-            inputs = {
-                p
-                for name, probability in row.choices
-                if probability > 0
-                for p, _ in plan.net.inputs[plan.net.transition_number(name)]
-            }
-            for p in inputs:
+            if row.choices not in speaks_of:
+                speaks_of[row.choices] = {
+                    p
+                    for name, probability in row.choices
+                    if probability > 0
+                    for p, _ in plan.net.inputs[plan.net.transition_number(name)]
+                }
+            for p in speaks_of[row.choices]:
                 self._spoken.setdefault(p, []).append(number)
 
     def matches(self, place: int) -> bool:
         """Whether some row matches every marking with a robot in ``place``."""
-        return self._any or self._by_own_count(place, range(len(self._plan.policy.rows)))
+        return self._any or self._by_own_count(place, self._few_cells)
 
     def speaks(self, place: int) -> bool:
         """Whether, in every marking with a robot in ``place``, some row matches and decides for
@@ -175,10 +184,11 @@ class PolicyCover:
         do: it always decides for ``place``, chooses only transitions that one robot alone can fire,
         and no row lets robots wait there."""
         net = self._plan.net
+        choices = {self._plan.policy.rows[number].choices for number in self._spoken.get(place, [])}
         chosen = {
             net.transition_number(name)
-            for number in self._spoken.get(place, [])
-            for name, probability in self._plan.policy.rows[number].choices
+            for choice in choices
+            for name, probability in choice
             if probability > 0
         }
         return (
@@ -199,8 +209,8 @@ class PolicyCover:
         last = always[0] if always else math.inf
         name = self._plan.net.places[place].name
         for number in self._waits:
-            cells = dict(zip(self._plan.policy.places, rows[number].counts))
-            if any(c is not None for c in cells.values()):
+            if rows[number].counts.count(None) < len(rows[number].counts):
+                cells = dict(zip(self._plan.policy.places, rows[number].counts))
                 if cells.get(name) != 0:
                     return True
             elif number < last and not self._by_own_count(
@@ -215,12 +225,11 @@ class PolicyCover:
         name = self._plan.net.places[place].name
         counts: Set[int] = set()
         for number in rows:
-            row = self._plan.policy.rows[number]
-            looks_at = [
-                (p, c) for p, c in zip(self._plan.policy.places, row.counts) if c is not None
-            ]
+            looks_at = self._few_cells.get(number)
+            if looks_at is None:
+                continue
             if not looks_at:
                 return True
-            if len(looks_at) == 1 and looks_at[0][0] == name:
+            if looks_at[0][0] == name:
                 counts.add(looks_at[0][1])
         return bool(counts) and counts.issuperset(range(1, self._robots + 1))

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from typing import Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.history.logged_team import LoggedRobot, LoggedTeam
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.errors import LogError
+from gspn_framework_package.model.plan import Plan
 
 CYCLE = 10_000
 """This many firings after one entry end the run (a timeless cycle)."""
@@ -36,6 +37,15 @@ class SlotCheck(LoggedTeam):
     :param plan: the plan in the log's header.
     :param agents: whether transitions may create and destroy agents.
     """
+
+    def __init__(self, plan: Plan, agents: bool = False) -> None:
+        super().__init__(plan, agents)
+        # the policy: places that rows read -> their counts -> numbers of rows
+        self._rows: Dict[Tuple[str, ...], Dict[Tuple[int, ...], List[int]]] = {}
+        for number, row in enumerate(plan.policy.rows):
+            cells = [(p, c) for p, c in zip(plan.policy.places, row.counts) if c is not None]
+            group = self._rows.setdefault(tuple(p for p, _ in cells), {})
+            group.setdefault(tuple(c for _, c in cells), []).append(number)
 
     # -- a slot ------------------------------------------------------------------------------------
 
@@ -233,13 +243,10 @@ class SlotCheck(LoggedTeam):
         a transition that leaves its place, or without any (then the robot waits); if no row matches
         and the plan is not strict, the weights."""
         leaving = [t for t in self.leaving[robot.place] if not self.kind[t].timed]
-        columns = self.plan.policy.places
         best: Optional[Tuple[int, int, List[Tuple[str, float]]]] = None
         matches = False
-        for number, row in enumerate(self.plan.policy.rows):
-            cells = zip(columns, row.counts)
-            if any(cell is not None and self.marking[p] != cell for p, cell in cells):
-                continue
+        for number in self._matching_rows():
+            row = self.plan.policy.rows[number]
             matches = True
             speaks = [(t, p) for t, p in row.choices if p > 0 and t in leaving]
             wildcards = sum(cell is None for cell in row.counts)
@@ -253,6 +260,11 @@ class SlotCheck(LoggedTeam):
         open_ones = [(t, self.kind[t].weight) for t in leaving if self._may_fire(t)]
         kept = self._first_priority(open_ones)
         return kept if any(w > 0 for _, w in kept) else []
+
+    def _matching_rows(self) -> Iterator[int]:
+        """The numbers of the policy's rows that match the marking."""
+        for places, rows in self._rows.items():
+            yield from rows.get(tuple(self.marking[p] for p in places), ())
 
     def _first_priority(self, choices: List[Tuple[str, float]]) -> List[Tuple[str, float]]:
         if len({self.kind[t].priority for t, _ in choices}) < 2:

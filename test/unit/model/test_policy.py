@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gspn_framework_package.model import policy as model
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import PolicyError
 from gspn_framework_package.model.net import Net
@@ -118,8 +119,17 @@ cells = st.one_of(st.none(), st.integers(0, 2))
     ),
     st.tuples(st.integers(0, 2), st.integers(0, 2), st.integers(0, 2)),
     st.sampled_from(PLACES),
+    st.booleans(),
 )
-def test_look_up_equals_a_scan(rows: List[Any], marking: Any, place: str) -> None:
+def test_look_up_equals_a_scan(rows: List[Any], marking: Any, place: str, tree: bool) -> None:
+    """... in groups, and in the tree for many groups."""
+    with pytest.MonkeyPatch.context() as patch:
+        if tree:
+            patch.setattr(model, "MANY_GROUPS", 0)
+        _look_up_equals_a_scan(rows, marking, place)
+
+
+def _look_up_equals_a_scan(rows: List[Any], marking: Any, place: str) -> None:
     table = Policy.from_table(
         PLACES, [(["-" if c is None else c for c in m], {t: 1} if t else {}) for m, t in rows]
     ).bind(net())
@@ -134,3 +144,6 @@ def test_look_up_equals_a_scan(rows: List[Any], marking: Any, place: str) -> Non
         chosen = min(matching)[2]
         expected = {chosen: 1.0} if chosen else {}
     assert ask(table, marking, place) == expected
+    assert table.matches(marking) == any(
+        all(c is None or c == n for c, n in zip(counts, marking)) for counts, _ in rows
+    )
