@@ -141,6 +141,44 @@ def check_generated(plan, reading, names):
     )
 
 
+def check_passage(plan, reading, place, aim):
+    """The way to a goal: the time, or the probability to get there."""
+    durations = {
+        p: Duration.exponential(d.mean) if d.mean > 0 else d for p, d in plan.durations.items()
+    }
+    plan = replace(plan, durations=durations, failures={}, timeouts={})
+    places = [p.name for p in plan.net.places if p.name not in plan.resource_places]
+    goal = "%s >= 2" % places[place % len(places)]
+    objective = getattr(Objective, aim)(goal)
+    try:
+        decisions = Decisions.of(plan, reading=reading, conditions=[goal])
+        team = decisions.teams[0]
+        assume(len(team.automaton) <= 3000 and decisions.deciders)
+        found, asked = solved(decisions, objective)
+        grouped = group(team, found, *asked)
+        policy = policy_of(plan, grouped.decided)
+        passage = Analysis(plan.with_policy(policy), timing=reading).first_passage(goal)
+    except (RefusedError, LimitError):
+        assume(False)
+    value = grouped.evaluated.value
+    if reading == NET:
+        assert value == pytest.approx(found.lower, rel=1e-7, abs=1e-7)
+    exported = passage.mean_time if aim == "time_to" else passage.probability
+    assert exported == pytest.approx(value, rel=1e-7, abs=1e-8)
+
+
+@some
+@given(running_plans(), st.integers(0, 3), st.sampled_from(["time_to", "reach"]))
+def test_ways_to_a_goal_by_the_net(plan, place, aim):
+    check_passage(plan, NET, place, aim)
+
+
+@some
+@given(running_plans(), st.integers(0, 3), st.sampled_from(["time_to", "reach"]))
+def test_ways_to_a_goal_as_it_runs(plan, place, aim):
+    check_passage(plan, RUN, place, aim)
+
+
 @some
 @given(running_plans(), st.integers(0, 20))
 def test_generated_plans_by_their_nets(plan, names):
