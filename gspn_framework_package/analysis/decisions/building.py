@@ -123,12 +123,14 @@ class Stages:
             return shares
         arcs = np.concatenate([a for a, _ in found])
         levels = self.priorities[self.labels[arcs]]
-        top = levels == self.highest(arcs, levels)[self.sources[arcs]]
-        values = np.concatenate([v for _, v in found])
-        np.add.at(shares, arcs[top], values[top])
-        total = np.bincount(self.sources[arcs[top]], weights=values[top], minlength=len(self))
-        some = np.unique(arcs[top])
-        shares[some] /= total[self.sources[some]]
+        highest = self.highest(arcs, levels)
+        total = np.zeros(len(self), dtype=np.float64)
+        for mine, values in found:
+            level = self.priorities[self.labels[mine]]
+            top = level == highest[self.sources[mine]]
+            shares[mine[top]] += values[top]
+            total += np.bincount(self.sources[mine[top]], weights=values[top], minlength=len(self))
+        shares[arcs] /= np.where(total > 0, total, 1.0)[self.sources[arcs]]
         return shares
 
     def draws(self, group: Group) -> Tuple[Indices, Floats]:

@@ -178,13 +178,16 @@ class _Player:
         kinds: List[Requests] = []
         levels: List[int] = []
         for i, (_, askers) in enumerate(found):
-            keys = np.stack([askers.robots, askers.levels], axis=1).astype(np.float64)
-            keys = np.concatenate([keys, askers.able[:, None]], axis=1)
-            unique, of = np.unique(np.round(keys, 15), axis=0, return_inverse=True)
+            ables, of_able = np.unique(np.round(askers.able, 15), return_inverse=True)
+            wide = max(len(ables), 1)
+            deep = int(askers.levels.max(initial=0)) + 1
+            keys = (askers.robots * deep + askers.levels) * wide + of_able.reshape(-1)
+            unique, of = np.unique(keys, return_inverse=True)
             codes[askers.states, i] = len(kinds) + 1 + of.reshape(-1)
-            for robots, level, able in unique.tolist():
-                kinds.append(Requests(int(robots), {i: able}))
-                levels.append(int(level))
+            for key in unique.tolist():
+                robots, level = divmod(key // wide, deep)
+                kinds.append(Requests(robots, {i: float(ables[key % wide])}))
+                levels.append(level)
         some = np.flatnonzero(codes.any(axis=1)) if found else np.zeros(0, dtype=np.int64)
         if len(some):
             first, kind = distinct_rows(codes[some])
@@ -209,7 +212,7 @@ class _Player:
             for i, (_, askers) in enumerate(found):
                 if len(askers.arcs):
                     source = stages.sources[askers.arcs]
-                    np.add.at(shares, askers.arcs, askers.chances * firsts[place[source], i])
+                    shares[askers.arcs] += askers.chances * firsts[place[source], i]
             self._unsettled(found, codes, firsts, place, waits, unsettled)
         return Play(shares, waits, unsettled)
 
@@ -257,7 +260,7 @@ class _Player:
         their states, the priority there, and the probability of drawing any of them."""
         stages = self._stages
         net = self._plan.net
-        states = np.unique(stages.sources[arcs]).astype(np.int64)
+        states = np.flatnonzero(stages.has(arcs))
         answer = np.zeros(len(stages), dtype=np.int64)
         answer[states], answers = self._told.of(group.at, states)
         leaving = [t for t in net.consumers[group.at] if not net.transitions[t].timed]

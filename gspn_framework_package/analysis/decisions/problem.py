@@ -392,21 +392,20 @@ class Decisions:
         built = self.built
         part, kept, rows = part_of(built.automaton, states, ((start, 1.0),))
         original = built.original[kept]
+        occurs = np.zeros(len(self.space), dtype=bool)
+        occurs[original] = True
+        distinct = self._markings_of(np.flatnonzero(occurs))
+        marking_of = (np.cumsum(occurs) - 1)[original]
         if self._doing_places:
-            markings = self._markings_of(np.unique(original))
-            at = np.searchsorted(np.unique(original), original)
-            first, of = distinct_rows(markings)
-            distinct, marking_of = markings[first], of[at]
-        else:
-            unique, marking_of = np.unique(original, return_inverse=True)
-            distinct = self._markings_of(unique)
+            first, of = distinct_rows(distinct)
+            distinct, marking_of = distinct[first], of[marking_of]
         stage = self.stages.stage[original]
         twin = kept >= len(self.space)
         return Team(
             size,
             part,
             distinct,
-            marking_of.reshape(-1).astype(np.int64),
+            marking_of,
             twin,
             (stage == Stage.DECIDED) & ~twin,
             built.allowed[rows],

@@ -314,6 +314,11 @@ def distinct_rows(rows: Indices) -> Tuple[Indices, Indices]:
         keys = np.zeros(len(rows), dtype=np.int64)
         for column, span in enumerate(spans):
             keys = keys * span + rows[:, column]
+        if math.prod(spans) <= max(4 * len(rows), 1 << 16):  # no need to sort
+            seen = np.full(math.prod(spans), -1, dtype=np.int64)
+            seen[keys[::-1]] = np.arange(len(rows) - 1, -1, -1)
+            known = seen >= 0
+            return seen[known], (np.cumsum(known) - 1)[keys]
         _, first, of = np.unique(keys, return_index=True, return_inverse=True)
     else:
         _, first, of = np.unique(rows, axis=0, return_index=True, return_inverse=True)
