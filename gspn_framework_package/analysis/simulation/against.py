@@ -281,6 +281,8 @@ class _Comparison:
             for run in self.runs:
                 run.deadline = self._began + _PATIENCE * max(seconds, 1.0)
         self._may_compile = True
+        if seconds is not None and worth_compiling(seconds):
+            self._compile()
         self._chosen = False
         self._longer = 0
         self._values: Tuple[List[float], List[float]] = ([], [])
@@ -389,10 +391,14 @@ class _Comparison:
         if self._seconds is not None:
             least = (LEAST_PAIRS - self.pairs) * (now - self._pairs_began) / max(self.pairs, 1)
             left = min(left, max(self._began + self._seconds - now, least))
-        if worth_compiling(left):
-            for run in self.runs:
-                run.compile()
         self._may_compile = False
+        if worth_compiling(left):
+            self._compile()
+
+    def _compile(self) -> None:
+        self._may_compile = False
+        for run in self.runs:
+            run.compile()
 
     def add(self) -> None:
         """Simulate another pair."""

@@ -22,8 +22,8 @@ _COMPILED_EVENTS = 200_000
 _PLAIN_EVENTS = 5_000
 """Events between two looks at the watch."""
 
-_TO_LOAD = 5.0
-"""Loading the compiled kernel takes some seconds."""
+_TO_LOAD = 4.0
+"""Loading the compiled kernel takes a second or two."""
 
 _TO_COMPILE = 60.0
 """Compiling it for the first time takes up to a minute."""
