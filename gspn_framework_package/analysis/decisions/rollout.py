@@ -1,0 +1,611 @@
+"""A policy that is improved by simulation, for plans with too many states for the exact method.
+
+A *rollout* tries another choice where a robot decides, and plays on with the present policy (D. P.
+Bertsekas, D. A. Castanon, *Rollout algorithms for stochastic scheduling problems*, J. Heuristics
+1999). Here each rollout starts from the state of a run just before such a decision, with all that
+its robots are doing. The candidates are single rows of a policy: *in these markings, a robot in
+this place does that*. Both policies play on from the same states with the same random numbers.
+Sequential halving (Z. Karnin, T. Koren, O. Somekh, *Almost optimal exploration in multi-armed
+bandits*, ICML 2013) drops the worse half of the candidates again and again; those that are left are
+tested with rollouts that were not used before. Rows that pass are put before the old ones, if runs
+from the plan's own start confirm that the whole is better. Then the next round begins.
+
+Nothing is guaranteed but what independent runs from the plan's own start say at the end.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections import defaultdict
+from dataclasses import dataclass, field
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+
+from gspn_framework_package.analysis.decisions.aims import Aim, Objective, Request
+from gspn_framework_package.analysis.decisions.automaton import WAIT
+from gspn_framework_package.analysis.decisions.who_decides import who_decides
+from gspn_framework_package.analysis.plan.reading import RUN
+from gspn_framework_package.analysis.plan.structure import only_written
+from gspn_framework_package.analysis.simulation import kernel
+from gspn_framework_package.analysis.simulation.against import (
+    Against,
+    Measured,
+    compare_plans,
+    mean,
+)
+from gspn_framework_package.analysis.simulation.aimed_run import AimedRun, worth_compiling
+from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
+from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.errors import LimitError, RefusedError
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.policy import Policy, PolicyRow
+
+SECONDS = 60.0
+"""Default time of the machine (s)."""
+
+ROUNDS = 5
+"""Most rounds of improvement."""
+
+ERROR = 0.05
+"""Probability that a round takes up a row that is no better, over all its candidates."""
+
+VISITS = 1500
+"""Decisions that are looked at in a round, at most."""
+
+PAIRS = 200
+"""Pairs of runs that confirm a policy, if their time is not limited."""
+
+_GROUPS = 16
+"""Groups of markings for which other choices are tried in a round."""
+
+_STARTS = 24
+"""States per group that rollouts start from."""
+
+_FIRST_ROLLOUTS = 8
+"""Rollouts of each candidate at first; twice as many after each halving."""
+
+_LAST = 4
+"""Candidates that are tested in the end."""
+
+_TESTS = 100
+"""Rollouts of each of them."""
+
+_OFTEN = 5
+"""Visits of a group that make it worth a look."""
+
+_STRATA = 4
+
+_HORIZON = 0.4
+"""Length of a rollout, relative to the runs in which decisions are looked at."""
+
+
+class Rollout(NamedTuple):
+    """A policy that was improved by simulation.
+
+    :ivar policy: the policy; that of the plan if nothing better was found.
+    :ivar old: the value of the plan's policy with its interval; ``new``: that of ``policy``;
+      ``difference``: new minus old. They come from runs that nothing else was decided by.
+    :ivar improved: whether the policy is significantly better.
+    :ivar markings: number of rows, each for a group of markings, that were put before the old ones.
+    :ivar rounds: number of rounds.
+    :ivar comparison: the runs that say so.
+    :ivar notes: sentences for people.
+    """
+
+    policy: Policy
+    old: Measured
+    new: Measured
+    difference: Measured
+    improved: bool
+    markings: int
+    rounds: int
+    comparison: Against
+    notes: List[str]
+
+
+def improve(
+    plan: Plan,
+    request: Request,
+    *,
+    seed: int = 0,
+    seconds: Optional[float] = SECONDS,
+    rounds: int = ROUNDS,
+    visits: int = VISITS,
+    pairs: int = PAIRS,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+) -> Rollout:
+    """Improve the policy of a plan by simulation.
+
+    :param plan: a validated plan.
+    :param request: the aim; ``never`` and ``may_wait`` are heeded as far as the notes say.
+    :param seed: seed of the random numbers.
+    :param seconds: time of the machine (s); the answer may take a little longer. None: no limit,
+        and the same seed gives the same policy on every machine.
+    :param rounds: most rounds.
+    :param visits: decisions that are looked at in a round, at most.
+    :param pairs: pairs of runs that confirm a policy, if ``seconds`` is None.
+    :raises RefusedError: the request has constraints or uncertain rates, or the plan cannot be
+        played.
+    :raises CancelledError: ``cancel`` returned true.
+    """
+    if request.at_least or request.uncertain:
+        raise RefusedError(
+            "a policy that is improved by simulation cannot keep constraints of the long run, nor "
+            "heed uncertain rates",
+            hint="leave them out, or raise the limits for the exact method",
+        )
+    if not request.fitted:
+        plan = plan.nominal()
+    search = _Search(plan, request, seed, seconds, visits, pairs, progress, cancel)
+    policy, notes = plan.policy, search.notes
+    done = 0
+    for number in range(rounds):
+        if search.is_over():
+            notes.append("the time was over after %d of %d rounds" % (done, rounds))
+            break
+        better = search.better(number)
+        done += 1
+        if better is None:
+            break
+        policy = better
+    found = search.compared(plan.policy, policy, max(search.left(), 0.2 * search.seconds), seed + 1)
+    improved = bool(found.significant and found.better)
+    rows = len(search.rows)
+    if not improved:
+        notes.append(
+            "no better policy was found by simulation: the present one stays"
+            if policy == plan.policy
+            else "the policy that looked better is not significantly better in independent runs: "
+            "the present one stays"
+        )
+        policy, rows = plan.policy, 0
+    else:
+        notes.append(
+            "the policy was improved by simulation in %d round%s: it is better than the present "
+            "one, but nothing says how far from the best" % (done, "" if done == 1 else "s")
+        )
+    notes += found.notes
+    return Rollout(
+        policy,
+        found.old,
+        found.new if improved else found.old,
+        found.difference if improved else Measured(0.0, 0.0, 0.0),
+        improved,
+        rows,
+        done,
+        found,
+        notes,
+    )
+
+
+class _Visit(NamedTuple):
+    """A decision in a run: the marking, the place of the robot, what was chosen (a transition, or
+    WAIT), and the state before the event that led to it."""
+
+    marking: Tuple[int, ...]
+    place: int
+    chosen: int
+    state: Any
+
+
+class _Group(NamedTuple):
+    """Visits of a place whose markings agree in some ``cells``: pairs (place, count)."""
+
+    place: int
+    cells: Tuple[Tuple[int, int], ...]
+    visits: List[_Visit]
+
+
+@dataclass
+class _Candidate:
+    """Another choice in a group of markings, and what rollouts say about it."""
+
+    group: _Group
+    choice: int
+    rows: List[PolicyRow]
+    policy: Policy
+    run: Optional[AimedRun] = None
+    gains: List[float] = field(default_factory=list)
+
+    def score(self) -> float:
+        """How much better it looks, in standard errors."""
+        gains = np.array(self.gains)
+        spread = float(gains.std(ddof=1)) / math.sqrt(len(gains))
+        middle = float(gains.mean())
+        return middle / spread if spread > 0 else math.copysign(math.inf, middle) * bool(middle)
+
+
+Key = Tuple[int, Tuple[Tuple[int, int], ...]]
+
+
+class _Search:
+    """Rounds of improvement of one plan.
+
+    :ivar rows: (place, cells) -> the rows that were added for them.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        request: Request,
+        seed: int,
+        seconds: Optional[float],
+        visits: int,
+        pairs: int,
+        progress: Optional[Progress],
+        cancel: Optional[Cancel],
+    ) -> None:
+        self.plan, self.net = plan, plan.net
+        self.objective: Objective = request.objective
+        self.seconds = math.inf if seconds is None else seconds
+        self.notes: List[str] = []
+        self.rows: Dict[Key, List[PolicyRow]] = {}
+        self._progress, self._cancel = progress, cancel
+        self._watch, self._seed = Watch(progress, cancel), seed
+        self._visits, self._pairs = visits, pairs
+        self._began = clock.monotonic()
+        self._compiled = worth_compiling(self.seconds if seconds is not None else 0.0)
+        self._places = list(plan.policy.places)
+        self._old_rows = list(plan.policy.rows)
+        self._policy = plan.policy
+        names = [place.name for place in self.net.places]
+        self._never = [parse_condition(text, names) for text in request.never]
+        deciders = who_decides(plan, RUN, request.may_wait)
+        self._deciding = [
+            self.net.place_index[name] for name, who in deciders.items() if who.policy
+        ]
+        self._may_wait = {self.net.place_index[name] for name in request.may_wait}
+        counters = set(only_written(plan))
+        self._read = [p for p, name in enumerate(names) if name not in counters]
+        self._immediate = {
+            p: [t for t in self.net.consumers[p] if not self.net.transitions[t].timed]
+            for p in range(len(names))
+        }
+        if request.reading != RUN:
+            self.notes.append("the improvement by simulation reads the plan as it runs")
+        if self._never:
+            self.notes.append(
+                "no choice was taken up that leads at once to a forbidden marking; nothing more is "
+                "guaranteed about them"
+            )
+
+    def left(self) -> float:
+        """The time that is left (s)."""
+        return self._began + self.seconds - clock.monotonic()
+
+    def is_over(self) -> bool:
+        """Whether there is only enough time for the last runs."""
+        return math.isfinite(self.seconds) and self.left() < 0.3 * self.seconds
+
+    def compared(self, old: Policy, new: Policy, seconds: float, seed: int) -> Against:
+        """Runs from the plan's own start under two policies."""
+        return compare_plans(
+            self.plan.with_policy(old),
+            self.plan.with_policy(new),
+            self.objective,
+            seconds=max(seconds, 0.1) if math.isfinite(seconds) else None,
+            replications=None if math.isfinite(seconds) else self._pairs,
+            seed=seed,
+            progress=self._progress,
+            cancel=self._cancel,
+        )
+
+    def better(self, number: int) -> Optional[Policy]:
+        """A better policy than the last one, if a round finds one."""
+        seed = self._seed + 1000 * (number + 1)
+        visits, horizon = self._sample(seed)
+        candidates = self._candidates(visits)
+        if not candidates:
+            self.notes.append("round %d: there is no other choice to try" % (number + 1))
+            return None
+        passed = self._tested(self._halved(candidates, horizon, seed), horizon, seed)
+        if not passed:
+            self.notes.append(
+                "round %d: none of %d other choices is significantly better"
+                % (number + 1, len(candidates))
+            )
+            return None
+        for chosen in dict.fromkeys((len(passed), 1)):
+            rows = dict(self.rows)
+            for candidate in passed[:chosen]:
+                rows[candidate.group.place, candidate.group.cells] = candidate.rows
+            policy = self._policy_of(rows)
+            found = self.compared(self._policy, policy, 0.1 * self.seconds, seed)
+            if found.significant and found.better:
+                self.rows, self._policy = rows, policy
+                return policy
+        self.notes.append(
+            "round %d: %d choice%s looked better, but whole runs do not confirm it"
+            % (number + 1, len(passed), "" if len(passed) == 1 else "s")
+        )
+        return None
+
+    # -- decisions of a run ------------------------------------------------------------------------
+
+    def _run(self, policy: Policy) -> AimedRun:
+        run = AimedRun(self.plan.with_policy(policy), self.objective, self._watch)
+        if self._compiled:
+            run.compile()
+        return run
+
+    def _sample(self, seed: int) -> Tuple[List[_Visit], float]:
+        """Decisions in some runs of the present policy, and how long (s) a rollout lasts."""
+        run = self._run(self._policy)
+        robots = len(self.plan.robots)
+        steps = 200 + 30 * robots
+        visits: List[_Visit] = []
+        spans: List[float] = []
+        begun = clock.monotonic()
+        number = 0
+        while (
+            len(visits) < self._visits
+            and number < 50
+            and clock.monotonic() - begun < 0.1 * self.seconds
+        ):
+            run.begin(seed, number)
+            number += 1
+            for _ in range(steps):
+                before = _copied(run.run.state)
+                fired = np.array(before.firings)
+                try:
+                    run.go(most=1)
+                except LimitError:
+                    break
+                visits += self._decisions(run, before, np.array(run.run.state.firings) - fired)
+                if run.ended is not None:
+                    break
+            spans.append(run.now)
+        horizon = _HORIZON * float(np.mean(spans)) if spans else 1.0
+        return visits, horizon if horizon > 0 else 1.0
+
+    def _decisions(self, run: AimedRun, before: Any, fired: Any) -> List[_Visit]:
+        """The decisions between two states of a run: one that fired, if it is the only one, and
+        those that let robots wait."""
+        state, after = run.run.state, run.marking()
+        found: List[_Visit] = []
+        chosen = [
+            (t, p)
+            for t in np.flatnonzero(fired).tolist()
+            if not self.net.transitions[t].timed
+            for p, _ in self.net.inputs[t]
+            if p in self._deciding
+        ]
+        if len(chosen) == 1 and fired[chosen[0][0]] == 1:
+            t, p = chosen[0]
+            marking = list(after)
+            for place, change in self.net.effect(t):
+                marking[place] -= change
+            if self.net.is_enabled(marking, t):
+                found.append(_Visit(tuple(marking), p, t, before))
+        if not chosen and run.ended is None:
+            arcs = len(run.tables.arcs)
+            for p in self._deciding:
+                if state.head[arcs + p] >= 0 and any(
+                    self.net.is_enabled(after, t) for t in self._immediate[p]
+                ):
+                    found.append(_Visit(after, p, WAIT, before))
+        return found
+
+    # -- candidates --------------------------------------------------------------------------------
+
+    def _candidates(self, visits: Sequence[_Visit]) -> List[_Candidate]:
+        groups = self._groups(visits)
+        groups.sort(key=lambda group: -len(group.visits))
+        found: List[_Candidate] = []
+        for group in groups[:_GROUPS]:
+            first = group.visits[0]
+            enabled = [t for t in self._immediate[group.place] if self._fits(first.marking, t)]
+            top = max((self.net.transitions[t].priority for t in enabled), default=0)
+            choices = [t for t in enabled if self.net.transitions[t].priority == top]
+            if group.place in self._may_wait:
+                choices.append(WAIT)
+            always = {visit.chosen for visit in group.visits}
+            for choice in choices:
+                if always == {choice} or any(
+                    self._forbidden(visit.marking, choice) for visit in group.visits
+                ):
+                    continue
+                rows = self._rows_for(group, choice)
+                policy = self._policy_of({**self.rows, (group.place, group.cells): rows})
+                found.append(_Candidate(group, choice, rows, policy))
+        return found
+
+    def _fits(self, marking: Sequence[int], t: int) -> bool:
+        return bool(self.net.is_enabled(tuple(marking), t))
+
+    def _forbidden(self, marking: Sequence[int], choice: int) -> bool:
+        if choice == WAIT or not self._never or not self._fits(marking, choice):
+            return False
+        after = self.net.fire(tuple(marking), choice)
+        return any(condition.holds(after) for condition in self._never)
+
+    def _groups(self, visits: Sequence[_Visit]) -> List[_Group]:
+        """The visits in groups: the finest of three ways in which half of them are in groups with
+        some visits."""
+        table = self._policy.bind(self.net)
+        columns = [self.net.place_index[name] for name in self._policy.places]
+        near: Dict[int, List[int]] = {}
+        for p in self._deciding:
+            around = {p}
+            for t in self._immediate[p]:
+                around.update(q for q, _ in self.net.inputs[t])
+                around.update(q for q, _ in self.net.outputs[t])
+            near[p] = sorted(around)
+        groups: List[_Group] = []
+        for level in range(3):
+            by_key: Dict[Key, List[_Visit]] = defaultdict(list)
+            for visit in visits:
+                if level == 0:
+                    places = self._read
+                else:
+                    spoken = table.distribution(visit.marking, visit.place)
+                    row = () if spoken is None else self._policy.rows[spoken.row].counts
+                    places = [q for q, count in zip(columns, row) if count is not None]
+                    places = sorted({*places, *(near[visit.place] if level == 1 else ())})
+                    places = sorted({*places, visit.place})
+                cells = tuple((q, visit.marking[q]) for q in places)
+                by_key[visit.place, cells].append(visit)
+            groups = [_Group(p, cells, mine) for (p, cells), mine in by_key.items()]
+            often = sum(len(g.visits) for g in groups if len(g.visits) >= _OFTEN)
+            if 2 * often >= len(visits):
+                break
+        return [group for group in groups if len(group.visits) >= _OFTEN]
+
+    def _rows_for(self, group: _Group, choice: int) -> List[PolicyRow]:
+        """Rows, without their cells, that make the choice in the group."""
+        marking = group.visits[0].marking
+        table = self._policy.bind(self.net)
+        others: Dict[str, float] = {}
+        for p, leaving in self._immediate.items():
+            if p == group.place or marking[p] == 0 or not leaving:
+                continue
+            if self.net.places[p].name in self.plan.resource_places:
+                continue
+            if table.matches(marking):
+                spoken = table.distribution(marking, p)
+                if choice == WAIT and spoken is not None:
+                    others.update((self.net.transitions[t].name, v) for t, v in spoken.choices)
+            else:  # a row for one place silences the weights of the others
+                others.update(
+                    (self.net.transitions[t].name, self.net.transitions[t].weight)
+                    for t in leaving
+                    if self.net.transitions[t].weight > 0
+                )
+        rows: List[Dict[str, float]] = []
+        if choice != WAIT:
+            rows.append(
+                {**others, self.net.transitions[choice].name: max(others.values(), default=1.0)}
+            )
+        else:
+            rows = [others, {}] if others else [{}]
+        found = []
+        for chances in rows:
+            total = math.fsum(chances.values())
+            found.append(PolicyRow((), tuple((t, v / total) for t, v in chances.items())))
+        return found
+
+    def _policy_of(self, rows: Dict[Key, List[PolicyRow]]) -> Policy:
+        """The old policy with these rows before its own, the newest first."""
+        names = list(self._places)
+        for _, cells in rows:
+            for p, _ in cells:
+                if self.net.places[p].name not in names:
+                    names.append(self.net.places[p].name)
+        column = {self.net.place_index[name]: i for i, name in enumerate(names)}
+        whole: List[PolicyRow] = []
+        for (_, cells), mine in reversed(list(rows.items())):
+            counts: List[Optional[int]] = [None] * len(names)
+            for p, count in cells:
+                counts[column[p]] = count
+            whole += [PolicyRow(tuple(counts), row.choices) for row in mine]
+        padding = (None,) * (len(names) - len(self._places))
+        whole += [PolicyRow(row.counts + padding, row.choices) for row in self._old_rows]
+        return Policy(names, whole)
+
+    # -- rollouts ----------------------------------------------------------------------------------
+
+    def _halved(self, candidates: List[_Candidate], horizon: float, seed: int) -> List[_Candidate]:
+        """The most promising candidates, by sequential halving."""
+        base = self._run(self._policy)
+        count = _FIRST_ROLLOUTS
+        left = list(candidates)
+        while True:
+            for candidate in left:
+                self._roll(base, candidate, len(candidate.gains), count, horizon, seed)
+                if self.is_over():
+                    break
+            left = [candidate for candidate in left if len(candidate.gains) > 1]
+            left.sort(key=lambda candidate: -candidate.score())
+            if len(left) <= _LAST or self.is_over():
+                return left[:_LAST]
+            left = left[: max(_LAST, len(left) // 2)]
+            count *= 2
+
+    def _tested(self, candidates: List[_Candidate], horizon: float, seed: int) -> List[_Candidate]:
+        """The candidates that are significantly better in new rollouts, best first; one for each
+        group."""
+        base = self._run(self._policy)
+        passed: Dict[Key, _Candidate] = {}
+        promising = [candidate for candidate in candidates if candidate.score() > 0]
+        for candidate in promising:
+            candidate.gains = []
+            self._roll(base, candidate, 0, _TESTS, horizon, seed + 1)
+            low = mean(np.array(candidate.gains), 1 - 2 * ERROR / len(promising)).low
+            if low is not None and low > 0:
+                passed.setdefault((candidate.group.place, candidate.group.cells), candidate)
+        return sorted(passed.values(), key=lambda c: -c.score() * math.sqrt(len(c.group.visits)))
+
+    def _roll(
+        self,
+        base: AimedRun,
+        candidate: _Candidate,
+        begin: int,
+        count: int,
+        horizon: float,
+        seed: int,
+    ) -> None:
+        """Add rollouts of a candidate, from the states of its group in turn."""
+        if candidate.run is None:
+            candidate.run = self._run(candidate.policy)
+        visits = candidate.group.visits
+        step = max(len(visits) // _STARTS, 1)
+        starts = visits[::step]
+        sign = 1.0 if self.objective.maximise else -1.0
+        for k in range(begin, begin + count):
+            state = starts[k % len(starts)].state
+            values = [self._value(run, state, horizon, seed, k) for run in (candidate.run, base)]
+            candidate.gains.append(sign * (values[0] - values[1]))
+
+    def _value(self, run: AimedRun, state: Any, horizon: float, seed: int, number: int) -> float:
+        """What a run earns that goes on from ``state``, up to what all runs from there share."""
+        words = np.random.SeedSequence(seed % 2**64, spawn_key=(number, 3))
+        _resume(run, state, words.generate_state(4, np.uint32).tolist())
+        aim, now = self.objective.aim, run.now
+        if aim is Aim.DISCOUNTED:
+            shift = np.random.default_rng([seed % 2**63, number]).random()
+            whole = 0.0
+            for k in range(_STRATA):
+                stop = now - math.log1p(-(k + shift) / _STRATA) / (self.objective.discount or 1.0)
+                run.go(stop)
+                whole += run.earned(stop)
+            return whole / _STRATA
+        stop = now + (horizon if aim is Aim.LONG_RUN else 10.0 * horizon)
+        run.go(stop)
+        if aim is Aim.LONG_RUN:
+            return run.earned(stop)
+        if aim is Aim.REACH:
+            return float(run.reached)
+        end = run.now if run.reached else stop
+        return end if aim is Aim.TIME_TO else run.earned(end)
+
+
+_OWN = ("candidate", "candidate_ok", "candidate_weight")
+"""Parts of a state that are scratch, with lengths that depend on the policy."""
+
+
+def _copied(state: Any) -> Any:
+    return type(state)(*(part.copy() for part in state))
+
+
+def _resume(run: AimedRun, state: Any, words: List[int]) -> None:
+    """Go on from a state of another run of the same plan under any policy, with new random numbers.
+    What robots have drawn from the policy and not yet done is drawn again."""
+    mine = run.run.state
+    run.run.state = type(state)(
+        *(
+            getattr(mine, name) if name in _OWN else part.copy()
+            for name, part in zip(state._fields, state)
+        )
+    )
+    run.ended = None
+    s = run.run.state
+    s.random[:] = words
+    s.group_version[:] = [-1] * len(s.group_version)
+    for group in range(len(s.waits)):
+        if s.waits[group] > 0 and s.is_dirty[group] == 0:
+            s.is_dirty[group] = 1
+            s.dirty[s.numbers[kernel.DIRTY]] = group
+            s.numbers[kernel.DIRTY] += 1
