@@ -5,7 +5,7 @@ import { $, h, announce, ask, attempt, toast } from "./dom.js";
 import { get, post } from "./api.js";
 import { BackgroundJob } from "./jobs.js";
 import { OptimiseForm } from "./optimise_form.js";
-import { ChoiceList, ChoicePainter, OptimiseViews } from "./optimise_views.js";
+import { ChoiceList, ChoicePainter, OptimiseViews, markingText } from "./optimise_views.js";
 import { PolicyTable, choiceText } from "./policy_table.js";
 
 const FOLLOW = 150; // ms between two looks at the marking on display
@@ -135,8 +135,7 @@ export class OptimisePanel extends EventTarget {
     this.shown = report.key;
     this.choices = new ChoiceList(answer, ({ marking, place, present, best }) => {
       this.stopFollowing();
-      const there = Object.entries(marking).map(([name, count]) => `${name}: ${count}`);
-      this.painter.paint([{ place, present, best }], `When ${there.join(", ")}`);
+      this.painter.paint([{ place, present, best }], `When ${markingText(marking)}`);
       this.painter.flyTo(place);
       announce(`${place}: present ${choiceText(present)}, best ${choiceText(best)}`);
     });

@@ -8,9 +8,11 @@ const SENSITIVITIES = 12;
 const precise = (value) =>
   typeof value === "number" ? String(Number(value.toPrecision(10))) : String(value ?? "–");
 const signed = (value) => `${value > 0 ? "+" : ""}${number(value)}`;
-const markingText = (counts) =>
+/** A marking in words: places with tokens only. */
+export const markingText = (counts) =>
   Object.entries(counts)
     .filter(([, count]) => count)
+    .sort(([a], [b]) => natural(a, b))
     .map(([name, count]) => `${name}: ${count}`)
     .join(", ") || "no token anywhere";
 const alike = (a, b) => {
@@ -223,7 +225,7 @@ export class OptimiseViews {
   }
 
   assumptions({ assumptions, simulation }) {
-    const notes = simulation?.notes || [];
+    const notes = (simulation?.notes || []).filter((note) => !assumptions.includes(note));
     if (!assumptions.length && !notes.length) return null;
     return section(
       "Assumptions",

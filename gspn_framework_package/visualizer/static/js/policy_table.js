@@ -72,9 +72,10 @@ export class PolicyTable {
     if (!page) return;
     this.start = Math.max(0, start);
     const end = this.start + page.rows.length;
+    const [changed, total] = [page.changed, page.total].map((n) => n.toLocaleString("en"));
     this.says.textContent =
-      `${page.changed.toLocaleString("en")} of ${page.total.toLocaleString("en")} rows choose differently, among ` +
-      "the markings listed above; they come first. A place that a row does not name may hold any number.";
+      `${changed} of ${total} rows choose differently in a marking that is listed above; they come first. ` +
+      "A place that a row does not name may hold any number.";
     this.body.replaceChildren(...page.rows.map((row) => this.row(page.places, row)));
     this.position.textContent = page.rows.length
       ? `${this.start + 1} to ${end} of ${page.total.toLocaleString("en")}`
