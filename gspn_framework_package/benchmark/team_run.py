@@ -218,6 +218,11 @@ class TeamRun:
             machine,
         )
 
+    @property
+    def logs(self) -> List[str]:
+        """The robots' event logs, as far as there are any."""
+        return [tail.path for tail in self._tails if os.path.exists(tail.path)]
+
     def faults(self) -> List[str]:
         """Errors and tracebacks that the nodes have printed."""
         with open(self._output, encoding="utf-8", errors="replace") as file:
@@ -230,8 +235,7 @@ class TeamRun:
     def violation(self) -> str:
         """The violation that the history checker finds in the robots' logs after they have ended;
         "" if there is none."""
-        paths = [tail.path for tail in self._tails if os.path.exists(tail.path)]
-        found = verify([read_log(path) for path in paths]).violation
+        found = verify([read_log(path) for path in self.logs]).violation
         return "" if found is None else str(found)
 
 
