@@ -45,7 +45,7 @@ WARM_UP = 15.0
 """Seconds of a run on ROS that do not count: all nodes are due in the beginning."""
 
 
-class Seen(NamedTuple):
+class SiteRun(NamedTuple):
     """What a run shows: the mean number of nodes that are due, and inspections per second."""
 
     due: float
@@ -77,7 +77,7 @@ def _ask(*words: str) -> Any:
     return json.loads(done.stdout)
 
 
-def seen_in(log: str, plan: Plan, warm_up: float) -> Seen:
+def seen_in(log: str, plan: Plan, warm_up: float) -> SiteRun:
     """What an event log shows after the first ``warm_up`` seconds of the run.
 
     :raises ExecutionError: the run is not longer than that.
@@ -93,16 +93,16 @@ def seen_in(log: str, plan: Plan, warm_up: float) -> Seen:
         raise ExecutionError("the run ended within %g s" % warm_up, file=log)
     seconds, tokens, firings = before
     length = observer.seconds - seconds
-    return Seen(
+    return SiteRun(
         _sum(observer.tokens, tokens, DUE) / length,
         _sum(observer.firings, firings, INSPECTED) / length,
     )
 
 
-def in_virtual_time(plan: Plan, seed: int, seconds: float) -> Seen:
+def in_virtual_time(plan: Plan, seed: int, seconds: float) -> SiteRun:
     """One run of the plan in virtual time."""
     result = VirtualRun(plan, seed=seed).run(time=WARM_UP + seconds, warmup=WARM_UP)
-    return Seen(
+    return SiteRun(
         math.fsum(v for name, v in result.mean_tokens.items() if name.startswith(DUE)),
         math.fsum(result.throughput(t) for t in result.firings if t.startswith(INSPECTED)),
     )
@@ -112,7 +112,7 @@ def _sum(after: Mapping[str, float], before: Mapping[str, float], start: str) ->
     return math.fsum(after[name] - before[name] for name in after if name.startswith(start))
 
 
-def run_on_ros(master: Master, plan: Plan, seconds: float) -> Seen:
+def run_on_ros(master: Master, plan: Plan, seconds: float) -> SiteRun:
     """One run of the plan with one node for each of its robots."""
     with TeamRun(master, plan) as run:
         source = os.path.join(plans_folder(), "inspection", "actions.py")
@@ -126,11 +126,11 @@ def run_on_ros(master: Master, plan: Plan, seconds: float) -> Seen:
     return seen_in(run.logs[0], plan, WARM_UP)
 
 
-def compared(pairs: Sequence[Tuple[Seen, Seen]]) -> Dict[str, Any]:
+def compared(pairs: Sequence[Tuple[SiteRun, SiteRun]]) -> Dict[str, Any]:
     """What pairs of runs (greedy, computed) show: means, and 95 % intervals of the means of both
     and of their difference."""
     found: Dict[str, Any] = {"runs": len(pairs)}
-    for number, key in enumerate(Seen._fields):
+    for number, key in enumerate(SiteRun._fields):
         old, new = (np.array([pair[who][number] for pair in pairs]) for who in (0, 1))
         found[key] = {}
         for name, samples in (("greedy", old), ("computed", new), ("difference", new - old)):

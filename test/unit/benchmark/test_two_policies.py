@@ -33,7 +33,7 @@ def test_a_log_shows_what_the_run_of_it_counted(tmp_path: Path) -> None:
 
 
 def test_the_intervals_are_those_of_the_differences_in_pairs() -> None:
-    seen = [(inspection.Seen(a, 1.0), inspection.Seen(a - 1.0, 1.5)) for a in (2.0, 4.0, 9.0)]
+    seen = [(inspection.SiteRun(a, 1.0), inspection.SiteRun(a - 1.0, 1.5)) for a in (2.0, 4.0, 9.0)]
     found = inspection.compared(seen)
     assert found["runs"] == 3
     assert found["due"]["difference"] == {"mean": -1.0, "low": -1.0, "high": -1.0}
