@@ -1,5 +1,5 @@
-"""Reasons why a transition cannot fire, according to the rules of the token game; the page leaves
-this to the server."""
+"""Reasons why a transition cannot fire, or does not yet, according to the rules of the token game
+and the policy; the page leaves this to the server."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def reasons_in(session: Session, transition: str, at: Optional[int] = None) -> D
     :param transition: its name.
     :param at: number of the event after which to look; None for now.
     :returns: ``transition``, whether it is ``enabled``, the ``reasons`` as texts (for an enabled
-        one: the robots that it still waits for), and ``at``: the number of the event after which
-        this holds.
+        one: the robots that it still waits for, and what the policy says), and ``at``: the number
+        of the event after which this holds.
     :raises NetError: the net has no transition of that name.
     """
     net, plan, hub = session.document.net, session.document.plan, session.hub
@@ -35,7 +35,7 @@ def reasons_in(session: Session, transition: str, at: Optional[int] = None) -> D
         reasons = _who_goes_first(net, board, t)
     enabled = not reasons
     if enabled and plan is not None and hub.mode != "SIMULATE":
-        reasons = _robots_awaited(net, plan, board, t)
+        reasons = _robots_awaited(net, plan, board, t) + _policy_says(net, plan, board, t)
     return {"transition": transition, "enabled": enabled, "reasons": reasons, "at": board.n}
 
 
@@ -67,3 +67,27 @@ def _robots_awaited(net: Net, plan: Plan, board: Board, t: int) -> List[str]:
             robots = "robot is" if weight == 1 else "robots are"
             awaited.append("%s: %d of %d %s done" % (net.places[p].name, done, weight, robots))
     return awaited
+
+
+def _policy_says(net: Net, plan: Plan, board: Board, t: int) -> List[str]:
+    """What the policy has robots do that could fire ``t``, for each place that ``t`` takes them
+    from."""
+    if net.transitions[t].timed or not plan.policy.rows:
+        return []
+    table = plan.policy.bind(net)
+    said = []
+    for p, _ in net.inputs[t]:
+        place = net.places[p].name
+        if place in plan.resource_places:
+            continue
+        found = table.distribution(board.marking, p)
+        if found is None and table.matches(board.marking):
+            said.append("no policy row applies to %s in this marking: robots wait there" % place)
+        elif found is not None and not found.choices:
+            said.append("row %d of the policy lets robots wait in %s" % (found.row + 1, place))
+        elif found is not None:
+            chosen = ", ".join(
+                "%s (%g %%)" % (net.transitions[u].name, 100 * v) for u, v in found.choices[:NAMED]
+            )
+            said.append("row %d of the policy: from %s, %s" % (found.row + 1, place, chosen))
+    return said

@@ -8,6 +8,8 @@ import json
 from typing import Any, Callable, List
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution.agreement_simulation.plans import make_plan
@@ -20,7 +22,12 @@ from gspn_framework_package.execution.event_log import (
     read_log,
 )
 from gspn_framework_package.execution.history import verify
+from gspn_framework_package.execution.history.logged_team import LoggedRobot
+from gspn_framework_package.execution.history.slot_check import SlotCheck
+from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LogError
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.policy import Policy, PolicyRow
 
 TOUR, MEET, TOKENS, CROWD = range(4)
 
@@ -316,3 +323,31 @@ def test_the_verb(tmp_path, capsys) -> None:
     answer = json.loads(capsys.readouterr().out)
     assert answer["violation"]["rule"] == 1
     assert main(["verify", str(tmp_path / "none.jsonl")]) == 2
+
+
+cells = st.one_of(st.none(), st.integers(0, 1))
+
+
+@given(
+    st.lists(
+        st.tuples(st.tuples(cells, cells), st.sampled_from(["", "a", "b", "c", "ac"])),
+        min_size=1,
+        max_size=6,
+    ),
+    st.tuples(st.integers(0, 1), st.integers(0, 1)),
+    st.sampled_from(["P", "Q"]),
+)
+def test_it_reads_the_policy_as_the_token_game_does(rows: Any, marking: Any, place: str) -> None:
+    """... with wildcards, rows of several places and rows that let robots wait."""
+    net = NetBuilder().place("P").place("Q").immediate("a", inputs="P", outputs="Q")
+    net.immediate("b", inputs="P").immediate("c", inputs="Q", outputs="P")
+    policy = Policy(
+        ["P", "Q"], [PolicyRow(cells, tuple((t, 1 / len(ts)) for t in ts)) for cells, ts in rows]
+    )
+    plan = Plan(net.build(), policy=policy, strict=True)
+    table, check = policy.bind(plan.net), SlotCheck(plan)
+    check.marking = dict(zip(["P", "Q"], marking))
+    found = table.distribution(marking, plan.net.place_number(place))
+    assert dict(check._choices(LoggedRobot("r", place, 0))) == {
+        plan.net.transitions[t].name: v for t, v in (found.choices if found is not None else ())
+    }

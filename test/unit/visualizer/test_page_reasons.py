@@ -6,6 +6,8 @@ from told_run import ToldRun
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Arc
+from gspn_framework_package.model.plan import Plan, RobotSpec
+from gspn_framework_package.model.policy import Policy
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.session import Session
@@ -84,3 +86,30 @@ def test_an_unknown_transition_or_moment_is_told():
     client, _ = asking(NetBuilder().place("p", 1).exponential("t", inputs="p").build())
     for query in ("", "&transition=nothing", "&transition=t&at=x"):
         assert client.get("/api/reasons?id=net" + query).status_code == 400
+
+
+def test_in_a_run_it_is_told_what_the_policy_says():
+    net = NetBuilder().place("here", 1).place("other", 1).place("there").place("light")
+    net.immediate("go", inputs="here", outputs="there").immediate("stay", inputs="here")
+    net.immediate("leave", inputs="other", outputs="there")
+    net.exponential("back", inputs="there", outputs="here")
+    built = net.build()
+    rows = [(("-", 0), {"go": 0.75, "stay": 0.25}), ((2, "-"), {})]
+    asked = {}
+    for here in (1, 2):
+        marked = built.with_marking({"here": here, "other": 1})
+        robots = [RobotSpec("r%d" % k, "here") for k in range(here)] + [RobotSpec("x", "other")]
+        plan = Plan(
+            marked,
+            policy=Policy.from_table(["here", "light"], rows),
+            robots=tuple(robots),
+            resource_places=frozenset(["light"]),
+        ).validate()
+        _, ask = asking(marked, plan, ToldRun(plan))
+        asked[here] = [ask(t)["reasons"][-1] for t in ("go", "leave")]
+    assert asked[1] == [
+        "row 1 of the policy: from here, go (75 %), stay (25 %)",
+        "no policy row applies to other in this marking: robots wait there",
+    ]
+    assert asked[2][0] == "row 1 of the policy: from here, go (75 %), stay (25 %)"
+    assert asked[2][1] == "row 2 of the policy lets robots wait in other"
