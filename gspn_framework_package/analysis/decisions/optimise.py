@@ -17,11 +17,12 @@ import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.decisions.aims import Request
-from gspn_framework_package.analysis.decisions.automaton import Rewards
+from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewards
 from gspn_framework_package.analysis.decisions.export import Decided, policy_of
 from gspn_framework_package.analysis.decisions.grouping import (
     Grouped,
     group,
+    group_random,
     present_choices,
 )
 from gspn_framework_package.analysis.decisions.problem import Decisions, Team
@@ -30,9 +31,18 @@ from gspn_framework_package.analysis.decisions.report import (
     ConstraintResult,
     MarkingChoice,
     Report,
+    Sensitivity,
     TeamResult,
 )
-from gspn_framework_package.analysis.decisions.solving import evaluate, optimum
+from gspn_framework_package.analysis.decisions.solving import (
+    Evaluated,
+    Robust,
+    constrained,
+    evaluate,
+    optimum,
+    robust,
+    sensitivities,
+)
 from gspn_framework_package.analysis.simulation.against import compare_plans
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError
@@ -121,7 +131,7 @@ class _Exactly:
     def report(self) -> Report:
         """Solve the problem of each team, and make one policy of the answers."""
         own = self._solve(self._decisions.teams[0])
-        answers, results, missing = [own], [_result(own)], []
+        answers, results, missing = [own], [_result(own, self._request)], []
         decided = [own.grouped.decided]
         for team in self._decisions.teams[1:]:
             try:
@@ -135,7 +145,7 @@ class _Exactly:
                 missing.append(team.robots)
                 continue
             answers.append(answer)
-            results.append(_result(answer))
+            results.append(_result(answer, self._request))
             decided.append(answer.grouped.decided)
         policy = policy_of(self._plan, _joined(decided), cancel=self._cancel)
         report = Report(
@@ -153,7 +163,14 @@ class _Exactly:
                 "teams of %s robots have no answer of their own: they do as under the present "
                 "policy" % ", ".join(map(str, missing))
             )
+        if self._request.uncertain:
+            report.assumptions.append(
+                "the present policy has its value at the rates of the plan, the others at the "
+                "worst rates; at the rates of the plan the policy found is worth %.9g"
+                % own.grouped.evaluated.value
+            )
         self._add_present(report, own)
+        self._add_sensitivities(report, own)
         return report
 
     def _solve(self, team: Team) -> _Answer:
@@ -161,6 +178,11 @@ class _Exactly:
         rewards = decisions.rewards(team, objective) if objective.rewards else None
         goal = decisions.goal(team, objective.goal) if objective.goal else None
         allowed = decisions.allowed(team)
+        if request.at_least:
+            assert rewards is not None  # the request has been checked
+            return self._constrained(team, rewards, allowed)
+        if request.uncertain:
+            return self._robust(team, rewards, goal, allowed)
         solved = optimum(
             team.automaton,
             objective.aim,
@@ -177,18 +199,121 @@ class _Exactly:
             team, rewards, goal, solved.lower, solved.upper, grouped, solved.row_values, []
         )
 
+    def _constrained(self, team: Team, rewards: Rewards, allowed: Booleans) -> _Answer:
+        request, objective = self._request, self._objective
+        measures = [
+            self._decisions.earnings(team, {constraint.name: 1.0})
+            for constraint in request.at_least
+        ]
+        found = constrained(
+            team.automaton,
+            rewards,
+            [(measure, c.bound) for measure, c in zip(measures, request.at_least)],
+            names=[constraint.name for constraint in request.at_least],
+            maximise=objective.maximise,
+            width=request.width,
+            allowed=allowed,
+            watch=self._watch,
+        )
+        grouped = group_random(
+            team, found.weights, rewards, objective, None, allowed, watch=self._watch
+        )
+        constraints = [
+            ConstraintResult(
+                constraint.name,
+                _average(team.automaton, measure, grouped.evaluated),
+                constraint.bound,
+                price,
+            )
+            for constraint, measure, price in zip(request.at_least, measures, found.prices)
+        ]
+        return _Answer(
+            team,
+            rewards,
+            None,
+            found.lower,
+            found.upper,
+            grouped,
+            grouped.evaluated.row_values,
+            constraints,
+        )
+
+    def _robust(
+        self,
+        team: Team,
+        rewards: Optional[Rewards],
+        goal: Optional[Booleans],
+        allowed: Booleans,
+    ) -> _Answer:
+        request, objective, automaton = self._request, self._objective, team.automaton
+        net = self._plan.net
+        factors = {}
+        for name, (low, high) in request.uncertain.items():
+            t = net.transition_number(name)
+            rate = net.transitions[t].rate
+            factors[t] = (low / rate, high / rate)
+
+        def worst(rows: Booleans) -> Robust:
+            return robust(
+                automaton,
+                objective.aim,
+                rewards,
+                factors,
+                labels=self._decisions.rate_labels(team),
+                goal=goal,
+                discount=objective.discount,
+                maximise=objective.maximise,
+                width=request.width,
+                allowed=rows,
+                watch=self._watch,
+            )
+
+        found = worst(allowed)
+        weights = np.zeros(len(automaton.choices))
+        chosen = found.row_of[found.row_of >= 0]
+        weights[chosen] = 1.0
+        grouped = group_random(team, weights, rewards, objective, goal, allowed, watch=self._watch)
+        # what the rows that were written guarantee, not what the solution would
+        own = worst((grouped.weights > 0) | automaton.tangible[automaton.row_states])
+        lower, upper = found.lower, found.upper
+        if objective.maximise:
+            lower = min(lower, own.lower)
+        else:
+            upper = max(upper, own.upper)
+        return _Answer(team, rewards, goal, lower, upper, grouped, grouped.evaluated.row_values, [])
+
     def _wide(self, answer: _Answer) -> List[str]:
         """What to say if the policy may not be the best, as far as the interval tells."""
+        missed = [c for c in answer.constraints if c.value < c.bound * (1 - 1e-6) - 1e-12]
+        told = [
+            "whether '%s' can be kept by a policy that sees only the marking: this one has %.6g of "
+            "%g" % (constraint.name, constraint.value, constraint.bound)
+            for constraint in missed
+        ]
+        if self._request.uncertain:
+            return [*told, *self._open(answer)]
         value = answer.grouped.evaluated.value
         best = answer.upper if self._objective.maximise else answer.lower
         scale = max(abs(value), abs(best))
         gap = abs(best - value)
         if gap <= 2 * self._request.width * scale:
-            return []
+            return told
         return [
+            *told,
             *answer.grouped.notes,
             "whether another policy is better by up to %.2g %%: that is what one could reach that "
             "sees not only the marking, but also which robots are done" % (100 * gap / scale),
+        ]
+
+    def _open(self, answer: _Answer) -> List[str]:
+        """What to say about the interval of the best worst value."""
+        scale = max(abs(answer.lower), abs(answer.upper))
+        gap = answer.upper - answer.lower
+        if gap <= 2 * self._request.width * scale:
+            return []
+        return [
+            "how much better another policy is in the worst case: by at most %.2g %%. The bound on "
+            "one side lets the rates differ from marking to marking" % (100 * gap / scale)
         ]
 
     # -- beside the answer -------------------------------------------------------------------------
@@ -251,6 +376,29 @@ class _Exactly:
         different.sort(key=lambda item: item[:2])
         report.choices = ([choice for _, _, choice in different] + alike)[:MOST_CHOICES]
         report.choices_in_all, report.choices_that_differ = in_all, len(different)
+
+    def _add_sensitivities(self, report: Report, own: _Answer) -> None:
+        """How the value depends on each rate."""
+        objective, transitions = self._objective, self._plan.net.transitions
+        value = own.grouped.evaluated.value
+        try:
+            found = sensitivities(
+                own.team.automaton,
+                objective.aim,
+                own.rewards,
+                own.grouped.evaluated,
+                np.array([t.rate if t.timed else 0.0 for t in transitions]),
+                labels=self._decisions.rate_labels(own.team),
+            )
+        except RefusedError as error:
+            report.undecided.append("how the value depends on the rates: %s" % error.message)
+            return
+        for transition, derivative in zip(transitions, found.tolist()):
+            if transition.timed and derivative:
+                elasticity = derivative * transition.rate / value if value else None
+                report.sensitivities.append(
+                    Sensitivity(transition.name, transition.rate, derivative, elasticity)
+                )
 
 
 _Told = Tuple[str, Mapping[str, float], Mapping[str, float]]
@@ -317,6 +465,16 @@ class _Worth:
         return total if math.isfinite(total) else None
 
 
+def _average(automaton: Automaton, measure: Rewards, evaluated: Evaluated) -> float:
+    """The average per second of what ``measure`` counts, in the long run of a policy."""
+    arcs = automaton.arc_rows
+    tangible = automaton.tangible[automaton.row_states[arcs]]
+    exits = np.where(tangible, automaton.exit_rates[arcs], 1.0)
+    taken = evaluated.flow[arcs] * automaton.values / np.where(exits > 0, exits, 1.0)
+    stays = np.where(automaton.tangible, evaluated.sojourn, 0.0)
+    return float(stays @ measure.rate + np.nan_to_num(taken) @ measure.impulse)
+
+
 def _by_marking(decided: Decided) -> Dict[Tuple[int, ...], Mapping[str, float]]:
     return {
         tuple(marking): choices
@@ -338,11 +496,10 @@ def _joined(parts: Sequence[Decided]) -> Decided:
     )
 
 
-def _result(answer: _Answer) -> TeamResult:
+def _result(answer: _Answer, request: Request) -> TeamResult:
+    value = answer.grouped.evaluated.value
+    if request.uncertain:  # what it is worth whatever the rates are
+        value = answer.lower if request.objective.maximise else answer.upper
     return TeamResult(
-        answer.team.robots,
-        len(answer.team.automaton),
-        answer.grouped.evaluated.value,
-        answer.lower,
-        answer.upper,
+        answer.team.robots, len(answer.team.automaton), value, answer.lower, answer.upper
     )

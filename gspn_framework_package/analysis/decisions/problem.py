@@ -487,6 +487,32 @@ class Decisions:
                 hint="reward something that takes time",
             )
 
+    def rate_labels(self, team: Team) -> Indices:
+        """Int array, one value per arc: the number of the plan's transition whose rate (1/s) the
+        rate of the arc is proportional to; -1 where there is none, as for the end of an action
+        whose duration the plan gives."""
+        automaton, net = team.automaton, self.plan.net
+        sources = automaton.row_states[automaton.arc_rows]
+        labels = np.where(automaton.tangible[sources], automaton.fired, -1).astype(np.int64)
+        if self._rules is None:
+            return labels
+        given = {*self.plan.durations, *self.plan.outcomes}
+        for t in range(len(net.transitions)):
+            if any(net.places[p].name in given for p, _ in net.inputs[t]):
+                labels[labels == t] = -1
+        number = self._net.net.place_index
+        original = self.built.original[team.states_in]
+        for doing, done, t in self._net.ends:
+            if any(net.places[p].name in given for p, _ in net.inputs[t]):
+                continue
+            left = self.space.column(number[doing], original)
+            came = self.space.column(number[done], original)
+            ended = automaton.tangible[sources] & (automaton.fired < 0)
+            ended &= left[sources] > left[automaton.targets]
+            ended &= came[sources] < came[automaton.targets]
+            labels[ended] = t
+        return labels
+
     def goal(self, team: Team, condition: str) -> Booleans:
         """The states of a team in which a condition holds.
 

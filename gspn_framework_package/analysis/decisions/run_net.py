@@ -98,6 +98,9 @@ class DecisionNet:
       policy for it.
     :ivar groups: the robots that ask, by kind.
     :ivar place_of: for each place of the plan's net its number in this one; -1: left out.
+    :ivar ends: of each end of an action that takes time and names a transition: the name of the
+      part in which robots are doing, that of the part in which they are done, and the number of
+      the transition.
     :ivar resting: places of this net in which no robot is if it is as far as it can be without
       time passing and without naming anything; for the choice of typical states.
     """
@@ -128,6 +131,7 @@ class DecisionNet:
         self._groups: Dict[Tuple[Stage, str], List[Tuple[int, float]]] = {}
         self._at: Dict[str, int] = {}
         self.resting: List[str] = []
+        self.ends: List[Tuple[str, str, int]] = []
         self._split: Dict[int, _Parts] = {
             p: self._lay_out(p) for p in range(len(self._source.places)) if self._acts[p]
         }
@@ -397,6 +401,8 @@ class DecisionNet:
                 )
                 if not parts.doing:
                     self._join_group(step, source, number, v)
+                elif t != POLICY:
+                    self.ends.append((source, target, t))
 
     def _add_losses(self, p: int, parts: _Parts) -> None:
         name = self._source.places[p].name

@@ -9,12 +9,13 @@ from pathlib import Path
 import pytest
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.decisions.aims import Objective, Request
+from gspn_framework_package.analysis.decisions.aims import AtLeast, Objective, Request
 from gspn_framework_package.analysis.decisions.optimise import optimise
 from gspn_framework_package.analysis.preflight.check_plan import check
 from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.policy import Policy
@@ -84,19 +85,22 @@ def test_each_aim_has_its_value(objective, value):
     assert report.teams[0].value == pytest.approx(value, rel=1e-9, abs=1e-9)
 
 
-@pytest.mark.parametrize("reading", ["net", "run"])
-def test_the_patrol_with_waiting_keeps_its_rule_in_every_team(reading):
-    plan = read_plan(str(PLANS / "patrol"))
+@pytest.mark.parametrize(
+    ("reading", "robots", "present", "best"),
+    [("net", 4, 1.194798945367, 1.325220304), ("run", 3, 1.12022406622, 1.15808613)],
+)
+def test_the_patrol_with_waiting_keeps_its_rule_in_every_team(reading, robots, present, best):
+    plan = read_plan(str(PLANS / "patrol")).for_robots(robots)
     request = Request(CHECKS, never=(ALONE,), may_wait=frozenset({"p*:Decide_*"}), reading=reading)
     report = optimise(plan, request, simulated=0)
     own = report.teams[0]
-    assert own.value == pytest.approx(1.325220304, rel=1e-8)
+    assert own.value == pytest.approx(best, rel=1e-7)
     assert own.lower is not None
     assert own.upper is not None
     assert own.upper - own.lower <= 1e-6 * own.upper
     assert own.lower - 1e-9 <= own.value <= own.upper + 1e-9
-    assert [team.robots for team in report.teams] == [4, 3, 2, 1]
-    assert report.present == pytest.approx(1.194798945367 if reading == "net" else 1.2816834472)
+    assert [team.robots for team in report.teams] == list(range(robots, 0, -1))
+    assert report.present == pytest.approx(present, rel=1e-9)
     strict = dataclasses.replace(report.plan, strict=True)
     findings = [item for item in check(strict).items if item.severity is not Severity.OK]
     assert {item.check for item in findings} <= {"never_fire"}
@@ -124,3 +128,68 @@ def test_a_policy_that_is_the_best_already_is_kept():
     assert report.plan.policy == plan.policy
     assert report.gain == 0
     assert report.choices_that_differ == 0
+
+
+def test_a_constraint_has_its_price():
+    plan = two_ways()
+    request = Request(
+        Objective.long_run({"walked": 1, "driven": 1}), at_least=(AtLeast("walked", 0.2),)
+    )
+    report = optimise(plan, request, simulated=0)
+    # A share y of the time in "far" gives 0.5 y walks and 2 (1 - y) drives a second.
+    assert report.teams[0].value == pytest.approx(1.4, rel=1e-6)
+    assert report.constraints[0].value == pytest.approx(0.2, rel=1e-6)
+    assert report.constraints[0].price == pytest.approx(3.0, rel=1e-6)
+    chosen = dict(report.plan.policy.rows[0].choices)
+    assert chosen["walk"] == pytest.approx(0.2 / 1.4, rel=1e-6)
+    assert "walked: 0.2, at least 0.2; it costs 3 per unit" in "\n".join(report.lines())
+    impossible = dataclasses.replace(request, at_least=(AtLeast("walked", 0.6),))
+    with pytest.raises(RefusedError, match="walked"):
+        optimise(plan, impossible, simulated=0)
+
+
+@pytest.mark.parametrize("reading", ["net", "run"])
+def test_the_best_policy_for_the_worst_rates(reading):
+    request = Request(
+        Objective.long_run({"walked": 1, "driven": 1}),
+        uncertain={"driven": (0.1, 4.0)},
+        reading=reading,
+    )
+    report = optimise(two_ways(), request, simulated=0)
+    assert report.teams[0].value == pytest.approx(0.5, rel=1e-6)
+    assert report.teams[0].upper == pytest.approx(0.5, rel=1e-6)
+    assert dict(report.plan.policy.rows[0].choices) == {"walk": 1.0}
+
+
+@pytest.mark.parametrize("reading", ["net", "run"])
+def test_how_the_value_depends_on_the_rates(reading):
+    request = Request(Objective.long_run({"walked": 1, "driven": 1}), reading=reading)
+    report = optimise(two_ways(), request, simulated=0)
+    assert [entry.transition for entry in report.sensitivities] == ["driven"]
+    assert report.sensitivities[0].derivative == pytest.approx(1.0, rel=1e-9)
+    assert report.sensitivities[0].elasticity == pytest.approx(1.0, rel=1e-9)
+
+
+def test_only_what_has_the_nominal_rates_is_said_with_them():
+    plan = two_ways(durations={"near": Duration.exponential(10.0)})
+    plan = dataclasses.replace(plan, evidence={("durations", "near"): Evidence(10)})
+    aim = Objective.long_run({"walked": 1, "driven": 1})
+    fitted = optimise(plan, Request(aim), simulated=0)
+    nominal = optimise(plan, Request(aim, fitted=False), simulated=0)
+    assert fitted.teams[0].value == pytest.approx(0.5, rel=1e-9)
+    assert nominal.teams[0].value == pytest.approx(2.0, rel=1e-9)
+    assert nominal.plan.durations == plan.durations
+
+
+def test_the_sensitivities_of_a_run_are_the_quotients_of_differences():
+    plan = read_plan(str(PLANS / "patrol")).for_robots(2)
+    request = Request(CHECKS, team_sizes=(2,))
+    found = optimise(plan, request, simulated=0)
+    for entry in found.sensitivities[:6]:
+        values = []
+        for step in (-1e-4, 1e-4):
+            changed = plan.with_rates({entry.transition: entry.rate * (1 + step)})
+            values.append(optimise(changed, request, simulated=0).teams[0].value)
+        quotient = (values[1] - values[0]) / (2e-4 * entry.rate)
+        assert entry.derivative == pytest.approx(quotient, rel=1e-4, abs=1e-9)
+    assert len(found.sensitivities) > 6
