@@ -284,7 +284,8 @@ class Plan:
                 [p.name, p.tokens] for p in self.net.places if p.name in self.resource_places
             ],
             "transitions": [
-                [t.name, t.timed, t.rate, t.weight, t.priority, t.servers]
+                # an exponential transition has no weight; the JSON of a net leaves it out
+                [t.name, t.timed, t.rate, 1.0 if t.timed else t.weight, t.priority, t.servers]
                 for t in self.net.transitions
             ],
             "arcs": [list(a) for a in self.net.arcs],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -52,6 +53,14 @@ def test_what_is_written_is_read_and_replayed(tmp_path) -> None:
     steps = list(replay(read))
     assert [f.transition for s in steps for f in s.firings] == ["t1", "t2", "t3"]
     assert steps[-1].state == ledger.state
+
+
+def test_a_log_of_a_plan_with_weights_of_exponential_transitions_is_read(tmp_path) -> None:
+    net = PLAN.net
+    timed = next(t for t in net.transitions if t.timed)
+    plan = replace(PLAN, net=net.with_transition(timed._replace(weight=0.5)))
+    EventLogWriter(str(tmp_path / "r1.jsonl"), header(plan, "run", "r1", "log1")).close()
+    assert read_log(str(tmp_path / "r1.jsonl")).plan.hash() == plan.hash() == PLAN.hash()
 
 
 def test_a_cut_last_line_is_dropped_and_removed_when_the_log_is_taken_up(tmp_path) -> None:
