@@ -97,7 +97,7 @@ def rate(space: StateSpace) -> RatedGraph:
         elif transition.servers == 1:
             values[arcs] = transition.rate
         else:
-            degree = _enabling_degree(space, t, sources[arcs])
+            degree = enabling_degree(space, t, sources[arcs])
             if transition.servers is not None:
                 degree = np.minimum(degree, transition.servers)
             values[arcs] = transition.rate * degree
@@ -116,7 +116,8 @@ def _arcs_by_transition(transitions: Indices) -> Iterator[Tuple[int, Indices]]:
         yield t, order[first:last]
 
 
-def _enabling_degree(space: StateSpace, t: int, states: Indices) -> Indices:
+def enabling_degree(space: StateSpace, t: int, states: Indices) -> Indices:
+    """How many times transition number ``t`` could fire at once in each of ``states``."""
     degree = np.full(len(states), np.iinfo(np.int64).max, dtype=np.int64)
     for p, weight in space.net.inputs[t]:
         np.minimum(degree, space.column(p, states) // weight, out=degree)

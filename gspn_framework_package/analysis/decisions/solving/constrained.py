@@ -19,6 +19,8 @@ from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.decisions.aims import WIDTH, Aim
 from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewards
 from gspn_framework_package.analysis.decisions.solving.evaluate import Evaluated, evaluate, flows
+from gspn_framework_package.analysis.decisions.solving.graphs import end_components, staying
+from gspn_framework_package.analysis.decisions.solving.layers import arrows_of
 from gspn_framework_package.analysis.decisions.solving.optimum import Solved, optimum
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError
@@ -229,25 +231,54 @@ class _Work:
         return best_prices, upper
 
     def _finished(self, prices: Floats, upper: float) -> Constrained:
+        try:
+            return self._mixed(prices, upper, 0.0)
+        except RefusedError:
+            # The parts may never meet: a policy that drew among them once would be one, but not
+            # one without memory. A little of everything connects them.
+            self._add_everything()
+        worst = self._columns[-1].averages[0]
+        spread = max(abs(upper - worst), 1e-3 * self._scales[0])
+        return self._mixed(prices, upper, 0.25 * self._width * abs(upper) / spread)
+
+    def _add_everything(self) -> None:
+        """Add the policy that takes each row now and then, but leaves no end component."""
+        automaton = self._automaton
+        arrows = arrows_of(automaton)
+        states = np.ones(len(automaton), dtype=bool)
+        rows = np.ones(len(automaton.choices), dtype=bool)
+        if self._allowed is not None:
+            rows = self._allowed.copy()
+        live, rows = staying(arrows, states, rows)
+        parts = end_components(arrows, live, rows)
+        kept = parts.rows | (rows & (parts.of < 0)[automaton.row_states])
+        weights = kept.astype(np.float64)
+        sojourn, flow = flows(automaton, Aim.LONG_RUN, weights, watch=self._watch)
+        averages = [_average(automaton, part, sojourn, flow) for part in self._all]
+        self._columns.append(_Column(np.array(averages), flow))
+
+    def _mixed(self, prices: Floats, upper: float, least: float) -> Constrained:
+        """The policy of the best mixture with a share of at least ``least`` of the last column."""
         table = self._table()
         number = table.shape[1]
+        limits: List[Tuple[Optional[float], Optional[float]]] = [(0, None)] * (number - 1)
         mixed = _linear(
             -table[0],
             -table[1:],
             np.full(len(table) - 1, 1e-11),
             np.ones(number),
-            [(0, None)] * number,
+            [*limits, (least, None)],
         )
         share = np.maximum(mixed.x, 0.0)
         flow = sum(part * column.flow for part, column in zip(share, self._columns) if part > 1e-12)
         automaton = self._automaton
         total = np.bincount(automaton.row_states, weights=flow, minlength=len(automaton))
-        visited = (total > 1e-13 * total.max())[automaton.row_states]
-        weights = np.where(visited, flow, 0.0)
+        floor = 0.0 if least else 1e-13 * total.max()
+        visited = (total > floor)[automaton.row_states]
         assert self._last is not None
-        chosen = np.zeros(len(weights))
+        chosen = np.zeros(len(flow))
         chosen[self._last.row_of[self._last.row_of >= 0]] = 1.0
-        weights = np.where(visited, weights, chosen)
+        weights = np.where(visited, flow, chosen)
         sums = np.bincount(automaton.row_states, weights=weights, minlength=len(automaton))
         weights = np.divide(
             weights,
@@ -256,7 +287,7 @@ class _Work:
             where=sums[automaton.row_states] > 0,
         )
         evaluated = evaluate(
-            automaton, Aim.LONG_RUN, self._objective, weights, width=0.1 * self._width,
+            automaton, Aim.LONG_RUN, self._objective, weights, width=max(0.1 * self._width, 1e-10),
             watch=self._watch,
         )  # fmt: skip
         values = [

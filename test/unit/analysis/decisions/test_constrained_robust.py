@@ -135,6 +135,29 @@ def test_a_constraint_has_a_price_and_the_policy_draws():
     assert cheap.upper == pytest.approx(1.0)
 
 
+def test_parts_that_never_meet_are_connected():
+    # in 0 one may stay (worth 3 per second) or go to 2, and in 2 (worth 1) stay or go to 0: the
+    # best mixture never goes, so no policy without memory is as good, but one comes close
+    automaton = automaton_of(
+        [False, True, False, True, True, True],
+        [
+            [[(1, 1.0)], [(4, 1.0)]],
+            [[(0, 1.0)]],
+            [[(3, 1.0)], [(5, 1.0)]],
+            [[(2, 1.0)]],
+            [[(2, 1.0)]],
+            [[(0, 1.0)]],
+        ],
+    )
+    rewards = rewarded(automaton, [0, 3, 0, 1, 0, 0])
+    second = rewarded(automaton, [0, 0, 0, 1, 0, 0])
+    found = constrained(automaton, rewards, [(second, 0.25)])
+    assert found.lower == pytest.approx(2.5, rel=1e-6)
+    assert found.upper == pytest.approx(2.5, rel=1e-6)
+    assert found.values[0] >= 0.25 - 1e-8
+    assert (found.weights > 0).all()  # it goes to and fro
+
+
 def test_a_constraint_that_cannot_be_kept_is_named_with_the_best_that_can():
     automaton, rewards, second = two_loops()
     with pytest.raises(RefusedError, match="visits cannot be as high as 1.5: at most 1"):
