@@ -205,7 +205,7 @@ def automaton_of(space: StateSpace) -> Automaton:
     )
 
 
-class Patrol(NamedTuple):
+class WaitingPatrol(NamedTuple):
     """The decision problem of the patrol: at most one robot may be at a location, and robots may
     wait."""
 
@@ -214,7 +214,7 @@ class Patrol(NamedTuple):
     allowed: Booleans
 
 
-def _patrol() -> Patrol:
+def _patrol() -> WaitingPatrol:
     plan = read_plan(str(PATROL))
     names = [p.name for p in plan.net.places]
     never = ['"%s" + "%s" > 1' % (names[i], names[i + 1]) for i in range(0, 16, 4)]
@@ -225,7 +225,7 @@ def _patrol() -> Patrol:
     team = decisions.teams[0]
     checks = {t.name: 1.0 for t in plan.net.transitions if "Temperature" in t.name}
     rewards = decisions.rewards(team, Objective.long_run(checks))
-    return Patrol(team.automaton, rewards, decisions.allowed(team))
+    return WaitingPatrol(team.automaton, rewards, decisions.allowed(team))
 
 
 # -- measuring -------------------------------------------------------------------------------------
