@@ -4,7 +4,7 @@ of states."""
 
 from __future__ import annotations
 
-from typing import List, NamedTuple, Sequence, Tuple
+from typing import List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -152,7 +152,7 @@ class Pieces:
 
     def __init__(self) -> None:
         self._rows: List[Tuple[Indices, int, Indices, Booleans]] = []
-        self._arcs: List[Tuple[Indices, Indices, Floats, Indices]] = []
+        self._arcs: List[Tuple[Indices, Indices, Floats, Indices, Indices]] = []
         self.rows = 0
 
     def add_rows(self, states: Indices, order: int, choices: Indices, allowed: Booleans) -> Indices:
@@ -163,14 +163,24 @@ class Pieces:
         self.rows += len(states)
         return np.arange(first, self.rows, dtype=np.int64)
 
-    def add_arcs(self, rows: Indices, targets: Indices, values: Floats, fired: Indices) -> None:
-        """Add arcs to rows with these numbers."""
-        self._arcs.append((rows, targets, values, fired))
+    def add_arcs(
+        self,
+        rows: Indices,
+        targets: Indices,
+        values: Floats,
+        fired: Indices,
+        rated: Optional[Indices] = None,
+    ) -> None:
+        """Add arcs to rows with these numbers. ``rated`` are the transitions whose rates theirs are
+        proportional to."""
+        nothing = np.full(len(rows), -1, dtype=np.int32)
+        self._arcs.append((rows, targets, values, fired, nothing if rated is None else rated))
 
     def built(
         self, states: int, tangible: Booleans, initial: Sequence[Tuple[int, float]]
-    ) -> Tuple[Automaton, Booleans, Indices]:
-        """The automaton, which rows are allowed, and the new number of each row."""
+    ) -> Tuple[Automaton, Booleans, Indices, Indices]:
+        """The automaton, which rows are allowed, the new number of each row, and the transition
+        whose rate that of each arc is proportional to."""
         of = np.concatenate([r[0] for r in self._rows]).astype(np.int64)
         order = np.repeat([r[1] for r in self._rows], [len(r[0]) for r in self._rows])
         choices = np.concatenate([r[2] for r in self._rows]).astype(np.int32)
@@ -182,6 +192,7 @@ class Pieces:
         targets = np.concatenate([a[1] for a in self._arcs]).astype(np.int32)
         values = np.concatenate([a[2] for a in self._arcs])
         fired = np.concatenate([a[3] for a in self._arcs]).astype(np.int32)
+        rated = np.concatenate([a[4] for a in self._arcs]).astype(np.int32)
         by_row = np.argsort(rows, kind="stable")
         automaton = Automaton(
             tangible,
@@ -193,7 +204,7 @@ class Pieces:
             choices[sorting],
             tuple(initial),
         )
-        return automaton, allowed[sorting], number
+        return automaton, allowed[sorting], number, rated[by_row]
 
 
 def part_of(
@@ -237,6 +248,8 @@ class Built(NamedTuple):
     :ivar arc_row: for each arc of the net the row that fires it alone; -1: none.
     :ivar wait_row: for each state of the net its row of waiting; -1: none.
     :ivar chance_row: for each state of the net the row that chance decides; -1: none.
+    :ivar rated: for each arc of the automaton the number (plan's net) of the transition whose rate
+      its own is proportional to; -1: none.
     """
 
     automaton: Automaton
@@ -245,6 +258,7 @@ class Built(NamedTuple):
     arc_row: Indices
     wait_row: Indices
     chance_row: Indices
+    rated: Indices
 
 
 def build(stages: Stages, may_wait: Booleans, waits: Booleans) -> Built:
@@ -256,6 +270,7 @@ def build(stages: Stages, may_wait: Booleans, waits: Booleans) -> Built:
     net, space, stage = stages.net, stages.space, stages.stage
     sources, targets, kinds = stages.sources, stages.targets, stages.kinds
     origins = np.array(net.origins, dtype=np.int32)[stages.labels]
+    rated_of = np.array(net.rated, dtype=np.int32)[stages.labels]
     count = len(space)
     pieces = Pieces()
     everything = np.arange(count, dtype=np.int64)
@@ -274,7 +289,9 @@ def build(stages: Stages, may_wait: Booleans, waits: Booleans) -> Built:
         (Stage.TIMED, rates),
     ):
         arcs = np.flatnonzero((kinds == step) & (stage[sources] == step) & (values > 0))
-        pieces.add_arcs(row_of[sources[arcs]], targets[arcs], values[arcs], origins[arcs])
+        pieces.add_arcs(
+            row_of[sources[arcs]], targets[arcs], values[arcs], origins[arcs], rated_of[arcs]
+        )
 
     # one row for each transition that a robot may ask for
     decided = np.flatnonzero((kinds == Stage.DECIDED) & (stage[sources] == Stage.DECIDED))
@@ -312,11 +329,13 @@ def build(stages: Stages, may_wait: Booleans, waits: Booleans) -> Built:
         twin_of[twins], 0, np.full(len(twins), CHANCE), np.ones(len(twins), dtype=bool)
     )
     arcs = np.flatnonzero((kinds == Stage.TIMED) & left[sources])
-    pieces.add_arcs(twin_row[sources[arcs]], targets[arcs], rates[arcs], origins[arcs])
+    pieces.add_arcs(
+        twin_row[sources[arcs]], targets[arcs], rates[arcs], origins[arcs], rated_of[arcs]
+    )
 
     tangible = np.ones(count + len(twins), dtype=bool)
     tangible[:count] = stage >= NO_TIME
-    automaton, allowed, number = pieces.built(count + len(twins), tangible, ((0, 1.0),))
+    automaton, allowed, number, rated = pieces.built(count + len(twins), tangible, ((0, 1.0),))
     return Built(
         automaton,
         allowed,
@@ -324,6 +343,7 @@ def build(stages: Stages, may_wait: Booleans, waits: Booleans) -> Built:
         _renumbered(number, arc_row),
         _renumbered(number, wait_row),
         _renumbered(number, np.where(stage == Stage.NAMED, row_of, -1)),
+        rated,
     )
 
 

@@ -30,7 +30,7 @@ from gspn_framework_package.analysis.decisions.playing import (
 from gspn_framework_package.analysis.decisions.run_net import DecisionNet, Stage
 from gspn_framework_package.analysis.decisions.safety import Safety
 from gspn_framework_package.analysis.decisions.who_decides import Decider, who_decides
-from gspn_framework_package.analysis.graph import components, reachable_from
+from gspn_framework_package.analysis.graph import components, flat_ranges, reachable_from
 from gspn_framework_package.analysis.limits import Limits, states_of
 from gspn_framework_package.analysis.plan.markings import distinct_rows, with_end
 from gspn_framework_package.analysis.plan.reading import RUN, checked_reading, net_notes
@@ -488,30 +488,10 @@ class Decisions:
             )
 
     def rate_labels(self, team: Team) -> Indices:
-        """Int array, one value per arc: the number of the plan's transition whose rate (1/s) the
-        rate of the arc is proportional to; -1 where there is none, as for the end of an action
-        whose duration the plan gives."""
-        automaton, net = team.automaton, self.plan.net
-        sources = automaton.row_states[automaton.arc_rows]
-        labels = np.where(automaton.tangible[sources], automaton.fired, -1).astype(np.int64)
-        if self._rules is None:
-            return labels
-        given = {*self.plan.durations, *self.plan.outcomes}
-        for t in range(len(net.transitions)):
-            if any(net.places[p].name in given for p, _ in net.inputs[t]):
-                labels[labels == t] = -1
-        number = self._net.net.place_index
-        original = self.built.original[team.states_in]
-        for doing, done, t in self._net.ends:
-            if any(net.places[p].name in given for p, _ in net.inputs[t]):
-                continue
-            left = self.space.column(number[doing], original)
-            came = self.space.column(number[done], original)
-            ended = automaton.tangible[sources] & (automaton.fired < 0)
-            ended &= left[sources] > left[automaton.targets]
-            ended &= came[sources] < came[automaton.targets]
-            labels[ended] = t
-        return labels
+        """int array over the arcs of a team: the number of the plan's transition whose rate that of
+        the arc is proportional to; -1: none, as where the plan gives a duration."""
+        arcs = self.built.automaton.arcs
+        return self.built.rated[flat_ranges(arcs[team.rows_in], arcs[team.rows_in + 1])]
 
     def goal(self, team: Team, condition: str) -> Booleans:
         """The states of a team in which a condition holds.

@@ -94,13 +94,12 @@ class DecisionNet:
     :ivar steps: the kind of each transition.
     :ivar labels: what each transition is called, for people.
     :ivar origins: for each transition its number in the plan's net; -1 if it has none there.
+    :ivar rated: for each transition the number (plan's net) of the one whose rate its own is
+      proportional to; -1 if there is none.
     :ivar askers: for each transition the numbers (plan's net) of the places whose robots ask the
       policy for it.
     :ivar groups: the robots that ask, by kind.
     :ivar place_of: for each place of the plan's net its number in this one; -1: left out.
-    :ivar ends: of each end of an action that takes time and names a transition: the name of the
-      part in which robots are doing, that of the part in which they are done, and the number of
-      the transition.
     :ivar resting: places of this net in which no robot is if it is as far as it can be without
       time passing and without naming anything; for the choice of typical states.
     """
@@ -122,6 +121,7 @@ class DecisionNet:
         self._acts = [p.name not in plan.resource_places for p in self._source.places]
         self._taken: Set[str] = set(plan.net.place_index)
         self.labels: List[str] = []
+        self.rated: List[int] = []
         self._places: List[Place] = list(self._source.places)
         self._transitions: List[Transition] = []
         self._arcs: List[Arc] = []
@@ -131,7 +131,6 @@ class DecisionNet:
         self._groups: Dict[Tuple[Stage, str], List[Tuple[int, float]]] = {}
         self._at: Dict[str, int] = {}
         self.resting: List[str] = []
-        self.ends: List[Tuple[str, str, int]] = []
         self._split: Dict[int, _Parts] = {
             p: self._lay_out(p) for p in range(len(self._source.places)) if self._acts[p]
         }
@@ -244,6 +243,7 @@ class DecisionNet:
         weight: float = 1.0,
         priority: int = 1,
         askers: Tuple[int, ...] = (),
+        rated: int = -1,
     ) -> int:
         unique = self._unused(name)
         self.labels.append(name)
@@ -255,6 +255,7 @@ class DecisionNet:
         self.steps.append(step)
         self.origins.append(origin)
         self.askers.append(askers)
+        self.rated.append(rated)
         return len(self._transitions) - 1
 
     def _join_group(self, step: Stage, place: str, t: int, weight: float) -> None:
@@ -378,7 +379,16 @@ class DecisionNet:
             weight=transition.weight,
             priority=transition.priority if priority is None else priority,
             askers=askers,
+            rated=t if transition.timed and step is Stage.TIMED and self._by_net(t) else -1,
         )
+
+    def _by_net(self, t: int) -> bool:
+        """Whether the time until exponential transition ``t`` fires comes from its rate in the
+        net."""
+        if self._rules is None:
+            return True
+        names = [self._source.places[p].name for p, _ in self._source.inputs[t] if self._acts[p]]
+        return not any(p in self._plan.durations or p in self._plan.outcomes for p in names)
 
     def _add_ends(self, p: int, parts: _Parts) -> None:
         """Add the ends of actions in place ``p``."""
@@ -398,11 +408,10 @@ class DecisionNet:
                     [(source, 1)],
                     [(target, 1)],
                     rate=v / timing.duration.mean if parts.doing else 1.0,
+                    rated=t if parts.doing and t != POLICY and self._by_net(t) else -1,
                 )
                 if not parts.doing:
                     self._join_group(step, source, number, v)
-                elif t != POLICY:
-                    self.ends.append((source, target, t))
 
     def _add_losses(self, p: int, parts: _Parts) -> None:
         name = self._source.places[p].name

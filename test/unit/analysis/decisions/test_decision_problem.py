@@ -103,3 +103,27 @@ def test_generated_plans_with_everything_by_their_nets(plan):
 @given(small_plans())
 def test_generated_plans_with_everything_as_they_run(plan):
     check_generated(plan, RUN)
+
+
+@pytest.mark.parametrize("reading", [NET, RUN])
+def test_rates_are_proportional_to_those_of_the_transitions_that_are_named(reading):
+    plan = read_plan("plans/rendezvous/plan.json")
+    decisions = Decisions.of(plan, reading=reading)
+    team = decisions.teams[0]
+    labels = decisions.rate_labels(team)
+    timed = team.automaton.tangible[team.automaton.row_states[team.automaton.arc_rows]]
+    assert (labels[timed] >= 0).all() and (labels[~timed] < 0).all()
+    for t in np.unique(labels[timed]).tolist():
+        faster = plan.with_rates({plan.net.transitions[t].name: 2 * plan.net.transitions[t].rate})
+        other = Decisions.of(faster, reading=reading).teams[0].automaton
+        changed = np.where(labels == t, 2.0, 1.0) * team.automaton.values
+        assert other.values == pytest.approx(changed, rel=1e-12)
+
+
+def test_given_durations_depend_on_no_rate():
+    plan = read_plan("plans/rendezvous/plan.json")
+    plan = replace(plan, durations={"Fetch": Duration.erlang(3, 2.0)})
+    decisions = Decisions.of(plan, reading=RUN)
+    labels = decisions.rate_labels(decisions.teams[0])
+    fetched = list(plan.net.consumers[plan.net.place_number("Fetch")])
+    assert not np.isin(labels, fetched).any()
