@@ -243,6 +243,11 @@ class _Grouping:
         if problem.safety is not None:
             safe = problem.safety.safe
             self._legal = safe[stages.targets[self._arc]] | ~safe[stages.sources[self._arc]]
+        # a transition of a lower priority is none of the choices (chance is taken care of below)
+        stage = stages.stage[stages.sources[self._arc]]
+        lower = (self._row >= 0) & (stage == Stage.DECIDED)
+        lower[lower] = ~team.by_policy[self._row[lower]]
+        self._legal &= ~lower
         # pairs of a marking and a place
         pair = team.marking_of[self._state] * max(len(self._places), 1) + self._place
         self._pairs, self._pair = np.unique(pair, return_inverse=True)
@@ -329,8 +334,11 @@ class _Grouping:
         open_rows = np.where(self._allowed, worth, -math.inf)
         best = np.maximum.reduceat(open_rows, automaton.rows[:-1])
         valued = self._row >= 0
+        allowed_rows = self._allowed[np.maximum(self._row, 0)]
         mine = worth[np.maximum(self._row, 0)]
         good = valued & self._legal & (mine >= best[self._state] - tolerance)
+        # before chance has decided, a place only speaks if that changes nothing
+        good &= allowed_rows | ~(mine > best[self._state] + tolerance)
 
         # how many states of each pair ask, and in how many of them each transition is best
         places = max(len(self._places), 1)

@@ -206,6 +206,12 @@ class Decisions:
             "%s decides in %s: %s" % ("the policy" if policy else "chance", listed(places), reason)
             for (policy, reason), places in alike.items()
         ]
+        levels = {t.priority for t in self.plan.net.transitions if not t.timed}
+        if len(levels) > 1:
+            sentences.append(
+                "of the immediate transitions that can fire, the policy chooses one of the highest "
+                "priority"
+            )
         if self._rules is None:
             return sentences + net_notes(self.plan).assumptions
         sentences += timing.assumptions + self._rules.assumptions
