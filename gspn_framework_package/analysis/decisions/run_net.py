@@ -211,8 +211,10 @@ class DecisionNet:
         """Whether place ``p`` is not split although its action takes time: what leaves it needs
         only the own token."""
         net = self._source
-        return timing.duration.mean > 0 and all(
-            net.transitions[t].timed and fires_alone(net, t, p) for t in net.consumers[p]
+        return (
+            timing.duration.mean > 0
+            and all(t != POLICY for t, v in timing.outcomes if v > 0)
+            and all(net.transitions[t].timed and fires_alone(net, t, p) for t in net.consumers[p])
         )
 
     def _place(self, name: str, at: int) -> str:

@@ -196,6 +196,11 @@ class RunRules:
                     "every robot in %s does what most of them do there, since states do not tell "
                     "robots apart (the simulation does)" % place
                 )
+        leaving = self.plan.net.consumers[p]
+        if len(leaving) == 1 and self.plan.net.transitions[leaving[0]].timed:
+            # who names nothing asks for the only transition that there is
+            only = tuple((leaving[0], v) for _, v in team.outcomes)
+            team = team._replace(outcomes=((leaving[0], sum(v for _, v in only)),) if only else ())
         return team
 
     def _outcomes(self, p: int) -> Tuple[Tuple[int, float], ...]:
@@ -213,6 +218,7 @@ class RunRules:
             timing.duration.mean > 0
             and _is_exponential(timing.duration)
             and bool(timing.outcomes)
+            and all(t != POLICY for t, v in timing.outcomes if v > 0)
             and all(
                 self.net.transitions[t].timed and fires_alone(self.net, t, p)
                 for t in self.net.consumers[p]

@@ -536,3 +536,15 @@ def test_a_run_in_virtual_time_has_the_measures_of_the_chain(plan):
     assume(len(chain.bottom_components()) == 1)
     assume(len(chain.bottom_components()[0]) > 1)
     agrees(plan, 100)
+
+
+def test_an_action_that_names_nothing_asks_for_the_only_transition_or_stays():
+    """Where no policy can be asked; it once fired the last transition of the net."""
+    builder = NetBuilder("silent").place("a", tokens=1).place("b").place("c")
+    builder.exponential("on", rate=2.0, inputs="a", outputs="b")
+    one = builder.exponential("back", rate=1.0, inputs="b", outputs="a").build()
+    found = Analysis(plan_of(one, outcomes={"a": {"": 1.0}})).measures
+    assert found.throughput["on"] == pytest.approx(2 / 3)
+    two = builder.exponential("off", rate=2.0, inputs="a", outputs="c").build()
+    found = Analysis(plan_of(two, outcomes={"a": {"": 1.0}})).measures
+    assert found.mean_tokens["a"] == pytest.approx(1.0)
