@@ -28,7 +28,7 @@ import numpy as np
 from gspn_framework_package.analysis.arrays import Booleans
 from gspn_framework_package.analysis.decisions.aims import WIDTH, Aim, Objective
 from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automaton, Rewards
-from gspn_framework_package.analysis.decisions.problem import Decisions
+from gspn_framework_package.analysis.decisions.problem import DecisionProblem
 from gspn_framework_package.analysis.decisions.solving import optimum
 from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.analysis.state_space.rated_graph import enabling_degree
@@ -219,7 +219,7 @@ def _patrol() -> WaitingPatrol:
     names = [p.name for p in plan.net.places]
     never = ['"%s" + "%s" > 1' % (names[i], names[i + 1]) for i in range(0, 16, 4)]
     waiting = [name for name in names if "Decide" in name]
-    decisions = Decisions.of(
+    decisions = DecisionProblem.of(
         plan, reading="net", never=never, may_wait=waiting, team_sizes=[len(plan.robots)]
     )
     team = decisions.teams[0]

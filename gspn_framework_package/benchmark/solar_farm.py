@@ -21,7 +21,7 @@ import numpy as np
 from gspn_framework_package.analysis.arrays import Floats
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
 from gspn_framework_package.analysis.decisions.automaton import WAIT
-from gspn_framework_package.analysis.decisions.problem import Decisions, Team
+from gspn_framework_package.analysis.decisions.problem import DecisionProblem, Team
 from gspn_framework_package.analysis.decisions.solving.evaluate import evaluate
 from gspn_framework_package.analysis.decisions.solving.optimum import optimum
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
@@ -131,7 +131,7 @@ def solve(uavs: int) -> Dict[str, Any]:
     """The best policy's reward per second, and that of random choices."""
     plan = solar_farm_plan(uavs)
     started = time.perf_counter()
-    decisions = Decisions.of(plan, team_sizes=[len(plan.robots)])
+    decisions = DecisionProblem.of(plan, team_sizes=[len(plan.robots)])
     team = decisions.teams[0]
     rewards = {"inspect_" + panel: INSPECTION for panel in PANELS}
     rewards.update({panel + "_B0": STRANDED for panel in PANELS})
@@ -151,7 +151,7 @@ def solve(uavs: int) -> Dict[str, Any]:
     }
 
 
-def _at_random(decisions: Decisions, team: Team) -> Floats:
+def _at_random(decisions: DecisionProblem, team: Team) -> Floats:
     """The weights of the rows if each is as likely as the others of its state."""
     automaton = team.automaton
     allowed = decisions.allowed(team) & (automaton.choices != WAIT)

@@ -1,48 +1,30 @@
 """The whole way from a plan and a request to the plan with the best policy.
 
-1. The decision problem of the plan, one for each team size (:mod:`.problem`).
-2. Its solution with certified bounds (:mod:`.solving`).
-3. A policy that sees markings only, and its exact value (:mod:`.grouping`).
-4. Rows, merged and verified (:mod:`.export`).
-5. The old and the new plan, simulated as they run.
-
+The exact way: decisions and their solution with certified bounds (:mod:`.decisions`), the plan with
+the policy, and the old and the new plan simulated as they run. If there are too many states, the
+policy is improved by simulation instead (:mod:`.rollout`).
 """
 
 from __future__ import annotations
 
 import math
-from typing import AbstractSet, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import AbstractSet, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
-from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.decisions.aims import Request
-from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewards
-from gspn_framework_package.analysis.decisions.export import Decided, policy_of
-from gspn_framework_package.analysis.decisions.grouping import (
-    Grouped,
-    group,
-    group_random,
-    present_choices,
-)
-from gspn_framework_package.analysis.decisions.problem import Decisions, Team
+from gspn_framework_package.analysis.decisions.decisions import Decisions, Solution, TeamSolution
+from gspn_framework_package.analysis.decisions.export import Decided
+from gspn_framework_package.analysis.decisions.grouping import present_choices
 from gspn_framework_package.analysis.decisions.report import (
     MOST_CHOICES,
-    ConstraintResult,
     MarkingChoice,
     Report,
     Sensitivity,
     TeamResult,
 )
-from gspn_framework_package.analysis.decisions.solving import (
-    Evaluated,
-    Robust,
-    constrained,
-    evaluate,
-    optimum,
-    robust,
-    sensitivities,
-)
+from gspn_framework_package.analysis.decisions.rollout import improve
+from gspn_framework_package.analysis.decisions.solving import evaluate, sensitivities
 from gspn_framework_package.analysis.simulation.against import compare_plans
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError
@@ -50,6 +32,9 @@ from gspn_framework_package.model.plan import Plan
 
 SIMULATED = 5.0
 """Default time (s) of computing for the simulation of the old and the new plan."""
+
+_SEARCH = 12.0
+"""A search by simulation may take so many times the time of a simulation."""
 
 
 def optimise(
@@ -66,7 +51,8 @@ def optimise(
     :param plan: a validated plan.
     :param request: the aim, the constraints and how to read the plan.
     :param simulated: seconds of computing in which the old and the new plan are simulated as they
-        run; 0: not at all.
+        run; 0: not at all. If there are too many states, a policy is searched by simulation for 12
+        times as long.
     :param seed: seed of the simulation.
     :param progress: called with the progress of long computations.
     :param cancel: called at intervals; returns whether to stop.
@@ -77,8 +63,11 @@ def optimise(
     """
     request = request.resolved(plan.net)
     subject = plan if request.fitted else plan.nominal()
-    report = _Exactly(subject, request, progress, cancel).report()
-    if simulated > 0:
+    try:
+        report = _Exactly(subject, request, progress, cancel).report()
+    except LimitError as error:
+        report = _by_rollout(subject, request, error, simulated, seed, progress, cancel)
+    if report.exact and simulated > 0:
         found = compare_plans(
             subject,
             report.plan,
@@ -93,17 +82,41 @@ def optimise(
     return report
 
 
-class _Answer(NamedTuple):
-    """The solution for one team: certified bounds of the best value, and what the policy does."""
+def _by_rollout(
+    plan: Plan,
+    request: Request,
+    error: LimitError,
+    simulated: float,
+    seed: int,
+    progress: Optional[Progress],
+    cancel: Optional[Cancel],
+) -> Report:
+    """The policy improved by simulation, in place of an exact answer.
 
-    team: Team
-    rewards: Optional[Rewards]
-    goal: Optional[Booleans]
-    lower: float
-    upper: float
-    grouped: Grouped
-    row_values: Floats
-    constraints: List[ConstraintResult]
+    :param error: why there is none.
+    :param simulated: seconds of computing that the user gave; 0: the error stands.
+    """
+    if simulated <= 0 or request.at_least or request.uncertain:
+        raise error
+    found = improve(
+        plan,
+        request,
+        seed=seed,
+        seconds=_SEARCH * simulated,
+        progress=progress,
+        cancel=cancel,
+    )
+    return Report(
+        request,
+        plan.with_policy(found.policy),
+        [TeamResult(len(plan.robots), None, found.new.mean, found.new.low, found.new.high)],
+        len(found.policy.rows),
+        exact=False,
+        present=found.old.mean,
+        assumptions=list(found.notes),
+        undecided=["the best policy: %s" % error],
+        simulation=found.comparison.to_json(),
+    )
 
 
 class _Exactly:
@@ -114,7 +127,6 @@ class _Exactly:
     ) -> None:
         self._plan, self._request = plan, request
         self._objective = request.objective
-        self._cancel = cancel
         self._watch = Watch(progress, cancel, seconds=request.limits.seconds)
         self._decisions = Decisions.of(
             plan,
@@ -127,162 +139,59 @@ class _Exactly:
             progress=progress,
             cancel=cancel,
         )
+        self._problem = self._decisions.problem
 
     def report(self) -> Report:
-        """Solve the problem of each team, and make one policy of the answers."""
-        own = self._solve(self._decisions.teams[0])
-        answers, results, missing = [own], [_result(own, self._request)], []
-        decided = [own.grouped.decided]
-        for team in self._decisions.teams[1:]:
-            try:
-                answer = self._solve(team)
-            except LimitError:
-                raise
-            except RefusedError as error:
-                decided.append(present_choices(team))
-                size = len(team.automaton)
-                results.append(TeamResult(team.robots, size, None, None, None, error.message))
-                missing.append(team.robots)
-                continue
-            answers.append(answer)
-            results.append(_result(answer, self._request))
-            decided.append(answer.grouped.decided)
-        policy = policy_of(self._plan, _joined(decided), cancel=self._cancel)
+        """Solve the problem of each team, and report on the policy."""
+        request = self._request
+        solution = self._decisions.solve(
+            self._objective,
+            at_least=request.at_least,
+            uncertain=request.uncertain,
+            width=request.width,
+        )
+        own = solution.teams[0]
         report = Report(
-            self._request,
-            self._plan.with_policy(policy),
-            results,
-            len(policy.rows),
-            sum(answer.grouped.silent for answer in answers),
+            request,
+            self._plan.with_policy(solution.policy),
+            self._results(solution),
+            len(solution.policy.rows),
+            sum(team.grouped.silent for team in solution.teams),
             constraints=own.constraints,
-            assumptions=list(self._decisions.assumptions),
+            assumptions=list(self._problem.assumptions),
             undecided=self._wide(own),
         )
-        if missing:
+        if solution.without:
             report.undecided.append(
                 "teams of %s robots have no answer of their own: they do as under the present "
-                "policy" % ", ".join(map(str, missing))
+                "policy" % ", ".join(map(str, solution.without))
             )
-        if self._request.uncertain:
+        if request.uncertain:
             report.assumptions.append(
                 "the present policy has its value at the rates of the plan, the others at the "
                 "worst rates; at the rates of the plan the policy found is worth %.9g"
                 % own.grouped.evaluated.value
             )
         self._add_present(report, own)
+        self._add_choices(report, own)
         self._add_sensitivities(report, own)
         return report
 
-    def _solve(self, team: Team) -> _Answer:
-        request, objective, decisions = self._request, self._objective, self._decisions
-        rewards = decisions.rewards(team, objective) if objective.rewards else None
-        goal = decisions.goal(team, objective.goal) if objective.goal else None
-        allowed = decisions.allowed(team)
-        if request.at_least:
-            assert rewards is not None  # the request has been checked
-            return self._constrained(team, rewards, allowed)
-        if request.uncertain:
-            return self._robust(team, rewards, goal, allowed)
-        solved = optimum(
-            team.automaton,
-            objective.aim,
-            rewards,
-            goal=goal,
-            discount=objective.discount,
-            maximise=objective.maximise,
-            width=request.width,
-            allowed=allowed,
-            watch=self._watch,
-        )
-        grouped = group(team, solved, rewards, objective, goal, allowed, watch=self._watch)
-        return _Answer(
-            team, rewards, goal, solved.lower, solved.upper, grouped, solved.row_values, []
-        )
+    def _results(self, solution: Solution) -> List[TeamResult]:
+        found = {team.team.robots: team for team in solution.teams}
+        results = []
+        for team in self._problem.teams:
+            size = len(team.automaton)
+            if team.robots not in found:
+                why = solution.without[team.robots]
+                results.append(TeamResult(team.robots, size, None, None, None, why))
+                continue
+            mine = found[team.robots]
+            value = mine.value(self._request)
+            results.append(TeamResult(team.robots, size, value, mine.lower, mine.upper))
+        return results
 
-    def _constrained(self, team: Team, rewards: Rewards, allowed: Booleans) -> _Answer:
-        request, objective = self._request, self._objective
-        measures = [
-            self._decisions.earnings(team, {constraint.name: 1.0})
-            for constraint in request.at_least
-        ]
-        found = constrained(
-            team.automaton,
-            rewards,
-            [(measure, c.bound) for measure, c in zip(measures, request.at_least)],
-            names=[constraint.name for constraint in request.at_least],
-            maximise=objective.maximise,
-            width=request.width,
-            allowed=allowed,
-            watch=self._watch,
-        )
-        grouped = group_random(
-            team, found.weights, rewards, objective, None, allowed, watch=self._watch
-        )
-        constraints = [
-            ConstraintResult(
-                constraint.name,
-                _average(team.automaton, measure, grouped.evaluated),
-                constraint.bound,
-                price,
-            )
-            for constraint, measure, price in zip(request.at_least, measures, found.prices)
-        ]
-        return _Answer(
-            team,
-            rewards,
-            None,
-            found.lower,
-            found.upper,
-            grouped,
-            grouped.evaluated.row_values,
-            constraints,
-        )
-
-    def _robust(
-        self,
-        team: Team,
-        rewards: Optional[Rewards],
-        goal: Optional[Booleans],
-        allowed: Booleans,
-    ) -> _Answer:
-        request, objective, automaton = self._request, self._objective, team.automaton
-        net = self._plan.net
-        factors = {}
-        for name, (low, high) in request.uncertain.items():
-            t = net.transition_number(name)
-            rate = net.transitions[t].rate
-            factors[t] = (low / rate, high / rate)
-
-        def worst(rows: Booleans) -> Robust:
-            return robust(
-                automaton,
-                objective.aim,
-                rewards,
-                factors,
-                labels=self._decisions.rate_labels(team),
-                goal=goal,
-                discount=objective.discount,
-                maximise=objective.maximise,
-                width=request.width,
-                allowed=rows,
-                watch=self._watch,
-            )
-
-        found = worst(allowed)
-        weights = np.zeros(len(automaton.choices))
-        chosen = found.row_of[found.row_of >= 0]
-        weights[chosen] = 1.0
-        grouped = group_random(team, weights, rewards, objective, goal, allowed, watch=self._watch)
-        # what the rows that were written guarantee, not what the solution would
-        own = worst((grouped.weights > 0) | automaton.tangible[automaton.row_states])
-        lower, upper = found.lower, found.upper
-        if objective.maximise:
-            lower = min(lower, own.lower)
-        else:
-            upper = max(upper, own.upper)
-        return _Answer(team, rewards, goal, lower, upper, grouped, grouped.evaluated.row_values, [])
-
-    def _wide(self, answer: _Answer) -> List[str]:
+    def _wide(self, answer: TeamSolution) -> List[str]:
         """What to say if the policy may not be the best, as far as the interval tells."""
         missed = [c for c in answer.constraints if c.value < c.bound * (1 - 1e-6) - 1e-12]
         told = [
@@ -305,7 +214,7 @@ class _Exactly:
             "sees not only the marking, but also which robots are done" % (100 * gap / scale),
         ]
 
-    def _open(self, answer: _Answer) -> List[str]:
+    def _open(self, answer: TeamSolution) -> List[str]:
         """What to say about the interval of the best worst value."""
         scale = max(abs(answer.lower), abs(answer.upper))
         gap = answer.upper - answer.lower
@@ -318,7 +227,7 @@ class _Exactly:
 
     # -- beside the answer -------------------------------------------------------------------------
 
-    def _add_present(self, report: Report, own: _Answer) -> None:
+    def _add_present(self, report: Report, own: TeamSolution) -> None:
         """The value of the present policy, and where the new one differs from it."""
         objective = self._objective
         try:
@@ -326,7 +235,7 @@ class _Exactly:
                 own.team.automaton,
                 objective.aim,
                 own.rewards,
-                self._decisions.weights_of(own.team, self._plan.policy),
+                self._problem.weights_of(own.team, self._plan.policy),
                 goal=own.goal,
                 discount=objective.discount,
                 watch=self._watch,
@@ -335,9 +244,8 @@ class _Exactly:
             raise
         except RefusedError as error:
             report.present_why = str(error)
-        self._add_choices(report, own)
 
-    def _add_choices(self, report: Report, own: _Answer) -> None:
+    def _add_choices(self, report: Report, own: TeamSolution) -> None:
         """What robots do by the present policy and by the new one, those that differ first."""
         team, decided = own.team, own.grouped.decided
         present = _by_marking(present_choices(team))
@@ -348,7 +256,7 @@ class _Exactly:
                 for t in net.consumers[net.place_number(name)]
                 if not net.transitions[t].timed
             }
-            for name in self._decisions.deciders
+            for name in self._problem.deciders
         }
         worth = _Worth(own, net.transition_index)
         known: Dict[Tuple[Tuple[str, float], ...], List[_Told]] = {}
@@ -377,7 +285,7 @@ class _Exactly:
         report.choices = ([choice for _, _, choice in different] + alike)[:MOST_CHOICES]
         report.choices_in_all, report.choices_that_differ = in_all, len(different)
 
-    def _add_sensitivities(self, report: Report, own: _Answer) -> None:
+    def _add_sensitivities(self, report: Report, own: TeamSolution) -> None:
         """How the value depends on each rate."""
         objective, transitions = self._objective, self._plan.net.transitions
         value = own.grouped.evaluated.value
@@ -388,7 +296,7 @@ class _Exactly:
                 own.rewards,
                 own.grouped.evaluated,
                 np.array([t.rate if t.timed else 0.0 for t in transitions]),
-                labels=self._decisions.rate_labels(own.team),
+                labels=self._problem.rate_labels(own.team),
             )
         except RefusedError as error:
             report.undecided.append("how the value depends on the rates: %s" % error.message)
@@ -424,7 +332,7 @@ class _Worth:
     :param numbers: the number of each transition.
     """
 
-    def __init__(self, answer: _Answer, numbers: Mapping[str, int]) -> None:
+    def __init__(self, answer: TeamSolution, numbers: Mapping[str, int]) -> None:
         team = answer.team
         automaton = team.automaton
         self._numbers = numbers
@@ -465,16 +373,6 @@ class _Worth:
         return total if math.isfinite(total) else None
 
 
-def _average(automaton: Automaton, measure: Rewards, evaluated: Evaluated) -> float:
-    """The average per second of what ``measure`` counts, in the long run of a policy."""
-    arcs = automaton.arc_rows
-    tangible = automaton.tangible[automaton.row_states[arcs]]
-    exits = np.where(tangible, automaton.exit_rates[arcs], 1.0)
-    taken = evaluated.flow[arcs] * automaton.values / np.where(exits > 0, exits, 1.0)
-    stays = np.where(automaton.tangible, evaluated.sojourn, 0.0)
-    return float(stays @ measure.rate + np.nan_to_num(taken) @ measure.impulse)
-
-
 def _by_marking(decided: Decided) -> Dict[Tuple[int, ...], Mapping[str, float]]:
     return {
         tuple(marking): choices
@@ -487,19 +385,3 @@ def _of_place(choices: Mapping[str, float], names: AbstractSet[str]) -> Dict[str
     mine = {name: share for name, share in choices.items() if name in names}
     total = sum(mine.values())
     return {name: share / total for name, share in mine.items()} if total > 0 else {}
-
-
-def _joined(parts: Sequence[Decided]) -> Decided:
-    return Decided(
-        np.concatenate([part.markings for part in parts]),
-        tuple(choices for part in parts for choices in part.choices),
-    )
-
-
-def _result(answer: _Answer, request: Request) -> TeamResult:
-    value = answer.grouped.evaluated.value
-    if request.uncertain:  # what it is worth whatever the rates are
-        value = answer.lower if request.objective.maximise else answer.upper
-    return TeamResult(
-        answer.team.robots, len(answer.team.automaton), value, answer.lower, answer.upper
-    )

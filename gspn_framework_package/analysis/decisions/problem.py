@@ -73,7 +73,7 @@ class Team:
     by_policy: Booleans
     states_in: Indices
     rows_in: Indices
-    problem: Decisions = field(repr=False)
+    problem: DecisionProblem = field(repr=False)
 
     @property
     def markings(self) -> Indices:
@@ -81,7 +81,7 @@ class Team:
         return self.distinct[self.marking_of]
 
 
-class Decisions:
+class DecisionProblem:
     """The decision problems of a plan; made by :meth:`of`.
 
     :ivar plan: the plan.
@@ -110,7 +110,7 @@ class Decisions:
         limits: Limits = Limits(),  # noqa: B008 (immutable)
         progress: Optional[Progress] = None,
         cancel: Optional[Cancel] = None,
-    ) -> Decisions:
+    ) -> DecisionProblem:
         """The decision problems of a plan.
 
         :param plan: a validated plan.

@@ -21,12 +21,13 @@ _LISTED = 8
 
 
 class TeamResult(NamedTuple):
-    """The answer for a team of ``robots`` robots: how many ``states`` its decision problem has, the
-    ``value`` of the policy, and certified bounds of the best value; all None if there is none, and
-    ``why`` there is none."""
+    """The answer for a team of ``robots`` robots: how many ``states`` its decision problem has
+    (None: too many), the ``value`` of the policy, and certified bounds of the best value; all None
+    if there is none, and ``why`` there is none. If the policy was improved by simulation, the
+    bounds are those of the 95 % confidence interval of its value."""
 
     robots: int
-    states: int
+    states: Optional[int]
     value: Optional[float]
     lower: Optional[float]
     upper: Optional[float]
@@ -189,17 +190,22 @@ class Report:
             lines = ["present policy: not known (%s)" % self.present_why]
         else:
             lines = ["present policy: %.9g%s" % (self.present, unit)]
+        best = "best policy" if self.exact else "improved policy"
         for team in self.teams:
-            who = "best policy" if team is self.teams[0] else "team of %d" % team.robots
+            who = best if team is self.teams[0] else "team of %d" % team.robots
             if team.value is None:
                 lines.append("%s: none (%s)" % (who, team.why))
                 continue
             text = "%s: %.9g%s" % (who, team.value, unit)
             if team.lower is not None and team.upper is not None:
-                text += ", the optimum is from %.12g to %.12g" % (team.lower, team.upper)
+                bounds = "the optimum is" if self.exact else "95 % interval:"
+                digits = 12 if self.exact else 6
+                text += ", %s from %.*g to %.*g" % (bounds, digits, team.lower, digits, team.upper)
             if team is self.teams[0] and self.gain is not None:
                 text += ", %+.2f %%" % (100 * self.gain)
-            lines.append("%s (%s states)" % (text, format(team.states, ",")))
+            if team.states is not None:
+                text += " (%s states)" % format(team.states, ",")
+            lines.append(text)
         return lines
 
     def _differences(self) -> List[str]:

@@ -15,7 +15,7 @@ from generated_plans import small_plans
 from running_plans import running_plans
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.decisions.problem import Decisions
+from gspn_framework_package.analysis.decisions.problem import DecisionProblem
 from gspn_framework_package.analysis.plan.reading import NET, RUN
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.duration import Duration
@@ -65,13 +65,13 @@ def test_the_present_policy_does_what_the_analysis_says(name, reading):
         analysis.measures  # noqa: B018
     except RefusedError:
         pytest.skip("it has no steady state")
-    assert_same(plan, Decisions.of(plan, reading=reading), plan.policy, reading)
+    assert_same(plan, DecisionProblem.of(plan, reading=reading), plan.policy, reading)
 
 
 def check_generated(plan, reading):
     plan = exponential(plan)
     try:
-        decisions = Decisions.of(plan, reading=reading)
+        decisions = DecisionProblem.of(plan, reading=reading)
         team = decisions.teams[0]
         assume(len(team.automaton) <= 1500)
         decisions.weights_of(team, plan.policy)
@@ -108,14 +108,14 @@ def test_generated_plans_with_everything_as_they_run(plan):
 @pytest.mark.parametrize("reading", [NET, RUN])
 def test_rates_are_proportional_to_those_of_the_transitions_that_are_named(reading):
     plan = read_plan("plans/rendezvous/plan.json")
-    decisions = Decisions.of(plan, reading=reading)
+    decisions = DecisionProblem.of(plan, reading=reading)
     team = decisions.teams[0]
     labels = decisions.rate_labels(team)
     timed = team.automaton.tangible[team.automaton.row_states[team.automaton.arc_rows]]
     assert (labels[timed] >= 0).all() and (labels[~timed] < 0).all()
     for t in np.unique(labels[timed]).tolist():
         faster = plan.with_rates({plan.net.transitions[t].name: 2 * plan.net.transitions[t].rate})
-        other = Decisions.of(faster, reading=reading).teams[0].automaton
+        other = DecisionProblem.of(faster, reading=reading).teams[0].automaton
         changed = np.where(labels == t, 2.0, 1.0) * team.automaton.values
         assert other.values == pytest.approx(changed, rel=1e-12)
 
@@ -123,7 +123,7 @@ def test_rates_are_proportional_to_those_of_the_transitions_that_are_named(readi
 def test_given_durations_depend_on_no_rate():
     plan = read_plan("plans/rendezvous/plan.json")
     plan = replace(plan, durations={"Fetch": Duration.erlang(3, 2.0)})
-    decisions = Decisions.of(plan, reading=RUN)
+    decisions = DecisionProblem.of(plan, reading=RUN)
     labels = decisions.rate_labels(decisions.teams[0])
     fetched = list(plan.net.consumers[plan.net.place_number("Fetch")])
     assert not np.isin(labels, fetched).any()

@@ -20,7 +20,7 @@ from gspn_framework_package.analysis.decisions.export import policy_of
 from gspn_framework_package.analysis.decisions.grouping import (
     group,
 )
-from gspn_framework_package.analysis.decisions.problem import Decisions
+from gspn_framework_package.analysis.decisions.problem import DecisionProblem
 from gspn_framework_package.analysis.decisions.solving.evaluate import evaluate
 from gspn_framework_package.analysis.decisions.solving.optimum import optimum
 from gspn_framework_package.analysis.plan.markings import PlanMarkings
@@ -66,7 +66,7 @@ def patrol():
 )
 def test_the_patrol_gets_its_published_value(reading, waits, value):
     plan, never, decide, objective = patrol()
-    decisions = Decisions.of(
+    decisions = DecisionProblem.of(
         plan, reading=reading, never=never, may_wait=decide if waits else (), team_sizes=[4]
     )
     found, asked = solved(decisions, objective, width=1e-6)
@@ -92,7 +92,7 @@ def test_the_patrol_gets_its_published_value(reading, waits, value):
 def test_a_policy_for_all_teams_leaves_no_gap():
     plan, never, decide, objective = patrol()
     plan = replace(plan, strict=True)
-    decisions = Decisions.of(plan, reading=NET, never=never, may_wait=decide)
+    decisions = DecisionProblem.of(plan, reading=NET, never=never, may_wait=decide)
     markings, choices = [], []
     for team in decisions.teams:
         found, asked = solved(decisions, objective, team, width=1e-6)
@@ -116,7 +116,7 @@ def check_generated(plan, reading, names):
     assume(timed)
     objective = Objective.long_run({timed[names % len(timed)]: 1.0})
     try:
-        decisions = Decisions.of(plan, reading=reading)
+        decisions = DecisionProblem.of(plan, reading=reading)
         team = decisions.teams[0]
         assume(len(team.automaton) <= 3000 and decisions.deciders)
         found, asked = solved(decisions, objective)
@@ -151,7 +151,7 @@ def check_passage(plan, reading, place, aim):
     goal = "%s >= 2" % places[place % len(places)]
     objective = getattr(Objective, aim)(goal)
     try:
-        decisions = Decisions.of(plan, reading=reading, conditions=[goal])
+        decisions = DecisionProblem.of(plan, reading=reading, conditions=[goal])
         team = decisions.teams[0]
         assume(len(team.automaton) <= 3000 and decisions.deciders)
         found, asked = solved(decisions, objective)

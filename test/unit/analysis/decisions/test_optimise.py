@@ -11,12 +11,13 @@ import pytest
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.decisions.aims import AtLeast, Objective, Request
 from gspn_framework_package.analysis.decisions.optimise import optimise
+from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.preflight.check_plan import check
 from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration, Evidence
-from gspn_framework_package.model.errors import RefusedError
+from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
 from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.policy import Policy
 
@@ -193,3 +194,25 @@ def test_the_sensitivities_of_a_run_are_the_quotients_of_differences():
         quotient = (values[1] - values[0]) / (2e-4 * entry.rate)
         assert entry.derivative == pytest.approx(quotient, rel=1e-4, abs=1e-9)
     assert len(found.sensitivities) > 6
+
+
+def test_too_many_states_are_answered_by_simulation_or_not_at_all():
+    aim = Objective.long_run({"walked": 1, "driven": 1})
+    request = Request(aim, limits=Limits(states=2))
+    report = optimise(two_ways(), request, simulated=0.1)
+    assert not report.exact
+    assert report.present == pytest.approx(0.5, rel=0.1)
+    assert report.teams[0].value == pytest.approx(2.0, rel=0.1)
+    assert "not decided: the best policy: " in "\n".join(report.lines())
+    assert report.to_json()["simulation"]["significant"]
+    with pytest.raises(LimitError, match="not decided within 3 states"):
+        optimise(two_ways(), request, simulated=0)
+
+
+def test_a_rate_that_plays_no_part_is_not_uncertain():
+    plan = two_ways(durations={"near": Duration.exponential(1.0)})
+    request = Request(
+        Objective.long_run({"walked": 1, "driven": 1}), uncertain={"driven": (0.1, 4.0)}
+    )
+    with pytest.raises(UsageError, match="driven: its rate plays no part"):
+        optimise(plan, request, simulated=0)

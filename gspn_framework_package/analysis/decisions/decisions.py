@@ -1,0 +1,320 @@
+"""Decisions of a plan, and the best ones: the way from a plan to a policy, in Python.
+
+>>> from gspn_framework_package.analysis.decisions.aims import Objective
+>>> from gspn_framework_package.model.builder import NetBuilder
+>>> from gspn_framework_package.model.plan import Plan, RobotSpec
+>>> net = (NetBuilder().place("choose", 1).place("near").place("far")
+...        .immediate("walk", inputs="choose", outputs="far")
+...        .immediate("drive", inputs="choose", outputs="near")
+...        .exponential("walked", rate=0.5, inputs="far", outputs="choose")
+...        .exponential("driven", rate=2.0, inputs="near", outputs="choose").build())
+>>> plan = Plan(net, actions={"choose": None}, robots=(RobotSpec("r", "choose"),))
+>>> solution = Decisions.of(plan).solve(Objective.long_run({"walked": 1, "driven": 1}))
+>>> round(solution.lower, 5), round(solution.upper, 5), solution.policy.rows[0].choices
+(2.0, 2.0, (('drive', 1.0),))
+>>> plan.with_policy(solution.policy).policy == solution.policy
+True
+"""
+
+from __future__ import annotations
+
+from typing import Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+
+from gspn_framework_package.analysis.arrays import Booleans, Floats
+from gspn_framework_package.analysis.decisions.aims import WIDTH, AtLeast, Objective, Request
+from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewards
+from gspn_framework_package.analysis.decisions.export import Decided, policy_of
+from gspn_framework_package.analysis.decisions.grouping import (
+    Grouped,
+    group,
+    group_random,
+    present_choices,
+)
+from gspn_framework_package.analysis.decisions.problem import DecisionProblem, Team
+from gspn_framework_package.analysis.decisions.report import ConstraintResult
+from gspn_framework_package.analysis.decisions.solving import (
+    Evaluated,
+    Robust,
+    constrained,
+    optimum,
+    robust,
+)
+from gspn_framework_package.analysis.limits import Limits
+from gspn_framework_package.analysis.plan.reading import RUN
+from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
+from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.policy import Policy
+
+
+class TeamSolution(NamedTuple):
+    """The solution for a team of one size.
+
+    :ivar team: its decision problem.
+    :ivar rewards: what its runs earn; None for TIME_TO and REACH.
+    :ivar goal: boolean array over its states: where the aim is reached; None if it has no goal.
+    :ivar lower: certified lower bound of the best value; ``upper``: the upper one.
+    :ivar grouped: the decisions by marking, with their value.
+    :ivar row_values: float array over the rows: what each is worth.
+    :ivar constraints: what the policy gives of each constraint.
+    """
+
+    team: Team
+    rewards: Optional[Rewards]
+    goal: Optional[Booleans]
+    lower: float
+    upper: float
+    grouped: Grouped
+    row_values: Floats
+    constraints: List[ConstraintResult]
+
+    def value(self, request: Request) -> float:
+        """What the policy is worth; with uncertain rates: at the worst."""
+        if request.uncertain:
+            return self.lower if request.objective.maximise else self.upper
+        return self.grouped.evaluated.value
+
+
+class Solution(NamedTuple):
+    """The best policy for an aim.
+
+    :ivar policy: the policy, for the plan's own team and the smaller ones.
+    :ivar value: what it is worth for the plan's own team. With uncertain rates: at the worst.
+    :ivar lower: certified lower bound of the best value; ``upper``: the upper one.
+    :ivar teams: the solution for each team size, the plan's own first.
+    :ivar without: the sizes of teams for which there is none, with the reason. They do as under the
+      present policy.
+    """
+
+    policy: Policy
+    value: float
+    lower: float
+    upper: float
+    teams: Tuple[TeamSolution, ...]
+    without: Mapping[int, str]
+
+
+class Decisions:
+    """What the robots of a plan can decide; made by :meth:`of`.
+
+    :ivar problem: the decision problems.
+    """
+
+    @classmethod
+    def of(
+        cls,
+        plan: Plan,
+        *,
+        reading: str = RUN,
+        may_wait: Iterable[str] = (),
+        never: Iterable[str] = (),
+        conditions: Iterable[str] = (),
+        team_sizes: Optional[Iterable[int]] = None,
+        limits: Limits = Limits(),  # noqa: B008 (immutable)
+        progress: Optional[Progress] = None,
+        cancel: Optional[Cancel] = None,
+    ) -> Decisions:
+        """The decisions of a plan; see :meth:`.problem.DecisionProblem.of`."""
+        problem = DecisionProblem.of(
+            plan,
+            reading=reading,
+            may_wait=may_wait,
+            never=never,
+            conditions=conditions,
+            team_sizes=team_sizes,
+            limits=limits,
+            progress=progress,
+            cancel=cancel,
+        )
+        return cls(problem, Watch(progress, cancel, seconds=limits.seconds), cancel)
+
+    def __init__(
+        self, problem: DecisionProblem, watch: Watch, cancel: Optional[Cancel] = None
+    ) -> None:
+        self.problem = problem
+        self._watch, self._cancel = watch, cancel
+
+    def solve(
+        self,
+        objective: Objective,
+        *,
+        at_least: Sequence[AtLeast] = (),
+        uncertain: Mapping[str, Tuple[float, float]] = {},
+        width: float = WIDTH,
+    ) -> Solution:
+        """The best policy for an aim.
+
+        :param at_least: constraints on the long run.
+        :param uncertain: transition -> lowest and highest rate (1/s).
+        :param width: width of the certified interval, relative to its value.
+        :raises UsageError: the aim does not fit the plan.
+        :raises RefusedError: there is no answer: the constraints cannot be kept, or no policy
+            reaches the goal.
+        :raises LimitError: the interval did not become as narrow as asked, or not in time.
+        """
+        plan = self.problem.plan
+        request = Request(
+            objective, at_least=tuple(at_least), uncertain=uncertain, width=width
+        ).resolved(plan.net)
+        solver = _Solver(self.problem, request, self._watch)
+        own = solver.solve(self.problem.teams[0])
+        teams, without = [own], {}
+        decided = [own.grouped.decided]
+        for team in self.problem.teams[1:]:
+            try:
+                found = solver.solve(team)
+            except LimitError:
+                raise
+            except RefusedError as error:
+                without[team.robots] = error.message
+                decided.append(present_choices(team))
+            else:
+                teams.append(found)
+                decided.append(found.grouped.decided)
+        policy = policy_of(plan, _joined(decided), cancel=self._cancel)
+        return Solution(policy, own.value(request), own.lower, own.upper, tuple(teams), without)
+
+
+class _Solver:
+    """Solves the problems of the teams."""
+
+    def __init__(self, problem: DecisionProblem, request: Request, watch: Watch) -> None:
+        self._problem, self._request, self._watch = problem, request, watch
+
+    def solve(self, team: Team) -> TeamSolution:
+        """The solution for one team. :raises RefusedError: there is none."""
+        request, problem = self._request, self._problem
+        objective = request.objective
+        rewards = problem.rewards(team, objective) if objective.rewards else None
+        goal = problem.goal(team, objective.goal) if objective.goal else None
+        allowed = problem.allowed(team)
+        if request.at_least:
+            assert rewards is not None  # the request has been checked
+            return self._constrained(team, rewards, allowed)
+        if request.uncertain:
+            return self._robust(team, rewards, goal, allowed)
+        solved = optimum(
+            team.automaton,
+            objective.aim,
+            rewards,
+            goal=goal,
+            discount=objective.discount,
+            maximise=objective.maximise,
+            width=request.width,
+            allowed=allowed,
+            watch=self._watch,
+        )
+        grouped = group(team, solved, rewards, objective, goal, allowed, watch=self._watch)
+        return TeamSolution(
+            team, rewards, goal, solved.lower, solved.upper, grouped, solved.row_values, []
+        )
+
+    def _constrained(self, team: Team, rewards: Rewards, allowed: Booleans) -> TeamSolution:
+        request, objective = self._request, self._request.objective
+        measures = [
+            self._problem.earnings(team, {constraint.name: 1.0}) for constraint in request.at_least
+        ]
+        found = constrained(
+            team.automaton,
+            rewards,
+            [(measure, c.bound) for measure, c in zip(measures, request.at_least)],
+            names=[constraint.name for constraint in request.at_least],
+            maximise=objective.maximise,
+            width=request.width,
+            allowed=allowed,
+            watch=self._watch,
+        )
+        grouped = group_random(
+            team, found.weights, rewards, objective, None, allowed, watch=self._watch
+        )
+        constraints = [
+            ConstraintResult(
+                constraint.name,
+                _average(team.automaton, measure, grouped.evaluated),
+                constraint.bound,
+                price,
+            )
+            for constraint, measure, price in zip(request.at_least, measures, found.prices)
+        ]
+        return TeamSolution(
+            team,
+            rewards,
+            None,
+            found.lower,
+            found.upper,
+            grouped,
+            grouped.evaluated.row_values,
+            constraints,
+        )
+
+    def _robust(
+        self,
+        team: Team,
+        rewards: Optional[Rewards],
+        goal: Optional[Booleans],
+        allowed: Booleans,
+    ) -> TeamSolution:
+        request, automaton = self._request, team.automaton
+        objective, net = request.objective, self._problem.plan.net
+        labels = self._problem.rate_labels(team)
+        factors = {}
+        for name, (low, high) in request.uncertain.items():
+            t = net.transition_number(name)
+            if not (labels == t).any():
+                raise UsageError(
+                    "its rate plays no part: the plan gives the duration, or it never fires",
+                    element=name,
+                    hint="take it out of the uncertain rates, or take the nominal rates",
+                )
+            rate = net.transitions[t].rate
+            factors[t] = (low / rate, high / rate)
+
+        def worst(rows: Booleans) -> Robust:
+            return robust(
+                automaton,
+                objective.aim,
+                rewards,
+                factors,
+                labels=labels,
+                goal=goal,
+                discount=objective.discount,
+                maximise=objective.maximise,
+                width=request.width,
+                allowed=rows,
+                watch=self._watch,
+            )
+
+        found = worst(allowed)
+        weights = np.zeros(len(automaton.choices))
+        chosen = found.row_of[found.row_of >= 0]
+        weights[chosen] = 1.0
+        grouped = group_random(team, weights, rewards, objective, goal, allowed, watch=self._watch)
+        # what the rows that were written guarantee, not what the solution would
+        own = worst((grouped.weights > 0) | automaton.tangible[automaton.row_states])
+        lower, upper = found.lower, found.upper
+        if objective.maximise:
+            lower = min(lower, own.lower)
+        else:
+            upper = max(upper, own.upper)
+        return TeamSolution(
+            team, rewards, goal, lower, upper, grouped, grouped.evaluated.row_values, []
+        )
+
+
+def _average(automaton: Automaton, measure: Rewards, evaluated: Evaluated) -> float:
+    """The average per second of what ``measure`` counts, in the long run of a policy."""
+    arcs = automaton.arc_rows
+    tangible = automaton.tangible[automaton.row_states[arcs]]
+    exits = np.where(tangible, automaton.exit_rates[arcs], 1.0)
+    taken = evaluated.flow[arcs] * automaton.values / np.where(exits > 0, exits, 1.0)
+    stays = np.where(automaton.tangible, evaluated.sojourn, 0.0)
+    return float(stays @ measure.rate + np.nan_to_num(taken) @ measure.impulse)
+
+
+def _joined(parts: Sequence[Decided]) -> Decided:
+    return Decided(
+        np.concatenate([part.markings for part in parts]),
+        tuple(choices for part in parts for choices in part.choices),
+    )
