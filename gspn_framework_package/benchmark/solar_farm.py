@@ -22,8 +22,8 @@ from gspn_framework_package.analysis.arrays import Floats
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
 from gspn_framework_package.analysis.decisions.automaton import WAIT
 from gspn_framework_package.analysis.decisions.problem import DecisionProblem, Team
-from gspn_framework_package.analysis.decisions.solving.evaluate import evaluate
-from gspn_framework_package.analysis.decisions.solving.optimum import optimum
+from gspn_framework_package.analysis.decisions.solving.evaluation import evaluate
+from gspn_framework_package.analysis.decisions.solving.optima import optimum
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
 from gspn_framework_package.benchmark.plans import INSTANT
 from gspn_framework_package.model.builder import NetBuilder

@@ -24,8 +24,8 @@ from gspn_framework_package.analysis.decisions.export import Decided
 from gspn_framework_package.analysis.decisions.playing import Answers
 from gspn_framework_package.analysis.decisions.problem import Team
 from gspn_framework_package.analysis.decisions.run_net import Stage
-from gspn_framework_package.analysis.decisions.solving.evaluate import Evaluated, evaluate
-from gspn_framework_package.analysis.decisions.solving.optimum import Solved
+from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluated, evaluate
+from gspn_framework_package.analysis.decisions.solving.optima import Solved
 from gspn_framework_package.analysis.plan.markings import distinct_rows
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import RefusedError

@@ -21,8 +21,8 @@ from gspn_framework_package.analysis.decisions.grouping import (
     group,
 )
 from gspn_framework_package.analysis.decisions.problem import DecisionProblem
-from gspn_framework_package.analysis.decisions.solving.evaluate import evaluate
-from gspn_framework_package.analysis.decisions.solving.optimum import optimum
+from gspn_framework_package.analysis.decisions.solving.evaluation import evaluate
+from gspn_framework_package.analysis.decisions.solving.optima import optimum
 from gspn_framework_package.analysis.plan.markings import PlanMarkings
 from gspn_framework_package.analysis.plan.reading import NET, RUN
 from gspn_framework_package.formats.plan_file import read_plan

@@ -17,7 +17,7 @@ from gspn_framework_package.analysis.decisions.aims import Aim
 from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automaton, Rewards
 from gspn_framework_package.analysis.decisions.solving import layers
 from gspn_framework_package.analysis.decisions.solving.graphs import any_of_row, forward
-from gspn_framework_package.analysis.decisions.solving.optimum import optimum
+from gspn_framework_package.analysis.decisions.solving.optima import optimum
 from gspn_framework_package.analysis.solution.linear import solve as solve_linear
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import RefusedError
@@ -71,7 +71,7 @@ def evaluate(
     :param weights: float array over the rows: the probability with which each state takes it. The
       row of a tangible state counts as 1. States whose rows have no weight have no policy; a run
       may not come there.
-    :param goal: see :func:`~.optimum.optimum`, as for the other arguments.
+    :param goal: see :func:`~.optima.optimum`, as for the other arguments.
     :raises RefusedError: a run comes to a state without a policy, or the value is infinite.
     :raises LimitError: the bounds did not come close enough.
     """

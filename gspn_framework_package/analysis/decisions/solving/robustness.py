@@ -19,7 +19,7 @@ import numpy as np
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.decisions.aims import WIDTH, Aim
 from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automaton, Rewards
-from gspn_framework_package.analysis.decisions.solving.optimum import Solved, optimum
+from gspn_framework_package.analysis.decisions.solving.optima import Solved, optimum
 from gspn_framework_package.analysis.graph import flat_ranges
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
@@ -72,7 +72,7 @@ def robust(
     :param intervals: transition -> lowest and highest factor of its rate.
     :param labels: int array over the arcs: the transition whose rate each rate is proportional to
       (-1: none); None: the one that fires.
-    :param goal: see :func:`~.optimum.optimum`, as for the other arguments.
+    :param goal: see :func:`~.optima.optimum`, as for the other arguments.
     :raises UsageError: an interval is none.
     :raises LimitError: a state has more than eight uncertain rates, or see ``optimum``.
     :raises RefusedError: see ``optimum``.

@@ -18,10 +18,10 @@ from scipy import optimize
 from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.decisions.aims import WIDTH, Aim
 from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewards
-from gspn_framework_package.analysis.decisions.solving.evaluate import Evaluated, evaluate, flows
+from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluated, evaluate, flows
 from gspn_framework_package.analysis.decisions.solving.graphs import end_components, staying
 from gspn_framework_package.analysis.decisions.solving.layers import arrows_of
-from gspn_framework_package.analysis.decisions.solving.optimum import Solved, optimum
+from gspn_framework_package.analysis.decisions.solving.optima import Solved, optimum
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError
 

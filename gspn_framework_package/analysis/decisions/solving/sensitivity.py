@@ -16,7 +16,7 @@ import numpy as np
 from gspn_framework_package.analysis.arrays import Floats, Indices
 from gspn_framework_package.analysis.decisions.aims import Aim
 from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewards
-from gspn_framework_package.analysis.decisions.solving.evaluate import Evaluated
+from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluated
 from gspn_framework_package.model.errors import RefusedError
 
 

@@ -2,8 +2,9 @@
 
 Whatever method found the values, the bounds come from the equations they satisfy (Puterman, *Markov
 Decision Processes*, Wiley 1994): with the drift ``d`` of :mod:`.fixed_point`, the best gain in the
-long run is between min d and max d; discounted values are off by at most max |d| / discount; mean
-times ``V`` are between ``V / (1 - min d)`` and ``V / (1 - max d)``. Costs and probabilities are off
+long run is between min d and max d; discounted values are off by at most the largest absolute d,
+divided by the discount; mean times ``V`` are between
+``V / (1 - min d)`` and ``V / (1 - max d)``. Costs and probabilities are off
 by at most the drift times the mean time until the end, which is bounded in the same way. End
 components in which a policy could stay without cost are merged first, so that the equations have
 one solution (de Alfaro, *Computing Minimum and Maximum Reachability Times*, CONCUR 1999).
