@@ -48,6 +48,9 @@ from gspn_framework_package.model.errors import LimitError, RefusedError, UsageE
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy
 
+_STRICTER = 6
+"""How often stricter bounds are tried."""
+
 
 class TeamSolution(NamedTuple):
     """The solution for a team of one size.
@@ -212,6 +215,40 @@ class _Solver:
         )
 
     def _constrained(self, team: Team, rewards: Rewards, allowed: Booleans) -> TeamSolution:
+        """The best policy that keeps the constraints.
+
+        Rows of a policy cannot draw between going and waiting, nor between places, so what they do
+        may fall short of a solution that does. Then the solution for stricter bounds is tried.
+        """
+        request = self._request
+        found = self._within(team, rewards, allowed, [c.bound for c in request.at_least])
+        lower, upper = found.lower, found.upper
+        best, bounds = found, [constraint.bound for constraint in request.at_least]
+        for _ in range(_STRICTER):
+            short = [not constraint.kept for constraint in best.constraints]
+            if not any(short):
+                break
+            bounds = [
+                bound * min(max(c.bound / c.value, 1.01), 2.0) if less and c.value > 0 else bound
+                for bound, less, c in zip(bounds, short, best.constraints)
+            ]
+            try:
+                best = self._within(team, rewards, allowed, bounds)
+            except RefusedError:
+                break  # so strict bounds cannot be kept
+        if not all(constraint.kept for constraint in best.constraints):
+            return found
+        value = best.grouped.evaluated.value
+        if request.objective.maximise:
+            lower = min(lower, value)
+        else:
+            upper = max(upper, value)
+        return best._replace(lower=lower, upper=upper)
+
+    def _within(
+        self, team: Team, rewards: Rewards, allowed: Booleans, bounds: Sequence[float]
+    ) -> TeamSolution:
+        """The best policy with these lower bounds in place of those that were asked for."""
         request, objective = self._request, self._request.objective
         measures = [
             self._problem.earnings(team, {constraint.name: 1.0}) for constraint in request.at_least
@@ -219,7 +256,7 @@ class _Solver:
         found = constrained(
             team.automaton,
             rewards,
-            [(measure, c.bound) for measure, c in zip(measures, request.at_least)],
+            list(zip(measures, bounds)),
             names=[constraint.name for constraint in request.at_least],
             maximise=objective.maximise,
             width=request.width,

@@ -193,7 +193,7 @@ class _Exactly:
 
     def _wide(self, answer: TeamSolution) -> List[str]:
         """What to say if the policy may not be the best, as far as the interval tells."""
-        missed = [c for c in answer.constraints if c.value < c.bound * (1 - 1e-6) - 1e-12]
+        missed = [constraint for constraint in answer.constraints if not constraint.kept]
         told = [
             "whether '%s' can be kept by a policy that sees only the marking: this one has %.6g of "
             "%g" % (constraint.name, constraint.value, constraint.bound)
@@ -210,8 +210,9 @@ class _Exactly:
         return [
             *told,
             *answer.grouped.notes,
-            "whether another policy is better by up to %.2g %%: that is what one could reach that "
-            "sees not only the marking, but also which robots are done" % (100 * gap / scale),
+            "whether another policy is better, by at most %.2g %%: the bound is that of policies "
+            "that also see which robots are done, and draw between all that robots could do"
+            % (100 * gap / scale),
         ]
 
     def _open(self, answer: TeamSolution) -> List[str]:

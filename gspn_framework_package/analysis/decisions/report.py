@@ -43,6 +43,11 @@ class ConstraintResult(NamedTuple):
     bound: float
     price: Optional[float]
 
+    @property
+    def kept(self) -> bool:
+        """Whether the policy keeps it, but for rounding."""
+        return self.value >= self.bound - 1e-6 * abs(self.bound)
+
 
 class Sensitivity(NamedTuple):
     """How the value depends on the ``rate`` (1/s) of a transition: the ``derivative``, and the

@@ -85,6 +85,7 @@ def solve(
     order: Optional[Indices] = None,
     watch: Optional[Watch] = None,
     start: Optional[Floats] = None,
+    direct: Optional[int] = None,
 ) -> LinearSolution:
     """Solve ``diagonal * x = rhs + matrix @ x``.
 
@@ -96,21 +97,23 @@ def solve(
       the order.
     :param watch: receives progress, and may stop the sweeps.
     :param start: initial guess.
+    :param direct: up to this many unknowns, LU is tried first; None: :data:`DIRECT_SIZE`.
     :raises LimitError: no method reached a residual of :data:`ACCEPTED`, or :data:`ACCEPTED_TIMES`
       with a ``rhs``.
     :raises CancelledError: the watch cancelled the work.
     """
     matrix = sparse.csr_matrix(matrix)
     size = len(diagonal)
+    direct = DIRECT_SIZE if direct is None else direct
     accepted = ACCEPTED if rhs is None else ACCEPTED_TIMES
     best: Optional[LinearSolution] = None
-    if size <= DIRECT_SIZE:
+    if size <= direct:
         best = _direct(matrix, diagonal, rhs)
     if best is None or not best.residual <= accepted:
         best = _better(
             best, _swept_in_order(matrix, diagonal, rhs, backward, order, watch or Watch(), start)
         )
-    if not best.residual <= accepted and DIRECT_SIZE < size <= FALLBACK_SIZE:
+    if not best.residual <= accepted and direct < size <= FALLBACK_SIZE:
         best = _better(best, _direct(matrix, diagonal, rhs))
     if not best.residual <= accepted:
         raise LimitError(

@@ -26,6 +26,10 @@ WIDTH = 1e-9
 """Default width of the interval, relative to the value."""
 
 
+_DIRECT_SIZE = 10_000
+"""Up to this many states, flows in the long run are found by LU."""
+
+
 class Evaluated(NamedTuple):
     """The value of a policy.
 
@@ -254,6 +258,7 @@ def _in_the_long_run(
             amount[states] = probability
             continue
         part = inflow[states][:, states]
-        found = solve_linear(part, exits[states], None, watch=watch).values
+        # a mixture of policies that hardly ever meet is too stiff for sweeps
+        found = solve_linear(part, exits[states], None, watch=watch, direct=_DIRECT_SIZE).values
         amount[states] = probability * found / float(found[tangible[states]].sum())
     return amount

@@ -149,6 +149,23 @@ def test_a_constraint_has_its_price():
         optimise(plan, impossible, simulated=0)
 
 
+def test_a_constraint_is_kept_although_rows_cannot_draw_between_going_and_waiting():
+    plan = read_plan(str(PLANS / "patrol")).for_robots(2)
+    request = Request(
+        CHECKS,
+        may_wait=frozenset({"p*:Decide_*"}),
+        at_least=(AtLeast("p4:Wait_L1", 0.05),),
+        team_sizes=(2,),
+    )
+    report = optimise(plan, request, simulated=0)
+    own = report.teams[0]
+    mean = Analysis(report.plan).measures.mean_tokens["p4:Wait_L1"]
+    assert mean == pytest.approx(report.constraints[0].value, rel=1e-6)
+    assert mean >= 0.05 * (1 - 1e-6)
+    assert own.lower <= own.value <= own.upper * (1 + 1e-9)
+    assert own.upper - own.value < 0.01 * own.upper
+
+
 @pytest.mark.parametrize("reading", ["net", "run"])
 def test_the_best_policy_for_the_worst_rates(reading):
     request = Request(
