@@ -179,6 +179,28 @@ class Decisions:
         policy = policy_of(plan, _joined(decided), cancel=self._cancel)
         return Solution(policy, own.value(request), own.lower, own.upper, tuple(teams), without)
 
+    def price_of_never(self, objective: Objective, solution: Solution) -> float:
+        """How much more a policy for the plan's own team would reach, or how much less it would
+        cost, if everything were permitted that may never hold.
+
+        :param objective: the aim.
+        :param solution: the solution for it, without constraints and uncertain rates.
+        :raises LimitError: see :meth:`solve`.
+        """
+        team, own = self.problem.teams[0], solution.teams[0]
+        free = optimum(
+            team.automaton,
+            objective.aim,
+            own.rewards,
+            goal=own.goal,
+            discount=objective.discount,
+            maximise=objective.maximise,
+            allowed=team.by_policy,
+            watch=self._watch,
+        )
+        gain = 0.5 * (free.lower + free.upper - solution.lower - solution.upper)
+        return max(gain if objective.maximise else -gain, 0.0)
+
 
 class _Solver:
     """Solves the problems of the teams."""
@@ -229,8 +251,8 @@ class _Solver:
             if not any(short):
                 break
             bounds = [
-                bound * min(max(c.bound / c.value, 1.01), 2.0) if less and c.value > 0 else bound
-                for bound, less, c in zip(bounds, short, best.constraints)
+                bound * (min(max(asked.bound / c.value, 1.01), 2.0) if less and c.value else 1.0)
+                for bound, less, asked, c in zip(bounds, short, request.at_least, best.constraints)
             ]
             try:
                 best = self._within(team, rewards, allowed, bounds)

@@ -18,6 +18,7 @@ from gspn_framework_package.analysis.decisions.export import Decided
 from gspn_framework_package.analysis.decisions.grouping import present_choices
 from gspn_framework_package.analysis.decisions.report import (
     MOST_CHOICES,
+    ConstraintResult,
     MarkingChoice,
     Report,
     Sensitivity,
@@ -157,7 +158,7 @@ class _Exactly:
             self._results(solution),
             len(solution.policy.rows),
             sum(team.grouped.silent for team in solution.teams),
-            constraints=own.constraints,
+            constraints=[*own.constraints, *self._price_of_never(solution)],
             assumptions=list(self._problem.assumptions),
             undecided=self._wide(own),
         )
@@ -176,6 +177,21 @@ class _Exactly:
         self._add_choices(report, own)
         self._add_sensitivities(report, own)
         return report
+
+    def _price_of_never(self, solution: Solution) -> List[ConstraintResult]:
+        """What it costs that something may never hold."""
+        request = self._request
+        if not request.never:
+            return []
+        price = None
+        if not request.at_least and not request.uncertain:
+            try:
+                price = self._decisions.price_of_never(self._objective, solution)
+            except LimitError:
+                raise
+            except RefusedError:
+                pass  # without it, there is no finite value
+        return [ConstraintResult(" or ".join(request.never), None, None, price)]
 
     def _results(self, solution: Solution) -> List[TeamResult]:
         found = {team.team.robots: team for team in solution.teams}
@@ -196,7 +212,7 @@ class _Exactly:
         missed = [constraint for constraint in answer.constraints if not constraint.kept]
         told = [
             "whether '%s' can be kept by a policy that sees only the marking: this one has %.6g of "
-            "%g" % (constraint.name, constraint.value, constraint.bound)
+            "%g" % (constraint.name, constraint.value or 0.0, constraint.bound or 0.0)
             for constraint in missed
         ]
         if self._request.uncertain:

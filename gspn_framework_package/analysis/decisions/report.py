@@ -36,16 +36,19 @@ class TeamResult(NamedTuple):
 
 class ConstraintResult(NamedTuple):
     """A constraint: its ``name``, the ``value`` that the policy reaches, its ``bound``, and its
-    ``price``: how much the aim would gain if the bound were lower by 1."""
+    ``price``: how much the aim would gain if the bound were lower by 1. What may never hold has
+    neither value nor bound, and its price is what the aim would gain without it."""
 
     name: str
-    value: float
-    bound: float
+    value: Optional[float]
+    bound: Optional[float]
     price: Optional[float]
 
     @property
     def kept(self) -> bool:
         """Whether the policy keeps it, but for rounding."""
+        if self.value is None or self.bound is None:
+            return True
         return self.value >= self.bound - 1e-6 * abs(self.bound)
 
 
@@ -163,14 +166,7 @@ class Report:
         objective = self.request.objective
         lines = ["aim: %s" % objective.describe()]
         lines += self._values()
-        for constraint in self.constraints:
-            price = (
-                "" if constraint.price is None else "; it costs %.6g per unit" % constraint.price
-            )
-            lines.append(
-                "%s: %.9g, at least %g%s"
-                % (constraint.name, constraint.value, constraint.bound, price)
-            )
+        lines += [_costs(constraint) for constraint in self.constraints]
         lines.append(
             "policy: %d row%s%s"
             % (
@@ -239,6 +235,19 @@ class Report:
 def _finite(value: Optional[float]) -> Optional[float]:
     """The value, for JSON, which has no infinite numbers."""
     return value if value is not None and math.isfinite(value) else None
+
+
+def _costs(constraint: ConstraintResult) -> str:
+    """A constraint and its price."""
+    cost = "not known" if constraint.price is None else "%.6g" % constraint.price
+    if constraint.value is None or constraint.bound is None:
+        return "never %s: it costs %s" % (constraint.name, cost)
+    return "%s: %.9g, at least %g; it costs %s per unit" % (
+        constraint.name,
+        constraint.value,
+        constraint.bound,
+        cost,
+    )
 
 
 def _shown(choice: MarkingChoice) -> str:

@@ -177,11 +177,11 @@ export class OptimiseViews {
       "Constraints",
       true,
       table(
-        ["At least", "Bound", "Reached", "Costs per unit"],
+        ["Constraint", "At least", "Reached", "Costs"],
         constraints.map(({ name, value, bound, price }) => [
-          this.node(name),
-          number(bound),
-          number(value),
+          bound === null ? `never ${name}` : this.node(name),
+          bound === null ? "" : number(bound),
+          bound === null ? "" : number(value),
           price === null || price === undefined
             ? "not known"
             : price === 0
@@ -191,7 +191,7 @@ export class OptimiseViews {
       ),
       h("p", {
         class: "muted",
-        text: "What a constraint costs: by how much the best value would improve if the bound were lower by 1.",
+        text: "What a constraint costs: by how much the best value would improve without it, or, of a bound, if it were lower by 1.",
       }),
     );
   }

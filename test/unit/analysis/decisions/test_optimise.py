@@ -102,6 +102,10 @@ def test_the_patrol_with_waiting_keeps_its_rule_in_every_team(reading, robots, p
     assert own.lower - 1e-9 <= own.value <= own.upper + 1e-9
     assert [team.robots for team in report.teams] == list(range(robots, 0, -1))
     assert report.present == pytest.approx(present, rel=1e-9)
+    never = report.constraints[0]
+    free = optimise(plan, dataclasses.replace(request, never=()), simulated=0).teams[0].value
+    assert never.price == pytest.approx(free - best, rel=1e-6)
+    assert "never %s: it costs " % ALONE in "\n".join(report.lines())
     strict = dataclasses.replace(report.plan, strict=True)
     findings = [item for item in check(strict).items if item.severity is not Severity.OK]
     assert {item.check for item in findings} <= {"never_fire"}
