@@ -191,7 +191,7 @@ export class OptimiseViews {
       ),
       h("p", {
         class: "muted",
-        text: "What a constraint costs: by how much the best value would improve without it, or, of a bound, if it were lower by 1.",
+        text: "What it costs: the gain without a condition, or with a bound that is lower by 1.",
       }),
     );
   }
