@@ -241,7 +241,10 @@ def test_the_readme_typed_in_a_terminal(sandbox, tmp_path):
                 assert code == step.exit_code, "%s\n%s" % (step, text)
             assert "Traceback" not in text, "%s\n%s" % (step, text)
     assert typed == (
-        ["check", "check", "run", "analyse", "simulate", "fit", "compare", "serve", "replay"]
+        [
+            *("check", "check", "run", "analyse", "simulate", "fit", "compare", "optimise"),
+            *("serve", "replay"),
+        ]
     )
 
 

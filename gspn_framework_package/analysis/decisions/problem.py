@@ -353,10 +353,13 @@ class DecisionProblem:
             wanted.remove(own)
             wanted.insert(0, own)
         needed = self._needed()
-        return [
-            self._team(n, (robots == n)[built.original] & needed, self._start(n, robots))
-            for n in wanted
-        ]
+        teams = []
+        for n in wanted:
+            mine = (robots == n)[built.original]
+            part = mine & needed
+            # in a team that is never seen to ask, no state is more typical than another
+            teams.append(self._team(n, part if part.any() else mine, self._start(n, robots)))
+        return teams
 
     def _needed(self) -> Booleans:
         """The states that timed play reaches from any marking in which a run may ask the policy."""

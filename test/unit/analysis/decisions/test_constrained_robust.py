@@ -23,6 +23,7 @@ from gspn_framework_package.analysis.decisions.solving import (
 from gspn_framework_package.model.errors import RefusedError, UsageError
 
 relaxed = settings(
+    derandomize=True,
     max_examples=int(os.environ.get("GSPN_DECISION_EXAMPLES", "12")),
     deadline=None,
     suppress_health_check=list(HealthCheck),

@@ -16,14 +16,17 @@ from running_plans import running_plans
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.decisions.problem import DecisionProblem
+from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.plan.reading import NET, RUN
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import LimitError, RefusedError
+from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
 
 PLANS = ["patrol", "rendezvous", "fork_join", "measure", "tokens"]
 
-many = settings(max_examples=25, suppress_health_check=list(HealthCheck))
+many = settings(max_examples=25, derandomize=True, suppress_health_check=list(HealthCheck))
 
 
 def exponential(plan):
@@ -71,9 +74,8 @@ def test_the_present_policy_does_what_the_analysis_says(name, reading):
 def check_generated(plan, reading):
     plan = exponential(plan)
     try:
-        decisions = DecisionProblem.of(plan, reading=reading)
+        decisions = DecisionProblem.of(plan, reading=reading, limits=Limits(states=1500))
         team = decisions.teams[0]
-        assume(len(team.automaton) <= 1500)
         decisions.weights_of(team, plan.policy)
         Analysis(plan, timing=reading).measures  # noqa: B018
     except (RefusedError, LimitError):
@@ -103,6 +105,29 @@ def test_generated_plans_with_everything_by_their_nets(plan):
 @given(small_plans())
 def test_generated_plans_with_everything_as_they_run(plan):
     check_generated(plan, RUN)
+
+
+@pytest.mark.parametrize("reading", [NET, RUN])
+def test_a_smaller_team_that_is_never_seen_to_ask_has_its_states(reading):
+    net = (
+        NetBuilder("a tool is missing")
+        .place("a", 2)
+        .place("b")
+        .place("tool")
+        .immediate("go", inputs=["a", "tool"], outputs="b")
+        .exponential("on", rate=1.0, inputs="b", outputs="a")
+        .build()
+    )
+    plan = Plan(
+        net,
+        actions={"a": FunctionAction("actions.work", "a"), "b": None},
+        robots=(RobotSpec("r", "a"), RobotSpec("s", "a")),
+        resource_places=frozenset({"tool"}),
+        outcomes={"a": {"go": 1.0}},
+    )
+    teams = DecisionProblem.of(plan, reading=reading).teams
+    assert [team.robots for team in teams] == [2, 1]
+    assert all(len(team.automaton) for team in teams)
 
 
 @pytest.mark.parametrize("reading", [NET, RUN])

@@ -15,7 +15,9 @@ from gspn_framework_package.analysis.decisions.solving import evaluate, optimum
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
 
 EXAMPLES = int(os.environ.get("GSPN_DECISION_EXAMPLES", "40"))
-relaxed = settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
+relaxed = settings(
+    max_examples=EXAMPLES, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck)
+)
 DISCOUNT = 0.3
 
 
