@@ -9,7 +9,7 @@ FORMS = {390: 844, 800: 1000, 1280: 720, 1440: 900, 3840: 2160}
 CONTROLS = "#open-screen, #start, #theme, #help, #folds button, #tools button, .zoom button, #play, #scrubber"
 
 
-def test_axe_finds_nothing_in_any_mode(serve_folder, open_page, axe, tmp_path):
+def test_axe_finds_nothing_while_a_net_is_simulated(serve_folder, open_page, axe):
     site = serve_folder()
     page = open_page(site.address, ready=False, reduced_motion="reduce")
     page.wait_for_selector("#opening button")
@@ -39,6 +39,11 @@ def test_axe_finds_nothing_in_any_mode(serve_folder, open_page, axe, tmp_path):
     )
     axe(page, "SIMULATE, the analysis", "right")
 
+
+def test_axe_finds_nothing_in_a_run_and_its_replay(serve_folder, open_page, axe, tmp_path):
+    page = open_page(serve_folder().address, ready=False, reduced_motion="reduce")
+    page.click("#opening button:has-text('patrol/plan.json')")
+    page.wait_for_selector("body[data-mode='SIMULATE'][data-ready]")
     resize(page, 1280, 720)
     page.click("#start")
     page.click("dialog button.primary")
