@@ -227,6 +227,11 @@ class FullTest(Faults, RobotTestCase):
             actions="def until_cancelled(is_cancelled):\n    is_cancelled.wait(600)\n",
         ).start()
 
+        def all_active():
+            return all(team[name].status()["active"] for name in names)
+
+        wait_for(all_active, 40, "a robot that never took part cannot be lost")
+
         def reason():
             (robot,) = [r for r in team["first"].status()["robots"] if r["robot"] == "first"]
             return robot["waits_for"]
