@@ -219,7 +219,7 @@ def _patrol() -> WaitingPatrol:
     names = [p.name for p in plan.net.places]
     never = ['"%s" + "%s" > 1' % (names[i], names[i + 1]) for i in range(0, 16, 4)]
     waiting = [name for name in names if "Decide" in name]
-    decisions = DecisionProblem.of(
+    decisions = DecisionProblem(
         plan, reading="net", never=never, may_wait=waiting, team_sizes=[len(plan.robots)]
     )
     team = decisions.teams[0]

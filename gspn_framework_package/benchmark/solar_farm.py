@@ -131,7 +131,7 @@ def solve(uavs: int) -> Dict[str, Any]:
     """The best policy's reward per second, and that of random choices."""
     plan = solar_farm_plan(uavs)
     started = time.perf_counter()
-    decisions = DecisionProblem.of(plan, team_sizes=[len(plan.robots)])
+    decisions = DecisionProblem(plan, team_sizes=[len(plan.robots)])
     team = decisions.teams[0]
     rewards = {"inspect_" + panel: INSPECTION for panel in PANELS}
     rewards.update({panel + "_B0": STRANDED for panel in PANELS})

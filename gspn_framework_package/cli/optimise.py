@@ -15,10 +15,9 @@ from gspn_framework_package.cli.aims import add_aim_arguments, objective_of, pai
 from gspn_framework_package.cli.limits import add_limit_arguments, limits_of, working
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
+from gspn_framework_package.cli.subject import FITTED, add_rates_argument
 from gspn_framework_package.formats.plan_file import plan_document, read_plan
 from gspn_framework_package.model.errors import UsageError
-
-FITTED, NOMINAL = "fitted", "nominal"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,12 +76,7 @@ def _add_reading(group: argparse._ArgumentGroup) -> None:
         default=RUN,
         help="read the plan as it runs (default), or as the race of its net's rates",
     )
-    group.add_argument(
-        "--rates",
-        choices=(FITTED, NOMINAL),
-        default=FITTED,
-        help="what was learned from runs counts (default), or the rates of the net's file do",
-    )
+    add_rates_argument(group)
     group.add_argument(
         "--uncertain",
         action="append",

@@ -119,8 +119,8 @@ class Decisions:
         progress: Optional[Progress] = None,
         cancel: Optional[Cancel] = None,
     ) -> Decisions:
-        """The decisions of a plan; see :meth:`.problem.DecisionProblem.of`."""
-        problem = DecisionProblem.of(
+        """The decisions of a plan; see :class:`.problem.DecisionProblem`."""
+        problem = DecisionProblem(
             plan,
             reading=reading,
             may_wait=may_wait,

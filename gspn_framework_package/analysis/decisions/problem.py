@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import AbstractSet, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -82,7 +82,19 @@ class Team:
 
 
 class DecisionProblem:
-    """The decision problems of a plan; made by :meth:`of`.
+    """The decision problems of a plan.
+
+    :param plan: a validated plan.
+    :param reading: how time is read: ``run`` or ``net``.
+    :param may_wait: places in which a robot may wait although it could go on.
+    :param never: conditions that may never hold.
+    :param conditions: further conditions that will be asked, so that no counter in them is left
+        out.
+    :param team_sizes: the sizes of teams; None: the plan's own, and those that losses leave.
+    :param limits: how far the exploration may go.
+    :raises LimitError: there are too many states.
+    :raises RefusedError: it is open who decides, or what may never be cannot be avoided.
+    :raises UsageError: a name or a team size does not fit the plan.
 
     :ivar plan: the plan.
     :ivar teams: the problem of each team size, that of the plan's own team first.
@@ -97,9 +109,8 @@ class DecisionProblem:
     :ivar safety: what may never be; None: nothing was asked.
     """
 
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         plan: Plan,
         *,
         reading: str = RUN,
@@ -110,58 +121,21 @@ class DecisionProblem:
         limits: Limits = Limits(),  # noqa: B008 (immutable)
         progress: Optional[Progress] = None,
         cancel: Optional[Cancel] = None,
-    ) -> DecisionProblem:
-        """The decision problems of a plan.
-
-        :param plan: a validated plan.
-        :param reading: how time is read: ``run`` or ``net``.
-        :param may_wait: places in which a robot may wait although it could go on.
-        :param never: conditions that may never hold.
-        :param conditions: further conditions that will be asked, so that no counter in them is
-            left out.
-        :param team_sizes: the sizes of teams; None: the plan's own, and those that losses leave.
-        :param limits: how far the exploration may go.
-        :raises LimitError: there are too many states.
-        :raises RefusedError: it is open who decides, or what may never be cannot be avoided.
-        :raises UsageError: a name or a team size does not fit the plan.
-        """
-        return cls(
-            plan,
-            checked_reading(reading),
-            frozenset(may_wait),
-            tuple(never),
-            tuple(conditions),
-            None if team_sizes is None else sorted(set(team_sizes), reverse=True),
-            limits,
-            progress,
-            cancel,
-        )
-
-    def __init__(
-        self,
-        plan: Plan,
-        reading: str,
-        may_wait: AbstractSet[str],
-        never: Sequence[str],
-        conditions: Sequence[str],
-        team_sizes: Optional[Sequence[int]],
-        limits: Limits,
-        progress: Optional[Progress],
-        cancel: Optional[Cancel],
     ) -> None:
+        reading, never = checked_reading(reading), tuple(never)
+        sizes = None if team_sizes is None else sorted(set(team_sizes), reverse=True)
         self.plan = plan
         self.reading = reading
-        self.may_wait = may_wait
-        found = who_decides(plan, reading, may_wait)
+        self.may_wait = frozenset(may_wait)
+        found = who_decides(plan, reading, self.may_wait)
         self.deciders: Dict[str, str] = {p: d.reason for p, d in found.items() if d.policy}
         self.chance: Dict[str, str] = {p: d.reason for p, d in found.items() if not d.policy}
         own = _team_size(plan)
-        self._own_size = own
-        largest = max(team_sizes) if team_sizes else own
-        if team_sizes and largest != own:
+        largest = max(sizes) if sizes else own
+        if sizes and largest != own:
             plan = plan.for_robots(largest)
         losses = plan.timing.evict_after > 0 and largest > 1
-        if team_sizes and min(team_sizes) < largest:
+        if sizes and min(sizes) < largest:
             losses = True
         if any(flow.taken != flow.put for flow in robot_flows(plan)):
             losses = False
@@ -192,9 +166,8 @@ class DecisionProblem:
         self.built: Built = build(self.stages, self._voluntary(), self.present.waits > SURE)
         self._check_chosen(plan.policy, found)
         self.found = found
-        self.never = tuple(never)
         self.safety: Optional[Safety] = self._judge(never) if never else None
-        self.teams: List[Team] = self._teams(own, team_sizes)
+        self.teams: List[Team] = self._teams(own, sizes)
 
     # -- what is assumed ---------------------------------------------------------------------------
 

@@ -68,13 +68,13 @@ def test_the_present_policy_does_what_the_analysis_says(name, reading):
         analysis.measures  # noqa: B018
     except RefusedError:
         pytest.skip("it has no steady state")
-    assert_same(plan, DecisionProblem.of(plan, reading=reading), plan.policy, reading)
+    assert_same(plan, DecisionProblem(plan, reading=reading), plan.policy, reading)
 
 
 def check_generated(plan, reading):
     plan = exponential(plan)
     try:
-        decisions = DecisionProblem.of(plan, reading=reading, limits=Limits(states=1500))
+        decisions = DecisionProblem(plan, reading=reading, limits=Limits(states=1500))
         team = decisions.teams[0]
         decisions.weights_of(team, plan.policy)
         Analysis(plan, timing=reading).measures  # noqa: B018
@@ -125,7 +125,7 @@ def test_a_smaller_team_that_is_never_seen_to_ask_has_its_states(reading):
         resource_places=frozenset({"tool"}),
         outcomes={"a": {"go": 1.0}},
     )
-    teams = DecisionProblem.of(plan, reading=reading).teams
+    teams = DecisionProblem(plan, reading=reading).teams
     assert [team.robots for team in teams] == [2, 1]
     assert all(len(team.automaton) for team in teams)
 
@@ -133,14 +133,14 @@ def test_a_smaller_team_that_is_never_seen_to_ask_has_its_states(reading):
 @pytest.mark.parametrize("reading", [NET, RUN])
 def test_rates_are_proportional_to_those_of_the_transitions_that_are_named(reading):
     plan = read_plan("plans/rendezvous/plan.json")
-    decisions = DecisionProblem.of(plan, reading=reading)
+    decisions = DecisionProblem(plan, reading=reading)
     team = decisions.teams[0]
     labels = decisions.rate_labels(team)
     timed = team.automaton.tangible[team.automaton.row_states[team.automaton.arc_rows]]
     assert (labels[timed] >= 0).all() and (labels[~timed] < 0).all()
     for t in np.unique(labels[timed]).tolist():
         faster = plan.with_rates({plan.net.transitions[t].name: 2 * plan.net.transitions[t].rate})
-        other = DecisionProblem.of(faster, reading=reading).teams[0].automaton
+        other = DecisionProblem(faster, reading=reading).teams[0].automaton
         changed = np.where(labels == t, 2.0, 1.0) * team.automaton.values
         assert other.values == pytest.approx(changed, rel=1e-12)
 
@@ -148,7 +148,7 @@ def test_rates_are_proportional_to_those_of_the_transitions_that_are_named(readi
 def test_given_durations_depend_on_no_rate():
     plan = read_plan("plans/rendezvous/plan.json")
     plan = replace(plan, durations={"Fetch": Duration.erlang(3, 2.0)})
-    decisions = DecisionProblem.of(plan, reading=RUN)
+    decisions = DecisionProblem(plan, reading=RUN)
     labels = decisions.rate_labels(decisions.teams[0])
     fetched = list(plan.net.consumers[plan.net.place_number("Fetch")])
     assert not np.isin(labels, fetched).any()

@@ -67,7 +67,7 @@ def patrol():
 )
 def test_the_patrol_gets_its_published_value(reading, waits, value):
     plan, never, decide, objective = patrol()
-    decisions = DecisionProblem.of(
+    decisions = DecisionProblem(
         plan, reading=reading, never=never, may_wait=decide if waits else (), team_sizes=[4]
     )
     found, asked = solved(decisions, objective, width=1e-6)
@@ -93,7 +93,7 @@ def test_the_patrol_gets_its_published_value(reading, waits, value):
 def test_a_policy_for_all_teams_leaves_no_gap():
     plan, never, decide, objective = patrol()
     plan = replace(plan, strict=True)
-    decisions = DecisionProblem.of(plan, reading=NET, never=never, may_wait=decide)
+    decisions = DecisionProblem(plan, reading=NET, never=never, may_wait=decide)
     markings, choices = [], []
     for team in decisions.teams:
         found, asked = solved(decisions, objective, team, width=1e-6)
@@ -117,7 +117,7 @@ def check_generated(plan, reading, names):
     assume(timed)
     objective = Objective.long_run({timed[names % len(timed)]: 1.0})
     try:
-        decisions = DecisionProblem.of(plan, reading=reading, limits=Limits(states=3000))
+        decisions = DecisionProblem(plan, reading=reading, limits=Limits(states=3000))
         team = decisions.teams[0]
         assume(decisions.deciders)
         found, asked = solved(decisions, objective)
@@ -152,7 +152,7 @@ def check_passage(plan, reading, place, aim):
     goal = "%s >= 2" % places[place % len(places)]
     objective = getattr(Objective, aim)(goal)
     try:
-        decisions = DecisionProblem.of(
+        decisions = DecisionProblem(
             plan, reading=reading, conditions=[goal], limits=Limits(states=3000)
         )
         team = decisions.teams[0]

@@ -20,7 +20,7 @@ def never_two(plan):
 
 def test_the_safe_markings_of_the_patrol():
     plan = read_plan("plans/patrol/plan.json")
-    decisions = DecisionProblem.of(plan, reading=NET, never=never_two(plan))
+    decisions = DecisionProblem(plan, reading=NET, never=never_two(plan))
     assert len(decisions.safety.safe) == 4845
     assert decisions.safety.safe.sum() == 3199
 
@@ -28,7 +28,7 @@ def test_the_safe_markings_of_the_patrol():
 @pytest.mark.parametrize("reading", [NET, RUN])
 def test_whatever_is_allowed_stays_safe(reading):
     plan = read_plan("plans/patrol/plan.json")
-    decisions = DecisionProblem.of(plan, reading=reading, never=never_two(plan))
+    decisions = DecisionProblem(plan, reading=reading, never=never_two(plan))
     for team in decisions.teams:
         safe = decisions.safety.safe[decisions.built.original[team.states_in]]
         automaton, allowed = team.automaton, decisions.allowed(team)
@@ -62,7 +62,7 @@ def narrow(**more):
 @pytest.mark.parametrize("reading", [NET, RUN])
 def test_a_plan_is_refused_with_a_witness_and_who_would_have_to_wait(reading):
     with pytest.raises(RefusedError) as refusal:
-        DecisionProblem.of(narrow(), reading=reading, never=["inside > 1"])
+        DecisionProblem(narrow(), reading=reading, never=["inside > 1"])
     assert "come, come, enter, enter" in refusal.value.message or "enter" in refusal.value.message
     assert "inside: 2" in refusal.value.message
     assert "--may-wait door" in (refusal.value.hint or "")
@@ -70,9 +70,7 @@ def test_a_plan_is_refused_with_a_witness_and_who_would_have_to_wait(reading):
 
 @pytest.mark.parametrize("reading", [NET, RUN])
 def test_waiting_saves_it(reading):
-    decisions = DecisionProblem.of(
-        narrow(), reading=reading, never=["inside > 1"], may_wait=["door"]
-    )
+    decisions = DecisionProblem(narrow(), reading=reading, never=["inside > 1"], may_wait=["door"])
     team = decisions.teams[0]
     allowed = decisions.allowed(team)
     enter = decisions.plan.net.transition_index["enter"]
@@ -83,7 +81,7 @@ def test_waiting_saves_it(reading):
 
 def test_what_waiting_cannot_avoid_is_refused_too():
     with pytest.raises(RefusedError) as refusal:
-        DecisionProblem.of(narrow(), reading=NET, never=["door > 1"])
+        DecisionProblem(narrow(), reading=NET, never=["door > 1"])
     assert "--may-wait" not in (refusal.value.hint or "")
 
 
@@ -91,7 +89,5 @@ def test_the_loss_of_a_robot_counts():
     """A guard that may be lost must not be what keeps the others safe."""
     plan = narrow(timing=Timing(evict_after=10.0))
     with pytest.raises(RefusedError, match="robot lost in"):
-        DecisionProblem.of(plan, reading=NET, never=["way + door + inside < 2"])
-    DecisionProblem.of(
-        narrow(timing=Timing(evict_after=0.0)), reading=NET, never=["way + door > 9"]
-    )
+        DecisionProblem(plan, reading=NET, never=["way + door + inside < 2"])
+    DecisionProblem(narrow(timing=Timing(evict_after=0.0)), reading=NET, never=["way + door > 9"])

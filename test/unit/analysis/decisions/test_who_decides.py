@@ -110,7 +110,7 @@ def test_a_place_that_both_kinds_leave_is_refused():
 
 @pytest.mark.parametrize("reading", [NET, RUN])
 def test_assumptions_name_the_place_and_the_reason(reading):
-    decisions = DecisionProblem.of(plan_of(), reading=reading)
+    decisions = DecisionProblem(plan_of(), reading=reading)
     assert decisions.chance == {"choose": "nothing but the weights decides there"}
     assert any(s.startswith("chance decides in choose: ") for s in decisions.assumptions)
     team = decisions.teams[0]
@@ -121,7 +121,7 @@ def test_assumptions_name_the_place_and_the_reason(reading):
 def test_outcomes_give_the_chances_of_a_row():
     plan = plan_of(outcomes={"choose": {"go_left": 0.9, "go_right": 0.1}}, action=None)
     for reading in (NET, RUN):
-        automaton = DecisionProblem.of(plan, reading=reading).teams[0].automaton
+        automaton = DecisionProblem(plan, reading=reading).teams[0].automaton
         vanishing = [s for s in range(len(automaton)) if not automaton.tangible[s]]
         found = set()
         for state in vanishing:
