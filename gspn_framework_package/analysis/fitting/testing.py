@@ -150,12 +150,12 @@ def outcomes_depend(durations: Sequence[Sequence[float]]) -> float:
     return float(stats.kruskal(*durations).pvalue)
 
 
-def wilson(count: int, total: int) -> Tuple[float, float]:
+def wilson(count: int, total: int, confidence: float = CONFIDENCE) -> Tuple[float, float]:
     """The interval of Wilson (1927) for a probability of which ``count`` of ``total`` trials were a
     success."""
     if total <= 0:
         return 0.0, 1.0
-    z = float(stats.norm.ppf((1 + CONFIDENCE) / 2))
+    z = float(stats.norm.ppf((1 + confidence) / 2))
     share = count / total
     middle = (share + z**2 / (2 * total)) / (1 + z**2 / total)
     half = z / (1 + z**2 / total) * math.sqrt(share * (1 - share) / total + z**2 / (4 * total**2))

@@ -36,7 +36,8 @@ from scipy import stats
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
-from gspn_framework_package.analysis.simulation import machine
+from gspn_framework_package.analysis.fitting.testing import wilson
+from gspn_framework_package.analysis.simulation import estimates, machine
 from gspn_framework_package.analysis.simulation.aimed_run import AimedRun, worth_compiling
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import LimitError, UsageError
@@ -618,20 +619,13 @@ def truncation(values: Floats) -> int:
 
 def mean(values: Floats, confidence: float) -> Measured:
     """The mean of independent values, with Student's interval."""
-    middle = float(values.mean())
-    spread = float(values.std(ddof=1)) / math.sqrt(len(values))
-    half = float(stats.t.ppf(0.5 + confidence / 2, len(values) - 1)) * spread
-    return Measured(middle, middle - half, middle + half)
+    found = estimates.mean(values, confidence)
+    return Measured(found.mean, found.mean - found.half_width, found.mean + found.half_width)
 
 
 def share(values: Booleans, confidence: float) -> Measured:
     """A share, with Wilson's interval."""
-    count, p = len(values), float(values.mean())
-    z = float(stats.norm.ppf(0.5 + confidence / 2))
-    scale = 1 + z * z / count
-    middle = (p + z * z / (2 * count)) / scale
-    half = z / scale * math.sqrt(p * (1 - p) / count + z * z / (4 * count * count))
-    return Measured(p, max(middle - half, 0.0), min(middle + half, 1.0))
+    return Measured(float(values.mean()), *wilson(int(values.sum()), len(values), confidence))
 
 
 def paired_shares(old: Booleans, new: Booleans, confidence: float) -> Measured:
