@@ -21,15 +21,10 @@ from gspn_framework_package.analysis.fitting import FitReport, fit_plan
 from gspn_framework_package.benchmark.machine import machine_line, table
 from gspn_framework_package.execution.attempts import gather
 from gspn_framework_package.execution.virtual_time import VirtualRun
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
-from gspn_framework_package.model.plan import (
-    FailureKind,
-    FailureRule,
-    FunctionAction,
-    Plan,
-    RobotSpec,
-)
+from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan, RobotSpec
 
 Interval = Tuple[float, float]
 

@@ -37,8 +37,9 @@ from gspn_framework_package.benchmark.plans import ring_plan, tokens_plan
 from gspn_framework_package.benchmark.team_run import Master, TeamRun, need_ros
 from gspn_framework_package.execution.event_log import EventLog, read_log
 from gspn_framework_package.execution.history import verify
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import GspnError
-from gspn_framework_package.model.plan import FunctionAction, Plan, Synchronisation
+from gspn_framework_package.model.plan import Plan, Synchronisation
 
 BRIEF = "gspn_framework_package.benchmark.load.brief"
 LOADS = ("light", "instant", "private")

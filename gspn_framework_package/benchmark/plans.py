@@ -8,8 +8,9 @@ from dataclasses import replace
 
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 
 LOOP = "gspn_framework_package.benchmark.load.loop"
 INSTANT = "gspn_framework_package.benchmark.load.instant"

@@ -37,9 +37,10 @@ from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.formats.dot import net_graph
 from gspn_framework_package.formats.plan_file import read_net_or_plan, read_plan
 from gspn_framework_package.formats.plan_json import plan_to_json
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.policy import Policy, PolicyRow
 from gspn_framework_package.visualizer.scene import scene_to_json
 

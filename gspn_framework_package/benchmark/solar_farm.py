@@ -26,8 +26,9 @@ from gspn_framework_package.analysis.decisions.solving.evaluation import evaluat
 from gspn_framework_package.analysis.decisions.solving.optima import optimum
 from gspn_framework_package.benchmark.machine import describe_machine, machine_line, table
 from gspn_framework_package.benchmark.plans import INSTANT
+from gspn_framework_package.model.action import Action, FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.plan import Action, FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 
 CENTRE = "centre"
 PANELS = ("panel1", "panel2", "panel3", "panel4")

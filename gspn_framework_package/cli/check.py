@@ -12,7 +12,8 @@ from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.actions import missing_function
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.model.plan import FunctionAction, Plan, ServerAction
+from gspn_framework_package.model.action import FunctionAction, ServerAction
+from gspn_framework_package.model.plan import Plan
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -9,8 +9,9 @@ from typing import Any, List, Mapping
 
 from gspn_framework_package.formats.plan_file import PLAN_FILE
 from gspn_framework_package.formats.source import write_bytes
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import InputError, UsageError
-from gspn_framework_package.model.plan import FunctionAction, Plan
+from gspn_framework_package.model.plan import Plan
 
 
 def plan_path(output: str) -> str:

@@ -17,6 +17,12 @@ instances. The names of its parameters, all of them optional, declare what it ne
     number of the robot, which is the number at the end of its name (in standalone execution, agents
     are numbered from 1); if the name has no number, the name itself. Functions written for the
     thesis take it.
+``data``
+    the data that it may read, by full name: ``data["task.pose"]``, ``data.get("robot.speed")``. It
+    is a copy: writing to it changes nothing.
+``resumed_from``
+    number of the robot's earlier visit to the place that this one continues after an interrupt; 0
+    if there is none.
 ``visit``, ``attempt``
     number of the robot's visit (it grows with each move) and of the attempt within that visit; if
     it is above 1, an earlier attempt failed or was interrupted by a crash.
@@ -33,11 +39,13 @@ to the ``__init__`` of the class. A class with settings thus defines a new kind 
 
     {"function": "actions.Wait", "settings": {"seconds": 3}}
 
-An action returns the name of the transition to fire, or None, "" or "None" to let the policy decide
-(thesis Algorithm 1). Any exception means that the action failed; :class:`ActionFailed` reports the
-failure without logging a traceback. A class is instantiated once for each robot (its ``__init__``
-may ask for ``robot``) and for each different choice of settings. For example, this is
-``actions.py`` in a plan's folder; the plan refers to the function as ``actions.count``::
+An action returns the name of the transition to fire, or None, "" or "None" to let the policy
+decide (thesis Algorithm 1). With a pair it also returns data by name, which other actions read:
+``"T_seen", {"task.pose": [1, 2]}`` (see :mod:`gspn_framework_package.model.data`). Any exception
+means that the action failed; :class:`ActionFailed` reports the failure without logging a traceback.
+A class is instantiated once for each robot (its ``__init__`` may ask for ``robot``) and for each
+different choice of settings. For example, this is ``actions.py`` in a plan's folder; the plan
+refers to the function as ``actions.count``::
 
     from gspn_framework_package.execution.actions import action
 
@@ -80,9 +88,11 @@ from typing import (
     Union,
 )
 
+from gspn_framework_package.model.action import FunctionAction
+from gspn_framework_package.model.data import check_values
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.expression import shorten
-from gspn_framework_package.model.plan import FunctionAction, Plan
+from gspn_framework_package.model.plan import Plan
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -137,12 +147,22 @@ class ActionContext(NamedTuple):
     is_cancelled: Cancellation
     visit: int = 0
     attempt: int = 1
+    data: Mapping[str, Any] = {}
+    resumed_from: int = 0
 
     @property
     def id(self) -> Union[int, str]:
         """The number at the end of the robot's name, or the name itself if there is none."""
         number = re.search(r"[0-9]{1,18}$", self.robot)
         return int(number.group()) if number else self.robot
+
+
+class ActionResult(NamedTuple):
+    """What an action returned: the ``transition`` that it names, "" to let the policy decide, and
+    the ``data`` that it wrote."""
+
+    transition: str
+    data: Mapping[str, Any]
 
 
 PARAMETERS = ActionContext._fields + ("id",)
@@ -196,19 +216,25 @@ class PythonAction:
             self._objects: Dict[str, Any] = {}
             self._lock = threading.Lock()
 
-    def __call__(self, context: ActionContext) -> str:
-        """Run the action; returns the transition that it names, or "" to let the policy decide.
+    def __call__(self, context: ActionContext) -> ActionResult:
+        """Run the action.
 
-        Its exceptions propagate. A result that is not a string is returned as its ``repr`` (at most
-        200 characters), which the token game reports as a bad result since it names no transition.
+        :raises DataError: it returned data that cannot be kept.
+
+        Its exceptions propagate. A transition that is not a string is returned as its ``repr`` (at
+        most 200 characters), which the token game reports as a bad result since it names no
+        transition.
         """
         if self._class is None:
             result = self._function(**_pick(context, self._names), **self._settings)
         else:
             result = self._object(context)(**_pick(context, self._names))
+        data: Mapping[str, Any] = NO_SETTINGS
+        if isinstance(result, tuple) and len(result) == 2 and isinstance(result[1], dict):
+            result, data = result[0], check_values(result[1])
         if result is None:
-            return ""
-        return result if isinstance(result, str) else "%.200r" % (result,)
+            return ActionResult("", data)
+        return ActionResult(result if isinstance(result, str) else "%.200r" % (result,), data)
 
     def _object(self, context: ActionContext) -> Any:
         assert self._class is not None

@@ -23,6 +23,7 @@ seconds, comparable between the processes of one host). Kinds:
 ``promised``    acceptor: no ballot below ``ballot`` will be accepted in ``slot`` or later
 ``accepted``    acceptor: accepted ``batch`` under ``ballot`` in ``slot``
 ``invoked``     a proposal of this robot for the log: ``entry``, ``origin``
+``offered``     a task reached this robot, and waits to get into the log: ``entry``
 ``void``        an ``invoked`` proposal can no longer take effect (``why``)
 ``private``     partial synchronisation: a local transition of this robot: ``entry``, ``origin``,
                 ``firing``

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, NamedTuple, Optional, Tuple, Union
+from typing import Any, Dict, Mapping, NamedTuple, Optional, Tuple, Union
 
+from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.net import Marking, Net
 
@@ -18,12 +19,22 @@ class Move(NamedTuple):
     visit: int
 
 
+class TaskMove(NamedTuple):
+    """The task ``id`` goes from ``source`` to ``target``: "place NAME" (a queue), "robot NAME", ""
+    (from outside), "done", or "dropped" if it ends in another way."""
+
+    id: str
+    source: str
+    target: str
+
+
 class Firing(NamedTuple):
     """A transition fired at position (``slot``, ``index``) of the log.
 
     ``robot`` requested it ("" if no robot did), in its ``visit`` and ``incarnation``. ``moves``
     lists all robots that moved, and ``marking`` is the marking afterwards. ``drawn`` is the log
     position (slot, index) of the random draw that chose this transition (None if there was none).
+    ``tasks`` lists the tasks that it passed on.
     """
 
     slot: int
@@ -35,11 +46,13 @@ class Firing(NamedTuple):
     moves: Tuple[Move, ...]
     marking: Marking
     drawn: Optional[Tuple[int, int]] = None
+    tasks: Tuple[TaskMove, ...] = ()
 
 
 class StartAction(NamedTuple):
     """Start the action of ``place`` for this visit, after ``delay`` seconds; ``attempt`` counts
-    from 1."""
+    from 1. ``data`` (full name -> value) is what the action may read, and ``resumed_from`` the
+    earlier visit to the place that this one continues after an interrupt (0: none)."""
 
     robot: str
     place: str
@@ -47,6 +60,8 @@ class StartAction(NamedTuple):
     visit: int
     attempt: int
     delay: float = 0.0
+    data: Mapping[str, Any] = NOTHING
+    resumed_from: int = 0
 
 
 class CancelAction(NamedTuple):
@@ -79,13 +94,18 @@ def firing_to_json(firing: Firing, net: Net) -> Dict[str, Any]:
     data["marking"] = net.named(firing.marking, zeros=False)
     data["moves"] = [list(m) for m in firing.moves]
     data["drawn"] = list(firing.drawn) if firing.drawn else None
+    if firing.tasks:
+        data["tasks"] = [list(m) for m in firing.tasks]
+    else:
+        del data["tasks"]
     return data
 
 
 def firing_from_json(data: Dict[str, Any], net: Net) -> Firing:
     """The firing in a JSON object. :raises LogError: it is not a firing of this net."""
     try:
-        fields = {key: data[key] for key in Firing._fields}
+        fields = {key: data[key] for key in Firing._fields if key != "tasks"}
+        fields["tasks"] = tuple(TaskMove(*map(str, m)) for m in data.get("tasks", ()))
         fields["marking"] = net.marking(data["marking"])
         fields["moves"] = tuple(Move(*m) for m in data["moves"])
         fields["drawn"] = tuple(data["drawn"]) if data["drawn"] else None

@@ -7,9 +7,17 @@ has no effect.
 
 from __future__ import annotations
 
-from typing import Any, Dict, NamedTuple, Tuple, Type, Union
+from types import MappingProxyType
+from typing import Any, Dict, Mapping, NamedTuple, Tuple, Type, Union
 
-from gspn_framework_package.model.errors import LogError
+from gspn_framework_package.model.data import check_values, why_not_kept
+from gspn_framework_package.model.errors import DataError, LogError
+
+NOTHING: Mapping[str, Any] = MappingProxyType({})
+"""No data."""
+
+ID_LIMIT = 200
+"""Longest id of a task, in characters."""
 
 
 class Start(NamedTuple):
@@ -24,12 +32,13 @@ class Start(NamedTuple):
 
 class Done(NamedTuple):
     """A robot finished the action of its visit. ``result`` names a transition, or is "" to let the
-    policy decide."""
+    policy decide. ``data`` maps names of data to the values that the action wrote."""
 
     robot: str
     incarnation: int
     visit: int
     result: str = ""
+    data: Mapping[str, Any] = NOTHING
 
 
 class Failed(NamedTuple):
@@ -66,6 +75,26 @@ class Fire(NamedTuple):
     """The environment (or the operator on its behalf) fires a transition that moves no robot."""
 
     transition: str
+
+
+class Interrupt(NamedTuple):
+    """The event of a transition came while a robot was in that visit: it interrupts the robot's
+    action. ``cause`` holds what was read of the event, e.g. fields of a message."""
+
+    robot: str
+    incarnation: int
+    visit: int
+    transition: str
+    cause: Mapping[str, Any] = NOTHING
+
+
+class Submit(NamedTuple):
+    """A task comes in by a transition of the environment. Of several entries with one transition
+    and ``id``, the first counts. If the transition is not enabled, the task waits until it is."""
+
+    transition: str
+    id: str
+    data: Mapping[str, Any] = NOTHING
 
 
 class Join(NamedTuple):
@@ -124,7 +153,22 @@ class Stop(NamedTuple):
     reason: str = "stopped by the operator"
 
 
-Entry = Union[Start, Done, Failed, Retry, Fire, Join, Leave, Evict, SetPlace, Pause, Resume, Stop]
+Entry = Union[
+    Start,
+    Done,
+    Failed,
+    Retry,
+    Fire,
+    Interrupt,
+    Submit,
+    Join,
+    Leave,
+    Evict,
+    SetPlace,
+    Pause,
+    Resume,
+    Stop,
+]
 
 
 def _plain_types(kind: type) -> Dict[str, type]:
@@ -140,6 +184,8 @@ _KINDS: Dict[str, Type[Entry]] = {
     "failed": Failed,
     "retry": Retry,
     "fire": Fire,
+    "interrupt": Interrupt,
+    "submit": Submit,
     "join": Join,
     "leave": Leave,
     "evict": Evict,
@@ -153,8 +199,16 @@ _TYPES = {kind: _plain_types(kind) for kind in _KINDS.values()}
 
 
 def to_json(entry: Entry) -> Dict[str, Any]:
-    """The entry as a JSON object: its kind under ``entry``, and its fields."""
-    return {"entry": _NAMES[type(entry)], **entry._asdict()}
+    """The entry as a JSON object: its kind under ``entry``, and its fields; ``data`` and ``cause``
+    only if they are not empty."""
+    fields = entry._asdict()
+    for key in _OPEN:
+        if key in fields:
+            if fields[key]:
+                fields[key] = dict(fields[key])
+            else:
+                del fields[key]
+    return {"entry": _NAMES[type(entry)], **fields}
 
 
 def from_json(data: Any) -> Entry:
@@ -168,6 +222,24 @@ def from_json(data: Any) -> Entry:
         for name, expected in _TYPES[kind].items():
             if name in fields and type(fields[name]) is not expected:
                 raise ValueError("'%s' is not of type %s" % (name, expected.__name__))
+        _check_open_fields(fields)
         return kind(**fields)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, DataError) as error:
         raise LogError("not a log entry: %.200r (%s)" % (data, error)) from None
+
+
+_OPEN = ("data", "cause")
+"""Fields that hold JSON objects of any content."""
+
+
+def _check_open_fields(fields: Dict[str, Any]) -> None:
+    """:raises ValueError, DataError: data, a cause or an id is not of the right form or size."""
+    if "data" in fields:
+        fields["data"] = check_values(fields["data"])
+    if "cause" in fields:
+        cause = fields["cause"]
+        why = why_not_kept(cause) if isinstance(cause, dict) else "is not an object"
+        if why:
+            raise ValueError("its cause %s" % why)
+    if len(fields.get("id", "")) > ID_LIMIT:
+        raise ValueError("its id is longer than %d characters" % ID_LIMIT)

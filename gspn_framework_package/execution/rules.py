@@ -44,6 +44,14 @@ class Rules:
         self.immediate = [
             tuple(t for t in leaving if not net.transitions[t].timed) for leaving in net.consumers
         ]
+        self.queues = frozenset(net.place_number(p) for p in plan.tasks.queues)
+        self.task_done = frozenset(net.transition_number(t) for t in plan.tasks.done)
+        self.interrupts = {net.transition_number(t): event for t, event in plan.events.items()}
+        self.of_action = [
+            tuple(t for t in leaving if t not in self.interrupts) for leaving in net.consumers
+        ]
+        """The transitions that leave each place without an event."""
+        self.submissions = frozenset(net.transition_number(t) for t in plan.submissions)
         self.urgency = [-1 if t.timed else t.priority for t in net.transitions]
         self.top_urgency = max(self.urgency, default=0)
         self.routing = {
@@ -65,6 +73,11 @@ class Rules:
             for p, weight in self.net.inputs[t]
             if not self.is_resource[p]
         )
+
+    def may_interrupt(self, state: TeamState, robot: RobotState, t: int) -> bool:
+        """Whether ``t``, the transition of an event, can fire now and take ``robot`` along,
+        whatever the robot is doing in its place."""
+        return not state.paused and not robot.paused and self.net.is_enabled(state.marking, t)
 
     def free_robots(self, state: TeamState, p: int, t: int) -> List[RobotState]:
         """The robots that are done in place ``p`` and free for ``t``, in order of completion.

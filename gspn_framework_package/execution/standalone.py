@@ -21,6 +21,7 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.actions import (
     ActionContext,
     ActionFailed,
+    ActionResult,
     Cancellation,
     error_text,
     load_actions,
@@ -40,8 +41,15 @@ from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import Step, TokenGame
 from gspn_framework_package.execution.worker_pool import WorkerPool
-from gspn_framework_package.model.errors import ExecutionError, GspnError, PlanError, UsageError
-from gspn_framework_package.model.plan import Plan, ServerAction
+from gspn_framework_package.model.action import FunctionAction
+from gspn_framework_package.model.errors import (
+    DataError,
+    ExecutionError,
+    GspnError,
+    PlanError,
+    UsageError,
+)
+from gspn_framework_package.model.plan import Plan
 
 
 class Listener:
@@ -347,13 +355,15 @@ class StandaloneExecutor:
             attempt.cancellation,
             command.visit,
             command.attempt,
+            command.data,
+            command.resumed_from,
         )
         entry: log_entries.Entry
         try:
             action = self._actions.get(command.robot) or self._actions[""]
             result = action[command.place](context)
-            entry = log_entries.Done(command.robot, command.incarnation, command.visit, result)
-        except ActionFailed as error:
+            entry = log_entries.Done(command.robot, command.incarnation, command.visit, *result)
+        except (ActionFailed, DataError) as error:
             entry = self._failed(command, "aborted", error_text(error))
         except BaseException as error:  # anything a user's function raises, even SystemExit
             entry = self._failed(
@@ -397,13 +407,13 @@ def _broke_off(error: BaseException) -> str:
     return "the run failed: %s" % what
 
 
-def _load_functions(plan: Plan) -> Dict[str, Dict[str, Callable[[ActionContext], str]]]:
+def _load_functions(plan: Plan) -> Dict[str, Dict[str, Callable[[ActionContext], ActionResult]]]:
     """The functions by agent and place; "" stands for agents without their own actions, and for
     agents that will be created."""
     for place, action in plan.bindings():
-        if isinstance(action, ServerAction):
+        if action is not None and not isinstance(action, FunctionAction):
             raise PlanError(
-                "it is bound to the action server '%s', which needs ROS" % action.server,
+                "its action '%s' needs ROS" % action.label,
                 file=plan.file,
                 element="place '%s'" % place,
                 hint="run the plan with roslaunch, or bind the place to a function",

@@ -8,9 +8,11 @@ Only the token game changes a :class:`TeamState`. It can be written as JSON and 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Tuple
 
+from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.model.data import check_values
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.net import Net
 
@@ -27,6 +29,25 @@ class Draw(NamedTuple):
     transition: int
     slot: int
     index: int  # type: ignore[assignment]  # hides tuple.index, unused
+
+
+class Task(NamedTuple):
+    """A task with its data (name -> JSON value); ``id`` is "" for a token that came without one."""
+
+    id: str = ""
+    data: Mapping[str, Any] = NOTHING
+
+    def to_json(self) -> List[Any]:
+        """The task as a JSON value."""
+        return [self.id, dict(self.data)]
+
+    @classmethod
+    def from_json(cls, data: Any) -> Task:
+        """The task in a JSON value. :raises ValueError, DataError: it is none."""
+        name, values = data
+        if not isinstance(name, str):
+            raise ValueError("the id of a task is not text")
+        return cls(name, check_values(values))
 
 
 @dataclass
@@ -49,6 +70,16 @@ class RobotState:
     drawn: Optional[Draw] = None
     why: str = ""
     """Why its action failed, or why the policy gives it nothing to do."""
+    data: Dict[str, Any] = field(default_factory=dict)
+    """Its own data: name -> value."""
+    task: Optional[Task] = None
+    """The task that it carries."""
+    held: Dict[int, Mapping[str, Any]] = field(default_factory=dict)
+    """Event transitions that fire as soon as they can in this visit, with their causes."""
+    interrupted: Dict[int, int] = field(default_factory=dict)
+    """Place -> the visit there that was interrupted, and that the next one continues."""
+    resumed_from: int = 0
+    """The visit that this one continues; 0: none."""
 
 
 @dataclass
@@ -58,6 +89,10 @@ class TeamState:
     ``waiting`` holds the robots that are DONE, in order of completion; ``done_in`` holds the same
     for each place. Both follow from ``robots``. ``version`` counts the changes of the marking,
     ``orders`` counts how often a robot became DONE, and ``created`` numbers new agents.
+
+    ``data`` is that of the team. ``queues`` holds the tasks of each queue (place), the next one
+    first; ``submitted`` the tasks whose transition was not enabled yet; ``known`` the newest ids of
+    tasks that came by each transition.
     """
 
     marking: Tuple[int, ...]
@@ -77,6 +112,10 @@ class TeamState:
     """Whether the run ended because of a fault."""
     waiting: Dict[str, None] = field(default_factory=dict)
     done_in: Dict[int, Dict[str, None]] = field(default_factory=dict)
+    data: Dict[str, Any] = field(default_factory=dict)
+    queues: Dict[int, List[Task]] = field(default_factory=dict)
+    submitted: List[Tuple[int, Task]] = field(default_factory=list)
+    known: Dict[int, Dict[str, None]] = field(default_factory=dict)
 
     def members(self) -> List[str]:
         """The names of the voters: the robots that are neither lost nor have left, and the
@@ -113,6 +152,21 @@ class TeamState:
             self.marking = marking
             self.version += 1
 
+    # -- data and tasks ----------------------------------------------------------------------------
+
+    def data_of(self, robot: RobotState) -> Dict[str, Any]:
+        """The data that an action of ``robot`` may read: full name -> value."""
+        found = {"robot." + name: value for name, value in robot.data.items()}
+        found.update(("team." + name, value) for name, value in self.data.items())
+        if robot.task is not None:
+            found["task.id"] = robot.task.id
+            found.update(("task." + name, value) for name, value in robot.task.data.items())
+        return found
+
+    def is_known(self, t: int, task: str) -> bool:
+        """Whether a task with this id has come by transition ``t``."""
+        return task in self.known.get(t, ())
+
     # -- snapshots ---------------------------------------------------------------------------------
 
     def to_json(self, net: Net) -> Dict[str, Any]:
@@ -123,6 +177,7 @@ class TeamState:
             "witnesses": list(self.witnesses),
             **{key: getattr(self, key) for key in _PLAIN},
             **{key: True for key in ("finished", "fault") if getattr(self, key)},
+            **self._reacting_to_json(net),
         }
 
     @classmethod
@@ -139,6 +194,7 @@ class TeamState:
             for item in data["robots"]:
                 robot = _robot_from_json(item, net)
                 state.robots[robot.name] = robot
+            state._read_reacting(data, net)
             for robot in sorted(state.robots.values(), key=lambda r: r.order):
                 if robot.phase is Phase.DONE:
                     state._index(robot)
@@ -146,6 +202,35 @@ class TeamState:
             return state
         except (KeyError, TypeError, ValueError, AttributeError, GspnError) as error:
             raise LogError("not a snapshot of this plan (%s)" % error) from None
+
+    def _reacting_to_json(self, net: Net) -> Dict[str, Any]:
+        """Data and tasks, if there are any."""
+        place, transition = net.places, net.transitions
+        found: Dict[str, Any] = {
+            "data": dict(self.data),
+            "queues": {place[p].name: [t.to_json() for t in q] for p, q in self.queues.items()},
+            "submitted": [[transition[t].name, task.to_json()] for t, task in self.submitted],
+            "known": {transition[t].name: list(ids) for t, ids in self.known.items()},
+        }
+        return {key: value for key, value in found.items() if value}
+
+    def _read_reacting(self, data: Dict[str, Any], net: Net) -> None:
+        self.data = check_values(data.get("data", {}))
+        self.queues = {
+            net.place_number(p): [Task.from_json(task) for task in queue]
+            for p, queue in data.get("queues", {}).items()
+        }
+        self.submitted = [
+            (net.transition_number(t), Task.from_json(task))
+            for t, task in data.get("submitted", ())
+        ]
+        self.known = {
+            net.transition_number(t): dict.fromkeys(map(str, ids))
+            for t, ids in data.get("known", {}).items()
+        }
+        for p, queue in self.queues.items():
+            if len(queue) != self.marking[p]:
+                raise ValueError("a queue does not have as many tasks as tokens")
 
     def _check(self) -> None:
         """:raises ValueError: fields have the wrong type, or contradict each other."""
@@ -204,6 +289,16 @@ def _robot_to_json(robot: RobotState, net: Net) -> Dict[str, Any]:
     data["place"] = net.places[robot.place].name
     data["phase"] = robot.phase.value
     data["request"] = "" if robot.request == POLICY else net.transitions[robot.request].name
+    if robot.data:
+        data["data"] = dict(robot.data)
+    if robot.task is not None:
+        data["task"] = robot.task.to_json()
+    if robot.held:
+        data["held"] = {net.transitions[t].name: dict(c) for t, c in robot.held.items()}
+    if robot.interrupted:
+        data["interrupted"] = {net.places[p].name: v for p, v in robot.interrupted.items()}
+    if robot.resumed_from:
+        data["resumed_from"] = robot.resumed_from
     if robot.drawn is not None:
         drawn = robot.drawn
         data["drawn"] = [
@@ -222,6 +317,14 @@ def _robot_from_json(data: Dict[str, Any], net: Net) -> RobotState:
         phase=Phase.of_log(data["phase"]),
         **{key: data[key] for key in _ROBOT_PLAIN},
     )
+    robot.data = check_values(data.get("data", {}))
+    if "task" in data:
+        robot.task = Task.from_json(data["task"])
+    robot.held = {net.transition_number(t): dict(c) for t, c in data.get("held", {}).items()}
+    robot.interrupted = {
+        net.place_number(p): _number(v) for p, v in data.get("interrupted", {}).items()
+    }
+    robot.resumed_from = _number(data.get("resumed_from", 0))
     if data["request"]:
         robot.request = net.transition_number(data["request"])
     if "drawn" in data:
@@ -234,3 +337,9 @@ def _robot_from_json(data: Dict[str, Any], net: Net) -> RobotState:
             index,
         )
     return robot
+
+
+def _number(value: Any) -> int:
+    if type(value) is not int or value < 0:
+        raise ValueError("not a whole number: %.80r" % (value,))
+    return value

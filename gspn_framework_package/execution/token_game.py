@@ -8,15 +8,21 @@ of the log.
 
 from __future__ import annotations
 
-from typing import Iterable, List, NamedTuple, Optional
+from typing import Iterable, List, Mapping, NamedTuple, Optional
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import Command, Firing
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
-from gspn_framework_package.execution.team_state import POLICY, RobotState, TeamState
+from gspn_framework_package.execution.team_state import POLICY, RobotState, Task, TeamState
 from gspn_framework_package.execution.turn import Turn
 from gspn_framework_package.model.plan import LostKind
+
+KNOWN_TASKS = 10_000
+"""For each transition, so many ids of tasks are remembered; an older id counts as new."""
+
+INTERRUPTED = (Phase.DOING, Phase.DONE, Phase.FAILED)
+"""The phases in which an event takes a robot out of its place."""
 
 
 class Step(NamedTuple):
@@ -32,7 +38,9 @@ class TokenGame(Rules):
     def new_state(self) -> TeamState:
         """The state before ``Start``: the resource tokens of the initial marking, and no robots."""
         marking = tuple(0 if not r else p.tokens for p, r in zip(self.net.places, self.is_resource))
-        return TeamState(marking)
+        state = TeamState(marking)
+        state.queues = {p: [Task()] * marking[p] for p in self.queues if marking[p]}
+        return state
 
     def start_entry(self, plan_hash: Optional[str] = None) -> log_entries.Start:
         """The ``Start`` of the plan's own robots, each in its initial place with incarnation 0."""
@@ -64,7 +72,7 @@ class _Reducer(Turn):
         elif isinstance(entry, log_entries.Done):
             robot = self._current(entry.robot, entry.incarnation, entry.visit)
             if robot is not None:
-                self._done(robot, entry.result)
+                self._done(robot, entry.result, entry.data)
         elif isinstance(entry, log_entries.Failed):
             robot = self._current(entry.robot, entry.incarnation, entry.visit)
             if robot is not None and robot.attempt == entry.attempt:
@@ -73,6 +81,10 @@ class _Reducer(Turn):
             self._retry(entry.robot)
         elif isinstance(entry, log_entries.Fire):
             self._environment(entry.transition)
+        elif isinstance(entry, log_entries.Interrupt):
+            self._event(entry)
+        elif isinstance(entry, log_entries.Submit):
+            self._submit(entry)
         elif isinstance(entry, log_entries.Join):
             self._join(entry)
         elif isinstance(entry, (log_entries.Leave, log_entries.Evict)):
@@ -131,6 +143,38 @@ class _Reducer(Turn):
         else:
             self._fire(t, None, None)
 
+    def _event(self, entry: log_entries.Interrupt) -> None:
+        robot = self.state.robots.get(entry.robot)
+        t = self.net.transition_index.get(entry.transition)
+        if (
+            robot is None
+            or t not in self.rules.interrupts
+            or (robot.incarnation, robot.visit) != (entry.incarnation, entry.visit)
+            or robot.phase not in INTERRUPTED
+            or t not in self.net.consumers[robot.place]
+        ):
+            return
+        assert t is not None
+        if self.rules.may_interrupt(self.state, robot, t):
+            self._interrupt(robot, t)
+        # a pause delays an event, but does not lose it
+        elif self.rules.interrupts[t].hold or self.state.paused or robot.paused:
+            robot.held.setdefault(t, entry.cause)
+
+    def _submit(self, entry: log_entries.Submit) -> None:
+        t = self.net.transition_index.get(entry.transition)
+        if t not in self.rules.submissions:
+            self._fault(None, "no tasks come in by '%s'" % entry.transition)
+            return
+        assert t is not None
+        if self.state.is_known(t, entry.id):
+            return
+        known = self.state.known.setdefault(t, {})
+        known[entry.id] = None
+        if len(known) > KNOWN_TASKS:
+            del known[next(iter(known))]
+        self.state.submitted.append((t, Task(entry.id, entry.data)))
+
     # -- membership and the operator ---------------------------------------------------------------
 
     def _join(self, entry: log_entries.Join) -> None:
@@ -150,6 +194,9 @@ class _Reducer(Turn):
         elif robot.phase.gone:
             robot.incarnation = entry.incarnation
             robot.visit += 1
+            p = self.net.place_index.get(entry.place)
+            if p is not None and not self.rules.is_resource[p] and self._gave_back(robot):
+                robot.place = p
             self._add(robot)
             self._enter(robot)
         else:
@@ -175,13 +222,28 @@ class _Reducer(Turn):
         robot.paused = False
         marking = list(self.state.marking)
         marking[robot.place] -= 1
-        if robot.phase is Phase.LOST:
-            for resource, count in self.plan.on_evict.get(self._name(robot.place), {}).items():
-                marking[self.net.place_number(resource)] += count
+        self._give_back(robot, marking)
         self.state.set_marking(tuple(marking))
         if robot.phase is Phase.LOST:
             self._fault(robot, "is lost; its token was in %s" % self._name(robot.place))
             self._on_lost(robot)
+
+    def _gave_back(self, robot: RobotState) -> Mapping[str, int]:
+        """What a robot gives back when it departs from its place: resource place -> tokens."""
+        return self.plan.on_evict.get(self._name(robot.place), {})
+
+    def _give_back(self, robot: RobotState, marking: List[int]) -> None:
+        for resource, count in self._gave_back(robot).items():
+            p = self.net.place_number(resource)
+            marking[p] += count
+            if p not in self.rules.queues:
+                continue
+            # its task is the next to be taken: it came before those that still wait
+            back = [robot.task or Task()] + [Task()] * (count - 1)
+            self.state.queues[p] = [*back, *self.state.queues.get(p, ())]
+            if robot.task is not None and robot.task.id:
+                self._fault(robot, "gives task %s back to %s" % (robot.task.id, resource))
+            robot.task = None
 
     def _on_lost(self, lost: RobotState) -> None:
         rule = self.plan.on_lost

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution.chance import choose, sample, uniform
 from gspn_framework_package.execution.firing import (
@@ -13,10 +13,19 @@ from gspn_framework_package.execution.firing import (
     Firing,
     Move,
     StartAction,
+    TaskMove,
 )
+from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
-from gspn_framework_package.execution.team_state import POLICY, Draw, RobotState, TeamState
+from gspn_framework_package.execution.team_state import (
+    POLICY,
+    Draw,
+    RobotState,
+    Task,
+    TeamState,
+)
+from gspn_framework_package.model.data import NAMES_LIMIT, split
 from gspn_framework_package.model.plan import FailureKind
 
 FIRINGS_PER_ENTRY = 10_000
@@ -31,8 +40,8 @@ class Turn:
 
     After each entry (``docs/semantics.md``), immediate transitions with only resource inputs fire
     first, by priority and weight. Then come the requests of robots that are done, in order of
-    completion; higher priority takes precedence. After each firing this starts again, until
-    nothing is enabled.
+    completion; higher priority takes precedence. Then come events that are held, and tasks that
+    wait to come in. After each firing this starts again, until nothing is enabled.
     """
 
     def __init__(self, rules: Rules, state: TeamState, slot: int) -> None:
@@ -48,7 +57,12 @@ class Turn:
         """Fire until nothing is enabled; then check whether the run is over."""
         fired = 0
         while self.state.ended is None and not self.state.paused:
-            if self._reached_until() or not (self._fire_spontaneous() or self._fire_requested()):
+            if self._reached_until() or not (
+                self._fire_spontaneous()
+                or self._fire_requested()
+                or self._fire_held()
+                or self._fire_submitted()
+            ):
                 break
             fired += 1
             if fired >= FIRINGS_PER_ENTRY:
@@ -114,6 +128,33 @@ class Turn:
         self._fire(t, robot, (held.slot, held.index) if held else None)
         return True
 
+    def _fire_held(self) -> bool:
+        """Fire the first event that is held and can fire now."""
+        if not self.rules.interrupts:
+            return False
+        for robot in self.state.active():
+            for t in robot.held:
+                if self.rules.may_interrupt(self.state, robot, t):
+                    self._interrupt(robot, t)
+                    return True
+        return False
+
+    def _fire_submitted(self) -> bool:
+        """Let the first task in whose transition is enabled now."""
+        for number, (t, task) in enumerate(self.state.submitted):
+            if self.net.is_enabled(self.state.marking, t):
+                del self.state.submitted[number]
+                self._fire(t, None, None, task=task)
+                return True
+        return False
+
+    def _interrupt(self, robot: RobotState, t: int) -> None:
+        """Fire the transition of an event, which takes ``robot`` out of its place."""
+        self._cancel(robot)
+        if self.rules.interrupts[t].resume:
+            robot.interrupted[robot.place] = robot.visit
+        self._fire(t, robot, None, movers=[robot])
+
     def _policy_choice(self, robot: RobotState) -> Optional[int]:
         """The policy's choice for ``robot``, None if there is none. A robot keeps its draw until
         the marking or the candidates change."""
@@ -142,7 +183,9 @@ class Turn:
                     robot,
                     "the policy has no row for this marking, and no weight decides"
                     if choices
-                    else "no immediate transition is enabled",
+                    else "no immediate transition is enabled"
+                    if leaving
+                    else "an event has to come",
                 )
         candidates = tuple(t for t, _ in choices)
         held = robot.drawn
@@ -186,11 +229,24 @@ class Turn:
     # -- firing ------------------------------------------------------------------------------------
 
     def _fire(
-        self, t: int, requester: Optional[RobotState], drawn: Optional[Tuple[int, int]]
+        self,
+        t: int,
+        requester: Optional[RobotState],
+        drawn: Optional[Tuple[int, int]],
+        *,
+        movers: Optional[List[RobotState]] = None,
+        task: Optional[Task] = None,
     ) -> None:
-        movers = self._bind(t, requester)
+        """Fire transition ``t``.
+
+        :param movers: the robots that it moves; by default, those that are done and free for it.
+        :param task: the task that comes in with it.
+        """
+        if movers is None:
+            movers = self._bind(t, requester)
         incarnation, visit = (requester.incarnation, requester.visit) if requester else (0, 0)
         targets = self._targets(t, movers)
+        tasks = self._pass_tasks(t, movers, targets, task) if self.rules.queues else ()
         self.state.set_marking(self.net.fire(self.state.marking, t))
         moves = []
         arrived = []
@@ -223,10 +279,75 @@ class Turn:
                 tuple(moves),
                 self.state.marking,
                 drawn,
+                tasks,
             )
         )
         for robot in arrived:
             self._enter(robot)
+
+    def _pass_tasks(
+        self,
+        t: int,
+        movers: List[RobotState],
+        targets: List[Optional[int]],
+        incoming: Optional[Task],
+    ) -> Tuple[TaskMove, ...]:
+        """Pass the tasks on as ``t`` fires: those of its queues, of the robots that it moves, and
+        the one that comes in.
+
+        A queue gets the tasks of the robots first, then those from other queues, then the one that
+        comes in. What is left goes to the robots that carry none, in order.
+        """
+        queues, state = self.rules.queues, self.state
+        moves: List[TaskMove] = []
+        if t in self.rules.task_done:
+            for robot in movers:
+                if robot.task is not None:
+                    moves.append(TaskMove(robot.task.id, "robot " + robot.name, "done"))
+                    robot.task = None
+        wanted = [p for p, weight in self.net.outputs[t] if p in queues for _ in range(weight)]
+        at_hand: List[Tuple[Task, str]] = []
+        for robot in movers:
+            if robot.task is not None and len(at_hand) < len(wanted):
+                at_hand.append((robot.task, "robot " + robot.name))
+                robot.task = None
+        for p, weight in self.net.inputs[t]:
+            if p in queues:
+                queue = state.queues.get(p, [])
+                source = "place " + self._name(p)
+                at_hand += [(task, source) for task in queue[:weight]]
+                state.queues[p] = queue[weight:]
+        if incoming is not None:
+            at_hand.append((incoming, ""))
+        for p in wanted:
+            task, source = at_hand.pop(0) if at_hand else (Task(), "")
+            state.queues[p] = [*state.queues.get(p, ()), task]
+            moves.append(TaskMove(task.id, source, "place " + self._name(p)))
+        stay = [robot for robot, target in zip(movers, targets) if target is not None]
+        takers = [robot for robot in stay if robot.task is None]
+        takers += [robot for robot in stay if robot.task is not None]
+        for robot, target in zip(movers, targets):
+            if target is None and robot.task is not None:
+                moves.append(self._drop_task(robot))
+        for task, source in at_hand:
+            if not takers:
+                target_name = "done" if t in self.rules.task_done else "dropped"
+                moves.append(TaskMove(task.id, source, target_name))
+                continue
+            robot = takers.pop(0)
+            if robot.task is not None:
+                moves.append(self._drop_task(robot))
+            robot.task = task
+            moves.append(TaskMove(task.id, source, "robot " + robot.name))
+        return tuple(move for move in moves if move.id)
+
+    def _drop_task(self, robot: RobotState) -> TaskMove:
+        assert robot.task is not None
+        move = TaskMove(robot.task.id, "robot " + robot.name, "dropped")
+        if move.id:
+            self._fault(robot, "drops task %s, which was not done" % move.id)
+        robot.task = None
+        return move
 
     def _bind(self, t: int, requester: Optional[RobotState]) -> List[RobotState]:
         """The robots that ``t`` moves, place by place in the order of its arcs, including the one
@@ -269,7 +390,11 @@ class Turn:
 
     # -- results of actions ------------------------------------------------------------------------
 
-    def _done(self, robot: RobotState, result: Optional[str]) -> None:
+    def _done(
+        self, robot: RobotState, result: Optional[str], data: Mapping[str, Any] = NOTHING
+    ) -> None:
+        if data and not self._write(robot, data):
+            return
         leaving = self.net.consumers[robot.place]
         if not leaving:
             robot.phase = Phase.INACTIVE
@@ -284,17 +409,38 @@ class Turn:
                 )
                 return
             self._ask(robot, t)
-        elif self.rules.immediate[robot.place]:
+            return
+        of_action = self.rules.of_action[robot.place]
+        if self.rules.immediate[robot.place] or not of_action:
             self._ask(robot, POLICY)
-        elif len(leaving) == 1:
-            self._ask(robot, leaving[0])
+        elif len(of_action) == 1:
+            self._ask(robot, of_action[0])
         else:
             self._failed(
                 robot,
                 "bad result",
                 "no transition was named, and %s has %d exponential ones"
-                % (self._name(robot.place), len(leaving)),
+                % (self._name(robot.place), len(of_action)),
             )
+
+    def _write(self, robot: RobotState, data: Mapping[str, Any]) -> bool:
+        """Write what an action returned; if that is not possible, the action has failed."""
+        task = dict(robot.task.data) if robot.task is not None else None
+        stores = {"robot": dict(robot.data), "team": dict(self.state.data), "task": task}
+        for full, value in data.items():
+            scope, name = split(full)
+            store = stores[scope]
+            if store is None:
+                self._failed(robot, "bad result", "'%s' was written without a task" % full)
+                return False
+            store[name] = value
+            if len(store) > NAMES_LIMIT:
+                self._failed(robot, "bad result", "more than %d names of data" % NAMES_LIMIT)
+                return False
+        robot.data, self.state.data = stores["robot"] or {}, stores["team"] or {}
+        if robot.task is not None:
+            robot.task = robot.task._replace(data=task or {})
+        return True
 
     def _ask(self, robot: RobotState, request: int) -> None:
         robot.request = request
@@ -342,6 +488,9 @@ class Turn:
         robot.attempt = 1
         robot.failures = 0
         robot.why = ""
+        if self.rules.interrupts:
+            robot.held = {}
+            robot.resumed_from = robot.interrupted.pop(robot.place, 0)
         robot.phase = Phase.DOING
         if self.plan.action(robot.name, self._name(robot.place)) is None:
             self._done(robot, "")
@@ -357,6 +506,8 @@ class Turn:
                 robot.visit,
                 robot.attempt,
                 delay,
+                self.state.data_of(robot),
+                robot.resumed_from,
             )
         )
 

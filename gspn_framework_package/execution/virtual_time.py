@@ -7,7 +7,8 @@ those of a run. Its log is a real event log, whose clocks start at 0.
 
 >>> from gspn_framework_package.model.builder import NetBuilder
 >>> from gspn_framework_package.model.duration import Duration
->>> from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+>>> from gspn_framework_package.model.action import FunctionAction
+>>> from gspn_framework_package.model.plan import Plan, RobotSpec
 >>> net = (NetBuilder().place("a", 1).place("b").exponential("t", rate=1, inputs="a", outputs="b")
 ...        .exponential("u", rate=1, inputs="b", outputs="a").build())
 >>> act = FunctionAction("actions.work", "work")

@@ -4,36 +4,31 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from typing import Any, Dict, List, Mapping, Optional, Tuple
 
 import jsonschema
 
 from gspn_framework_package.formats.json_file import JsonDocument
 from gspn_framework_package.formats.net_json import net_from_json, net_to_json
+from gspn_framework_package.model.action import action_from_json, action_to_json
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Duration, Evidence, duration_from_json
 from gspn_framework_package.model.errors import ExpressionError, PlanError
+from gspn_framework_package.model.event import EventSource, Tasks
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import (
     MAX_ROBOTS,
-    Action,
     FailureKind,
     FailureRule,
-    FunctionAction,
     LostKind,
     LostRule,
     Plan,
     RobotSpec,
-    ServerAction,
     Synchronisation,
     Timing,
     too_many_robots,
 )
 from gspn_framework_package.model.policy import Policy
-
-EXEC_GSPN = "gspn_framework_package/ExecGSPNAction"
-"""The action type of the thesis's action servers, and of those of this package."""
 
 _SCHEMA_FILE = os.path.join(os.path.dirname(__file__), "plan.schema.json")
 
@@ -141,12 +136,6 @@ def _hint(error: Any) -> Optional[str]:
     return described.rstrip(".") if described else None
 
 
-def server_name(place: str) -> str:
-    """Return the name of a place's action server: the name of the place, as far as ROS allows."""
-    name = re.sub(r"[^A-Za-z0-9_]+", "_", place).strip("_")
-    return name if name[:1].isalpha() else "place_" + name
-
-
 def plan_from_json(
     data: Dict[str, Any],
     net: Optional[Net] = None,
@@ -185,7 +174,7 @@ def plan_from_json(
         net=net,
         name=data.get("plan", net.name or "plan"),
         policy=policy,
-        actions={p: _action(p, a) for p, a in data["actions"].items()},
+        actions={p: action_from_json(p, a) for p, a in data["actions"].items()},
         resource_places=resources,
         robots=robots if robots is not None else deal_robots(net, resources),
         spawn=tuple(data.get("spawn", ())),
@@ -204,6 +193,9 @@ def plan_from_json(
         failures={p: f["probability"] for p, f in data.get("failures", {}).items()},
         chance=frozenset(data.get("chance", ())),
         evidence=_evidence(data),
+        events={t: EventSource.from_json(e) for t, e in data.get("events", {}).items()},
+        tasks=Tasks.from_json(data.get("tasks", {})),
+        cancel_grace=float(data.get("cancel_grace", Plan.cancel_grace)),
         timing=Timing(
             float(agreement.get("evict_after", Timing().evict_after)),
             float(agreement.get("fence_after", Timing().fence_after)),
@@ -276,22 +268,11 @@ def _robots(data: Any, file: Optional[str]) -> Any:
         return tuple(RobotSpec(name, place) for name, place in data.items())
     return tuple(
         RobotSpec(
-            r["name"], r["place"], {p: _action(p, a) for p, a in r.get("actions", {}).items()}
+            r["name"],
+            r["place"],
+            {p: action_from_json(p, a) for p, a in r.get("actions", {}).items()},
         )
         for r in data
-    )
-
-
-def _action(place: str, data: Any) -> Action:
-    if data is None:
-        return None
-    if isinstance(data, str):
-        return FunctionAction(data, server_name(place))
-    if "function" in data:
-        server = data.get("server", server_name(place))
-        return FunctionAction(data["function"], server, data.get("settings", {}))
-    return ServerAction(
-        data.get("type", EXEC_GSPN), data["server"], data.get("goal"), data.get("outcomes", {})
     )
 
 
@@ -319,14 +300,14 @@ def plan_to_json(plan: Plan) -> Dict[str, Any]:
         "plan": plan.name,
         "net": net_to_json(plan.file_net),
         "policy": policy_to_json(plan.policy),
-        "actions": {p: _action_to_json(a) for p, a in plan.actions.items()},
+        "actions": {p: action_to_json(a) for p, a in plan.actions.items()},
         "resource_places": sorted(plan.resource_places),
         "synchronisation": plan.synchronisation.value,
         "robots": [
             {
                 "name": r.name,
                 "place": r.place,
-                "actions": {p: _action_to_json(a) for p, a in r.actions.items()},
+                "actions": {p: action_to_json(a) for p, a in r.actions.items()},
             }
             for r in plan.robots
         ],
@@ -348,6 +329,12 @@ def plan_to_json(plan: Plan) -> Dict[str, Any]:
     }
     if plan.until is not None:
         data["until"] = plan.until
+    if plan.events:
+        data["events"] = {t: event.to_json() for t, event in plan.events.items()}
+    if plan.tasks != Tasks():
+        data["tasks"] = plan.tasks.to_json()
+    if plan.cancel_grace != Plan.cancel_grace:
+        data["cancel_grace"] = plan.cancel_grace
     if plan.chance:
         data["chance"] = sorted(plan.chance)
     values: Dict[str, Dict[str, Dict[str, Any]]] = {
@@ -398,22 +385,6 @@ def plan_to_short_json(plan: Plan) -> Dict[str, Any]:
     if plan.robots and not any(robot.actions for robot in plan.robots):
         short["robots"] = {robot.name: robot.place for robot in plan.robots}
     return short
-
-
-def _action_to_json(action: Action) -> Any:
-    if isinstance(action, FunctionAction):
-        data: Dict[str, Any] = {"function": action.function, "server": action.server}
-        if action.settings:
-            data["settings"] = dict(action.settings)
-        return data
-    if isinstance(action, ServerAction):
-        data = {"type": action.type, "server": action.server}
-        if action.goal is not None:
-            data["goal"] = action.goal
-        if action.outcomes:
-            data["outcomes"] = dict(action.outcomes)
-        return data
-    return None
 
 
 def _failure_to_json(rule: FailureRule) -> Any:

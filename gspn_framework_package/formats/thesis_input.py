@@ -16,17 +16,18 @@ import ast
 import os
 from typing import Any, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
-from gspn_framework_package.formats.plan_json import EXEC_GSPN, deal_robots, server_name
+from gspn_framework_package.formats.plan_json import deal_robots
 from gspn_framework_package.formats.registry import read_net_with_notes
-from gspn_framework_package.model.errors import PlanError
-from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import (
+from gspn_framework_package.model.action import (
+    EXEC_GSPN,
     Action,
     FunctionAction,
-    Plan,
     ServerAction,
-    Synchronisation,
+    server_name,
 )
+from gspn_framework_package.model.errors import PlanError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.model.policy import Policy, PolicyRow
 
 CLIENTS = "place_to_client_mapping"

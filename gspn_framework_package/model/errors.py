@@ -87,6 +87,10 @@ class PlanError(InputError):
     """A plan is invalid: bad syntax, a schema violation or an unknown name."""
 
 
+class DataError(InputError):
+    """Data that an action returns, a task brings or a goal refers to is missing or not usable."""
+
+
 class LogError(InputError):
     """An event log cannot be read, or its entries contradict each other."""
 

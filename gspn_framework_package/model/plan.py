@@ -23,11 +23,12 @@ from typing import (
     NamedTuple,
     Optional,
     Tuple,
-    Union,
 )
 
+from gspn_framework_package.model.action import Action
 from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.errors import PlanError
+from gspn_framework_package.model.event import EventSource, Tasks
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.policy import SUM_TOLERANCE, Policy
 
@@ -51,54 +52,6 @@ class Synchronisation(enum.Enum):
     """Every finished action goes through the shared log, over a topic."""
     PARTIAL = "partial"
     """A robot makes moves that concern nobody else locally; the rest is agreed through services."""
-
-
-class Outcome(enum.Enum):
-    """The ways in which an action of any type can end, named as in ``outcomes`` of a plan."""
-
-    SUCCEEDED = "succeeded"
-    ABORTED = "aborted"
-    REJECTED = "rejected"
-    PREEMPTED = "preempted"
-
-
-class FunctionAction(NamedTuple):
-    """An action that is a Python function or class in the plan's folder, ``module.function``. In
-    ROS, an ExecGSPN action server named ``server`` runs it. ``settings`` are passed by name to the
-    function, or to the constructor of the class."""
-
-    function: str
-    server: str
-    settings: Mapping[str, Any] = {}
-
-    @property
-    def label(self) -> str:
-        """The name of the action for people."""
-        return self.function
-
-
-class ServerAction(NamedTuple):
-    """An existing action server, ``server``, of the action type ``type`` (package/NameAction).
-
-    An ``ExecGSPNAction`` names its transition itself. For any other type, ``goal`` holds the goal's
-    fields (nested maps), and ``outcomes`` maps each :class:`Outcome` to a transition; "" lets the
-    policy decide. An outcome that is not listed is a failure, except that an unlisted success lets
-    the policy decide.
-    """
-
-    type: str
-    server: str
-    goal: Optional[Mapping[str, Any]] = None
-    outcomes: Mapping[str, str] = {}
-
-    @property
-    def label(self) -> str:
-        """The name of the action for people."""
-        return "%s (%s)" % (self.server, self.type)
-
-
-Action = Union[FunctionAction, ServerAction, None]
-"""The action of an action place; None means no action, so a robot there is done at once."""
 
 
 class FailureKind(enum.Enum):
@@ -193,6 +146,10 @@ class Plan:
         :meth:`with_rates` sets both.
     :ivar own_rates: transition -> rate (1/s) in the net's file, for each one in ``rates``.
     :ivar evidence: (key of the plan file, place or transition) -> where that value was learned.
+    :ivar events: exponential transition -> the event that fires it.
+    :ivar tasks: the places where tasks queue, and the transitions at which they are done.
+    :ivar cancel_grace: seconds that the server of an interrupted action has to end it, before that
+        is reported.
     :ivar timing: times of the agreement protocol.
     :ivar fsync: whether promises and votes are on the disk before they are sent.
     :ivar witness: names of nodes that vote and have no token.
@@ -225,6 +182,9 @@ class Plan:
     rates: Mapping[str, float] = field(default_factory=dict)
     own_rates: Mapping[str, float] = field(default_factory=dict)
     evidence: Mapping[Tuple[str, str], Evidence] = field(default_factory=dict)
+    events: Mapping[str, EventSource] = field(default_factory=dict)
+    tasks: Tasks = Tasks()
+    cancel_grace: float = 5.0
     timing: Timing = Timing()
     fsync: bool = False
     witness: Tuple[str, ...] = ()
@@ -257,6 +217,30 @@ class Plan:
         yield from self.actions.items()
         for robot in self.robots:
             yield from robot.actions.items()
+
+    def interrupts(self, place: str) -> Tuple[str, ...]:
+        """Return the event transitions that leave a place, in the order of the net."""
+        if not self.events:
+            return ()
+        return tuple(t for t in self._leaving(place) if t in self.events)
+
+    @property
+    def submissions(self) -> Tuple[str, ...]:
+        """The transitions of the environment by which tasks come in: those with an event, and those
+        that lead into a queue."""
+        return tuple(
+            t.name
+            for t, inputs, outputs in zip(self.net.transitions, self.net.inputs, self.net.outputs)
+            if t.timed
+            and not any(self._holds_robots(p) for p, _ in (*inputs, *outputs))
+            and (
+                t.name in self.events
+                or any(self.net.places[p].name in self.tasks.queues for p, _ in outputs)
+            )
+        )
+
+    def _holds_robots(self, place: int) -> bool:
+        return self.net.places[place].name not in self.resource_places
 
     def failure_rule(self, place: str) -> FailureRule:
         """Return the failure rule of a place; ``'*'`` in the plan stands for every place without
@@ -311,7 +295,17 @@ class Plan:
             "on_lost": [self.on_lost.kind.value, self.on_lost.transition],
             "on_evict": {p: dict(r) for p, r in self.on_evict.items()},
             "until": self.until,
+            **self._reacting_essence(),
         }
+
+    def _reacting_essence(self) -> Dict[str, Any]:
+        """Of events and tasks, what the token game reads; nothing for a plan without them."""
+        found: Dict[str, Any] = {}
+        if self.events:
+            found["events"] = {t: [e.hold, e.resume] for t, e in self.events.items()}
+        if self.tasks != Tasks():
+            found["tasks"] = [list(self.tasks.queues), list(self.tasks.done)]
+        return found
 
     def for_robots(self, number: int) -> Plan:
         """Return the plan for a team of ``number`` robots. A smaller team consists of the plan's
@@ -444,7 +438,54 @@ class Plan:
         self._validate_routing()
         self._validate_robots()
         self._validate_times()
+        self._validate_events()
         return self
+
+    def _validate_events(self) -> None:
+        net = self.net
+        for name in self.events:
+            self._known_transition(name, "events")
+            t = net.transition_number(name)
+            if not net.transitions[t].timed:
+                raise self._error(
+                    "events",
+                    name,
+                    "an immediate transition cannot wait for an event",
+                    "make it exponential; its rate is how often the event comes",
+                )
+            if sum(weight for p, weight in net.inputs[t] if self._holds_robots(p)) > 1:
+                raise self._error(
+                    "events",
+                    name,
+                    "it moves several robots, but an event interrupts one",
+                    "let the event move one robot, and synchronise afterwards",
+                )
+            source, outside = self.events[name], not self._moves_robots(t)
+            if outside and (
+                source.when or source.edge or source.resume or source.after is not None
+            ):
+                raise self._error(
+                    "events",
+                    name,
+                    "it touches no robot, so each message is a task",
+                    "'when', 'edge', 'resume' and 'after' are for events of robots",
+                )
+            if not outside and (source.id or source.json):
+                raise self._error("events", name, "'id' and 'json' are for tasks; it moves a robot")
+        for place in self.tasks.queues:
+            self._known_place(place, "tasks.queues")
+            if place not in self.resource_places:
+                raise PlanError(
+                    "'%s' is not a resource place; its tokens are robots, not tasks" % place,
+                    file=self.file,
+                    element="tasks.queues",
+                )
+        for name in self.tasks.done:
+            self._known_transition(name, "tasks.done")
+
+    def _moves_robots(self, t: int) -> bool:
+        arcs = (*self.net.inputs[t], *self.net.outputs[t])
+        return any(self._holds_robots(p) for p, _ in arcs)
 
     def _validate_times(self) -> None:
         for key in ("durations", "outcomes", "failures"):

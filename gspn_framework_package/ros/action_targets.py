@@ -9,9 +9,9 @@ import rosgraph.names
 import roslib.message
 import rospy
 
-from gspn_framework_package.formats.plan_json import EXEC_GSPN
+from gspn_framework_package.model.action import EXEC_GSPN, FunctionAction, ServerAction
 from gspn_framework_package.model.errors import PlanError
-from gspn_framework_package.model.plan import FunctionAction, Plan, ServerAction
+from gspn_framework_package.model.plan import Plan
 
 EXEC_GSPN_RESULT = EXEC_GSPN[: -len("Action")] + "Result"
 
@@ -76,7 +76,7 @@ def action_targets(plan: Plan, robot: str, namespace: str) -> Dict[str, ActionTa
     targets = {}
     for place in plan.action_places:
         action = plan.action(robot, place)
-        if action is None:
+        if not isinstance(action, (FunctionAction, ServerAction)):
             continue
         try:
             targets[place] = _target(place, action, namespace)

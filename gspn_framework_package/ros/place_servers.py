@@ -22,7 +22,8 @@ from gspn_framework_package.execution.actions import (
     load_actions,
 )
 from gspn_framework_package.execution.worker_pool import WorkerPool
-from gspn_framework_package.model.plan import FunctionAction, Plan
+from gspn_framework_package.model.action import FunctionAction
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import (
     ExecGSPNAction,
     ExecGSPNActionGoal,
@@ -147,7 +148,7 @@ class PlaceServers:
         )
         result, failure = "", None
         try:
-            result = goal.action(context)
+            result = goal.action(context).transition
         except ActionFailed as error:
             failure = error_text(error) or "the action failed"
         except BaseException as error:  # even sys.exit() in an action ends only the action

@@ -7,7 +7,8 @@ import itertools
 from typing import Any, Callable, Dict, List, Optional
 
 from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, Severity, names
-from gspn_framework_package.model.plan import Action, Plan
+from gspn_framework_package.model.action import Action
+from gspn_framework_package.model.plan import Plan
 
 ServerProbe = Callable[[str, str, Action], Optional[str]]
 """Called with (robot, place, action) to check whether the action's server answers; returns None if

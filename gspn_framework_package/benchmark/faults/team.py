@@ -24,14 +24,9 @@ from gspn_framework_package.benchmark.ports import free_port
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.history import Verdict, verify
 from gspn_framework_package.formats.plan_json import plan_to_json
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import ExecutionError
-from gspn_framework_package.model.plan import (
-    FailureKind,
-    FailureRule,
-    FunctionAction,
-    Synchronisation,
-    Timing,
-)
+from gspn_framework_package.model.plan import FailureKind, FailureRule, Synchronisation, Timing
 
 RUN = "faults"
 BRIEF = "gspn_framework_package.benchmark.load.brief"

@@ -14,8 +14,9 @@ from gspn_framework_package.benchmark.netns.network import Network
 from gspn_framework_package.benchmark.netns.rules import Cuts, one_way, partition
 from gspn_framework_package.benchmark.netns.team import MASTER, NamespaceTeam
 from gspn_framework_package.benchmark.plans import tokens_plan
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import ExecutionError
-from gspn_framework_package.model.plan import FunctionAction, Plan, Synchronisation, Timing
+from gspn_framework_package.model.plan import Plan, Synchronisation, Timing
 
 WORK = "gspn_framework_package.benchmark.netns.work.work"
 

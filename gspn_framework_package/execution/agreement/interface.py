@@ -33,7 +33,7 @@ The host of a replica
 
 from __future__ import annotations
 
-from typing import Any, Dict, NamedTuple, Union
+from typing import Any, Dict, Mapping, NamedTuple, Optional, Union
 
 from gspn_framework_package.execution.firing import (
     CancelAction,
@@ -42,7 +42,7 @@ from gspn_framework_package.execution.firing import (
     Firing,
     StartAction,
 )
-from gspn_framework_package.execution.log_entries import Entry
+from gspn_framework_package.execution.log_entries import NOTHING, Entry, Submit
 
 Message = Dict[str, Any]
 """A protocol message as a JSON object (see
@@ -76,12 +76,13 @@ class Received(NamedTuple):
 
 class ActionDone(NamedTuple):
     """The action of (incarnation, visit, attempt) ended well; ``result`` names a transition, or is
-    "" (or "None") for "the policy decides"."""
+    "" (or "None") for "the policy decides". ``data`` is what it wrote."""
 
     incarnation: int
     visit: int
     attempt: int
     result: str = ""
+    data: Mapping[str, Any] = NOTHING
 
 
 class AttemptFailed(NamedTuple):
@@ -95,11 +96,27 @@ class AttemptFailed(NamedTuple):
     detail: str = ""
 
 
+class EventObserved(NamedTuple):
+    """A source of an event shows something new: its condition ``holds`` or no longer does, or
+    (None) an event came that lasts no time. ``cause`` is what was read of it. Only changes need to
+    be given, and events that last no time only while :meth:`Replica.watches` says so."""
+
+    transition: str
+    holds: Optional[bool]
+    cause: Mapping[str, Any] = NOTHING
+
+
+class TaskCame(NamedTuple):
+    """A task reached this robot, and perhaps others as well. It is kept until it is in the log."""
+
+    task: Submit
+
+
 class Order(NamedTuple):
-    """An operator's order, given to this robot: ``entry`` is a Retry, Fire, Leave, Evict, SetPlace,
-    Pause, Resume or Stop. Answered by an :class:`OrderResult` of the same ``order_id`` once it is
-    in the log (which may never happen without a quorum: the caller sets its own deadline). For an
-    Evict the incarnation may be -1: the present one."""
+    """An operator's order, given to this robot: ``entry`` is a Retry, Fire, Submit, Leave, Evict,
+    SetPlace, Pause, Resume or Stop. Answered by an :class:`OrderResult` of the same ``order_id``
+    once it is in the log (which may never happen without a quorum: the caller sets its own
+    deadline). For an Evict the incarnation may be -1: the present one."""
 
     order_id: str
     entry: Entry
@@ -117,7 +134,7 @@ class ForceEvict(NamedTuple):
     robot: str
 
 
-Input = Union[Tick, Received, ActionDone, AttemptFailed, Order, ForceEvict]
+Input = Union[Tick, Received, ActionDone, AttemptFailed, EventObserved, TaskCame, Order, ForceEvict]
 
 # -- effects ---------------------------------------------------------------------------------------
 

@@ -112,8 +112,10 @@ class LocalRobot:
             entry = log_entries.Failed(self.config.name, *goal, given.reason, given.detail)
         else:
             result = given.result if given.result not in (None, "None") else ""
-            entry = log_entries.Done(self.config.name, goal.incarnation, goal.visit, result)
-            if self._may_move_alone():
+            entry = log_entries.Done(
+                self.config.name, goal.incarnation, goal.visit, result, given.data
+            )
+            if not given.data and self._may_move_alone():
                 firing = self._make(entry)
                 if firing is not None:
                     self.proposals.add_local_transition(entry, firing)
@@ -207,8 +209,18 @@ class LocalRobot:
         if self.config.plan.action(name, place) is not None:
             state.started = state.running = at.goal
             delay = delays.get((at.visit, at.attempt), 0.0)
-            out.append(StartAction(name, place, *at.goal, delay))
+            out.append(StartAction(name, place, *at.goal, delay, *self._given(at)))
         return out
+
+    def _given(self, at: Position) -> Tuple[Mapping[str, Any], int]:
+        """What an action may read: the data in the log, and the visit that this one continues."""
+        robot = self.electorate.own_robot()
+        if robot is None:
+            return log_entries.NOTHING, 0
+        data = self.state.ledger.state.data_of(robot)
+        if robot.visit == at.visit:
+            return data, robot.resumed_from
+        return data, robot.interrupted.get(at.place, 0)  # ahead of the log
 
     # -- the simulated environment -----------------------------------------------------------------
 

@@ -22,9 +22,9 @@ class LocalTransitions:
     """The private places of a plan, for one robot of it.
 
     A transition is not local where the run would notice it: if ``until`` looks at one of its
-    places, if an inhibitor arc or a capacity does, if the robot would be done at once where it
-    arrives (it would then ask for more within the same step), or if the policy could withhold an
-    immediate transition.
+    places, if an inhibitor arc or a capacity does, if a task may be done there, if the robot would
+    be done at once where it arrives (it would then ask for more within the same step), or if the
+    policy could withhold an immediate transition.
     """
 
     def __init__(self, game: TokenGame, robot: str) -> None:
@@ -34,6 +34,7 @@ class LocalTransitions:
         if plan.until:
             names = parse_condition(plan.until, [p.name for p in net.places]).places
             watched |= {net.place_number(name) for name in names}
+        watched |= {p for t in plan.tasks.done for p, _ in net.inputs[net.transition_number(t)]}
         policy_decides = bool(plan.policy.rows) or plan.strict
         self._net = net
         self._target: Dict[Tuple[int, int], int] = {}
@@ -58,7 +59,7 @@ class LocalTransitions:
                 targets[p, t] = target
             else:
                 self._target.update(targets)
-                if len(leaving) == 1:
+                if len(leaving) == 1 and leaving[0] not in game.interrupts:
                     self._only[p] = leaving[0]
 
     @property

@@ -15,6 +15,7 @@ from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.membership import Membership
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.reactions import Reactions
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState
@@ -31,6 +32,7 @@ class Orders:
         electorate: Electorate,
         proposals: Proposals,
         membership: Membership,
+        reactions: Reactions,
     ) -> None:
         self.config = config
         self.state = state
@@ -38,6 +40,7 @@ class Orders:
         self.electorate = electorate
         self.proposals = proposals
         self.membership = membership
+        self.reactions = reactions
 
     def order(self, order: interface.Order) -> None:
         """Propose an operator's order, if it makes sense."""
@@ -50,6 +53,8 @@ class Orders:
             robot = self._robot(entry.robot)
             entry = entry._replace(incarnation=robot.incarnation if robot else 0)
         why = self._why_not(entry)
+        if not why and isinstance(entry, log_entries.Submit):
+            why = self.reactions.take_task(entry)
         if why:
             self.outbox.order_result(order.order_id, False, why)
         else:
@@ -89,7 +94,7 @@ class Orders:
         if isinstance(entry, log_entries.SetPlace) and entry.place not in plan.action_places:
             return "'%s' is not an action place of the plan" % entry.place
         if (
-            isinstance(entry, log_entries.Fire)
+            isinstance(entry, (log_entries.Fire, log_entries.Submit))
             and entry.transition not in plan.net.transition_index
         ):
             return "the net has no transition '%s'" % entry.transition

@@ -12,6 +12,7 @@ from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.membership import Membership
 from gspn_framework_package.execution.agreement.proposals import Proposals
+from gspn_framework_package.execution.agreement.reactions import Reactions
 from gspn_framework_package.execution.agreement.replication import Replication
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.event_log import Record
@@ -34,6 +35,7 @@ class Recovery:
         proposals: Proposals,
         membership: Membership,
         replication: Replication,
+        reactions: Reactions,
     ) -> None:
         self.config = config
         self.state = state
@@ -41,6 +43,7 @@ class Recovery:
         self.proposals = proposals
         self.membership = membership
         self.replication = replication
+        self.reactions = reactions
 
     def resume(self, records: Sequence[Record]) -> None:
         """Resume from our own log.
@@ -69,6 +72,8 @@ class Recovery:
             self.membership.recall(record)
         if kind in OF_PROPOSALS:
             self.proposals.recall(record)
+        if kind == "offered":
+            self.reactions.recall(record)
         if kind == "reset":
             self.replication.begin_anew()
         elif counts and kind in OF_REPLICATION:

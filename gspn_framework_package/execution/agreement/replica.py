@@ -22,6 +22,7 @@ from gspn_framework_package.execution.agreement.orders import Orders
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.proposals import Proposals
 from gspn_framework_package.execution.agreement.proposer import Proposer
+from gspn_framework_package.execution.agreement.reactions import Reactions
 from gspn_framework_package.execution.agreement.recent_slots import RecentSlots
 from gspn_framework_package.execution.agreement.recovery import Recovery
 from gspn_framework_package.execution.agreement.replication import Replication
@@ -106,8 +107,13 @@ class Replica:
         )
         consensus.connect(replication)
         membership.connect(replication)
-        self.recovery = Recovery(config, state, consensus, proposals, membership, replication)
-        self.orders = Orders(config, state, outbox, electorate, proposals, membership)
+        self.reactions = Reactions(config, state, outbox, electorate, proposals)
+        self.recovery = Recovery(
+            config, state, consensus, proposals, membership, replication, self.reactions
+        )
+        self.orders = Orders(
+            config, state, outbox, electorate, proposals, membership, self.reactions
+        )
         self.people = Status(config, state, outbox, electorate, consensus, proposer, local)
 
     # -- one input after the other -----------------------------------------------------------------
@@ -154,6 +160,12 @@ class Replica:
             self._receive(given.message)
         elif isinstance(given, (interface.ActionDone, interface.AttemptFailed)):
             self.robot.action_ended(given)
+        elif isinstance(given, interface.EventObserved):
+            self.reactions.observe(given)
+        elif isinstance(given, interface.TaskCame):
+            why = self.reactions.take_task(given.task)
+            if why:
+                self.outbox.fault("task %s is not taken: %s" % (given.task.id, why))
         elif isinstance(given, interface.Order):
             self.orders.order(given)
         elif isinstance(given, interface.ForceEvict):
@@ -213,11 +225,14 @@ class Replica:
             elif state.ledger.state.ended is None:
                 self.membership.want_to_join()
                 self.robot.want_environment()
+                self.reactions.want_events()
+                self.reactions.want_tasks()
             self.proposer.drive()
         times = [
             *self.membership.wake_times(),
             *self.proposer.wake_times(),
             *self.robot.wake_times(),
+            *self.reactions.wake_times(),
         ]
         self.outbox.put(interface.WakeAt(max(state.now + 0.001, min(times))))
 
@@ -287,6 +302,10 @@ class Replica:
     def known_log(self, robot: str) -> str:
         """See :class:`~gspn_framework_package.execution.agreement.electorate.Electorate`."""
         return self.electorate.known_log(robot)
+
+    def watches(self, transition: str) -> bool:
+        """Whether an event could interrupt our robot in its present visit."""
+        return self.reactions.watches(transition)
 
     def marking(self) -> Marking:
         """The marking as this robot knows it: the log's, with its own local transitions."""

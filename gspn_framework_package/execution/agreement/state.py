@@ -163,6 +163,12 @@ class ReplicaState:
     number: int = _owned("proposals", 0)
     """The number of our newest proposal in this incarnation."""
 
+    offered: Dict[Tuple[str, str], Tuple[log_entries.Submit, float]] = _owned(
+        "reactions", make=dict
+    )
+    """Tasks that reached this robot, until they are in the log: (transition, id) -> the task, and
+    since when it waits (s)."""
+
     # -- acceptor and proposer of the first open slot ----------------------------------------------
 
     promised: Ballot = _owned("consensus", Ballot(0, ""))

@@ -6,11 +6,11 @@ import random
 from functools import lru_cache
 from typing import Any, Callable, List, Sequence, Tuple
 
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.plan import (
     FailureKind,
     FailureRule,
-    FunctionAction,
     LostKind,
     LostRule,
     Plan,

@@ -225,12 +225,14 @@ class LoggedTeam:
         leaving = self.leaving[robot.place]
         if not leaving:
             robot.phase = Phase.INACTIVE
-        elif result and result != "None":
+            return
+        leaving = [t for t in leaving if t not in self.plan.events or t == result]
+        if result and result != "None":
             if result in leaving:
                 self._ask(robot, result)
             else:
                 self._failed(robot)
-        elif any(not self.kind[t].timed for t in leaving):
+        elif any(not self.kind[t].timed for t in leaving) or not leaving:
             self._ask(robot, None)
         elif len(leaving) == 1:
             self._ask(robot, leaving[0])
@@ -268,6 +270,8 @@ class LoggedTeam:
             robot.incarnation = entry.incarnation
             if not robot.here:
                 robot.visit += 1
+                if robot.place in self.plan.on_evict and entry.place in self.plan.action_places:
+                    robot.place = entry.place  # what it held there was given back
                 self.marking[robot.place] += 1
                 self._enter(robot)
             elif robot.phase is Phase.DOING:
@@ -280,17 +284,15 @@ class LoggedTeam:
             return
         if self.members() == [robot.name] and not self.agents:
             return  # the last member of a team stays
-        if isinstance(entry, log_entries.Leave):
-            robot.phase = Phase.LEFT
-            self.marking[robot.place] -= 1
-            robot.paused = False
+        leaves = isinstance(entry, log_entries.Leave)
+        if isinstance(entry, log_entries.Evict) and entry.incarnation != robot.incarnation:
             return
-        if entry.incarnation != robot.incarnation:
-            return
-        robot.phase, robot.paused = Phase.LOST, False
+        robot.phase, robot.paused = (Phase.LEFT if leaves else Phase.LOST), False
         self.marking[robot.place] -= 1
         for place, n in self.plan.on_evict.get(robot.place, {}).items():
             self.marking[place] += n
+        if leaves:
+            return
         rule = self.plan.on_lost
         stuck = [r for r in self._all_waiting() if self._waits_for(r, robot.place)]
         sure = any(r.asks is not None for r in stuck)

@@ -20,8 +20,9 @@ sys.path[:0] = [HERE, os.path.join(os.path.dirname(HERE), "support")]
 from waiting import wait_for
 
 from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.model.action import FunctionAction, ServerAction
 from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.plan import FunctionAction, Plan, ServerAction
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import (
     ExecGSPNAction,
     ExecGSPNActionResult,

@@ -6,12 +6,12 @@ that come and go."""
 from generated_nets import split
 from hypothesis import strategies as st
 
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.plan import (
     FailureKind,
     FailureRule,
-    FunctionAction,
     LostKind,
     LostRule,
     Plan,

@@ -3,9 +3,10 @@ and share a tool."""
 
 from hypothesis import strategies as st
 
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.policy import Policy, PolicyRow
 
 WORK = FunctionAction("actions.work", "work")

@@ -37,10 +37,11 @@ from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats import write_net
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration, Kind
 from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 
 
 def source(seed: int = 1) -> Any:

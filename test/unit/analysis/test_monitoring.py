@@ -25,9 +25,10 @@ from gspn_framework_package.analysis.monitoring.prediction import (
     draw_parameters,
     growth,
 )
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration, Evidence
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 
 DURATIONS = [
     Duration.exponential(2.0),

@@ -10,9 +10,10 @@ import pytest
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import CancelledError, PlanError
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec, Timing
+from gspn_framework_package.model.plan import Plan, RobotSpec, Timing
 from gspn_framework_package.model.policy import Policy, PolicyRow
 
 PLANS = Path(__file__).parents[3] / "plans"

@@ -8,9 +8,10 @@ from gspn_framework_package.analysis.decisions.aims import AtLeast, Objective, R
 from gspn_framework_package.analysis.decisions.optimise import optimise
 from gspn_framework_package.analysis.decisions.rollout import improve
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import CancelledError, RefusedError
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.policy import Policy
 
 ACT = FunctionAction("actions.work", "work")

@@ -20,11 +20,12 @@ from gspn_framework_package.analysis.solution.measures import Measures
 from gspn_framework_package.analysis.solution.steady_state import steady_state
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.plan_timing import PlanTiming
 from gspn_framework_package.model.policy import Policy, PolicyRow
 

@@ -12,10 +12,11 @@ from gspn_framework_package.analysis.decisions.aims import Aim, Objective
 from gspn_framework_package.analysis.simulation import against, kernel
 from gspn_framework_package.analysis.simulation.against import compare_plans
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import CancelledError, UsageError
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.policy import Policy
 
 #: A robot takes the slow or the quick way, again and again; `trips` counts.

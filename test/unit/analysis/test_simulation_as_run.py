@@ -23,11 +23,12 @@ from gspn_framework_package.analysis.simulation.plan_tables import (
 from gspn_framework_package.benchmark.policy import decision_net, random_policy
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Duration, Kind
 from gspn_framework_package.model.errors import CancelledError, RefusedError, UsageError
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.plan_timing import PlanTiming
 from gspn_framework_package.model.policy import Policy, PolicyRow
 

@@ -9,8 +9,9 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 
 
 def make_plan(
@@ -44,9 +45,15 @@ class Run:
         check_invariants(self.game, self.state)
         return [f.transition for f in step.firings]
 
-    def done(self, robot: str, result: str = "") -> List[str]:
+    def done(self, robot: str, result: str = "", data: Any = log_entries.NOTHING) -> List[str]:
         state = self.state.robots[robot]
-        return self.feed(log_entries.Done(robot, state.incarnation, state.visit, result))
+        return self.feed(log_entries.Done(robot, state.incarnation, state.visit, result, data))
+
+    def event(self, robot: str, transition: str, cause: Any = log_entries.NOTHING) -> List[str]:
+        state = self.state.robots[robot]
+        return self.feed(
+            log_entries.Interrupt(robot, state.incarnation, state.visit, transition, cause)
+        )
 
     def fail(self, robot: str, reason: str = "aborted") -> List[str]:
         state = self.state.robots[robot]
@@ -72,5 +79,7 @@ def check_invariants(game: TokenGame, state: TeamState) -> None:
         assert state.marking[p] >= 0
         if not is_resource:
             assert state.marking[p] == counts.get(p, 0)
+    for p in game.queues:
+        assert len(state.queues.get(p, ())) == state.marking[p]
     again = TeamState.from_json(state.to_json(game.net), game.net)
     assert again == state

@@ -13,9 +13,10 @@ from gspn_framework_package.execution.actions import (
     load_actions,
     no_feedback,
 )
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import PlanError
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 
 
 def context(**changes):
@@ -44,7 +45,8 @@ def test_a_function_gets_what_it_asks_for_by_name():
         return "T1"
 
     told = []
-    ran = PythonAction(every, "a.every")(context(feedback=told.append, visit=4, attempt=2))
+    asked = context(feedback=told.append, visit=4, attempt=2)
+    ran = PythonAction(every, "a.every")(asked).transition
     assert (ran, seen, told) == ("T1", [("P1", "robot_1", 4, 2, False, 3)], [1])
 
 
@@ -70,7 +72,7 @@ def test_an_action_may_ask_for_the_number_of_its_robot(robot, number):
     ],
 )
 def test_results(function, result):
-    assert PythonAction(function, "a.f")(context()) == result
+    assert PythonAction(function, "a.f")(context()).transition == result
 
 
 def test_a_class_is_instantiated_once_for_each_robot():
@@ -83,9 +85,9 @@ def test_a_class_is_instantiated_once_for_each_robot():
             return "%s %s %d" % (self.robot, place, self.calls)
 
     count = PythonAction(Counter, "a.Counter")
-    assert count(context()) == "robot_1 P1 1"
-    assert count(context(robot="robot_2", place="P2")) == "robot_2 P2 1"
-    assert count(context()) == "robot_1 P1 2"
+    assert count(context()).transition == "robot_1 P1 1"
+    assert count(context(robot="robot_2", place="P2")).transition == "robot_2 P2 1"
+    assert count(context()).transition == "robot_1 P1 2"
 
 
 def test_a_cancelled_wait_ends_at_once():
@@ -111,19 +113,19 @@ def test_modules_of_the_folder_may_import_each_other(tmp_path):
     folder = write(tmp_path, "acts.py", "import acts_helper\ndef go():\n    return acts_helper.T\n")
     write(tmp_path, "acts_helper.py", "T = 'T7'\n")
     write(tmp_path, "deep/er.py", "def go():\n    return 'T8'\n")
-    assert load_action(folder, "acts.go")(context()) == "T7"
-    assert load_action(folder, "deep.er.go")(context()) == "T8"
+    assert load_action(folder, "acts.go")(context()).transition == "T7"
+    assert load_action(folder, "deep.er.go")(context()).transition == "T8"
 
 
 def test_two_plans_may_have_modules_of_one_name(tmp_path):
     one = write(tmp_path / "one", "actions.py", "def go():\n    return 'T1'\n")
     two = write(tmp_path / "two", "actions.py", "def go():\n    return 'T2'\n")
-    assert load_action(one, "actions.go")(context()) == "T1"
-    assert load_action(two, "actions.go")(context()) == "T2"
+    assert load_action(one, "actions.go")(context()).transition == "T1"
+    assert load_action(two, "actions.go")(context()).transition == "T2"
 
 
 def test_an_installed_module_serves_too(tmp_path):
-    assert load_action(str(tmp_path), "os.getcwd")(context())
+    assert load_action(str(tmp_path), "os.getcwd")(context()).transition
 
 
 @pytest.mark.parametrize(
@@ -163,4 +165,4 @@ def test_the_actions_of_a_robot(tmp_path):
         "P1": "actions.a",
         "P2": "actions.a",
     }
-    assert load_actions(plan, "r2")["P2"](context()) == "B"
+    assert load_actions(plan, "r2")["P2"](context()).transition == "B"

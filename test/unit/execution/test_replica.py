@@ -24,14 +24,9 @@ from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.firing import Ended, StartAction
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.plan import (
-    FunctionAction,
-    Plan,
-    RobotSpec,
-    Synchronisation,
-    Timing,
-)
+from gspn_framework_package.model.plan import Plan, RobotSpec, Synchronisation, Timing
 from gspn_framework_package.model.policy import Policy
 
 TOUR, MEET, TOKENS, CROWD = range(4)

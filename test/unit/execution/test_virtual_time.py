@@ -7,16 +7,11 @@ import pytest
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.virtual_time import VirtualRun
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.model.plan import (
-    FailureKind,
-    FailureRule,
-    FunctionAction,
-    Plan,
-    RobotSpec,
-)
+from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan, RobotSpec
 
 ACT = FunctionAction("actions.work", "work")
 

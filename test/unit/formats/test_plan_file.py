@@ -11,15 +11,9 @@ import pytest
 
 from gspn_framework_package.formats.plan_file import plan_document, read_plan
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json, schema
+from gspn_framework_package.model.action import FunctionAction, ServerAction
 from gspn_framework_package.model.errors import GspnError
-from gspn_framework_package.model.plan import (
-    FailureKind,
-    FailureRule,
-    FunctionAction,
-    LostKind,
-    ServerAction,
-    Synchronisation,
-)
+from gspn_framework_package.model.plan import FailureKind, FailureRule, LostKind, Synchronisation
 from gspn_framework_package.model.policy import Policy
 
 PLANS = Path(__file__).resolve().parents[3] / "plans"

@@ -11,9 +11,10 @@ import pytest
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.formats.plan_file import read_net_or_plan, read_plan
 from gspn_framework_package.formats.registry import write_net
+from gspn_framework_package.model.action import FunctionAction, ServerAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import GspnError
-from gspn_framework_package.model.plan import FunctionAction, ServerAction, Synchronisation
+from gspn_framework_package.model.plan import Synchronisation
 
 ROS: Dict[str, Any] = {
     "gspn": "/home/somebody/catkin_ws/src/plan/net.xml",

@@ -19,9 +19,9 @@ from gspn_framework_package.execution.actions import (
 )
 from gspn_framework_package.formats import FORMATS, read_net, register, write_net
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import NetError, PlanError, UsageError
-from gspn_framework_package.model.plan import FunctionAction
 
 
 @pytest.fixture(autouse=True)
@@ -199,4 +199,4 @@ def test_each_choice_of_settings_has_its_own_object(tmp_path):
     actions = load_actions(replace(plan, actions={**plan.actions, "C": other}), "robot_1")
     context = ActionContext("A", "robot_1", no_feedback, Cancellation())
     assert actions["A"] is actions["B"]
-    assert [actions[place](context) for place in "AC"] == ["first", "first_back"]
+    assert [actions[place](context).transition for place in "AC"] == ["first", "first_back"]

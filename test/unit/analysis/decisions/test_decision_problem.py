@@ -19,10 +19,11 @@ from gspn_framework_package.analysis.decisions.problem import DecisionProblem
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.plan.reading import NET, RUN
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import LimitError, RefusedError
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 
 PLANS = ["patrol", "rendezvous", "fork_join", "measure", "tokens"]
 

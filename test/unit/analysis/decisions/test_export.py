@@ -15,9 +15,10 @@ from gspn_framework_package.analysis.decisions.export import Decided, policy_of
 from gspn_framework_package.analysis.plan.markings import PlanMarkings
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.analysis.preflight.report import Severity
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import CancelledError, PolicyError
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.policy import Policy
 
 Asked = Dict[Tuple[int, ...], Mapping[str, float]]

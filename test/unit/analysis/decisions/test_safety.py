@@ -5,9 +5,10 @@ import pytest
 from gspn_framework_package.analysis.decisions.problem import DecisionProblem
 from gspn_framework_package.analysis.plan.reading import NET, RUN
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import RefusedError
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec, Timing
+from gspn_framework_package.model.plan import Plan, RobotSpec, Timing
 
 WORK = FunctionAction("actions.work", "work")
 

@@ -8,9 +8,10 @@ from gspn_framework_package.analysis.decisions.automaton import CHANCE
 from gspn_framework_package.analysis.decisions.problem import DecisionProblem
 from gspn_framework_package.analysis.decisions.who_decides import who_decides
 from gspn_framework_package.analysis.plan.reading import NET, RUN
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import RefusedError, UsageError
-from gspn_framework_package.model.plan import FunctionAction, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.policy import Policy, PolicyRow
 
 WORK = FunctionAction("actions.work", "work")

@@ -1,0 +1,117 @@
+"""Which events interrupt a robot, and when: from what its sources show to entries of the log.
+
+The host of a robot (its node, or the standalone executor) watches the sources of a plan's events,
+and passes on what changes: that the condition of an event holds or no longer does, or that a
+momentary event came. :class:`EventWatch` relates this to the visit that the robot is in. It knows
+no clock and no source; the token game decides whether an event has an effect.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional
+
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.log_entries import NOTHING
+from gspn_framework_package.model.event import EventSource
+from gspn_framework_package.model.plan import Plan
+
+
+class Visit(NamedTuple):
+    """A visit of a robot to a place."""
+
+    place: str
+    incarnation: int
+    number: int
+
+
+class EventWatch:
+    """The events of one robot.
+
+    :param plan: the plan.
+    :param robot: name of the robot.
+    """
+
+    def __init__(self, plan: Plan, robot: str) -> None:
+        self._robot = robot
+        self._events = plan.events
+        self._interrupts = {place: plan.interrupts(place) for place in plan.action_places}
+        self._holds: Dict[str, Mapping[str, Any]] = {}
+        """Event that holds -> its cause."""
+        self._came: Dict[str, Mapping[str, Any]] = {}
+        """Event that came during this visit, by a rise or as a moment -> its cause."""
+        self._visit: Optional[Visit] = None
+        self._since = 0.0
+        self._told: Dict[str, None] = {}
+        """Events of this visit that were made into entries, and still hold."""
+
+    def watches(self, transition: str) -> bool:
+        """Whether an event could interrupt the robot in its present visit."""
+        return self._visit is not None and transition in self._interrupts.get(self._visit.place, ())
+
+    def observe(
+        self, transition: str, holds: Optional[bool], cause: Mapping[str, Any] = NOTHING
+    ) -> None:
+        """Take in what a source shows.
+
+        :param transition: the event.
+        :param holds: whether its condition holds; None for an event that lasts no time.
+        :param cause: what was read of it.
+        """
+        if holds is None:
+            if self.watches(transition):
+                self._came[transition] = cause
+        elif holds:
+            if transition not in self._holds and self.watches(transition):
+                self._came[transition] = cause
+            self._holds.setdefault(transition, cause)
+        else:
+            self._holds.pop(transition, None)
+            self._told.pop(transition, None)
+
+    def due(self, visit: Optional[Visit], now: float) -> List[log_entries.Interrupt]:
+        """The events that now interrupt the robot, each once.
+
+        :param visit: the visit that the robot is in; None if it is in no place.
+        :param now: a monotonic clock, s.
+        """
+        if visit != self._visit:
+            self._visit, self._since = visit, now
+            self._came, self._told = {}, {}
+        if visit is None:
+            return []
+        found = []
+        for transition in self._interrupts.get(visit.place, ()):
+            cause = self._cause(transition, self._events[transition], now)
+            if cause is not None:
+                self._told[transition] = None
+                found.append(
+                    log_entries.Interrupt(
+                        self._robot, visit.incarnation, visit.number, transition, cause
+                    )
+                )
+        self._came = {}
+        return found
+
+    def wake_time(self, visit: Optional[Visit]) -> Optional[float]:
+        """When the next event of time is due in a visit that :meth:`due` has seen (s)."""
+        if visit is None or visit != self._visit:
+            return None
+        times = [
+            self._since + after
+            for t in self._interrupts.get(visit.place, ())
+            for after in (self._events[t].after,)
+            if after is not None and t not in self._told
+        ]
+        return min(times, default=None)
+
+    def _cause(
+        self, transition: str, source: EventSource, now: float
+    ) -> Optional[Mapping[str, Any]]:
+        """The cause of an event that is due; None if it is not."""
+        if transition in self._came:
+            return self._came[transition]
+        if transition in self._told:
+            return None
+        if source.after is not None:
+            return {"after": source.after} if now >= self._since + source.after else None
+        return None if source.edge else self._holds.get(transition)

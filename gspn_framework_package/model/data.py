@@ -1,0 +1,108 @@
+"""Data that flows between the actions of a plan: named JSON values.
+
+A name has a scope: ``robot.NAME`` belongs to one robot, ``team.NAME`` to all (whoever writes last
+in the log wins), ``task.NAME`` to the task that the robot carries. A name without a scope is the
+robot's. Data never enables a transition: tokens decide, data flows.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any, Dict, Iterator, Mapping, Optional, Tuple
+
+from gspn_framework_package.model.errors import DataError
+
+SCOPES = ("robot", "team", "task")
+
+VALUE_LIMIT = 64_000
+"""Longest value, in characters of compact JSON."""
+
+NAMES_LIMIT = 1_000
+"""Most names of one robot, task or team."""
+
+_NAME = re.compile(r"(?:(%s)\.)?([A-Za-z_][A-Za-z0-9_]{0,99})" % "|".join(SCOPES))
+
+
+def split(name: str) -> Tuple[str, str]:
+    """Return scope and name. :raises DataError: it is not a name of data."""
+    found = _NAME.fullmatch(name) if isinstance(name, str) else None
+    if found is None:
+        raise DataError(
+            "%.100r is not a name of data" % (name,),
+            hint="write a name of letters, digits and _, with robot., team. or task. before it",
+        )
+    return found.group(1) or "robot", found.group(2)
+
+
+def full_name(name: str) -> str:
+    """Return the name with its scope. :raises DataError: it is not a name of data."""
+    return "%s.%s" % split(name)
+
+
+def check_values(values: Any) -> Dict[str, Any]:
+    """Return data that an action or a task brings, if it may be kept.
+
+    :param values: name -> JSON value.
+    :raises DataError: a name is not one, or a value is not JSON or too long.
+    """
+    if not isinstance(values, Mapping):
+        raise DataError("data is a JSON object, not a %s" % type(values).__name__)
+    if len(values) > NAMES_LIMIT:
+        raise DataError("%d names of data; at most %d are kept" % (len(values), NAMES_LIMIT))
+    for name, value in values.items():
+        split(name)
+        why = why_not_kept(value)
+        if why:
+            raise DataError("the value of '%s' %s" % (name, why))
+    return dict(values)
+
+
+def why_not_kept(value: Any) -> Optional[str]:
+    """Return why a value cannot be kept as data; None if it can."""
+    try:
+        text = json.dumps(value, allow_nan=False, separators=(",", ":"))
+    except (TypeError, ValueError, RecursionError) as error:
+        return "is not JSON: %.200s" % error
+    if len(text) > VALUE_LIMIT:
+        return "is %d characters long as JSON; at most %d are kept" % (len(text), VALUE_LIMIT)
+    return None
+
+
+def is_reference(value: Any) -> bool:
+    """Whether a part of a goal stands for data: ``{"from": "task.pose"}``."""
+    return isinstance(value, Mapping) and set(value) == {"from"} and isinstance(value["from"], str)
+
+
+def references(template: Any) -> Iterator[str]:
+    """Yield the full names of data that a goal, request, message or command refers to.
+
+    :raises DataError: a reference is not a name of data.
+    """
+    if is_reference(template):
+        yield full_name(template["from"])
+    elif isinstance(template, Mapping):
+        for value in template.values():
+            yield from references(value)
+    elif isinstance(template, (list, tuple)):
+        for value in template:
+            yield from references(value)
+
+
+def fill(template: Any, data: Mapping[str, Any]) -> Any:
+    """Return a goal, request, message or command with its references replaced by values.
+
+    :param template: nested maps and lists.
+    :param data: full name -> value.
+    :raises DataError: a name has no value.
+    """
+    if is_reference(template):
+        name = full_name(template["from"])
+        if name not in data:
+            raise DataError("there is no data '%s'" % name)
+        return data[name]
+    if isinstance(template, Mapping):
+        return {key: fill(value, data) for key, value in template.items()}
+    if isinstance(template, (list, tuple)):
+        return [fill(value, data) for value in template]
+    return template

@@ -1,0 +1,88 @@
+"""Events: what makes a transition fire from outside, and tasks, which come into a team by one.
+
+An *event transition* is an exponential transition with a source. If it leaves an action place, its
+event *interrupts* the action of a robot there. If it touches resource places only, it belongs to
+the environment: each message is a *task*, which fires it once.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, Mapping, NamedTuple, Optional, Tuple
+
+POLL_EVERY = 0.2
+"""Seconds between two calls of a function that is asked for an event."""
+
+
+class EventSource(NamedTuple):
+    """Where an event comes from, and what it does.
+
+    Sources: a ROS ``topic`` with messages of ``type`` (relative to the robot's namespace), a Python
+    ``function`` of the plan's folder (with ``settings``, asked every ``every`` seconds unless it
+    emits its events itself), or time: ``after`` seconds in the place. With both a topic and a
+    function, the topic is used on ROS and the function without it. A transition of the environment
+    needs no source of its own: ``gspn submit`` fires it in any case.
+
+    ``when`` is a condition on the message (see :mod:`.message_condition`): the event holds while it
+    is true. Without one, every message is an event of its own. An event that already holds when the
+    robot enters the place fires at once, unless ``edge`` is set: then only a change from false to
+    true counts.
+
+    If the transition is not enabled when the event comes, nothing happens, unless ``hold`` is set:
+    then it fires as soon as it can, while the robot is in that visit. After an interrupt with
+    ``resume``, the robot's next visit to the place learns which visit it continues.
+
+    For tasks: ``id`` names the field of the message that identifies it (default: ``id``, else the
+    sequence number in its header); ``json`` names a string field whose text is the task's data as
+    JSON (default: the data are the fields of the message).
+    """
+
+    topic: str = ""
+    type: str = ""
+    when: str = ""
+    function: str = ""
+    settings: Mapping[str, Any] = {}
+    every: float = POLL_EVERY
+    after: Optional[float] = None
+    edge: bool = False
+    hold: bool = False
+    resume: bool = False
+    id: str = ""
+    json: str = ""
+
+    @property
+    def label(self) -> str:
+        """The source of the event for people."""
+        if self.after is not None:
+            return "after %g s" % self.after
+        if self.topic:
+            return "topic %s%s" % (self.topic, ": " + self.when if self.when else "")
+        return self.function or "gspn submit"
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> EventSource:
+        """The source in a JSON object that fits the schema."""
+        return cls(**data)
+
+    def to_json(self) -> Dict[str, Any]:
+        """The source as a JSON object, without default values."""
+        default = EventSource()
+        given = self._asdict()
+        return {k: v for k, v in given.items() if v != getattr(default, k)}
+
+
+class Tasks(NamedTuple):
+    """Where a plan has tasks: ``queues`` are resource places whose tokens are tasks, taken in the
+    order in which they came; a robot that takes a token carries the task. At the transitions
+    ``done``, the task of a robot is done."""
+
+    queues: Tuple[str, ...] = ()
+    done: Tuple[str, ...] = ()
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Tasks:
+        """The object of a plan file that fits the schema."""
+        return cls(tuple(data.get("queues", ())), tuple(data.get("done", ())))
+
+    def to_json(self) -> Dict[str, Any]:
+        """The JSON object of a plan file."""
+        return {"queues": list(self.queues), "done": list(self.done)}

@@ -1,0 +1,302 @@
+"""Events that interrupt, tasks and data in the token game."""
+
+from __future__ import annotations
+
+from typing import Any, List
+
+import pytest
+from game_driver import Run, make_plan
+
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.firing import CancelAction, Fault, StartAction, TaskMove
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.errors import LogError, PlanError
+from gspn_framework_package.model.event import EventSource, Tasks
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
+
+
+def guard_net() -> Net:
+    """A robot works; an event sends it to a charger with one dock, and back."""
+    return (
+        NetBuilder()
+        .place("Work")
+        .place("Charge")
+        .place("Dock", 1)
+        .exponential("finish", rate=1, inputs="Work", outputs="Work")
+        .exponential("low", rate=0.1, inputs=["Work", "Dock"], outputs="Charge")
+        .exponential("full", rate=1, inputs="Charge", outputs=["Work", "Dock"])
+        .build()
+    )
+
+
+def guard(robots: int = 1, **event: Any) -> Run:
+    plan = make_plan(
+        guard_net(),
+        ["Work"] * robots,
+        ["Dock"],
+        events={"low": EventSource("battery", "a/B", **event)},
+    )
+    return Run(plan)
+
+
+def starts(run: Run) -> List[StartAction]:
+    return [c for c in run.commands if isinstance(c, StartAction)]
+
+
+def test_an_event_cancels_the_action_and_moves_the_robot():
+    run = guard()
+    assert run.event("a", "low", {"percentage": 0.1}) == ["low"]
+    assert run.place("a") == "Charge"
+    assert [c for c in run.commands if isinstance(c, CancelAction)] == [CancelAction("a", 1)]
+    assert starts(run)[-1][:2] == ("a", "Charge")
+    # the action had ended in the same moment: too late
+    assert run.feed(log_entries.Done("a", 0, 1, "finish")) == []
+
+
+def test_of_a_result_and_an_event_the_first_in_the_log_wins():
+    run = guard()
+    late = log_entries.Interrupt("a", 0, 1, "low")
+    assert run.done("a", "finish") == ["finish"]
+    assert run.feed(late) == []
+    assert run.place("a") == "Work"
+
+
+def test_an_event_whose_transition_is_not_enabled_changes_nothing():
+    run = guard(2)
+    assert run.event("a", "low") == ["low"]
+    assert run.event("b", "low") == []
+    assert run.state.robots["b"].phase is Phase.DOING
+    assert run.done("a") == ["full"]
+    assert run.place("b") == "Work"
+
+
+def test_a_held_event_fires_as_soon_as_it_can():
+    run = guard(2, hold=True)
+    run.event("a", "low")
+    assert run.event("b", "low", {"percentage": 0.05}) == []
+    assert run.done("a") == ["full", "low"]
+    assert run.place("b") == "Charge"
+    assert not run.state.robots["b"].held
+
+
+def test_a_held_event_is_void_when_the_robot_moves_on():
+    run = guard(2, hold=True)
+    run.event("a", "low")
+    run.event("b", "low")
+    assert run.done("b", "finish") == ["finish"]
+    assert run.done("a") == ["full"]
+    assert run.place("b") == "Work"
+
+
+def test_a_pause_delays_an_event():
+    run = guard()
+    run.feed(log_entries.Pause("a"))
+    assert run.event("a", "low") == []
+    assert run.feed(log_entries.Resume("a")) == ["low"]
+
+
+def test_an_event_frees_a_robot_whose_action_failed():
+    run = guard()
+    run.fail("a")
+    assert run.event("a", "low") == ["low"]
+
+
+def test_the_next_visit_learns_which_one_it_continues():
+    run = guard(resume=True)
+    run.event("a", "low")
+    run.done("a")
+    assert starts(run)[-1].resumed_from == 1
+    run.done("a", "finish")
+    assert starts(run)[-1].resumed_from == 0
+
+
+def test_an_unknown_event_is_void():
+    run = guard()
+    assert run.event("a", "finish") == []
+    assert run.event("a", "no such") == []
+
+
+# -- tasks -------------------------------------------------------------------------------------
+
+
+def shop_net() -> Net:
+    """Orders come in, robots take them, deliver them or give them back."""
+    return (
+        NetBuilder()
+        .place("Idle")
+        .place("Deliver")
+        .place("Orders", capacity=3)
+        .exponential("order", rate=1, outputs="Orders")
+        .immediate("take", inputs=["Idle", "Orders"], outputs="Deliver")
+        .exponential("delivered", rate=1, inputs="Deliver", outputs="Idle")
+        .exponential("refused", rate=1, inputs="Deliver", outputs=["Idle", "Orders"])
+        .build()
+    )
+
+
+def shop(robots: int = 1, **fields: Any) -> Run:
+    plan = make_plan(
+        shop_net(),
+        ["Idle"] * robots,
+        ["Orders"],
+        idle=["Idle"],
+        tasks=Tasks(("Orders",), ("delivered",)),
+        on_evict={"Deliver": {"Orders": 1}},
+        **fields,
+    )
+    return Run(plan)
+
+
+def submit(number: int, **data: Any) -> log_entries.Submit:
+    return log_entries.Submit("order", "o%d" % number, data)
+
+
+def test_tasks_are_taken_in_the_order_in_which_they_came():
+    run = shop()
+    assert run.feed(submit(1, pose=[1, 2])) == ["order", "take"]
+    assert run.feed(submit(2), submit(3)) == ["order", "order"]
+    assert starts(run)[-1].data == {"task.id": "o1", "task.pose": [1, 2]}
+    assert run.done("a", "delivered") == ["delivered", "take"]
+    assert run.state.robots["a"].task.id == "o2"
+    moves = [move for firing in run.firings for move in firing.tasks if move.id == "o1"]
+    assert moves == [
+        TaskMove("o1", "", "place Orders"),
+        TaskMove("o1", "place Orders", "robot a"),
+        TaskMove("o1", "robot a", "done"),
+    ]
+
+
+def test_a_task_comes_once():
+    run = shop()
+    assert run.feed(submit(1), submit(1)) == ["order", "take"]
+    assert run.done("a", "delivered") == ["delivered"]
+    assert run.feed(submit(1)) == []
+
+
+def test_a_task_waits_until_its_transition_is_enabled():
+    run = shop()
+    run.feed(*(submit(n) for n in range(1, 7)))
+    assert [task.id for _, task in run.state.submitted] == ["o5", "o6"]
+    assert run.done("a", "delivered") == ["delivered", "take", "order"]
+    assert [task.id for _, task in run.state.submitted] == ["o6"]
+
+
+def test_a_robot_puts_its_task_back():
+    run = shop()
+    run.feed(submit(1))
+    assert run.done("a", "refused") == ["refused", "take"]
+    assert run.state.robots["a"].task.id == "o1"
+
+
+def test_the_task_of_a_lost_robot_is_the_next():
+    run = shop(2)
+    run.feed(submit(1), submit(2), submit(3))
+    assert {r.name: r.task.id for r in run.state.active()} == {"a": "o1", "b": "o2"}
+    run.feed(log_entries.Evict("a", 0))
+    assert [task.id for task in next(iter(run.state.queues.values()))] == ["o1", "o3"]
+    assert run.done("b", "delivered") == ["delivered", "take"]
+    assert run.state.robots["b"].task.id == "o1"
+    # it gave back what it held, so it does not go on where it was
+    run.feed(log_entries.Join("a", 1, "Idle"))
+    assert run.state.robots["a"].task.id == "o3"
+
+
+def test_a_robot_that_leaves_gives_back_too():
+    run = shop(2)
+    run.feed(submit(1))
+    run.feed(log_entries.Leave("a"))
+    assert run.state.robots["b"].task.id == "o1"
+
+
+def test_a_second_task_pushes_out_the_first_and_that_is_told():
+    net = (
+        NetBuilder()
+        .place("Go")
+        .place("Orders", 2)
+        .immediate("take", inputs=["Go", "Orders"], outputs="Go")
+        .exponential("order", rate=1, outputs="Orders")
+        .build()
+    )
+    plan = make_plan(net.with_marking({"Orders": 0}), ["Go"], ["Orders"], tasks=Tasks(("Orders",)))
+    run = Run(plan)
+    run.feed(submit(1))
+    run.done("a")
+    run.feed(submit(2))
+    assert run.done("a") == ["take"]
+    assert run.firings[-1].tasks == (
+        TaskMove("o1", "robot a", "dropped"),
+        TaskMove("o2", "place Orders", "robot a"),
+    )
+    assert any(isinstance(c, Fault) and "o1" in c.message for c in run.commands)
+
+
+def test_a_task_for_another_transition_is_refused_and_told():
+    run = shop()
+    assert run.feed(log_entries.Submit("delivered", "x")) == []
+    assert [c.message for c in run.commands if isinstance(c, Fault)] == [
+        "no tasks come in by 'delivered'"
+    ]
+
+
+# -- data --------------------------------------------------------------------------------------
+
+
+def test_data_reaches_the_next_actions():
+    run = shop(2)
+    run.feed(submit(1), submit(2))
+    run.done("a", "refused", {"speed": 2, "team.door": "open", "task.tried": True})
+    assert run.state.data_of(run.state.robots["a"]) == {
+        "robot.speed": 2,
+        "team.door": "open",
+        "task.id": "o1",
+        "task.tried": True,
+    }
+    run.done("b", "refused")
+    assert starts(run)[-1].data == {"team.door": "open", "task.id": "o2"}
+
+
+def test_data_of_a_task_needs_a_task():
+    run = guard()
+    assert run.done("a", "finish", {"task.x": 1}) == []
+    assert run.state.robots["a"].phase is Phase.FAILED
+
+
+@pytest.mark.parametrize(
+    "data", [{"a b": 1}, {"x": float("nan")}, {"x": "y" * 70_000}, {"other.x": 1}, [1]]
+)
+def test_data_that_cannot_be_kept_is_no_entry(data: Any):
+    entry = {"entry": "done", "robot": "a", "incarnation": 0, "visit": 1, "data": data}
+    with pytest.raises(LogError):
+        log_entries.from_json(entry)
+
+
+def test_entries_without_data_are_written_as_before():
+    assert log_entries.to_json(log_entries.Done("a", 0, 1, "t")) == {
+        "entry": "done",
+        "robot": "a",
+        "incarnation": 0,
+        "visit": 1,
+        "result": "t",
+    }
+    for entry in (submit(1, x=[1]), log_entries.Interrupt("a", 0, 1, "low", {"p": 1})):
+        assert log_entries.from_json(log_entries.to_json(entry)) == entry
+
+
+# -- the plan ----------------------------------------------------------------------------------
+
+
+def test_an_event_needs_an_exponential_transition_of_one_robot():
+    with pytest.raises(PlanError, match="immediate"):
+        make_plan(shop_net(), [], ["Orders"], events={"take": EventSource("t", "a/B")})
+    with pytest.raises(PlanError, match="no transition"):
+        make_plan(shop_net(), [], ["Orders"], events={"x": EventSource("t", "a/B")})
+    with pytest.raises(PlanError, match="not a resource place"):
+        make_plan(shop_net(), [], ["Orders"], tasks=Tasks(("Idle",)))
+
+
+def test_a_plan_without_events_and_tasks_keeps_its_hash():
+    plan = make_plan(guard_net(), ["Work"], ["Dock"])
+    assert "events" not in plan._essence() and "tasks" not in plan._essence()
+    assert isinstance(plan, Plan)
