@@ -1,0 +1,173 @@
+"""Messages of any type: their classes, their fields as JSON values, and how plans fill them."""
+
+from __future__ import annotations
+
+import io
+import math
+from typing import Any, Callable, Dict, Mapping, Optional, Tuple, Union
+
+import genmsg.msgs
+import genpy
+import roslib.message
+import rospy
+
+from gspn_framework_package.model.data import is_reference
+from gspn_framework_package.model.errors import ExpressionError, PlanError
+from gspn_framework_package.model.message_condition import MessageCondition, field_name
+
+Path = Tuple[Union[str, int], ...]
+
+_MISFITS = (genpy.MessageException, genpy.SerializationError, TypeError, ValueError, AttributeError)
+
+
+def message_class(name: str) -> type:
+    """The class of a message type. :raises PlanError: this workspace does not have it."""
+    return _class_of("message", name, roslib.message.get_message_class)
+
+
+def service_class(name: str) -> Any:
+    """The class of a service type. :raises PlanError: this workspace does not have it."""
+    return _class_of("service", name, roslib.message.get_service_class)
+
+
+def _class_of(kind: str, name: str, find: Callable[[str], Optional[type]]) -> type:
+    try:
+        found = find(name)
+    except Exception as error:  # importing a foreign package may raise anything
+        raise PlanError("cannot load the %s type '%s': %s" % (kind, name, error)) from None
+    if found is None:
+        raise PlanError(
+            "there is no %s type '%s'" % (kind, name),
+            hint="write package/Name; is the package in this workspace?",
+        )
+    return found
+
+
+def fill_message(message: genpy.Message, fields: Mapping[str, Any], what: str) -> None:
+    """Set fields of a message. Empty time stamps stay empty ("the latest"); the word ``now`` in
+    place of a stamp means the present time.
+
+    :param message: a new message.
+    :param fields: the fields that are not to have their default, nested maps and lists.
+    :param what: what the message is in the plan, for the error: "goal", "request", "message".
+    :raises PlanError: the fields do not fit the type of the message.
+    """
+    try:
+        if fields:
+            now = rospy.get_rostime() if rospy.core.is_initialized() else genpy.Time()
+            genpy.message.fill_message_args(message, [dict(fields)], keys={"now": now})
+        message.serialize(io.BytesIO())
+    except _MISFITS as error:
+        raise PlanError(
+            "its %s does not fit %s: %s" % (what, message._type, _misfit(message, error))
+        ) from None
+
+
+def _misfit(message: genpy.Message, error: Exception) -> str:
+    """What does not fit, in the words that name the field if there are any."""
+    try:
+        message._check_types()
+    except genpy.SerializationError as named:
+        return str(named)
+    except _MISFITS:
+        pass
+    return str(error)
+
+
+def check_fields(message: genpy.Message, fields: Mapping[str, Any], what: str) -> None:
+    """Check whether fields of a plan fit a message, as far as that is known before the run:
+    references to data stand for values that fit.
+
+    :param message: a new message; it is changed.
+    :param fields: see :func:`fill_message`.
+    :param what: see :func:`fill_message`.
+    :raises PlanError: the fields do not fit.
+    """
+    if not is_reference(fields):
+        fill_message(message, _without_references(type(message), fields), what)
+
+
+def _without_references(owner: Any, fields: Mapping[str, Any]) -> Dict[str, Any]:
+    """The fields with a value that fits in place of each reference."""
+    types = dict(zip(owner.__slots__, getattr(owner, "_slot_types", ())))
+    return {
+        name: _plain(types[name], value) if name in types else value
+        for name, value in fields.items()
+    }
+
+
+def _plain(field_type: str, value: Any) -> Any:
+    base, is_array, length = genmsg.msgs.parse_type(field_type)
+    if is_reference(value):
+        return [_default(base)] * (length or 0) if is_array else _default(base)
+    if is_array and isinstance(value, (list, tuple)):
+        return [_plain(base, part) for part in value]
+    if isinstance(value, Mapping):
+        inner = roslib.message.get_message_class(base)
+        return value if inner is None else _without_references(inner, value)
+    return value
+
+
+def _default(base: str) -> Any:
+    if base == "string":
+        return ""
+    return 0 if base in genmsg.msgs.PRIMITIVE_TYPES and base not in ("time", "duration") else {}
+
+
+def check_field(owner: type, path: Path) -> None:
+    """Check whether messages of a class have a field.
+
+    :param owner: the class.
+    :param path: its steps, as in ``MessageCondition.fields``.
+    :raises ExpressionError: they do not have it.
+    """
+    name = owner._type  # type: ignore[attr-defined]
+    there: Any = owner
+    field_type, is_array = name, False
+    for number, step in enumerate(path):
+        if isinstance(step, int):
+            known = is_array or field_type == "string"
+            is_array = False
+        else:
+            types = dict(zip(getattr(there, "__slots__", ()), getattr(there, "_slot_types", ())))
+            if field_type in ("time", "duration"):
+                types = {"secs": "int32", "nsecs": "int32"}
+            known = not is_array and step in types
+            if known:
+                field_type, is_array, _ = genmsg.msgs.parse_type(types[step])
+        if not known:
+            raise ExpressionError("%s has no field '%s'" % (name, field_name(path[: number + 1])))
+        there = None
+        if field_type not in genmsg.msgs.PRIMITIVE_TYPES:
+            there = roslib.message.get_message_class(_full_type(field_type))
+
+
+def check_condition(owner: type, condition: MessageCondition) -> None:
+    """Check whether messages of a class have the fields that a condition reads.
+
+    :raises ExpressionError: they lack one.
+    """
+    for path in condition.fields:
+        check_field(owner, path)
+
+
+def _full_type(name: str) -> str:
+    return "std_msgs/Header" if name == "Header" else name
+
+
+def json_value(value: Any) -> Any:
+    """A message, or the value of a field, as a JSON value: times as ``{"secs", "nsecs"}``, bytes as
+    lists of numbers, floats that are no numbers as None. :func:`fill_message` takes it back."""
+    if isinstance(value, genpy.Message):
+        return {name: json_value(getattr(value, name)) for name in value.__slots__}
+    if isinstance(value, genpy.TVal):
+        return {"secs": value.secs, "nsecs": value.nsecs}
+    if isinstance(value, (bytes, bytearray)):
+        return list(value)
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): json_value(part) for key, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [json_value(part) for part in value]
+    return value

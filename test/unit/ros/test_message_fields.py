@@ -1,0 +1,130 @@
+"""Fields of messages: as plans write them, and as JSON values."""
+
+import json
+
+import pytest
+
+pytest.importorskip("rospy")
+pytest.importorskip("move_base_msgs.msg")
+
+import genpy
+from geometry_msgs.msg import PoseArray, PoseStamped
+from move_base_msgs.msg import MoveBaseGoal
+from sensor_msgs.msg import BatteryState, Image, LaserScan
+from std_msgs.msg import String
+
+from gspn_framework_package.model.errors import ExpressionError, PlanError
+from gspn_framework_package.model.message_condition import MessageCondition, parse_field
+from gspn_framework_package.ros.message_fields import (
+    check_condition,
+    check_field,
+    check_fields,
+    fill_message,
+    json_value,
+    message_class,
+    service_class,
+)
+
+POSE = {"header": {"frame_id": "map"}, "pose": {"position": {"x": 2}, "orientation": {"w": 1}}}
+
+
+def test_a_message_comes_back_from_its_json():
+    pose = PoseStamped()
+    fill_message(pose, {**POSE, "header": {"frame_id": "Küche", "stamp": {"secs": 3}}}, "goal")
+    value = json.loads(json.dumps(json_value(pose), allow_nan=False))
+    assert value["header"]["stamp"] == {"secs": 3, "nsecs": 0}
+    again = PoseStamped()
+    fill_message(again, value, "goal")
+    assert again == pose
+
+
+def test_what_json_cannot_hold_is_told_in_another_way():
+    assert json_value(Image(data=b"\x00\xff"))["data"] == [0, 255]
+    assert json_value(LaserScan(ranges=[1.5, float("inf"), float("nan")]))["ranges"] == [
+        1.5,
+        None,
+        None,
+    ]
+    assert json_value(genpy.Duration(1, 2)) == {"secs": 1, "nsecs": 2}
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"target_pose": {"from": "task.pose"}},
+        {"target_pose": {"pose": {"from": "task.pose"}}},
+        {"target_pose": {"header": {"stamp": {"from": "t"}, "frame_id": {"from": "frame"}}}},
+        {"from": "task.goal"},
+    ],
+)
+def test_a_reference_fits_where_there_is_a_field(fields):
+    check_fields(MoveBaseGoal(), fields, "goal")
+
+
+def test_a_reference_fits_in_a_list():
+    check_fields(PoseArray(), {"poses": [{"from": "task.pose"}, {"position": {"x": 1}}]}, "message")
+    check_fields(PoseArray(), {"poses": {"from": "task.poses"}}, "message")
+    check_fields(LaserScan(), {"ranges": [{"from": "x"}, 2.5]}, "message")
+
+
+@pytest.mark.parametrize(
+    "fields, named",
+    [
+        ({"target": {"from": "task.pose"}}, "target"),
+        ({"target_pose": {"poes": {"from": "task.pose"}}}, "poes"),
+        ({"target_pose": {"header": {"frame_id": 3}}}, "frame_id"),
+        ({"target_pose": {"header": {"seq": -1, "frame_id": {"from": "x"}}}}, "seq"),
+    ],
+)
+def test_what_does_not_fit_is_named(fields, named):
+    with pytest.raises(
+        PlanError, match="its goal does not fit move_base_msgs/MoveBaseGoal.*" + named
+    ):
+        check_fields(MoveBaseGoal(), fields, "goal")
+
+
+@pytest.mark.parametrize(
+    "owner, field",
+    [
+        (BatteryState, "percentage"),
+        (PoseStamped, "pose.position.x"),
+        (PoseStamped, "header.stamp.secs"),
+        (LaserScan, "ranges"),
+        (LaserScan, "ranges[3]"),
+        (PoseArray, "poses[0].position"),
+        (String, "data"),
+    ],
+)
+def test_a_field_that_is_there(owner, field):
+    check_field(owner, parse_field(field))
+
+
+@pytest.mark.parametrize(
+    "owner, field, missing",
+    [
+        (BatteryState, "percent", "percent"),
+        (PoseStamped, "pose.x", "pose.x"),
+        (PoseStamped, "pose[0]", r"pose\[0\]"),
+        (LaserScan, "ranges.x", "ranges.x"),
+        (LaserScan, "ranges[0][1]", r"ranges\[0\]\[1\]"),
+        (PoseArray, "poses[0].x", r"poses\[0\].x"),
+        (PoseStamped, "header.stamp.x", "header.stamp.x"),
+        (String, "data.x", "data.x"),
+    ],
+)
+def test_a_field_that_is_not_there_is_named(owner, field, missing):
+    with pytest.raises(ExpressionError, match="%s has no field '%s'$" % (owner._type, missing)):
+        check_field(owner, parse_field(field))
+
+
+def test_the_fields_of_a_condition_are_checked():
+    check_condition(BatteryState, MessageCondition("percentage < 0.2 and voltage > 3"))
+    with pytest.raises(ExpressionError, match="charging"):
+        check_condition(BatteryState, MessageCondition("percentage < 0.2 and not charging"))
+
+
+@pytest.mark.parametrize("find, kind", [(message_class, "message"), (service_class, "service")])
+@pytest.mark.parametrize("name", ["std_msgs/NoSuch", "no_such_msgs/String", "String", "a/b/c"])
+def test_a_type_that_is_not_here_is_named(find, kind, name):
+    with pytest.raises(PlanError, match="%s type '%s'" % (kind, name)):
+        find(name)
