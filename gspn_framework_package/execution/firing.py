@@ -34,7 +34,8 @@ class Firing(NamedTuple):
     ``robot`` requested it ("" if no robot did), in its ``visit`` and ``incarnation``. ``moves``
     lists all robots that moved, and ``marking`` is the marking afterwards. ``drawn`` is the log
     position (slot, index) of the random draw that chose this transition (None if there was none).
-    ``tasks`` lists the tasks that it passed on.
+    ``tasks`` lists the tasks that it passed on, and ``cause`` holds what was read of the event that
+    fired it.
     """
 
     slot: int
@@ -47,6 +48,7 @@ class Firing(NamedTuple):
     marking: Marking
     drawn: Optional[Tuple[int, int]] = None
     tasks: Tuple[TaskMove, ...] = ()
+    cause: Mapping[str, Any] = NOTHING
 
 
 class StartAction(NamedTuple):
@@ -98,14 +100,19 @@ def firing_to_json(firing: Firing, net: Net) -> Dict[str, Any]:
         data["tasks"] = [list(m) for m in firing.tasks]
     else:
         del data["tasks"]
+    if firing.cause:
+        data["cause"] = dict(firing.cause)
+    else:
+        del data["cause"]
     return data
 
 
 def firing_from_json(data: Dict[str, Any], net: Net) -> Firing:
     """The firing in a JSON object. :raises LogError: it is not a firing of this net."""
     try:
-        fields = {key: data[key] for key in Firing._fields if key != "tasks"}
+        fields = {key: data[key] for key in Firing._fields if key not in ("tasks", "cause")}
         fields["tasks"] = tuple(TaskMove(*map(str, m)) for m in data.get("tasks", ()))
+        fields["cause"] = dict(data.get("cause", {}))
         fields["marking"] = net.marking(data["marking"])
         fields["moves"] = tuple(Move(*m) for m in data["moves"])
         fields["drawn"] = tuple(data["drawn"]) if data["drawn"] else None

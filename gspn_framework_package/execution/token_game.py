@@ -156,7 +156,7 @@ class _Reducer(Turn):
             return
         assert t is not None
         if self.rules.may_interrupt(self.state, robot, t):
-            self._interrupt(robot, t)
+            self._interrupt(robot, t, entry.cause)
         # a pause delays an event, but does not lose it
         elif self.rules.interrupts[t].hold or self.state.paused or robot.paused:
             robot.held.setdefault(t, entry.cause)

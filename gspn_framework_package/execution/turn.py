@@ -135,7 +135,7 @@ class Turn:
         for robot in self.state.active():
             for t in robot.held:
                 if self.rules.may_interrupt(self.state, robot, t):
-                    self._interrupt(robot, t)
+                    self._interrupt(robot, t, robot.held[t])
                     return True
         return False
 
@@ -148,12 +148,12 @@ class Turn:
                 return True
         return False
 
-    def _interrupt(self, robot: RobotState, t: int) -> None:
+    def _interrupt(self, robot: RobotState, t: int, cause: Mapping[str, Any]) -> None:
         """Fire the transition of an event, which takes ``robot`` out of its place."""
         self._cancel(robot)
         if self.rules.interrupts[t].resume:
             robot.interrupted[robot.place] = robot.visit
-        self._fire(t, robot, None, movers=[robot])
+        self._fire(t, robot, None, movers=[robot], cause=cause)
 
     def _policy_choice(self, robot: RobotState) -> Optional[int]:
         """The policy's choice for ``robot``, None if there is none. A robot keeps its draw until
@@ -236,11 +236,13 @@ class Turn:
         *,
         movers: Optional[List[RobotState]] = None,
         task: Optional[Task] = None,
+        cause: Mapping[str, Any] = NOTHING,
     ) -> None:
         """Fire transition ``t``.
 
         :param movers: the robots that it moves; by default, those that are done and free for it.
         :param task: the task that comes in with it.
+        :param cause: what was read of the event that fires it.
         """
         if movers is None:
             movers = self._bind(t, requester)
@@ -280,6 +282,7 @@ class Turn:
                 self.state.marking,
                 drawn,
                 tasks,
+                cause,
             )
         )
         for robot in arrived:

@@ -41,6 +41,12 @@ def fired_message(fired: Fired, net: Net, plan_hash: str, run: str) -> FiredTran
     message.slot, message.index = firing.slot, firing.index
     message.private_move = fired.private
     message.hash = fired.hash
+    details: Dict[str, Any] = {}
+    if firing.cause:
+        details["cause"] = dict(firing.cause)
+    if firing.tasks:
+        details["tasks"] = [list(move) for move in firing.tasks]
+    message.details = json.dumps(details) if details else ""
     return message
 
 

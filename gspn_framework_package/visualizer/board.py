@@ -6,7 +6,8 @@ An *event* is a JSON object that a source passes to the hub; ``k`` is its kind:
     Transition ``tr`` (index) fired. ``d``: pairs (place index, change of its token count); ``m``:
     moves (robot, from, to) by place index, None for "from nowhere" and "to nowhere"; ``en``,
     ``dis``: the transitions that became enabled and disabled; ``who``: the robot that requested
-    it; ``s``: (slot, index) in the log, if the run has one.
+    it; ``s``: (slot, index) in the log, if the run has one; ``why``: the cause of the event that
+    fired it, a text; ``tk``: the tasks that it passed on, as (id, from, to).
 ``undo``
     Like ``fire``, for a firing that was undone.
 ``mark``
@@ -15,6 +16,9 @@ An *event* is a JSON object that a source passes to the hub; ``k`` is its kind:
     ``back``, a reset or a clear was undone, and ``counts`` are those from before the reset.
 ``robots``
     ``r``: the robots that changed (objects with ``name``); ``gone``: the names of robots that left.
+``data``
+    The data of the ``team`` and the tasks that are ``waiting`` outside, if they changed, and the
+    ``queues`` that did (see :mod:`~gspn_framework_package.execution.told_data`).
 ``note``
     ``text`` for people, with a ``level`` (info, warning, fault), about ``robot`` or about none.
 ``status``
@@ -54,6 +58,8 @@ def fire_event(
     who: str = "",
     moves: Sequence[Move] = (),
     back: bool = False,
+    why: str = "",
+    tasks: Sequence[Sequence[str]] = (),
 ) -> Event:
     """The event of a firing of transition ``t``, or of its undoing.
 
@@ -61,8 +67,10 @@ def fire_event(
     :param who: the robot that requested it.
     :param moves: (robot, from, to), see the module.
     :param back: the firing was undone.
+    :param why: the cause of the event that fired it.
+    :param tasks: the tasks that it passed on, see the module.
     """
-    return {
+    event: Event = {
         "k": "undo" if back else "fire",
         "tr": t,
         "who": who,
@@ -71,6 +79,31 @@ def fire_event(
         "en": list(change.added),
         "dis": list(change.removed),
     }
+    if why:
+        event["why"] = why
+    if tasks:
+        event["tk"] = [list(move) for move in tasks]
+    return event
+
+
+def data_event(known: Dict[str, Any], told: Mapping[str, Any]) -> List[Event]:
+    """The event of what changed of a team's data and tasks; none if nothing did.
+
+    :param known: what was told before; updated.
+    :param told: what is true now: ``team``, ``queues``, ``waiting``.
+    """
+    event: Event = {}
+    for key in ("team", "waiting"):
+        if told[key] != known.get(key, type(told[key])()):
+            event[key] = known[key] = told[key]
+    queues = known.setdefault("queues", {})
+    # a queue that is not told of is empty
+    now = {**dict.fromkeys(queues, []), **told["queues"]}
+    changed = {place: tasks for place, tasks in now.items() if tasks != queues.get(place, [])}
+    if changed:
+        queues.update(changed)
+        event["queues"] = changed
+    return [{"k": "data", **event}] if event else []
 
 
 def mark_event(enabled: EnabledSet, why: str) -> Event:
@@ -105,6 +138,7 @@ class Board:
         self.enabled: Set[int] = set(enabled)
         self.counts: List[int] = [0] * transitions
         self.robots: Dict[str, Dict[str, Any]] = {}
+        self.data: Dict[str, Any] = {}
         self.notes: List[Event] = []
         self.status: Dict[str, Any] = dict(status)
 
@@ -115,6 +149,7 @@ class Board:
         board.n, board.t = data["n"], data["t"]
         board.counts = list(data["counts"])
         board.robots = {robot["name"]: dict(robot) for robot in data["robots"]}
+        board.data = dict(data.get("data", {}))
         board.notes = list(data["notes"])
         return board
 
@@ -124,6 +159,7 @@ class Board:
         board.n, board.t = self.n, self.t
         board.counts = list(self.counts)
         board.robots = {name: dict(robot) for name, robot in self.robots.items()}
+        board.data = dict(self.data)
         board.notes = list(self.notes)
         return board
 
@@ -159,6 +195,10 @@ class Board:
                 known.update(robot)
             for name in event.get("gone", ()):
                 self.robots.pop(name, None)
+        elif kind == "data":
+            self.data.update({key: event[key] for key in ("team", "waiting") if key in event})
+            if "queues" in event:
+                self.data["queues"] = {**self.data.get("queues", {}), **event["queues"]}
         elif kind == "note":
             self.notes = self.notes[-NOTES_KEPT + 1 :] + [event]
         elif kind == "status":
@@ -175,4 +215,5 @@ class Board:
             "robots": list(self.robots.values()),
             "notes": list(self.notes),
             "status": dict(self.status),
+            **({"data": dict(self.data)} if self.data else {}),
         }

@@ -11,10 +11,23 @@ to be asked.
 
 from __future__ import annotations
 
-from typing import Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple
+import json
+from typing import (
+    Any,
+    Dict,
+    FrozenSet,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Protocol,
+    Sequence,
+    Tuple,
+)
 
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.told_data import cause_text
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.visualizer.board import Board, Event, Move, fire_event, mark_event
@@ -233,11 +246,28 @@ class FiredFollower:
             self.robots[robot] = RobotSeen(target, visit)
         if not news.private_move:
             self._last = max(self._last, (news.slot, news.index))
-        return {**fire_event(self.net, t, change, news.robot, moves), "s": [news.slot, news.index]}
+        why, tasks = _details(news)
+        fired = fire_event(self.net, t, change, news.robot, moves, why=why, tasks=tasks)
+        return {**fired, "s": [news.slot, news.index]}
 
     def _whole(self, marking: Sequence[int], why: str) -> Event:
         self._enabled.move_to(marking)
         return mark_event(self._enabled, why)
+
+
+def _details(news: FiredMessage) -> Tuple[str, List[List[str]]]:
+    """The cause and the tasks of a firing; none where the message has no such details (as in bags
+    of earlier versions) or they cannot be read."""
+    try:
+        details: Any = json.loads(getattr(news, "details", "") or "{}")
+        tasks = (
+            [[str(end) for end in (i, source, target)] for i, source, target in details["tasks"]]
+            if "tasks" in details
+            else []
+        )
+        return cause_text(details.get("cause", {})), tasks
+    except (ValueError, TypeError, AttributeError, RecursionError):
+        return "", []
 
 
 def _same(a: FiredMessage, b: FiredMessage) -> bool:

@@ -10,8 +10,21 @@ from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.phase import ENTERED, Phase
 from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.execution.told_data import (
+    SHOWN_TASKS,
+    cause_text,
+    told_of_robot,
+    told_of_team,
+)
 from gspn_framework_package.model.net import Marking
-from gspn_framework_package.visualizer.board import Board, Event, Move, fire_event, mark_event
+from gspn_framework_package.visualizer.board import (
+    Board,
+    Event,
+    Move,
+    data_event,
+    fire_event,
+    mark_event,
+)
 
 
 class TeamEvents:
@@ -29,6 +42,9 @@ class TeamEvents:
         self._enabled = EnabledSet(self.net, game.new_state().marking, by_priority=False)
         self._robots: Dict[str, Dict[str, Any]] = {}
         self._status: Dict[str, Any] = {}
+        self._data: Dict[str, Any] = {}
+        self._looked_at: Dict[str, Any] = {}
+        """Robot, or "" for the team -> its data and tasks when they were last told."""
 
     def board(self, running: bool, run: str = "") -> Board:
         """The board before the run named ``run`` begins."""
@@ -63,6 +79,7 @@ class TeamEvents:
         if state.marking != self._enabled.marking:
             events.append(self._whole(state.marking, why or "state taken over"))
         events += self._robots_changed(state)
+        events += self._data_changed(state)
         events += self._status_changed(state)
         if t is not None:
             for event in events:
@@ -81,6 +98,7 @@ class TeamEvents:
             "marking": list(self._enabled.marking),
             "robots": self._robots,
             "status": self._status,
+            "data": self._data,
         }
 
     def restore(self, data: Dict[str, Any]) -> None:
@@ -88,6 +106,7 @@ class TeamEvents:
         self._enabled.move_to(tuple(data["marking"]))
         self._robots = {name: dict(shown) for name, shown in data["robots"].items()}
         self._status = dict(data["status"])
+        self._data = dict(data["data"])
 
     # -- parts -------------------------------------------------------------------------------------
 
@@ -110,7 +129,15 @@ class TeamEvents:
             else:
                 shown = self._robots.setdefault(move.robot, {"name": move.robot})
                 shown.update(place=target, phase=ENTERED.value, why="")
-        fired = fire_event(self.net, t, change, firing.robot, moves)
+        fired = fire_event(
+            self.net,
+            t,
+            change,
+            firing.robot,
+            moves,
+            why=cause_text(firing.cause),
+            tasks=firing.tasks,
+        )
         events.append({**fired, "s": [firing.slot, firing.index]})
         return events
 
@@ -121,8 +148,13 @@ class TeamEvents:
     def _robots_changed(self, state: TeamState) -> List[Event]:
         changed = []
         for robot in state.robots.values():
-            seen = self._describe(state, robot)
             shown = self._robots.get(robot.name)
+            seen = self._describe(state, robot)
+            raw = (robot.data, robot.task, dict(robot.held), robot.resumed_from)
+            if self._is_new(robot.name, raw):
+                told = told_of_robot(robot, self.net, brief=True)
+                # what a robot never had is not told of
+                seen.update({k: v for k, v in told.items() if v or (shown and shown.get(k))})
             if shown is None:
                 changed.append(seen)
                 self._robots[robot.name] = dict(seen)
@@ -135,6 +167,20 @@ class TeamEvents:
         for name in gone:
             del self._robots[name]
         return [{"k": "robots", "r": changed, "gone": gone}] if changed or gone else []
+
+    def _data_changed(self, state: TeamState) -> List[Event]:
+        # of unchanged values only the identity is compared
+        raw = (state.data, list(state.queues.items()), state.submitted[:SHOWN_TASKS])
+        if not self._is_new("", raw):
+            return []
+        return data_event(self._data, told_of_team(state, self.net, brief=True))
+
+    def _is_new(self, whose: str, raw: Any) -> bool:
+        """Whether data and tasks may have changed since they were last told."""
+        if self._looked_at.get(whose) == raw:
+            return False
+        self._looked_at[whose] = raw
+        return True
 
     def _describe(self, state: TeamState, robot: RobotState) -> Dict[str, Any]:
         return {

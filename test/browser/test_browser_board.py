@@ -85,7 +85,16 @@ NOTE = st.fixed_dictionaries(
     {"k": st.just("note"), "level": SOME(["info", "fault"]), "robot": NAMES, "text": st.text()}
 )
 CHANGE = st.fixed_dictionaries({"k": st.just("status"), "status": STATUS})
-EVENT = st.one_of(FIRING, MARK, ROBOTS, NOTE, CHANGE)
+KEYS = SOME(["a", "__proto__x"])
+DATA = st.fixed_dictionaries(
+    {"k": st.just("data")},
+    optional={
+        "team": st.dictionaries(KEYS, st.text(max_size=2), max_size=2),
+        "waiting": st.lists(st.tuples(NAMES, NAMES), max_size=2),
+        "queues": st.dictionaries(KEYS, st.lists(st.tuples(NAMES), max_size=2), max_size=2),
+    },
+)
+EVENT = st.one_of(FIRING, MARK, ROBOTS, NOTE, CHANGE, DATA)
 BOARD = st.fixed_dictionaries(
     {
         "n": st.just(0),

@@ -77,6 +77,7 @@ def test_a_held_event_fires_as_soon_as_it_can():
     run.event("a", "low")
     assert run.event("b", "low", {"percentage": 0.05}) == []
     assert run.done("a") == ["full", "low"]
+    assert run.firings[-1].cause == {"percentage": 0.05}
     assert run.place("b") == "Charge"
     assert not run.state.robots["b"].held
 

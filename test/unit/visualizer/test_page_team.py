@@ -165,3 +165,28 @@ def test_opened_in_mid_run_the_marking_is_right_at_once():
     for item in news:
         follower.take(item, 0.0)
     assert follower.marking == marking
+
+
+@pytest.mark.parametrize(
+    "details, why, tasks",
+    [
+        ("", None, None),
+        (
+            '{"cause": {"percentage": 0.1}, "tasks": [["o1", "", "place X"]]}',
+            "percentage: 0.1",
+            "o1",
+        ),
+        ("no JSON", None, None),
+        ('{"cause": 7, "tasks": [["o1"]]}', None, None),
+    ],
+)
+def test_a_message_may_tell_the_cause_and_the_tasks(details, why, tasks):
+    class Detailed(Message):
+        pass
+
+    plan = read_plan("plans/patrol")
+    news = Detailed(*heard(plan, 5)[0][0])
+    news.details = details
+    (event,) = FiredFollower(plan).take(news, 0.0)
+    assert event.get("why") == why
+    assert event.get("tk") == ([[tasks, "", "place X"]] if tasks else None)

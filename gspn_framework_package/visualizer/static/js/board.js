@@ -40,6 +40,14 @@ export function applyEvent(board, event) {
       board.robots.set(robot.name, { ...known, ...(moved && { since: event.t }), ...robot });
     }
     for (const name of event.gone || []) board.robots.delete(name);
+  } else if (event.k === "data") {
+    const { team, waiting, queues } = event;
+    board.data = {
+      ...board.data,
+      ...(team && { team }),
+      ...(waiting && { waiting }),
+      ...(queues && { queues: { ...board.data?.queues, ...queues } }),
+    };
   } else if (event.k === "note") {
     board.notes = [...board.notes.slice(1 - NOTES_KEPT), event];
   } else if (event.k === "status") {

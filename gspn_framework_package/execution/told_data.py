@@ -1,0 +1,80 @@
+"""What is told of the data, tasks and held events of a team: whole to programs, shortened to
+people."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from typing import Any, Dict, List, Mapping, Sequence
+
+from gspn_framework_package.execution.team_state import RobotState, Task, TeamState
+from gspn_framework_package.model.net import Net
+
+SHOWN_LENGTH = 200
+"""Longest text that people are shown of a value, in characters."""
+
+SHOWN_NAMES = 50
+"""Most names of one robot, task or team that people are shown."""
+
+SHOWN_TASKS = 20
+"""Most tasks of one queue that people are shown: the next ones."""
+
+
+def shown(value: Any) -> str:
+    """A JSON value as a short text: strings without quotation marks."""
+    if not isinstance(value, str):
+        value = json.dumps(value, ensure_ascii=False)
+    return value if len(value) <= SHOWN_LENGTH else value[: SHOWN_LENGTH - 1] + "…"
+
+
+def shown_values(values: Mapping[str, Any]) -> Dict[str, str]:
+    """Data as short texts; what is left out is counted under the name "…"."""
+    texts = {name: shown(values[name]) for name in itertools.islice(values, SHOWN_NAMES)}
+    if len(values) > SHOWN_NAMES:
+        texts["…"] = "%d more" % (len(values) - SHOWN_NAMES)
+    return texts
+
+
+def cause_text(cause: Mapping[str, Any]) -> str:
+    """What was read of an event, as a short text."""
+    return shown(", ".join("%s: %s" % item for item in shown_values(cause).items()))
+
+
+def told_of_team(state: TeamState, net: Net, brief: bool = False) -> Dict[str, Any]:
+    """The data of the team, the tasks in its queues, and those that wait outside.
+
+    :param brief: shortened, for people.
+    :returns: ``team``: name -> value; ``queues``: place -> list of [id, data]; ``waiting``: list of
+        [transition, id].
+    """
+    outside = state.submitted[:SHOWN_TASKS] if brief else state.submitted
+    return {
+        "team": shown_values(state.data) if brief else dict(state.data),
+        "queues": {net.places[p].name: told_queue(q, brief) for p, q in state.queues.items()},
+        "waiting": [[net.transitions[t].name, task.id] for t, task in outside],
+    }
+
+
+def told_queue(tasks: Sequence[Task], brief: bool = False) -> List[List[Any]]:
+    """The tasks of a queue, the next one first."""
+    if not brief:
+        return [task.to_json() for task in tasks]
+    return [[task.id, shown_values(task.data)] for task in tasks[:SHOWN_TASKS]]
+
+
+def told_of_robot(robot: RobotState, net: Net, brief: bool = False) -> Dict[str, Any]:
+    """The data of a robot, the task that it carries, and the events that it holds.
+
+    :returns: ``data``: name -> value; ``task``: [id, data] or None; ``held``: transition -> cause;
+        ``resumed_from``: the visit that the present one continues, 0 for none.
+    """
+    task = robot.task
+    return {
+        "data": shown_values(robot.data) if brief else dict(robot.data),
+        "task": told_queue([task], brief)[0] if task is not None else None,
+        "held": {
+            net.transitions[t].name: cause_text(cause) if brief else dict(cause)
+            for t, cause in robot.held.items()
+        },
+        "resumed_from": robot.resumed_from,
+    }

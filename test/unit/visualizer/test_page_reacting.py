@@ -1,0 +1,156 @@
+"""Data, tasks and the causes of events on the page: in a run, in its replay, and as a robot tells
+them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from dataclasses import replace
+from typing import Any, Dict, List
+
+import pytest
+
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.event_log import EventLogWriter, LogFile, header
+from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.execution.told_data import SHOWN_LENGTH, shown, told_of_team
+from gspn_framework_package.model.action import FunctionAction
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.event import EventSource, Tasks
+from gspn_framework_package.model.plan import Plan, RobotSpec
+from gspn_framework_package.visualizer import recording
+from gspn_framework_package.visualizer.board import Board
+from gspn_framework_package.visualizer.team_events import TeamEvents
+
+
+def shop() -> Plan:
+    """Orders come in, robots deliver them; a low battery interrupts, if the dock is free."""
+    net = (
+        NetBuilder("shop")
+        .place("Idle", tokens=2)
+        .place("Deliver")
+        .place("Charge")
+        .place("Orders", capacity=3)
+        .place("Dock", tokens=1)
+        .exponential("order", rate=1, outputs="Orders")
+        .immediate("take", inputs=["Idle", "Orders"], outputs="Deliver")
+        .exponential("delivered", rate=1, inputs="Deliver", outputs="Idle")
+        .exponential("low", rate=0.1, inputs=["Deliver", "Dock"], outputs="Charge")
+        .exponential("full", rate=1, inputs="Charge", outputs=["Deliver", "Dock"])
+        .build()
+    )
+    return Plan(
+        net=net,
+        name="shop",
+        actions={
+            "Idle": None,
+            "Deliver": FunctionAction("actions.deliver", "Deliver"),
+            "Charge": FunctionAction("actions.charge", "Charge"),
+        },
+        resource_places=frozenset({"Orders", "Dock"}),
+        robots=(RobotSpec("a", "Idle"), RobotSpec("b", "Idle")),
+        events={"low": EventSource("battery", "a/B", "percentage < 0.2", hold=True, resume=True)},
+        tasks=Tasks(("Orders",), ("delivered",)),
+    ).validate()
+
+
+SLOTS: List[List[log_entries.Entry]] = [
+    [log_entries.Submit("order", "o%d" % i, {"pose": [i, 0]}) for i in range(1, 8)],
+    [log_entries.Interrupt("a", 0, 2, "low", {"percentage": 0.1})],
+    [log_entries.Interrupt("b", 0, 2, "low", {"percentage": 0.15})],
+    [log_entries.Done("a", 0, 3, "full", {"charged": 12, "team.door": "open"})],
+    [log_entries.Done("b", 0, 3, "full", {"note": "x" * 1000})],
+    [log_entries.Done("a", 0, 4, "delivered")],
+]
+
+
+def played(plan: Plan) -> Any:
+    """The board, all events, and the ledger after the slots above."""
+    game = TokenGame(plan)
+    ledger = Ledger(game)
+    events = TeamEvents(game)
+    board = events.board(True)
+    told: List[Dict[str, Any]] = []
+    for number, entries in enumerate([[game.start_entry()], *SLOTS]):
+        step = game.reduce(ledger.state, number, entries)
+        for event in events.step(entries, step.firings, ledger.state, float(number)):
+            event["n"] = board.n + 1
+            board.apply(event)
+            told.append(event)
+    return board, told, ledger
+
+
+def test_data_tasks_and_causes_are_on_the_board():
+    board, told, ledger = played(shop())
+    assert board.data["team"] == {"door": "open"}
+    assert board.data["queues"] == {
+        "Orders": [["o%d" % i, {"pose": "[%d, 0]" % i}] for i in (4, 5, 6)]
+    }
+    assert board.data["waiting"] == [["order", "o7"]]
+    a, b = board.robots["a"], board.robots["b"]
+    assert a["data"] == {"charged": "12"} and a["task"] == ["o3", {"pose": "[3, 0]"}]
+    assert b["data"] == {"note": shown("x" * 1000)} and len(b["data"]["note"]) == SHOWN_LENGTH
+    assert (b["resumed_from"], b["held"]) == (2, {})
+    fired = [e for e in told if e["k"] == "fire"]
+    assert [e["why"] for e in fired if "why" in e] == ["percentage: 0.1", "percentage: 0.15"]
+    assert fired[0]["tk"] == [["o1", "", "place Orders"]]
+    assert ["o1", "robot a", "done"] in [move for e in fired for move in e.get("tk", [])]
+    held = [r for e in told if e["k"] == "robots" for r in e["r"] if r.get("held")]
+    assert [(r["name"], r["held"]) for r in held] == [("b", {"low": "percentage: 0.15"})]
+    assert told_of_team(ledger.state, ledger.game.net)["queues"]["Orders"][0] == [
+        "o4",
+        {"pose": [4, 0]},
+    ]
+    json.dumps(board.to_json())
+
+
+def test_a_replay_shows_them_at_any_moment(tmp_path, monkeypatch):
+    monkeypatch.setattr(recording, "LINES_BETWEEN", 2)
+    plan = shop()
+    path = str(tmp_path / "run.jsonl")
+    ledger = Ledger(TokenGame(plan))
+    with contextlib.closing(EventLogWriter(path, header(plan, "run", "", "log"))) as log:
+        for slot, entries in enumerate([[ledger.game.start_entry()], *SLOTS]):
+            step = ledger.game.reduce(ledger.state, slot, entries)
+            log.append(ledger.record(slot, entries, [], step))
+    live, told, _ = played(plan)
+    found = recording.Recording(LogFile(path))
+    for _ in found.read():
+        pass
+    assert len(found._marks) > 2
+    last = found.board_at(10**6)
+    assert last.data == live.data
+    assert {n: {**r, "since": 0} for n, r in last.robots.items()} == {
+        n: {**r, "since": 0} for n, r in live.robots.items()
+    }
+    board = found.first_board()
+    for event in found.events(0, 10**6):
+        board.apply(event)
+        assert found.board_at(event["n"]).to_json() == board.to_json()
+    assert [e["why"] for e in found.events(0, 10**6) if "why" in e] == [
+        e["why"] for e in told if "why" in e
+    ]
+
+
+def test_a_plan_without_data_tells_nothing_of_it():
+    plan = replace(shop(), events={}, tasks=Tasks()).validate()
+    game = TokenGame(plan)
+    state = game.new_state()
+    events = TeamEvents(game)
+    board = events.board(True)
+    entries = [game.start_entry()]
+    step = game.reduce(state, 0, entries)
+    for event in events.step(entries, step.firings, state, 0.0):
+        assert event["k"] != "data"
+        board.apply({**event, "n": board.n + 1})
+    assert "data" not in board.to_json() and "task" not in board.robots["a"]
+
+
+@pytest.mark.parametrize("value, text", [("x", "x"), ({"a": [1, "ä"]}, '{"a": [1, "ä"]}')])
+def test_values_are_shown_as_short_texts(value: Any, text: str):
+    assert shown(value) == text
+
+
+def test_a_board_without_data_is_read_as_before():
+    assert Board.from_json(Board(0, [1]).to_json()).data == {}
