@@ -77,6 +77,7 @@ from types import ModuleType
 from typing import (
     Any,
     Callable,
+    ClassVar,
     Dict,
     FrozenSet,
     Iterable,
@@ -84,6 +85,8 @@ from typing import (
     NamedTuple,
     Optional,
     Set,
+    Tuple,
+    Type,
     TypeVar,
     Union,
 )
@@ -172,7 +175,7 @@ PARAMETERS = ActionContext._fields + ("id",)
 NO_SETTINGS: Mapping[str, Any] = {}
 
 
-class PythonAction:
+class PythonFunction:
     """A function or class of a plan, ready to be called for any robot.
 
     :param function: the function, or the class.
@@ -182,39 +185,116 @@ class PythonAction:
         lacks a parameter for a setting.
     """
 
+    known: ClassVar[Tuple[str, ...]] = ()
+    """The parameter names by which it may ask for values."""
+    role: ClassVar[str] = "function"
+    """What it is, for messages."""
+
     def __init__(
         self, function: Callable[..., Any], name: str, settings: Mapping[str, Any] = NO_SETTINGS
     ) -> None:
         self.name = name
         self._settings = settings
-        reserved = sorted(set(settings).intersection(PARAMETERS))
+        element = "%s '%s'" % (self.role, name)
+        reserved = sorted(set(settings).intersection(self.known))
         if reserved:
             raise PlanError(
                 "the setting '%s' has the name of what the run itself gives" % reserved[0],
-                element="action '%s'" % name,
-                hint="call it otherwise; taken are: %s" % ", ".join(PARAMETERS),
+                element=element,
+                hint="call it otherwise; taken are: %s" % ", ".join(self.known),
             )
         self._class = function if inspect.isclass(function) else None
         self._names: FrozenSet[str]
         self._init_names: FrozenSet[str] = frozenset()
         if self._class is None:
             self._function = function
-            self._names = _parameters(function, name, settings)
+            self._names = self._parameters(function, element, settings)
         else:
             call = inspect.getattr_static(self._class, "__call__", None)
             if not inspect.isfunction(call):
                 raise PlanError(
                     "the class has no method __call__",
-                    element="action '%s'" % name,
-                    hint="an action is a function, or a class whose objects can be called",
+                    element=element,
+                    hint="an %s is a function, or a class whose objects can be called" % self.role,
                 )
-            self._names = _parameters(call, name, bound=True)
+            self._names = self._parameters(call, element, bound=True)
             if self._class.__init__ is not object.__init__:
-                self._init_names = _parameters(self._class.__init__, name, settings, bound=True)
+                self._init_names = self._parameters(
+                    self._class.__init__, element, settings, bound=True
+                )
             elif settings:
-                raise _no_parameter(name, settings)
+                raise _no_parameter(element, settings)
             self._objects: Dict[str, Any] = {}
             self._lock = threading.Lock()
+
+    def asks_for(self, name: str) -> bool:
+        """Whether the function (or ``__call__`` of the class) has this parameter."""
+        return name in self._names
+
+    def call(self, context: Any) -> Any:
+        """Call it; returns what it returns. Its exceptions propagate.
+
+        :param context: has an attribute for each name in :attr:`known`, and ``robot``.
+        """
+        if self._class is None:
+            return self._function(**_pick(context, self._names), **self._settings)
+        return self._object(context)(**_pick(context, self._names))
+
+    def _object(self, context: Any) -> Any:
+        assert self._class is not None
+        with self._lock:
+            if context.robot not in self._objects:
+                self._objects[context.robot] = self._class(
+                    **_pick(context, self._init_names), **self._settings
+                )
+            return self._objects[context.robot]
+
+    def _parameters(
+        self,
+        function: Callable[..., Any],
+        element: str,
+        settings: Mapping[str, Any] = NO_SETTINGS,
+        bound: bool = False,
+    ) -> FrozenSet[str]:
+        """The :attr:`known` parameters that ``function`` asks for, apart from its settings."""
+        try:
+            parameters = list(inspect.signature(function).parameters.values())[1 if bound else 0 :]
+        except (TypeError, ValueError):  # built in, without a signature
+            parameters = []
+        names: Set[str] = set()
+        unused = set(settings)
+        missing = inspect.Parameter.empty
+        for parameter in parameters:
+            if parameter.kind is parameter.VAR_KEYWORD:
+                names.update(self.known)
+                unused.clear()
+            elif parameter.name in unused and parameter.kind is not parameter.POSITIONAL_ONLY:
+                unused.remove(parameter.name)
+            elif parameter.name in self.known:
+                if parameter.kind is parameter.POSITIONAL_ONLY:
+                    raise PlanError(
+                        "its parameter '%s' cannot be given by name" % parameter.name,
+                        element=element,
+                    )
+                names.add(parameter.name)
+            elif parameter.kind is not parameter.VAR_POSITIONAL and parameter.default is missing:
+                raise PlanError(
+                    "its parameter '%s' is nothing that an %s can ask for"
+                    % (parameter.name, self.role),
+                    element=element,
+                    hint="there are: %s; the value of any other stands in the plan, under settings"
+                    % ", ".join(self.known),
+                )
+        if unused:
+            raise _no_parameter(element, unused)
+        return frozenset(names)
+
+
+class PythonAction(PythonFunction):
+    """An action of a plan that is a function or class."""
+
+    known = PARAMETERS
+    role = "action"
 
     def __call__(self, context: ActionContext) -> ActionResult:
         """Run the action.
@@ -225,10 +305,7 @@ class PythonAction:
         most 200 characters), which the token game reports as a bad result since it names no
         transition.
         """
-        if self._class is None:
-            result = self._function(**_pick(context, self._names), **self._settings)
-        else:
-            result = self._object(context)(**_pick(context, self._names))
+        result = self.call(context)
         data: Mapping[str, Any] = NO_SETTINGS
         if isinstance(result, tuple) and len(result) == 2 and isinstance(result[1], dict):
             result, data = result[0], check_values(result[1])
@@ -236,14 +313,8 @@ class PythonAction:
             return ActionResult("", data)
         return ActionResult(result if isinstance(result, str) else "%.200r" % (result,), data)
 
-    def _object(self, context: ActionContext) -> Any:
-        assert self._class is not None
-        with self._lock:
-            if context.robot not in self._objects:
-                self._objects[context.robot] = self._class(
-                    **_pick(context, self._init_names), **self._settings
-                )
-            return self._objects[context.robot]
+
+_Kind = TypeVar("_Kind", bound=PythonFunction)
 
 
 def action(function: _Function) -> _Function:
@@ -260,14 +331,25 @@ def load_action(
 ) -> PythonAction:
     """Load the action ``module.function`` of a plan.
 
+    :raises PlanError: see :func:`load_function`.
+    """
+    return load_function(folder, name, settings, PythonAction)
+
+
+def load_function(
+    folder: Optional[str], name: str, settings: Mapping[str, Any], kind: Type[_Kind]
+) -> _Kind:
+    """Load ``module.function`` of a plan.
+
     :param folder: the plan's folder, which is searched for ``module.py`` (its subfolder for
         ``package.module``); a module that is not there is imported normally.
     :param name: ``module.function``.
     :param settings: the settings in the plan, by parameter name.
+    :param kind: what the function is for.
     :raises PlanError: the module or function does not exist, importing the module failed, or the
-        function is not an action.
+        function is not of that kind.
     """
-    element = "action '%s'" % name
+    element = "%s '%s'" % (kind.role, name)
     module_name, dot, function_name = name.rpartition(".")
     if not dot or not module_name or not all(part.isidentifier() for part in name.split(".")):
         raise PlanError(
@@ -292,7 +374,7 @@ def load_action(
     if not callable(function):
         raise PlanError("this is not a function", file=module.__file__, element=element)
     try:
-        return PythonAction(function, name, settings)
+        return kind(function, name, settings)
     except PlanError as error:
         raise error.located(file=module.__file__) from None
 
@@ -447,52 +529,13 @@ def _import_failed(error: Exception, file: Optional[str], element: str) -> PlanE
     )
 
 
-def _parameters(
-    function: Callable[..., Any],
-    name: str,
-    settings: Mapping[str, Any] = NO_SETTINGS,
-    bound: bool = False,
-) -> FrozenSet[str]:
-    """The :data:`PARAMETERS` that ``function`` asks for, apart from its settings."""
-    try:
-        parameters = list(inspect.signature(function).parameters.values())[1 if bound else 0 :]
-    except (TypeError, ValueError):  # built in, without a signature
-        parameters = []
-    names: Set[str] = set()
-    unused = set(settings)
-    missing = inspect.Parameter.empty
-    for parameter in parameters:
-        if parameter.kind is parameter.VAR_KEYWORD:
-            names.update(PARAMETERS)
-            unused.clear()
-        elif parameter.name in unused and parameter.kind is not parameter.POSITIONAL_ONLY:
-            unused.remove(parameter.name)
-        elif parameter.name in PARAMETERS:
-            if parameter.kind is parameter.POSITIONAL_ONLY:
-                raise PlanError(
-                    "its parameter '%s' cannot be given by name" % parameter.name,
-                    element="action '%s'" % name,
-                )
-            names.add(parameter.name)
-        elif parameter.kind is not parameter.VAR_POSITIONAL and parameter.default is missing:
-            raise PlanError(
-                "its parameter '%s' is nothing that an action can ask for" % parameter.name,
-                element="action '%s'" % name,
-                hint="there are: %s; the value of any other stands in the plan, under settings"
-                % ", ".join(PARAMETERS),
-            )
-    if unused:
-        raise _no_parameter(name, unused)
-    return frozenset(names)
-
-
-def _no_parameter(name: str, settings: Iterable[str]) -> PlanError:
+def _no_parameter(element: str, settings: Iterable[str]) -> PlanError:
     return PlanError(
         "it has no parameter for the setting '%s'" % sorted(settings)[0],
-        element="action '%s'" % name,
+        element=element,
         hint="settings are passed by name: to the function, or to __init__ of the class",
     )
 
 
-def _pick(context: ActionContext, names: FrozenSet[str]) -> Dict[str, Any]:
+def _pick(context: Any, names: FrozenSet[str]) -> Dict[str, Any]:
     return {name: getattr(context, name) for name in names}

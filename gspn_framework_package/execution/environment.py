@@ -1,13 +1,15 @@
 """The simulated environment: exponential transitions that move no robot fire at their rates.
 
-This applies only to plans with ``environment: simulate``; otherwise the operator fires them.
+This applies only to plans with ``environment: simulate``; otherwise the operator fires them, and
+tasks come from their sources.
 """
 
 from __future__ import annotations
 
 import random
-from typing import List, Optional, Tuple
+from typing import Collection, List, Optional, Tuple, Union
 
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.chance import choose
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
@@ -20,18 +22,33 @@ class Environment:
 
     :param game: the rules.
     :param source: the random number generator.
+    :param without: transitions that fire for other reasons: their tasks have a source.
+    :param tasks: draw tasks in any case, even if the plan does not simulate its environment.
     """
 
-    def __init__(self, game: TokenGame, source: random.Random) -> None:
+    def __init__(
+        self,
+        game: TokenGame,
+        source: random.Random,
+        *,
+        without: Collection[str] = (),
+        tasks: bool = False,
+    ) -> None:
         self._game = game
         self._source = source
+        self._transitions = [
+            t
+            for t in game.environment_transitions
+            if game.net.transitions[t].name not in without
+            and (game.plan.simulate_environment or (tasks and t in game.submissions))
+        ]
         self._version: Optional[int] = None
         self._time: Optional[float] = None
         self._choices: List[Tuple[str, float]] = []
 
     def next_time(self, state: TeamState, now: float) -> Optional[float]:
         """When the environment fires next (seconds, on the clock of ``now``); None if never."""
-        if not self._game.plan.simulate_environment or state.paused or state.ended is not None:
+        if not self._transitions or state.paused or state.ended is not None:
             self._version = None
             return None
         if self._version != state.version:
@@ -39,18 +56,23 @@ class Environment:
             net = self._game.net
             self._choices = [
                 (net.transitions[t].name, net.effective_rate(state.marking, t))
-                for t in self._game.environment_transitions
+                for t in self._transitions
                 if net.is_enabled(state.marking, t)
             ]
             total = sum(rate for _, rate in self._choices)
             self._time = now + self._source.expovariate(total) if total > 0 else None
         return self._time
 
-    def due(self, state: TeamState, now: float) -> Optional[str]:
-        """The transition that is due at ``now``, None if none is; the next time is then drawn
-        anew."""
+    def due(
+        self, state: TeamState, now: float
+    ) -> Optional[Union[log_entries.Fire, log_entries.Submit]]:
+        """What happens at ``now``: a task comes in, or another transition fires; None if it is not
+        yet time. The next time is then drawn anew."""
         time = self.next_time(state, now)
         if time is None or now < time:
             return None
         self._version = None
-        return choose(self._choices, self._source.random())
+        name = choose(self._choices, self._source.random())
+        if self._game.net.transition_number(name) in self._game.submissions:
+            return log_entries.Submit(name, "%s-%d" % (name, state.next_slot))
+        return log_entries.Fire(name)

@@ -228,6 +228,26 @@ def from_json(data: Any) -> Entry:
         raise LogError("not a log entry: %.200r (%s)" % (data, error)) from None
 
 
+def make_submit(transition: str, task: Any, data: Mapping[str, Any]) -> Submit:
+    """The entry for a task from outside.
+
+    :param task: the id of the task, text or a whole number; "" if it has none yet.
+    :param data: name -> JSON value, without scopes: the names belong to the task.
+    :raises DataError: the id or the data cannot be kept.
+    """
+    if isinstance(task, bool) or not isinstance(task, (str, int)):
+        raise DataError("the id of a task is text or a whole number, not %.100r" % (task,))
+    if len(str(task)) > ID_LIMIT:
+        raise DataError("the id of a task is longer than %d characters" % ID_LIMIT)
+    for name in check_values(data):
+        if "." in name or name == "id":
+            raise DataError(
+                "'%.100s' is not a name of a task's data" % name,
+                hint="write it without a scope: 'pose' is read as task.pose, and task.id is the id",
+            )
+    return Submit(transition, str(task), dict(data))
+
+
 _OPEN = ("data", "cause")
 """Fields that hold JSON objects of any content."""
 

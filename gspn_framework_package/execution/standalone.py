@@ -15,7 +15,18 @@ import queue
 import random
 import threading
 import time
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    Union,
+)
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.actions import (
@@ -27,7 +38,9 @@ from gspn_framework_package.execution.actions import (
     load_actions,
 )
 from gspn_framework_package.execution.environment import Environment
+from gspn_framework_package.execution.event_functions import EventFunctions, EventHost
 from gspn_framework_package.execution.event_log import EventLogWriter, Record
+from gspn_framework_package.execution.event_watch import EventWatch, Visit
 from gspn_framework_package.execution.firing import (
     CancelAction,
     Command,
@@ -37,6 +50,7 @@ from gspn_framework_package.execution.firing import (
     StartAction,
 )
 from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import Step, TokenGame
@@ -85,11 +99,13 @@ class Listener:
 
 
 class _Attempt(NamedTuple):
-    """An attempt at an action, with the means to cancel it."""
+    """An attempt at an action, with the means to cancel it; ``ended`` is set when its function has
+    returned."""
 
     visit: int
     attempt: int
     cancellation: Cancellation
+    ended: threading.Event
 
 
 _Message = Callable[[], List[log_entries.Entry]]
@@ -138,7 +154,15 @@ class StandaloneExecutor:
         self._running: Dict[str, _Attempt] = {}
         self._timers: List[Tuple[float, int, _Message]] = []
         self._timer_numbers = itertools.count()
-        self._environment = Environment(self.game, random.Random(plan.seed))
+        host = EventHost(self._event_observed, self._task_came, self._event_failed, self._data_of)
+        self._functions = EventFunctions(plan, host, topics=False)
+        self._environment = Environment(
+            self.game, random.Random(plan.seed), without=self._functions.tasks
+        )
+        self._watches: Dict[str, EventWatch] = {}
+        """Agent -> its events, if events can interrupt any."""
+        self._interrupts = any(plan.interrupts(place) for place in plan.action_places)
+        self._task_numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._phases: Dict[str, Tuple[Phase, float]] = {}
         self._thread = threading.Thread(target=self._run, name="executor", daemon=True)
@@ -162,8 +186,33 @@ class StandaloneExecutor:
         self.order(log_entries.Stop(reason))
 
     def order(self, entry: log_entries.Entry) -> None:
-        """Queue an order of the operator: Pause, Resume, Retry, SetPlace, Fire, Leave or Stop."""
+        """Queue an order of the operator: Pause, Resume, Retry, SetPlace, Fire, Submit, Leave or
+        Stop."""
         self._queue.put(lambda: [entry])
+
+    def submit(
+        self, transition: str, data: Mapping[str, Any] = NOTHING, task: Union[str, int] = ""
+    ) -> str:
+        """Let a task in from outside.
+
+        :param transition: a transition of the environment by which tasks come in.
+        :param data: the task's data: name -> JSON value.
+        :param task: its id; by default, a new one. A task whose id came before is not taken again.
+        :returns: the id.
+        :raises UsageError: no tasks come in by that transition.
+        :raises DataError: the data or the id cannot be kept.
+        """
+        known = self.plan.submissions
+        if transition not in known:
+            raise UsageError(
+                "no tasks come in by '%s'" % transition,
+                hint="they come in by: %s" % ", ".join(known)
+                if known
+                else "the plan has no tasks: give it 'tasks' or 'events'",
+            )
+        entry = self._with_id(log_entries.make_submit(transition, task, data))
+        self.order(entry)
+        return entry.id
 
     @property
     def over(self) -> bool:
@@ -213,6 +262,7 @@ class StandaloneExecutor:
     def _run(self) -> None:
         try:
             self._reduce([self.game.start_entry()])
+            self._functions.watch_tasks()
             while self.result is None:
                 self._reduce(self._next_entries())
         # wait() and the listener report it: a thread has no caller that it could raise to
@@ -220,6 +270,7 @@ class StandaloneExecutor:
             self._crash = error
         finally:
             self._over.set()
+            self._functions.close()
             for attempt in self._running.values():
                 attempt.cancellation.cancel()
             if self._crash is not None:
@@ -241,10 +292,8 @@ class StandaloneExecutor:
         now = self._clock()
         while self._timers and self._timers[0][0] <= now:
             entries += heapq.heappop(self._timers)[2]()
-        transition = self._environment.due(self.state, now)
-        if transition is not None:
-            entries.append(log_entries.Fire(transition))
-        return entries
+        fired = self._environment.due(self.state, now)
+        return entries if fired is None else [*entries, fired]
 
     def _reduce(self, entries: List[log_entries.Entry]) -> None:
         """One log slot: reduce the entries, notify the listener, carry out the commands."""
@@ -266,6 +315,8 @@ class StandaloneExecutor:
         for command in step.commands:
             if not (enough and isinstance(command, StartAction)):
                 self._carry_out(command)
+        if self._interrupts and self.state.ended is None:
+            self._follow_visits(entries, step)
         if enough:
             more = (
                 ""
@@ -312,6 +363,8 @@ class StandaloneExecutor:
             attempt = self._running.pop(command.robot, None)
             if attempt is not None:
                 attempt.cancellation.cancel()
+                grace = self._clock() + self.plan.cancel_grace
+                self._at(grace, lambda: self._tell_deaf(command.robot, attempt))
         elif isinstance(command, Fault):
             self._listener.on_fault(command.robot, command.message)
         elif isinstance(command, Ended):
@@ -323,13 +376,121 @@ class StandaloneExecutor:
     def _at(self, when: float, message: _Message) -> None:
         heapq.heappush(self._timers, (when, next(self._timer_numbers), message))
 
+    def _tell_deaf(self, agent: str, attempt: _Attempt) -> List[log_entries.Entry]:
+        """Report a cancelled action that does not end."""
+        if not attempt.ended.is_set():
+            self._listener.on_fault(
+                agent,
+                "the action of its visit %d was cancelled, but has not ended for %g s"
+                % (attempt.visit, self.plan.cancel_grace),
+            )
+        return []
+
+    # -- events and tasks --------------------------------------------------------------------------
+
+    def _event_observed(
+        self, agent: str, transition: str, holds: Optional[bool], cause: Mapping[str, Any]
+    ) -> None:
+        """Take in what the function of an event shows (called on its thread)."""
+
+        def message() -> List[log_entries.Entry]:
+            watch = self._watches.get(agent)
+            if watch is None:
+                return []  # the agent is gone
+            watch.observe(transition, holds, cause)
+            return self._events_of(agent)
+
+        self._queue.put(message)
+
+    def _task_came(self, task: log_entries.Submit) -> None:
+        """Take in a task from a function (called on its thread)."""
+        entry = self._with_id(task)
+
+        def message() -> List[log_entries.Entry]:
+            t = self.plan.net.transition_number(entry.transition)
+            return [] if self.state.is_known(t, entry.id) else [entry]
+
+        self._queue.put(message)
+
+    def _event_failed(self, agent: str, message: str) -> None:
+        """Report that the function of an event failed (called on its thread)."""
+
+        def tell() -> List[log_entries.Entry]:
+            self._listener.on_fault(agent, message)
+            return []
+
+        self._queue.put(tell)
+
+    def _data_of(self, agent: str) -> Mapping[str, Any]:
+        """The data that an agent may read now; that of the team for "" (for any thread)."""
+        with self._lock:
+            robot = self.state.robots.get(agent)
+            return self.state.data_of(robot) if robot is not None else self.state.team_data()
+
+    def _with_id(self, task: log_entries.Submit) -> log_entries.Submit:
+        """The task with an id, a new one if it has none (for any thread)."""
+        t = self.plan.net.transition_number(task.transition)
+        while not task.id:
+            new = "%s-%d" % (task.transition, next(self._task_numbers))
+            with self._lock:
+                if not self.state.is_known(t, new):
+                    task = task._replace(id=new)
+        return task
+
+    def _follow_visits(self, entries: List[log_entries.Entry], step: Step) -> None:
+        """Look for events that interrupt the visits that have begun."""
+        changed = {move.robot for firing in step.firings for move in firing.moves}
+        changed.update(getattr(entry, "robot", "") for entry in entries)
+        if any(isinstance(entry, log_entries.Start) for entry in entries):
+            changed.update(self.state.robots)
+        for agent in sorted(changed - {""}):
+            robot = self.state.robots.get(agent)
+            if robot is None or robot.phase.gone:
+                if self._watches.pop(agent, None) is not None:
+                    self._functions.forget(agent)
+                continue
+            if agent not in self._watches:
+                self._watches[agent] = EventWatch(self.plan, agent)
+                self._functions.watch(agent)
+            found = self._events_of(agent)
+            self._wake_for(agent)
+            if found:  # later, so that an order to stop has its turn even if events never cease
+                self._queue.put(lambda found=found: found)  # type: ignore[misc]
+
+    def _events_of(self, agent: str) -> List[log_entries.Entry]:
+        """The events that interrupt an agent now."""
+        visit = self._visit(agent)
+        return [*self._watches[agent].due(visit, self._clock())] if visit is not None else []
+
+    def _visit(self, agent: str) -> Optional[Visit]:
+        robot = self.state.robots.get(agent)
+        if robot is None or agent not in self._watches:
+            return None
+        return Visit(self.plan.net.places[robot.place].name, robot.incarnation, robot.visit)
+
+    def _wake_for(self, agent: str) -> None:
+        """Look for events of an agent when the next one is due by time."""
+        visit = self._visit(agent)
+        wake = self._watches[agent].wake_time(visit)
+        if wake is None:
+            return
+
+        def message() -> List[log_entries.Entry]:
+            if self._visit(agent) != visit:
+                return []
+            found = self._events_of(agent)
+            self._wake_for(agent)
+            return found
+
+        self._at(wake, message)
+
     # -- actions -----------------------------------------------------------------------------------
 
     def _start_action(self, command: StartAction) -> List[log_entries.Entry]:
         robot = self.state.robots.get(command.robot)
         if robot is None or (robot.visit, robot.attempt) != (command.visit, command.attempt):
             return []
-        attempt = _Attempt(command.visit, command.attempt, Cancellation())
+        attempt = _Attempt(command.visit, command.attempt, Cancellation(), threading.Event())
         self._running[command.robot] = attempt
         timeout = self.plan.timeout(command.place)
         if timeout is not None:
@@ -369,6 +530,7 @@ class StandaloneExecutor:
             entry = self._failed(
                 command, "aborted", "%s: %s" % (type(error).__name__, error_text(error))
             )
+        attempt.ended.set()
         self._queue.put(lambda: self._finished(command, attempt, entry))
 
     def _finished(

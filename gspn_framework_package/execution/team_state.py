@@ -157,11 +157,15 @@ class TeamState:
     def data_of(self, robot: RobotState) -> Dict[str, Any]:
         """The data that an action of ``robot`` may read: full name -> value."""
         found = {"robot." + name: value for name, value in robot.data.items()}
-        found.update(("team." + name, value) for name, value in self.data.items())
+        found.update(self.team_data())
         if robot.task is not None:
-            found["task.id"] = robot.task.id
             found.update(("task." + name, value) for name, value in robot.task.data.items())
+            found["task.id"] = robot.task.id
         return found
+
+    def team_data(self) -> Dict[str, Any]:
+        """The data of the team: full name -> value."""
+        return {"team." + name: value for name, value in self.data.items()}
 
     def is_known(self, t: int, task: str) -> bool:
         """Whether a task with this id has come by transition ``t``."""

@@ -174,9 +174,9 @@ class VirtualRun:
             if fire_at > time:
                 return False
             self._advance(fire_at)
-            transition = self._environment.due(self.state, fire_at)
-            if transition is not None:
-                self._reduce([log_entries.Fire(transition)])
+            drawn = self._environment.due(self.state, fire_at)
+            if drawn is not None:
+                self._reduce([drawn])
             return True
         if due > time or not self._heap:
             return False

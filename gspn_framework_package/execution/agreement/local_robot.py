@@ -46,7 +46,9 @@ class LocalRobot:
         alone = config.partial and not config.witness
         self._transitions = LocalTransitions(config.game, config.name) if alone else None
         self._environment = Environment(
-            config.game, random.Random("%d|%s" % (config.plan.seed, config.name))
+            config.game,
+            random.Random("%d|%s" % (config.plan.seed, config.name)),
+            without=[t for t, e in config.plan.events.items() if e.topic or e.function],
         )
 
     # -- the log and the position ------------------------------------------------------------------
@@ -230,15 +232,16 @@ class LocalRobot:
         state = self.state
         if not self.config.plan.simulate_environment or not self.electorate.may_vote():
             return
-        if any(isinstance(o.item.entry, log_entries.Fire) for o in state.own_proposals):
+        drawn_kinds = (log_entries.Fire, log_entries.Submit)
+        if any(isinstance(o.item.entry, drawn_kinds) for o in state.own_proposals):
             return
         due = self._environment.next_time(state.ledger.state, state.now)
         if due is None or state.now < due:
             return
         live = self.electorate.heard_within(3 * self.config.pace.heartbeat)
-        transition = self._environment.due(state.ledger.state, state.now)
-        if live[0] == self.config.name and transition is not None:
-            self.proposals.propose(log_entries.Fire(transition))
+        drawn = self._environment.due(state.ledger.state, state.now)
+        if live[0] == self.config.name and drawn is not None:
+            self.proposals.propose(drawn)
 
     def wake_times(self) -> List[float]:
         """When to look again (s)."""

@@ -1,0 +1,267 @@
+"""Events that come from Python functions: how they are written, found and run, without ROS.
+
+The source of an event may be a function of the plan's folder: ``{"function": "watch.low"}``. The
+names of its parameters, all of them optional, declare what it needs:
+
+``robot``
+    name of the robot (standalone: of the agent) that the event would interrupt; "" for tasks.
+``data``
+    the data that an action of that robot may read, by full name; for tasks, that of the team.
+``emit``
+    call it when the event comes (see below).
+``is_cancelled``
+    call it without arguments to learn whether the function should end; ``is_cancelled.wait(s)``
+    sleeps for ``s`` seconds, or until it should.
+
+Any other parameter is a setting, as for actions (:mod:`gspn_framework_package.execution.actions`);
+a class is instantiated once for each robot.
+
+A function without ``emit`` is asked every ``every`` seconds. For an event that interrupts a robot,
+it returns whether the event holds: True or False (or None), or a dict, which means that it holds
+with that cause. For tasks, it returns a dict with the data of a task, a list of such dicts, or None
+if none came; the entry ``id`` identifies the task::
+
+    def low(robot):
+        level = battery_of(robot)
+        return {"level": level} if level < 0.2 else False
+
+    def order():
+        return [{"id": o.number, "pose": o.pose} for o in new_orders()]
+
+A function with ``emit`` is called once and runs for as long as it likes. ``emit(level=0.1)``
+reports one event with that cause, ``emit(id="o7", pose=[1, 2])`` a task::
+
+    def pressed(emit, is_cancelled):
+        while not is_cancelled.wait(0.01):
+            if button():
+                emit()
+"""
+
+from __future__ import annotations
+
+from typing import Any, Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Tuple
+
+from gspn_framework_package.execution.actions import (
+    Cancellation,
+    PythonFunction,
+    error_text,
+    load_function,
+)
+from gspn_framework_package.execution.log_entries import NOTHING, Submit, make_submit
+from gspn_framework_package.execution.worker_pool import WorkerPool
+from gspn_framework_package.model.data import why_not_kept
+from gspn_framework_package.model.errors import DataError
+from gspn_framework_package.model.event import EventSource
+from gspn_framework_package.model.plan import Plan
+
+
+class EventContext(NamedTuple):
+    """The values that the function of an event may ask for by parameter name."""
+
+    robot: str
+    data: Mapping[str, Any]
+    emit: Callable[..., None]
+    is_cancelled: Cancellation
+
+
+class EventFunction(PythonFunction):
+    """A function or class that is the source of an event."""
+
+    known = EventContext._fields
+    role = "event function"
+
+
+class EventHost(NamedTuple):
+    """What the functions of events report to, from threads of their own.
+
+    :ivar observe: called with (robot, transition, whether the event holds, cause), when that
+        changes; None in place of a bool for an event that lasts no time.
+    :ivar submit: called with a task; its id is "" if the function gave none.
+    :ivar fault: called with (robot or "", message) when a function fails.
+    :ivar data_of: called with a robot, or "" for the team; returns the data that it may read now.
+    """
+
+    observe: Callable[[str, str, Optional[bool], Mapping[str, Any]], None]
+    submit: Callable[[Submit], None]
+    fault: Callable[[str, str], None]
+    data_of: Callable[[str], Mapping[str, Any]]
+
+
+class EventFunctions:
+    """Runs the functions of a plan's events.
+
+    :param plan: a validated plan.
+    :param host: what they report to.
+    :param topics: whether topics can be subscribed to: an event with a topic then needs no
+        function.
+    :raises PlanError: a function is missing or broken.
+
+    Its methods are for one thread.
+    """
+
+    def __init__(self, plan: Plan, host: EventHost, *, topics: bool) -> None:
+        self._host = host
+        self._events = {
+            t: (source, load_function(plan.folder, source.function, source.settings, EventFunction))
+            for t, source in plan.events.items()
+            if source.function and not (topics and source.topic)
+        }
+        tasks = set(plan.submissions)
+        self.tasks: Tuple[str, ...] = tuple(t for t in self._events if t in tasks)
+        """The transitions by which functions let tasks in."""
+        self.interrupts: Tuple[str, ...] = tuple(t for t in self._events if t not in tasks)
+        """The transitions that take a robot out of its place when a function says so."""
+        self._pool = WorkerPool("event")
+        self._running: Dict[str, List[Cancellation]] = {}
+
+    def watch(self, robot: str) -> None:
+        """Begin to watch for the events of a robot, unless that was begun before."""
+        if robot not in self._running:
+            self._begin(robot, self.interrupts)
+
+    def watch_tasks(self) -> None:
+        """Begin to watch for tasks."""
+        if "" not in self._running:
+            self._begin("", self.tasks)
+
+    def forget(self, robot: str) -> None:
+        """End watching for the events of a robot."""
+        for cancellation in self._running.pop(robot, ()):
+            cancellation.cancel()
+
+    def close(self) -> None:
+        """End all watching. A function that does not end by itself can do nothing more."""
+        for robot in list(self._running):
+            self.forget(robot)
+
+    def _begin(self, robot: str, transitions: Tuple[str, ...]) -> None:
+        self._running[robot] = []
+        for transition in transitions:
+            watcher = _Watcher(self._host, robot, transition, *self._events[transition])
+            self._running[robot].append(watcher.cancellation)
+            try:
+                self._pool.submit(watcher.run)
+            except RuntimeError as error:  # the system cannot create another thread
+                self._host.fault(robot, "%s cannot be started: %s" % (watcher.what, error))
+
+
+class _Watcher:
+    """One function of an event, for one robot or for tasks."""
+
+    def __init__(
+        self,
+        host: EventHost,
+        robot: str,
+        transition: str,
+        source: EventSource,
+        function: EventFunction,
+    ) -> None:
+        self.cancellation = Cancellation()
+        self.what = "the function %s of the event '%s'" % (function.name, transition)
+        self._host = host
+        self._robot = robot
+        self._transition = transition
+        self._every = source.every
+        self._function = function
+        self._holds = False
+        self._told = ""
+
+    def run(self) -> None:
+        """Run the function, or ask it again and again, until it is no longer wanted."""
+        if self._function.asks_for("emit"):
+            try:
+                self._call(_LiveData(lambda: self._host.data_of(self._robot)))
+            except _FunctionFailed as error:
+                self._tell_fault("%s; it does not watch any longer" % error)
+            return
+        while not self.cancellation():
+            try:
+                self._take(self._call(self._host.data_of(self._robot)))
+                self._told = ""
+            except _FunctionFailed as error:
+                self._tell_fault(str(error))
+            self.cancellation.wait(self._every)
+
+    def _call(self, data: Mapping[str, Any]) -> Any:
+        """What the function returns. :raises _FunctionFailed: it raised an exception."""
+        try:
+            return self._function.call(
+                EventContext(self._robot, data, self._emit, self.cancellation)
+            )
+        except BaseException as error:  # anything a user's function raises, even SystemExit
+            text = "%s: %s" % (type(error).__name__, error_text(error))
+            raise _FunctionFailed(text) from None
+
+    def _emit(self, **fields: Any) -> None:
+        """The ``emit`` of the function. :raises DataError: the cause or the task cannot be kept."""
+        if not self._robot:
+            self._submit(fields)
+        elif not self.cancellation():
+            self._host.observe(self._robot, self._transition, None, _checked(fields))
+
+    def _take(self, found: Any) -> None:
+        """Report what the function returned, as far as it is news.
+
+        :raises _FunctionFailed: it cannot be understood.
+        """
+        try:
+            if self._robot:
+                self._take_condition(found)
+            elif found is not None:
+                for task in found if isinstance(found, (list, tuple)) else (found,):
+                    self._submit(task)
+        except DataError as error:
+            raise _FunctionFailed(str(error)) from None
+
+    def _take_condition(self, found: Any) -> None:
+        if isinstance(found, Mapping):
+            holds, cause = True, _checked(found)
+        # numpy's bool is what a comparison of its numbers gives
+        elif found is None or type(found).__name__ in ("bool", "bool_"):
+            holds, cause = bool(found), NOTHING
+        else:
+            raise DataError("it returned %.100r, not True, False or a dict" % (found,))
+        if holds is not self._holds and not self.cancellation():
+            self._holds = holds
+            self._host.observe(self._robot, self._transition, holds, cause)
+
+    def _submit(self, task: Any) -> None:
+        if not isinstance(task, Mapping):
+            raise DataError("%.100r is not a task: it is no dict" % (task,))
+        data = {name: value for name, value in task.items() if name != "id"}
+        entry = make_submit(self._transition, task.get("id", ""), data)
+        if not self.cancellation():
+            self._host.submit(entry)
+
+    def _tell_fault(self, text: str) -> None:
+        if text != self._told and not self.cancellation():
+            self._told = text
+            self._host.fault(self._robot, "%s failed: %s" % (self.what, text))
+
+
+class _FunctionFailed(Exception):  # noqa: N818  # what it says
+    """The function of an event failed."""
+
+
+class _LiveData(Mapping[str, Any]):
+    """Data as it is whenever it is read, for a function that runs for long."""
+
+    def __init__(self, read: Callable[[], Mapping[str, Any]]) -> None:
+        self._read = read
+
+    def __getitem__(self, name: str) -> Any:
+        return self._read()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._read())
+
+    def __len__(self) -> int:
+        return len(self._read())
+
+
+def _checked(cause: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The cause of an event. :raises DataError: it cannot be kept."""
+    why = why_not_kept(dict(cause))
+    if why:
+        raise DataError("the cause %s" % why)
+    return dict(cause)
