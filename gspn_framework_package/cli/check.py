@@ -46,7 +46,12 @@ def run(args: argparse.Namespace) -> int:
     with ProgressLine() as progress:
         report = check(plan, limit=args.limit, standalone=args.standalone, progress=progress)
     report = report._replace(
-        items=(*_look_at_functions(plan), *_look_at_goals(plan), *report.items)
+        items=(
+            *_look_at_functions(plan),
+            *_look_at_goals(plan),
+            *_look_at_events(plan),
+            *report.items,
+        )
     )
     if args.json:
         data = report.to_json()
@@ -99,4 +104,24 @@ def _look_at_goals(plan: Plan) -> List[CheckItem]:
                 {"where": places},
             )
         )
+    return items
+
+
+def _look_at_events(plan: Plan) -> List[CheckItem]:
+    """Report topics, fields and conditions of events that do not fit their messages, if this shell
+    has ROS, which knows their types."""
+    if not any(source.topic for source in plan.events.values()):
+        return []
+    try:
+        from gspn_framework_package.ros.event_sources import look_at_events
+    except ImportError:
+        return []
+    found = look_at_events(plan)
+    items = [
+        CheckItem("sources", Severity.REFUSED, "event '%s': %s" % (t, text), {"transition": t})
+        for t, text in found.misfits.items()
+    ]
+    for t, text in found.unknown.items():
+        text = "event '%s': %s; its messages were not looked at" % (t, text)
+        items.append(CheckItem("sources", Severity.WARNING, text, {"transition": t}))
     return items

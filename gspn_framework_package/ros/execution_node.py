@@ -35,6 +35,7 @@ from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.ros.action_caller import CONNECT_POLL, ActionCaller, ActionEnded
 from gspn_framework_package.ros.action_targets import action_targets
+from gspn_framework_package.ros.event_sources import Host, TopicSources
 from gspn_framework_package.ros.goal_id import GoalIdentity
 from gspn_framework_package.ros.links import ServiceLink, TopicLink
 from gspn_framework_package.ros.messages import FIRED_TOPIC, fired_message
@@ -87,7 +88,7 @@ class ExecutionNode(Worker):
 
     It publishes ``/fired_transitions`` (gspn_framework_package/FiredTransition). The rest of the
     node's ROS interface is documented in :class:`TopicLink`, :class:`NodeServices`,
-    :class:`Narrator`, :class:`PlaceServers` and :class:`ActionCaller`.
+    :class:`Narrator`, :class:`PlaceServers`, :class:`ActionCaller` and :class:`TopicSources`.
 
     :param plan: the checked plan, with the team that begins the run.
     :param robot: name of the robot.
@@ -120,8 +121,9 @@ class ExecutionNode(Worker):
         self._plan_hash = plan.hash()
         self._narrator = Narrator(robot, namespace, options.run)
         self._fired = eager_publisher(FIRED_TOPIC, FiredTransition)
-        self._open_log()
         witness = robot in plan.witness  # votes, but has no token and runs no actions
+        self._topics = TopicSources(plan, namespace, witness, self._host())
+        self._open_log()
         targets = {} if witness else action_targets(plan, robot, namespace)
         serves = options.place_servers and not witness
         self._servers = PlaceServers(plan, robot, namespace) if serves else None
@@ -146,6 +148,7 @@ class ExecutionNode(Worker):
             robot, options.run, namespace, self._received, self._serve_neighbour, quiet
         )
         self._link.serve_at(self._services.uri)
+        self._topics.start()
         self._told_end: Callable[[str], None] = lambda robot: None
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
 
@@ -175,6 +178,15 @@ class ExecutionNode(Worker):
             records,
             place=self.options.place,
             trusted=whole,
+        )
+
+    def _host(self) -> Host:
+        """This node, as the sources of events use it."""
+        return Host(
+            self.enqueue,
+            self._step,
+            lambda transition: self._replica.watches(transition),
+            lambda text: self.enqueue(self._narrator.warn, text),
         )
 
     # -- from any thread ---------------------------------------------------------------------------
@@ -268,7 +280,7 @@ class ExecutionNode(Worker):
         self._running = False
 
     def _close(self) -> None:
-        parts: List[Any] = [self._caller, self._link, self._services, self._log]
+        parts: List[Any] = [self._topics, self._caller, self._link, self._services, self._log]
         for part in parts:
             # rospy may have closed it already
             with contextlib.suppress(rospy.ROSException, rospy.ServiceException):

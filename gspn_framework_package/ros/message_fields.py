@@ -17,6 +17,8 @@ from gspn_framework_package.model.message_condition import MessageCondition, fie
 
 Path = Tuple[Union[str, int], ...]
 
+_TIMES = {"time": genpy.Time, "duration": genpy.Duration}
+
 _MISFITS = (genpy.MessageException, genpy.SerializationError, TypeError, ValueError, AttributeError)
 
 
@@ -114,11 +116,12 @@ def _default(base: str) -> Any:
     return 0 if base in genmsg.msgs.PRIMITIVE_TYPES and base not in ("time", "duration") else {}
 
 
-def check_field(owner: type, path: Path) -> None:
-    """Check whether messages of a class have a field.
+def check_field(owner: type, path: Path) -> str:
+    """Check whether messages of a class have a field, or a constant of that name.
 
     :param owner: the class.
     :param path: its steps, as in ``MessageCondition.fields``.
+    :returns: the type of the field, e.g. ``string`` or ``geometry_msgs/Pose[]``; "" for a constant.
     :raises ExpressionError: they do not have it.
     """
     name = owner._type  # type: ignore[attr-defined]
@@ -132,6 +135,8 @@ def check_field(owner: type, path: Path) -> None:
             types = dict(zip(getattr(there, "__slots__", ()), getattr(there, "_slot_types", ())))
             if field_type in ("time", "duration"):
                 types = {"secs": "int32", "nsecs": "int32"}
+            if number == len(path) - 1 and not is_array and _is_constant(there, step):
+                return ""
             known = not is_array and step in types
             if known:
                 field_type, is_array, _ = genmsg.msgs.parse_type(types[step])
@@ -140,15 +145,51 @@ def check_field(owner: type, path: Path) -> None:
         there = None
         if field_type not in genmsg.msgs.PRIMITIVE_TYPES:
             there = roslib.message.get_message_class(_full_type(field_type))
+    return field_type + "[]" * is_array
+
+
+def _is_constant(owner: Any, name: str) -> bool:
+    """Whether a name stands for a constant of a class of messages."""
+    return (
+        name not in getattr(owner, "__slots__", (name,))
+        and not name.startswith("_")
+        and isinstance(getattr(owner, name, None), (bool, int, float, str))
+    )
 
 
 def check_condition(owner: type, condition: MessageCondition) -> None:
-    """Check whether messages of a class have the fields that a condition reads.
+    """Check whether messages of a class have the fields that a condition reads, and whether it
+    makes sense with their types.
 
-    :raises ExpressionError: they lack one.
+    :raises ExpressionError: they lack one, or the condition compares what cannot be compared.
     """
     for path in condition.fields:
         check_field(owner, path)
+    numbers = [step for path in condition.fields for step in path if isinstance(step, int)]
+    try:
+        condition.holds(_sample(owner, max(numbers, default=0) + 1))
+    except ExpressionError as error:
+        if isinstance(error.__context__, TypeError):  # all else depends on the values
+            raise
+
+
+def _sample(owner: Any, elements: int) -> Any:
+    """A message in which each array that may be of any length has that many elements (in arrays of
+    messages: none), to try a condition on."""
+    found = owner()
+    for name, field_type in zip(owner.__slots__, owner._slot_types):
+        base, is_array, length = genmsg.msgs.parse_type(field_type)
+        kind = None
+        if base not in genmsg.msgs.PRIMITIVE_TYPES:
+            kind = roslib.message.get_message_class(_full_type(base))
+        if is_array:
+            default: Any = _default(base) if kind is None else _sample(kind, 0)
+            if base in _TIMES:
+                default = _TIMES[base]()
+            setattr(found, name, [default] * (elements if length is None else length))
+        elif kind is not None:
+            setattr(found, name, _sample(kind, elements))
+    return found
 
 
 def _full_type(name: str) -> str:
