@@ -12,7 +12,9 @@ import enum
 import re
 from typing import Any, Dict, Iterator, Mapping, NamedTuple, Optional, Union
 
-from gspn_framework_package.model.data import references
+from gspn_framework_package.model.data import full_name, references
+from gspn_framework_package.model.errors import DataError, ExpressionError
+from gspn_framework_package.model.message_condition import MessageCondition, parse_field
 
 EXEC_GSPN = "gspn_framework_package/ExecGSPNAction"
 """The action type of the thesis's action servers, and of those of this package."""
@@ -243,6 +245,22 @@ def action_to_json(action: Action) -> Any:
 def outcomes_of(action: Action) -> Mapping[str, str]:
     """Return the map from outcomes to transitions of an action, empty if its kind has none."""
     return getattr(action, "outcomes", {})
+
+
+def why_not_valid(action: Action) -> Optional[str]:
+    """What is wrong with an action, judging by itself: names of data, names of fields, conditions;
+    None if nothing is."""
+    try:
+        for name in (*read_by(action), *written_by(action)):
+            full_name(name)
+        keep = getattr(action, "keep", {})
+        for field in keep.values() if isinstance(keep, Mapping) else ():
+            parse_field(field)
+        if getattr(action, "when", ""):
+            MessageCondition(getattr(action, "when", ""))
+    except (DataError, ExpressionError) as error:
+        return str(error)
+    return None
 
 
 def written_by(action: Action) -> Iterator[str]:

@@ -49,11 +49,18 @@ class GspnError(Exception):
         hint = " (%s)" % self.hint if self.hint else ""
         return place + element + self.message + hint
 
-    def located(self, *, file: Optional[str] = None, line: Optional[int] = None) -> GspnError:
+    def located(
+        self,
+        *,
+        file: Optional[str] = None,
+        line: Optional[int] = None,
+        element: Optional[str] = None,
+    ) -> GspnError:
         """Return this error with a position added by an outer reader; a position that is already
         known takes precedence."""
         self.file = self.file or (str(file) if file is not None else None)
         self.line = self.line or line
+        self.element = self.element or element
         return self
 
 

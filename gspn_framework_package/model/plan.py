@@ -25,7 +25,7 @@ from typing import (
     Tuple,
 )
 
-from gspn_framework_package.model.action import Action
+from gspn_framework_package.model.action import Action, outcomes_of, why_not_valid
 from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.event import EventSource, Tasks
@@ -435,11 +435,28 @@ class Plan:
                         file=self.file,
                         element="on_evict",
                     )
+        self._validate_actions()
         self._validate_routing()
         self._validate_robots()
         self._validate_times()
         self._validate_events()
         return self
+
+    def _validate_actions(self) -> None:
+        for place, action in self.bindings():
+            self._known_place(place, "actions")
+            problem = why_not_valid(action)
+            if problem:
+                raise self._error("actions", place, problem)
+            for outcome, transition in outcomes_of(action).items():
+                if transition and transition not in self._leaving(place):
+                    raise self._error(
+                        "actions",
+                        place,
+                        "its outcome '%s' leads to '%s', which does not leave that place"
+                        % (outcome, transition),
+                        "choose from: %s" % ", ".join(self._leaving(place)),
+                    )
 
     def _validate_events(self) -> None:
         net = self.net

@@ -5,16 +5,20 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections import OrderedDict
-from typing import Any, Callable, Dict, Mapping, NamedTuple, Optional, Set, Tuple, Union
+from collections import OrderedDict, deque
+from typing import Any, Callable, Deque, Dict, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
 import genpy
 import rospy
 
 from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.execution.log_entries import NOTHING
+from gspn_framework_package.model.errors import DataError, PlanError
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.action_connection import ActionConnection
 from gspn_framework_package.ros.action_targets import ActionTarget
 from gspn_framework_package.ros.direct_connection import DirectConnection
+from gspn_framework_package.ros.goal_data import goal_text
 from gspn_framework_package.ros.goal_id import GoalIdentity, new_tag
 from gspn_framework_package.ros.goal_state import GoalNews, GoalState
 from gspn_framework_package.ros.patience import DEFAULT_PATIENCE, Patience
@@ -35,15 +39,31 @@ class ActionEnded(NamedTuple):
     result: str = ""
     reason: str = ""
     detail: str = ""
+    data: Mapping[str, Any] = NOTHING
+    """What the action wrote: name -> value."""
+
+
+class _Abandoned(NamedTuple):
+    """A goal that was cancelled; at ``report_at`` (monotonic seconds) it should have ended."""
+
+    goal_id: str
+    target: ActionTarget
+    connection: Connection
+    report_at: float
 
 
 class _Goal:
     """A goal, and the deadlines of its current state (monotonic seconds)."""
 
     def __init__(
-        self, identity: GoalIdentity, target: ActionTarget, start_at: float, connect_by: float
+        self,
+        identity: GoalIdentity,
+        target: ActionTarget,
+        command: StartAction,
+        start_at: float,
+        connect_by: float,
     ) -> None:
-        self.identity, self.target = identity, target
+        self.identity, self.target, self.command = identity, target, command
         self.id = str(identity)
         self.state = GoalState.DELAYED
         self.start_at = start_at
@@ -52,6 +72,8 @@ class _Goal:
         """The connection over which it was sent; None before."""
         self.message: Optional[genpy.Message] = None
         """The goal message that was sent; None before."""
+        self.text = ""
+        """The text that was sent with it; see ``ros.goal_data``."""
         self.sent_at = 0.0
         self.send_again_at = 0.0
         self.cut_off_at: Optional[float] = None
@@ -98,6 +120,8 @@ class ActionCaller:
     :param limit: maximum number of open connections to servers in other processes.
     :param own_servers: the servers in this process that receive goals directly, by their absolute
       names.
+    :param cancel_grace: seconds that a server has to end a goal that was cancelled.
+    :param fault: receives the text of a fault: a server did not end its goal in that time.
     """
 
     def __init__(
@@ -111,6 +135,8 @@ class ActionCaller:
         patience: Patience = DEFAULT_PATIENCE,
         limit: int = 32,
         own_servers: Optional[Mapping[str, PlaceServer]] = None,
+        cancel_grace: float = Plan.cancel_grace,
+        fault: Callable[[str], None] = lambda text: None,
     ) -> None:
         self.robot = robot
         self.tag = new_tag()
@@ -118,7 +144,9 @@ class ActionCaller:
         self._enqueue, self._ended, self._feedback = enqueue, ended, feedback
         self._patience = patience
         self._limit = max(1, limit)
+        self._cancel_grace, self._fault = cancel_grace, fault
         self._goal: Optional[_Goal] = None
+        self._abandoned: Deque[_Abandoned] = deque()
         self._connections: OrderedDict[str, ActionConnection] = OrderedDict()
         self._opening: Set[str] = set()
         self._direct: Dict[str, DirectConnection] = {
@@ -140,7 +168,11 @@ class ActionCaller:
         )
         start_at = now + command.delay
         self._goal = _Goal(
-            identity, self._targets[command.place], start_at, start_at + self._patience.server
+            identity,
+            self._targets[command.place],
+            command,
+            start_at,
+            start_at + self._patience.server,
         )
         self.poll(now)
 
@@ -149,9 +181,7 @@ class ActionCaller:
         goal, self._goal = self._goal, None
         if goal is not None:
             goal.become(GoalState.OVER)
-            if goal.connection is not None:
-                goal.connection.forget()
-                goal.connection.cancel(goal.id)
+            self._abandon(goal)
 
     def close(self) -> None:
         """Cancel the running goal and end the thread of the connections. The connections themselves
@@ -174,6 +204,28 @@ class ActionCaller:
     def poll(self, now: float) -> Optional[float]:
         """Do what is due at ``now`` (monotonic seconds); returns when to call this next, None if no
         time is set."""
+        due = [at for at in (self._poll_goal(now), self._poll_abandoned(now)) if at is not None]
+        return min(due, default=None)
+
+    def _poll_abandoned(self, now: float) -> Optional[float]:
+        """Report the goals whose servers had time enough to end them, and have not."""
+        while self._abandoned and now >= self._abandoned[0].report_at:
+            goal = self._abandoned.popleft()
+            if goal.connection.still_has(goal.goal_id):
+                self._fault(
+                    "%s has not ended the goal of %s, %g s after it was cancelled"
+                    % (goal.target.server, goal.target.place, self._cancel_grace)
+                )
+        return self._abandoned[0].report_at if self._abandoned else None
+
+    def _abandon(self, goal: _Goal) -> None:
+        """Have a goal cancelled that is of no interest any more."""
+        if goal.connection is not None:
+            goal.connection.abandon(goal.id)
+            report_at = time.monotonic() + self._cancel_grace
+            self._abandoned.append(_Abandoned(goal.id, goal.target, goal.connection, report_at))
+
+    def _poll_goal(self, now: float) -> Optional[float]:
         goal = self._goal
         if goal is None:
             return None
@@ -199,7 +251,7 @@ class ActionCaller:
             self._open(goal.target)
         elif connection.ready_server() is not None:
             self._send(goal, connection, now)
-            return self.poll(now)
+            return self._poll_goal(now)
         if now >= goal.connect_by:
             others = len(connection.last_status) if connection else 0
             detail = "%s did not answer within %g s" % (goal.target.server, self._patience.server)
@@ -210,14 +262,19 @@ class ActionCaller:
     def _send(self, goal: _Goal, connection: Connection, now: float) -> None:
         if goal.target.server in self._connections:
             self._connections.move_to_end(goal.target.server)
+        try:
+            goal.message = goal.target.new_goal(goal.command.data)
+        except (DataError, PlanError) as error:
+            self._fail(goal, "aborted", error.message)
+            return
         goal.connection = connection
-        goal.message = goal.target.new_goal()
+        goal.text = goal_text(goal.command) if goal.target.speaks_gspn else ""
         goal.become(GoalState.SENT)
         goal.sent_at = now
         goal.send_again_at = now + self._patience.acknowledgement / 3
         seconds = self._timeout(goal.target.place)
         goal.cut_off_at = None if seconds is None else now + seconds
-        connection.send(goal.id, goal.message, goal.identity.incarnation)
+        connection.send(goal.id, goal.message, goal.identity.incarnation, goal.text)
         self._open_spare()
 
     def _poll_sent(self, goal: _Goal, now: float) -> Optional[float]:
@@ -231,7 +288,7 @@ class ActionCaller:
             return None
         if now >= goal.send_again_at and goal.connection is not None:
             goal.send_again_at = now + self._patience.acknowledgement / 3
-            goal.connection.send(goal.id, goal.message, goal.identity.incarnation)
+            goal.connection.send(goal.id, goal.message, goal.identity.incarnation, goal.text)
         return min(give_up, goal.send_again_at, goal.cut_off_at or give_up)
 
     def _poll_active(self, goal: _Goal, now: float) -> Optional[float]:
@@ -260,14 +317,16 @@ class ActionCaller:
         assert goal.connection is not None
         if goal.ended is None and goal.connection.is_connected(goal.acknowledged_by):
             goal.become(GoalState.ACTIVE)
-            return self.poll(now)
+            return self._poll_goal(now)
         outcome, detail = goal.ended or (
             "server died",
             "%s closed its connections" % goal.target.server,
         )
         if outcome in ("server died", "lost"):
             self._fail(goal, outcome, detail)
-        elif outcome == "succeeded" and goal.target.transition_of(outcome, None) == "":
+        elif outcome == "succeeded" and (
+            goal.target.keep or goal.target.transition_of(outcome, None) == ""
+        ):
             self._fail(goal, "lost", "%s sent no result" % goal.target.server)
         else:
             self._finish(goal, outcome, detail, None)
@@ -306,12 +365,17 @@ class ActionCaller:
         transition = None if outcome == "lost" else goal.target.transition_of(outcome, result)
         if transition is None:
             self._fail(goal, outcome, text)
-        else:
-            self._end(goal, ActionEnded(goal.identity, transition))
+            return
+        try:
+            data = goal.target.data_of(outcome, text, result)
+        except DataError as error:
+            self._fail(goal, "bad result", error.message)
+            return
+        self._end(goal, ActionEnded(goal.identity, transition, data=data))
 
     def _fail(self, goal: _Goal, reason: str, detail: str, cancel: bool = False) -> None:
-        if cancel and goal.connection is not None:
-            goal.connection.cancel(goal.id)
+        if cancel:
+            self._abandon(goal)
         self._end(goal, ActionEnded(goal.identity, "", reason, detail))
 
     def _end(self, goal: _Goal, ended: ActionEnded) -> None:

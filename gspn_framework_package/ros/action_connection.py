@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any, Callable, Dict, Optional
+from typing import Any, Callable, Dict, Optional, Set
 
 import genpy
 import rospy
@@ -62,6 +62,9 @@ class ActionConnection:
         self._told_end = False
         self._incarnation = 0
         self._cancelled: Dict[str, bool] = {}
+        self._abandoned: Dict[str, str] = {}
+        """Goal that was cancelled and has not ended -> caller id of the server that has it, "" if
+        none is known to have it."""
         self.last_status: Dict[str, float] = {}
         """Caller id of each server of this name -> monotonic time of its last status."""
         self._last_status_ros: Dict[str, float] = {}
@@ -112,11 +115,13 @@ class ActionConnection:
             seconds = min(seconds, rospy.get_time() - self._last_status_ros[caller])
         return seconds
 
-    def send(self, goal_id: str, goal: genpy.Message, incarnation: int) -> None:
+    def send(self, goal_id: str, goal: genpy.Message, incarnation: int, text: str = "") -> None:
         """Send a goal and watch it; sending the same goal again is harmless.
 
         The stamp of the goal id is empty, so the server fills in its own time; otherwise an older
         "cancel everything before" could apply to the goal if clocks differ.
+
+        :param text: the ``frame_id`` of the header; see ``ros.goal_data``.
         """
         if self._watched != goal_id:
             self._acknowledged_by = None
@@ -125,6 +130,7 @@ class ActionConnection:
         self._incarnation = incarnation
         message = self._goal_type()
         message.header.stamp = rospy.get_rostime()
+        message.header.frame_id = text
         message.goal_id.id = goal_id
         message.goal = goal
         self._goal.publish(message)
@@ -137,6 +143,17 @@ class ActionConnection:
         """Ask the server to cancel a goal."""
         self._cancel.publish(GoalID(id=goal_id))
 
+    def abandon(self, goal_id: str) -> None:
+        """Ask the server to cancel the watched goal, and watch only whether it ends."""
+        self._abandoned[goal_id] = self._acknowledged_by or ""
+        self.forget()
+        self.cancel(goal_id)
+
+    def still_has(self, goal_id: str) -> bool:
+        """Whether a server still has an abandoned goal; asked once."""
+        caller = self._abandoned.pop(goal_id, "")
+        return bool(caller) and self.is_connected(caller)
+
     # -- rospy's threads ---------------------------------------------------------------------------
 
     def _on_status(self, message: GoalStatusArray) -> None:
@@ -145,8 +162,12 @@ class ActionConnection:
         self._last_status_ros[caller] = rospy.get_time()
         self.last_status[caller] = time.monotonic()
         watched, known = self._watched, False
+        unended: Set[str] = set()
         for status in message.status_list:
             goal_id = status.goal_id.id
+            if goal_id in self._abandoned and status.status not in ENDED:
+                self._abandoned[goal_id] = caller
+                unended.add(goal_id)
             if goal_id == watched:
                 known = True
                 if self._acknowledged_by is None:
@@ -161,6 +182,9 @@ class ActionConnection:
                 self._cancel_leftover(goal_id, first)
         if watched and not known and self._acknowledged_by == caller:
             self._hand_on(self, GoalNews.UNKNOWN, watched, None)
+        for goal_id, server in list(self._abandoned.items()):
+            if server == caller and goal_id not in unended:
+                self._abandoned.pop(goal_id, None)
 
     def _cancel_leftover(self, goal_id: str, first: bool) -> None:
         identity = parse_goal_id(goal_id)
@@ -174,6 +198,7 @@ class ActionConnection:
 
     def _on_result(self, message: genpy.Message) -> None:
         status = message.status
+        self._abandoned.pop(status.goal_id.id, None)
         if status.goal_id.id == self._watched and status.status in ENDED:
             value = (ENDED[status.status], status.text, message.result)
             self._hand_on(self, GoalNews.RESULT, status.goal_id.id, value)

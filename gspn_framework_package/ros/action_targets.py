@@ -6,12 +6,22 @@ from typing import Any, Dict, Mapping, NamedTuple, Optional, Union
 
 import genpy
 import rosgraph.names
-import roslib.message
 import rospy
 
+from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.model.action import EXEC_GSPN, FunctionAction, ServerAction
-from gspn_framework_package.model.errors import PlanError
+from gspn_framework_package.model.data import check_values, fill, full_name
+from gspn_framework_package.model.errors import DataError, ExpressionError, PlanError
+from gspn_framework_package.model.message_condition import field_of, parse_field
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.ros.goal_data import read_result_text
+from gspn_framework_package.ros.message_fields import (
+    check_field,
+    check_fields,
+    fill_message,
+    json_value,
+    message_class,
+)
 
 EXEC_GSPN_RESULT = EXEC_GSPN[: -len("Action")] + "Result"
 
@@ -29,25 +39,52 @@ class ActionTarget(NamedTuple):
     """Outcome -> transition, for actions that do not name a transition themselves."""
     foreign: bool
     """Whether the server is not one of the plan's Python functions."""
+    keep: Mapping[str, str] = NOTHING
+    """Name of data -> field of the result that is written to it."""
 
-    def new_goal(self) -> genpy.Message:
+    def new_goal(self, data: Mapping[str, Any] = NOTHING) -> genpy.Message:
         """A new goal message. Empty time stamps in headers stay empty ("the latest"); the word
         ``now`` in place of a stamp means the time of sending.
 
-        :raises PlanError: the plan's fields do not fit the goal.
+        :param data: the data that the goal may refer to: full name -> value.
+        :raises DataError: the goal refers to data that is not there.
+        :raises PlanError: the fields do not fit the goal.
         """
-        goal = type(self.action_type().action_goal.goal)()
-        try:
-            if self.goal:
-                now = rospy.get_rostime() if rospy.core.is_initialized() else genpy.Time()
-                genpy.message.fill_message_args(goal, [dict(self.goal)], keys={"now": now})
-                goal._check_types()
-        except (genpy.MessageException, genpy.SerializationError, TypeError, ValueError) as error:
-            raise PlanError(
-                "its goal does not fit %s: %s" % (goal._type, error),
-                element="action of '%s'" % self.place,
-            ) from None
+        goal = self._empty_goal()
+        fill_message(goal, filled(self.goal, data, "goal"), "goal")
         return goal
+
+    def check(self) -> None:
+        """Check the fields of the goal and of the result.
+
+        :raises PlanError: the goal does not fit, or the result lacks a field.
+        """
+        try:
+            check_fields(self._empty_goal(), self.goal, "goal")
+            check_kept(type(self.action_type().action_result.result), self.keep)
+        except PlanError as error:
+            raise error.located(element="action of '%s'" % self.place) from None
+
+    def _empty_goal(self) -> genpy.Message:
+        return type(self.action_type().action_goal.goal)()
+
+    @property
+    def speaks_gspn(self) -> bool:
+        """Whether the action type is ExecGSPN, which can carry data of any name."""
+        return getattr(self.action_type, "_type", "") == EXEC_GSPN
+
+    def data_of(self, outcome: str, text: str, result: Optional[genpy.Message]) -> Dict[str, Any]:
+        """The data that an action wrote.
+
+        :param outcome: the name of the outcome.
+        :param text: the text of the goal's status.
+        :param result: the result message, if one arrived.
+        :raises DataError: it cannot be kept.
+        """
+        data = {} if result is None else kept(result, self.keep)
+        if self.speaks_gspn and outcome == "succeeded":
+            data.update(check_values(read_result_text(text)))
+        return data
 
     def transition_of(self, outcome: str, result: Optional[genpy.Message]) -> Optional[str]:
         """The transition that an outcome stands for, "" to let the policy decide; None for a
@@ -96,31 +133,76 @@ def _target(
     if isinstance(action, FunctionAction) or action.type == EXEC_GSPN:
         from gspn_framework_package.msg import ExecGSPNAction
 
-        foreign = isinstance(action, ServerAction)
-        outcomes = action.outcomes if isinstance(action, ServerAction) else {}
-        return ActionTarget(place, name, ExecGSPNAction, {"place": place}, outcomes, foreign)
-    action_type = _action_type(place, action.type)
-    target = ActionTarget(place, name, action_type, action.goal or {}, action.outcomes, True)
-    target.new_goal()
+        goal = {"place": place}
+        if isinstance(action, FunctionAction):
+            return ActionTarget(place, name, ExecGSPNAction, goal, {}, False)
+        target = ActionTarget(place, name, ExecGSPNAction, goal, action.outcomes, True, action.keep)
+    else:
+        target = ActionTarget(
+            place,
+            name,
+            _action_type(place, action.type),
+            action.goal or {},
+            action.outcomes,
+            True,
+            action.keep,
+        )
+    target.check()
     return target
 
 
 def _action_type(place: str, type_name: str) -> type:
     """The class of an action type. :raises PlanError: it cannot be found in this workspace."""
     try:
-        action_type = roslib.message.get_message_class(type_name)
-    except Exception as error:  # importing a foreign package may raise anything
-        raise PlanError(
-            "cannot load the action type '%s': %s" % (type_name, error),
-            element="action of '%s'" % place,
-        ) from None
-    if action_type is None or not hasattr(action_type(), "action_goal"):
-        raise PlanError(
-            "there is no action type '%s'" % type_name,
-            element="action of '%s'" % place,
-            hint="write package/NameAction; is the package in this workspace?",
+        action_type = message_class(type_name, "action")
+        if hasattr(action_type(), "action_goal"):
+            return action_type
+    except PlanError as error:
+        raise error.located(element="action of '%s'" % place) from None
+    raise PlanError(
+        "'%s' is a message, not an action type" % type_name,
+        element="action of '%s'" % place,
+        hint="write package/NameAction",
+    )
+
+
+def filled(template: Mapping[str, Any], data: Mapping[str, Any], what: str) -> Mapping[str, Any]:
+    """The fields of a goal, request or message, with data in place of the references.
+
+    :raises DataError: data is missing, or stands for all fields and is not an object.
+    """
+    fields = fill(template, data)
+    if not isinstance(fields, Mapping):
+        raise DataError("its %s is %.100r, not an object" % (what, fields))
+    return fields
+
+
+def check_kept(owner: type, keep: Mapping[str, str]) -> None:
+    """Check whether messages have the fields that are to be kept.
+
+    :param owner: the class of the messages.
+    :param keep: name of data -> field.
+    :raises PlanError: they do not have one, or a name is not one of data.
+    """
+    for name, field in keep.items():
+        try:
+            full_name(name)
+            check_field(owner, parse_field(field))
+        except (DataError, ExpressionError) as error:
+            raise PlanError("keep.%s: %s" % (name, error.message), hint=error.hint) from None
+
+
+def kept(message: genpy.Message, keep: Mapping[str, str]) -> Dict[str, Any]:
+    """The fields of a message that are kept as data. :raises DataError: they cannot be kept."""
+    try:
+        return check_values(
+            {
+                name: json_value(field_of(message, parse_field(field)))
+                for name, field in keep.items()
+            }
         )
-    return action_type
+    except ExpressionError as error:
+        raise DataError(error.message) from None
 
 
 class GoalFindings(NamedTuple):
@@ -149,8 +231,14 @@ def look_at_goals(plan: Plan) -> GoalFindings:
                 continue
             try:
                 ActionTarget(
-                    place, action.server, action_type, action.goal or {}, action.outcomes, True
-                ).new_goal()
+                    place,
+                    action.server,
+                    action_type,
+                    action.goal or {},
+                    action.outcomes,
+                    True,
+                    action.keep,
+                ).check()
             except PlanError as error:
                 found.misfits[where] = error.message
     return found

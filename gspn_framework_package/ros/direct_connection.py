@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any, Callable, Dict, Optional
+from typing import Any, Callable, Dict, Optional, Set
 
 import genpy
 import rospy
@@ -33,6 +33,7 @@ class DirectConnection:
         self._server = server
         self._hand_on = hand_on
         self._watched = ""
+        self._abandoned: Set[str] = set()
 
     @property
     def last_status(self) -> Dict[str, float]:
@@ -54,11 +55,12 @@ class DirectConnection:
         """Always 0: a server in the same process is alive."""
         return 0.0
 
-    def send(self, goal_id: str, goal: ExecGSPNGoal, incarnation: int) -> None:
-        """Send a goal and watch it; sending the same goal again is harmless."""
+    def send(self, goal_id: str, goal: ExecGSPNGoal, incarnation: int, text: str = "") -> None:
+        """See :meth:`ActionConnection.send`."""
         self._watched = goal_id
         message = ExecGSPNActionGoal(goal=goal)
         message.header.stamp = rospy.get_rostime()
+        message.header.frame_id = text
         message.goal_id.id = goal_id
         self._server.take(message, self._told)
         self._hand_on(self, GoalNews.ACKNOWLEDGED, goal_id, rospy.get_name())
@@ -71,9 +73,23 @@ class DirectConnection:
         """Ask the server to cancel a goal."""
         self._server.cancel_goal(goal_id)
 
+    def abandon(self, goal_id: str) -> None:
+        """See :meth:`ActionConnection.abandon`."""
+        self._abandoned.add(goal_id)
+        self.forget()
+        self.cancel(goal_id)
+
+    def still_has(self, goal_id: str) -> bool:
+        """See :meth:`ActionConnection.still_has`."""
+        has = goal_id in self._abandoned and self._server.started
+        self._abandoned.discard(goal_id)
+        return has
+
     def _told(self, what: GoalNews, status: GoalStatus, message: genpy.Message) -> None:
         """The server calls this, on any thread; ``what`` is FEEDBACK or RESULT."""
         goal_id = status.goal_id.id
+        if what is GoalNews.RESULT:
+            self._abandoned.discard(goal_id)
         if goal_id != self._watched:
             return
         if what is GoalNews.FEEDBACK:

@@ -139,6 +139,8 @@ class ExecutionNode(Worker):
             options.patience,
             options.max_connections,
             self._servers.servers if self._servers and options.direct_actions else None,
+            plan.cancel_grace,
+            self._narrator.warn,
         )
         self._services = NodeServices(self, namespace)
         full = plan.synchronisation is Synchronisation.FULL
@@ -439,13 +441,10 @@ class ExecutionNode(Worker):
                 interface.AttemptFailed(*attempt, ended.reason, shorten(ended.detail, TEXT_LIMIT))
             )
         elif not ended.result or ended.result in self.plan.net.transition_index:
-            self._step(interface.ActionDone(*attempt, ended.result))
+            self._step(interface.ActionDone(*attempt, ended.result, ended.data))
         else:
-            self._step(
-                interface.ActionDone(
-                    *attempt, shorten(ended.result, TEXT_LIMIT) or repr(ended.result[:20])
-                )
-            )
+            result = shorten(ended.result, TEXT_LIMIT) or repr(ended.result[:20])
+            self._step(interface.ActionDone(*attempt, result, ended.data))
 
     def _action_progress(self, identity: GoalIdentity, feedback: Any) -> None:
         self._progress = list(getattr(feedback, "time_passed", ()))

@@ -22,9 +22,13 @@ _TIMES = {"time": genpy.Time, "duration": genpy.Duration}
 _MISFITS = (genpy.MessageException, genpy.SerializationError, TypeError, ValueError, AttributeError)
 
 
-def message_class(name: str) -> type:
-    """The class of a message type. :raises PlanError: this workspace does not have it."""
-    return _class_of("message", name, roslib.message.get_message_class)
+def message_class(name: str, kind: str = "message") -> type:
+    """The class of a message type.
+
+    :param kind: what it is called in errors.
+    :raises PlanError: this workspace does not have it.
+    """
+    return _class_of(kind, name, roslib.message.get_message_class)
 
 
 def service_class(name: str) -> Any:
@@ -104,8 +108,8 @@ def _plain(field_type: str, value: Any) -> Any:
         return [_default(base)] * (length or 0) if is_array else _default(base)
     if is_array and isinstance(value, (list, tuple)):
         return [_plain(base, part) for part in value]
-    if isinstance(value, Mapping):
-        inner = roslib.message.get_message_class(base)
+    if isinstance(value, Mapping) and base not in genmsg.msgs.PRIMITIVE_TYPES:
+        inner = roslib.message.get_message_class(_full_type(base))
         return value if inner is None else _without_references(inner, value)
     return value
 

@@ -16,6 +16,7 @@ from actionlib_msgs.msg import GoalID, GoalStatus, GoalStatusArray
 from gspn_framework_package.execution.actions import (
     ActionContext,
     ActionFailed,
+    ActionResult,
     Cancellation,
     PythonAction,
     error_text,
@@ -23,6 +24,7 @@ from gspn_framework_package.execution.actions import (
 )
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.model.action import FunctionAction
+from gspn_framework_package.model.errors import DataError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import (
     ExecGSPNAction,
@@ -30,6 +32,7 @@ from gspn_framework_package.msg import (
     ExecGSPNFeedback,
     ExecGSPNResult,
 )
+from gspn_framework_package.ros.goal_data import GoalData, read_goal_text, result_text
 from gspn_framework_package.ros.goal_id import GoalIdentity, parse_goal_id
 from gspn_framework_package.ros.goal_state import GoalNews
 from gspn_framework_package.ros.transport.registration import found_parameter, registered_together
@@ -41,6 +44,9 @@ this bound, a server that answers 600 goals a second would list 3,000 in every s
 TRACEBACK_LIMIT = 10_000
 """Maximum number of characters of a traceback that are shown, since the text of an exception may
 have any length."""
+
+NO_RESULT = ActionResult("", {})
+"""What an action that failed returned."""
 
 
 class PlaceServers:
@@ -109,8 +115,11 @@ class PlaceServers:
 
     # -- goals -------------------------------------------------------------------------------------
 
-    def accept(self, server: PlaceServer, handle: ServerGoalHandle, caller: str) -> None:
-        """Take or reject a goal for ``server`` that the node ``caller`` sent ("": this node)."""
+    def accept(
+        self, server: PlaceServer, handle: ServerGoalHandle, caller: str, given: GoalData
+    ) -> None:
+        """Take or reject a goal for ``server`` that the node ``caller`` sent ("": this node), with
+        what its action may read."""
         if self._stopping.is_set():
             return
         place = handle.get_goal().place
@@ -120,7 +129,7 @@ class PlaceServers:
             handle.set_rejected(text="%s does not serve place '%s'" % (server.ns, place))
             return
         identity = parse_goal_id(goal_id)
-        goal = _RunningGoal(server, handle, action, place, identity, caller)
+        goal = _RunningGoal(server, handle, action, place, identity, caller, given)
         with self._lock:
             older = [other for other in self._running.values() if goal.replaces(other)]
             self._running[goal_id] = goal
@@ -145,11 +154,12 @@ class PlaceServers:
             goal.cancellation,
             identity.visit if identity else 0,
             identity.attempt if identity else 1,
+            *goal.given,
         )
-        result, failure = "", None
+        result, failure = NO_RESULT, None
         try:
-            result = goal.action(context).transition
-        except ActionFailed as error:
+            result = goal.action(context)
+        except (ActionFailed, DataError) as error:
             failure = error_text(error) or "the action failed"
         except BaseException as error:  # even sys.exit() in an action ends only the action
             failure = "%s: %s" % (type(error).__name__, error_text(error))
@@ -173,13 +183,14 @@ class PlaceServers:
                 raise
 
     @staticmethod
-    def _tell_result(goal: _RunningGoal, result: str, failure: Optional[str]) -> None:
+    def _tell_result(goal: _RunningGoal, result: ActionResult, failure: Optional[str]) -> None:
+        message = ExecGSPNResult(result.transition)
         if goal.cancellation():
-            goal.handle.set_canceled(ExecGSPNResult(result), failure or "cancelled")
+            goal.handle.set_canceled(message, failure or "cancelled")
         elif failure is not None:
             goal.handle.set_aborted(ExecGSPNResult(), failure)
         else:
-            goal.handle.set_succeeded(ExecGSPNResult(result))
+            goal.handle.set_succeeded(message, result_text(result.data))
 
     # -- status ------------------------------------------------------------------------------------
 
@@ -205,9 +216,10 @@ class _RunningGoal:
         place: str,
         identity: Optional[GoalIdentity],
         caller: str,
+        given: GoalData,
     ) -> None:
         self.server, self.handle, self.action = server, handle, action
-        self.place, self.identity, self.caller = place, identity, caller
+        self.place, self.identity, self.caller, self.given = place, identity, caller, given
         self.cancellation = Cancellation()
         self._was_there = server.status_pub.impl.has_connection(caller)
 
@@ -248,7 +260,7 @@ class PlaceServer(ActionServer):
         super().__init__(name, ExecGSPNAction, self._goal, owner.cancel, auto_start=False)
         self._owner = owner
         self._actions = actions
-        self._caller = ""
+        self._caller, self._given = "", GoalData()
         self._direct: Dict[str, Callable[[GoalNews, GoalStatus, genpy.Message], None]] = {}
 
     started: bool
@@ -307,7 +319,7 @@ class PlaceServer(ActionServer):
         """
         with self.lock:
             self._direct[goal.goal_id.id] = told
-            self._caller = ""
+            self._caller, self._given = "", read_goal_text(goal.header.frame_id)
             super().internal_goal_callback(goal)
 
     def cancel_goal(self, goal_id: str) -> None:
@@ -318,6 +330,7 @@ class PlaceServer(ActionServer):
         """Take a goal from the topic."""
         with self.lock:
             self._caller = goal._connection_header.get("callerid", "")
+            self._given = read_goal_text(goal.header.frame_id)
             super().internal_goal_callback(goal)
 
     def publish_result(self, status: GoalStatus, result: ExecGSPNResult) -> None:
@@ -335,7 +348,7 @@ class PlaceServer(ActionServer):
             told(GoalNews.FEEDBACK, status, feedback)
 
     def _goal(self, handle: ServerGoalHandle) -> None:
-        self._owner.accept(self, handle, self._caller)
+        self._owner.accept(self, handle, self._caller, self._given)
 
     def tell_status(self) -> None:
         """Publish the status again if there are subscribers or goals to report."""

@@ -40,3 +40,18 @@ def bad_feedback(feedback):
 
 def hangs():
     release.wait(30)
+
+
+def count_on(data, resumed_from):
+    return (
+        "T_P1",
+        {
+            "count": data["robot.count"] + 1,
+            "team.note": [data["task.where"], resumed_from],
+            "robot.long": "x" * 60000,
+        },
+    )
+
+
+def writes_no_data():
+    return "T_P1", {"thing": object()}

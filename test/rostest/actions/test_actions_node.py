@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """Place servers, and how goals are sent to them and to servers of others."""
 
+import json
 import os
 import queue
 import subprocess
@@ -11,6 +12,7 @@ import unittest
 
 import actionlib
 import rospy
+from actionlib.msg import TestAction, TestResult
 from actionlib_msgs.msg import GoalStatus, GoalStatusArray
 from move_base_msgs.msg import MoveBaseAction
 
@@ -25,6 +27,7 @@ from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.msg import (
     ExecGSPNAction,
+    ExecGSPNActionGoal,
     ExecGSPNActionResult,
     ExecGSPNGoal,
     ExecGSPNResult,
@@ -79,9 +82,11 @@ class Robot:
                 return
             function(*arguments)
 
-    def send(self, place, incarnation=1, attempt=1, visit=None):
+    def send(self, place, incarnation=1, attempt=1, visit=None, **given):
         self._visits += 1
-        command = StartAction(self.robot, place, incarnation, visit or self._visits, attempt)
+        command = StartAction(
+            self.robot, place, incarnation, visit or self._visits, attempt, **given
+        )
         self._tasks.put((self.caller.start, command, time.monotonic()))
 
     def do(self, place, seconds=20.0, **options):
@@ -155,8 +160,8 @@ class ActionsTest(unittest.TestCase):
     def test_a_result_names_the_transition(self):
         plan, _ = self.serve({"P1": "instant", "P2": "instant"})
         robot = self.robot(plan)
-        self.assertEqual(robot.do("P1")[1:], ("T_P1", "", ""))
-        self.assertEqual(robot.do("P2")[1:], ("T_P2", "", ""))
+        self.assertEqual(robot.do("P1")[1:4], ("T_P1", "", ""))
+        self.assertEqual(robot.do("P2")[1:4], ("T_P2", "", ""))
 
     def test_an_action_is_told_who_asks_and_tells_how_far_it_is(self):
         plan, _ = self.serve({"P1": "tell"})
@@ -169,15 +174,15 @@ class ActionsTest(unittest.TestCase):
 
         acts.heard.clear()
         threading.Thread(target=listen, daemon=True).start()
-        self.assertEqual(robot.do("P1", visit=7, attempt=3)[1:], ("", "", ""))
+        self.assertEqual(robot.do("P1", visit=7, attempt=3)[1:4], ("", "", ""))
         self.assertEqual(acts.seen, [("P1", "robot_1", 7, 3)])
         self.assertEqual([f.time_passed for f in robot.feedback], [(1,), (2, 3)])
 
     def test_an_exception_aborts_with_its_text(self):
         plan, _ = self.serve({"P1": "breaks", "P2": "leaves", "P3": "bad_feedback"})
         robot = self.robot(plan)
-        self.assertEqual(robot.do("P1")[1:], ("", "aborted", "ValueError: the arm is stuck"))
-        self.assertEqual(robot.do("P2")[1:], ("", "aborted", "SystemExit: 3"))
+        self.assertEqual(robot.do("P1")[1:4], ("", "aborted", "ValueError: the arm is stuck"))
+        self.assertEqual(robot.do("P2")[1:4], ("", "aborted", "SystemExit: 3"))
         self.assertEqual(robot.do("P3")[2], "aborted")
 
     def test_a_newer_goal_of_the_robot_cancels_its_older_ones(self):
@@ -273,6 +278,151 @@ class ActionsTest(unittest.TestCase):
         self.assertEqual(robot.do("P2").result, "T_P2")
         self.assertEqual(robot.do("P2").result, "T_P2")
 
+    # -- data --------------------------------------------------------------------------------------
+
+    def test_python_actions_read_and_write_data_whoever_serves_them(self):
+        plan, servers = self.serve({"P1": "count_on", "P2": "instant"})
+        for own_servers in (servers.servers, None):  # in the process, or over topics
+            robot = self.robot(plan, own_servers=own_servers)
+            ended = robot.do("P1", data={"robot.count": 41, "task.where": "Küche"}, resumed_from=7)
+            self.assertEqual(ended[1:4], ("T_P1", "", ""))
+            self.assertEqual(
+                ended.data, {"count": 42, "team.note": ["Küche", 7], "robot.long": "x" * 60000}
+            )
+            self.assertEqual(robot.do("P2").data, {})
+
+    def test_data_that_cannot_be_kept_is_a_failure_with_its_name(self):
+        plan, servers = self.serve({"P1": "writes_no_data"})
+        for own_servers in (servers.servers, None):
+            robot = self.robot(plan, own_servers=own_servers)
+            ended = robot.do("P1")
+            self.assertEqual(ended.reason, "aborted")
+            self.assertTrue(ended.detail.startswith("the value of 'thing' is not JSON"), ended)
+
+    def test_servers_of_others_of_the_thesis_type_read_and_write_data_too(self):
+        server = Server(self.namespace + "/foreign", ExecGSPNAction)
+        robot = self.robot(plan_of({"P1": ServerAction(EXEC, "foreign")}))
+        texts = []
+        rospy.Subscriber(
+            self.namespace + "/foreign/goal",
+            ExecGSPNActionGoal,
+            lambda goal: texts.append(goal.header.frame_id),
+        )
+        for text, given, data, reason in (
+            ('{"pose": [1, 2]}', {"data": {"robot.x": 1}}, {"pose": [1, 2]}, ""),
+            ("all is well", {}, {}, ""),
+            ('{"no name": 1}', {}, {}, "bad result"),
+        ):
+            robot.send("P1", **given)
+            goal = server.next()
+            goal.set_accepted()
+            goal.set_succeeded(ExecGSPNResult("T1"), text)
+            ended = robot.ended.get(timeout=20)
+            self.assertEqual((ended.data, ended.reason), (data, reason))
+        self.assertIn("no name", ended.detail)
+        wait_for(lambda: len(texts) >= 3, what="the goals")
+        self.assertEqual(json.loads(texts[0]), {"data": {"robot.x": 1}, "resumed_from": 0})
+        self.assertEqual(texts[-1], "")
+
+    def test_a_goal_refers_to_data_and_a_result_is_kept(self):
+        server = Server(self.namespace + "/move_base", MoveBaseAction)
+        name = "test_a_goal_refers_to_data"
+        fibonacci = Server(self.namespace + "/" + name, TestAction)
+        robot = self.robot(
+            plan_of(
+                {
+                    "P1": ServerAction(
+                        MOVE_BASE,
+                        "move_base",
+                        {
+                            "target_pose": {
+                                "header": {"frame_id": {"from": "team.frame"}, "stamp": "now"},
+                                "pose": {"from": "task.pose"},
+                            }
+                        },
+                    ),
+                    "P2": ServerAction(
+                        "actionlib/TestAction",
+                        name,
+                        {"goal": {"from": "number"}},
+                        {"succeeded": "", "aborted": "T_no"},
+                        {"task.answer": "result"},
+                    ),
+                }
+            )
+        )
+        pose = {"position": {"x": 2, "y": -1.5}, "orientation": {"w": 1}}
+        robot.send("P1", data={"task.pose": pose, "team.frame": "Küche"})
+        goal = server.next()
+        target = goal.get_goal().target_pose
+        self.assertEqual((target.header.frame_id, target.pose.position.x), ("Küche", 2.0))
+        self.assertGreater(target.header.stamp.to_sec(), 0)
+        goal.set_accepted()
+        goal.set_succeeded()
+        self.assertEqual(robot.ended.get(timeout=20).data, {})
+        for how, result in (("set_succeeded", ""), ("set_aborted", "T_no")):
+            robot.send("P2", data={"robot.number": 3})
+            goal = fibonacci.next()
+            self.assertEqual(goal.get_goal().goal, 3)
+            goal.set_accepted()
+            getattr(goal, how)(TestResult(result=8))
+            ended = robot.ended.get(timeout=20)
+            self.assertEqual((ended.result, ended.data), (result, {"task.answer": 8}))
+        for data, detail in (
+            ({}, "there is no data 'robot.number'"),
+            ({"robot.number": "three"}, "its goal does not fit actionlib/TestGoal"),
+        ):
+            ended = robot.do("P2", data=data)
+            self.assertEqual(ended.reason, "aborted")
+            self.assertIn(detail, ended.detail)
+        self.assertTrue(fibonacci.goals.empty())
+
+    def test_a_result_that_is_to_be_kept_and_does_not_come_is_lost(self):
+        server = Server(self.namespace + "/short", TestAction)
+        action = ServerAction(
+            "actionlib/TestAction", "short", None, {"succeeded": "T1"}, {"x": "result"}
+        )
+        robot = self.robot(plan_of({"P1": action}), patience=PATIENT._replace(result=0.3))
+        robot.send("P1")
+        goal = server.next()
+        goal.set_accepted()
+        server.server.publish_result = lambda status, result: None
+        goal.set_succeeded()
+        self.assertEqual(robot.ended.get(timeout=20).reason, "lost")
+
+    # -- the end of cancelled goals ----------------------------------------------------------------
+
+    def test_a_server_that_does_not_end_a_cancelled_goal_is_reported_once(self):
+        server = Server(self.namespace + "/stubborn", ExecGSPNAction)
+        plan, servers = self.serve({"P2": "hangs", "P3": "until_cancelled"})
+        plan = plan_of({**plan.actions, "P1": ServerAction(EXEC, "stubborn")})
+        acts = self.acts()
+        acts.release.clear()
+        self._closing.append(acts.release.set)
+        faults = []
+        robot = self.robot(plan, own_servers=servers.servers, cancel_grace=0.5, fault=faults.append)
+        robot.send("P1")
+        goal = server.next()
+        goal.set_accepted()
+        wait_for(robot.is_under_way, what="the server to take the goal")
+        robot.send("P2")  # cancels the goal
+        self.assertTrue(wait_for(lambda: faults, what="the fault")[0].startswith(server.server.ns))
+        self.assertIn("P1, 0.5 s after it was cancelled", faults[0])
+        goal.set_canceled()
+        robot.send("P1")
+        goal = server.next()
+        goal.set_accepted()
+        wait_for(lambda: len(faults) == 2, what="the fault of the function that hangs")
+        self.assertIn("/P2 has not ended the goal of P2", faults[1])
+        wait_for(robot.is_under_way, what="the server to take the goal")
+        robot.send("P3")
+        wait_for(lambda: len(server.cancelled) == 2, what="the cancel request")
+        goal.set_canceled()
+        wait_for(lambda: acts.seen, what="the next action")
+        robot.cancel()
+        wait_for(lambda: not robot.caller._abandoned, what="the time of grace to be over")
+        self.assertEqual(len(faults), 2)
+
     # -- many goals --------------------------------------------------------------------------------
 
     def test_a_thousand_goals_leave_threads_and_descriptors_bounded(self):
@@ -314,7 +464,7 @@ class ActionsTest(unittest.TestCase):
         )
         robot = self.robot(plan, own_servers=servers.servers)
         ended = robot.do("P1")
-        self.assertEqual(ended, (ended.identity, "T_P1", "", ""))
+        self.assertEqual(ended[1:4], ("T_P1", "", ""))
         wait_for(lambda: results, what="the result")
         self.assertEqual(
             (results[0].status.goal_id.id, results[0].result.transition),
@@ -507,7 +657,7 @@ class ActionsTest(unittest.TestCase):
         self.assertGreater(target.header.stamp.to_sec(), 0)
         goal.set_accepted()
         goal.set_succeeded()
-        self.assertEqual(robot.ended.get(timeout=20)[1:], ("T_there", "", ""))
+        self.assertEqual(robot.ended.get(timeout=20)[1:4], ("T_there", "", ""))
         for place, how, expected in (
             ("P1", "set_aborted", ("T_blocked", "", "")),
             ("P2", "set_succeeded", ("", "", "")),
@@ -518,20 +668,22 @@ class ActionsTest(unittest.TestCase):
             goal = server.next()
             goal.set_accepted()
             getattr(goal, how)(text="no way")
-            self.assertEqual(robot.ended.get(timeout=20)[1:], expected, (place, how))
+            self.assertEqual(robot.ended.get(timeout=20)[1:4], expected, (place, how))
         robot.send("P2")
         server.next().set_rejected(text="not now")
-        self.assertEqual(robot.ended.get(timeout=20)[1:], ("", "rejected", "not now"))
+        self.assertEqual(robot.ended.get(timeout=20)[1:4], ("", "rejected", "not now"))
 
     def test_a_goal_that_does_not_fit_is_refused_before_the_run(self):
         from gspn_framework_package.model.errors import PlanError
 
         for action, message in (
             (ServerAction("no_such_msgs/XAction", "s"), "no action type|cannot load"),
-            (ServerAction("move_base_msgs/MoveBaseGoal", "s"), "no action type"),
+            (ServerAction("move_base_msgs/MoveBaseGoal", "s"), "not an action type"),
             (ServerAction(MOVE_BASE, "s", {"target": {}}), "does not fit"),
             (ServerAction(MOVE_BASE, "s", {"target_pose": {"header": 3}}), "does not fit"),
             (ServerAction(MOVE_BASE, "a b"), "not a legal name"),
+            (ServerAction(MOVE_BASE, "s", keep={"x": "pose"}), r"keep.x: .* no field 'pose'"),
+            (ServerAction(MOVE_BASE, "s", keep={"a b": "pose"}), "not a name of data"),
         ):
             with self.assertRaisesRegex(PlanError, message):
                 action_targets(plan_of({"P1": action}), "robot_1", "/x")

@@ -67,6 +67,11 @@ FULL: Dict[str, Any] = {
 }
 
 
+def act(**action: Any) -> Dict[str, Any]:
+    """The plan with this action."""
+    return changed(actions={**FULL["actions"], "P": action})
+
+
 def changed(**changes: Any) -> Dict[str, Any]:
     data = json.loads(json.dumps(FULL))
     data.update(changes)
@@ -149,6 +154,18 @@ def test_robots_are_dealt_where_a_plan_names_none() -> None:
         (changed(policy="gone.json"), "gone.json: cannot read it"),
         (changed(actions={"P": 3}), "actions.P: "),
         (changed(actions={"Z": None}), "actions: the net has no place 'Z'"),
+        (
+            act(server="s", goal={"goal": {"from": "a b"}}),
+            "actions.P: 'a b' is not a name of data",
+        ),
+        (act(server="s", keep={"goal": "x"}, outcomes={"aborted": "back"}), "does not leave"),
+        (act(server="s", keep={"mission.x": "x"}), "'mission.x' is not a name of data"),
+        (act(service="s", type="a/B", keep={"x": "a +"}), "actions.P: the condition 'a .' cannot"),
+        (act(service="s", type="a/B", keep={"x": "a + 1"}), "'a . 1' is not the name of a field"),
+        (act(wait_for="t", type="a/B", when="level <"), "actions.P: the condition 'level <' canno"),
+        (act(publish="t", type="a/B", message={"a": [{"from": ""}]}), "'' is not a name of data"),
+        (act(command=["ls", {"from": "1"}]), "actions.P: '1' is not a name of data"),
+        (act(command=["ls"], keep="a.b"), "actions.P: 'a.b' is not a name of data"),
         (changed(resource_places=["Z"]), "resource_places: the net has no place 'Z'"),
         (changed(robots={"r": "Z"}), "robot 'r': the net has no place 'Z'"),
         (changed(robots={"r": "count"}), "'count' is a resource place"),

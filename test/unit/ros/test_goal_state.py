@@ -69,7 +69,7 @@ class Server:
         assert caller == "/server"
         return self.quiet
 
-    def send(self, goal_id, goal, incarnation):
+    def send(self, goal_id, goal, incarnation, text):
         self.sent.append(goal_id)
 
     def forget(self):
@@ -78,12 +78,20 @@ class Server:
     def cancel(self, goal_id):
         self.cancelled.append(goal_id)
 
+    abandon = cancel
+
+    def still_has(self, goal_id):
+        return False
+
 
 class Target:
-    place, server = "P", "/visit"
+    place, server, keep, speaks_gspn = "P", "/visit", {}, True
 
-    def new_goal(self):
+    def new_goal(self, data):
         return object()
+
+    def data_of(self, outcome, text, result):
+        return {}
 
     def transition_of(self, outcome, result):
         return "" if outcome == "succeeded" and result is not None else None
