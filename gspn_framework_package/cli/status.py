@@ -7,6 +7,7 @@ import json
 from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.cli.orders import add_team_options, require_ros
+from gspn_framework_package.execution.told_data import SHOWN_TASKS, cause_text, shown
 
 COLUMNS = ("robot", "place", "state", "visit", "log length", "last contact", "waits for")
 
@@ -14,6 +15,11 @@ COLUMNS = ("robot", "place", "state", "visit", "log length", "last contact", "wa
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     add_team_options(parser)
+    parser.add_argument(
+        "--data",
+        action="store_true",
+        help="also print data, tasks and events that are held",
+    )
     parser.epilog = (
         "Each node reports on its own robot; the others report on a robot whose node does not "
         "answer. Exit codes: 0 every node answers and has a quorum, 1 otherwise, or no team found."
@@ -27,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
 
     statuses = {
         node.namespace: status
-        for node, status in OperatorClient().statuses().items()
+        for node, status in OperatorClient().statuses(args.data).items()
         if status is None or args.run_name in ("", status["run"])
     }
     if args.json:
@@ -60,8 +66,35 @@ def print_table(statuses: Dict[str, Optional[Dict[str, Any]]]) -> None:
         widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]
         for row in rows:
             print("  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths)).rstrip())
+        for line in data_lines(longest):
+            print("  " + line)
     for namespace in sorted(n for n, status in statuses.items() if status is None):
         print("the node in %s does not answer" % namespace)
+
+
+def data_lines(status: Dict[str, Any]) -> List[str]:
+    """Data, tasks and held events in a status, a line for each; none if it was asked without."""
+    lines = []
+    for robot in status["robots"]:
+        name, task = robot["robot"], robot.get("task")
+        if task is not None:
+            lines.append("%s has task %s" % (name, task[0] or "without an id"))
+            lines += ["%s task.%s: %s" % (name, key, shown(v)) for key, v in task[1].items()]
+        lines += [
+            "%s holds %s%s" % (name, event, ": " + cause_text(cause) if cause else "")
+            for event, cause in robot.get("held", {}).items()
+        ]
+        lines += [
+            "%s robot.%s: %s" % (name, key, shown(v)) for key, v in robot.get("data", {}).items()
+        ]
+    told = status.get("data", {})
+    lines += ["team.%s: %s" % (key, shown(v)) for key, v in told.get("team", {}).items()]
+    for place, tasks in told.get("queues", {}).items():
+        ids = ", ".join(task[0] or "a task without an id" for task in tasks[:SHOWN_TASKS])
+        more = " and %d more" % (len(tasks) - SHOWN_TASKS) if len(tasks) > SHOWN_TASKS else ""
+        lines.append("queue %s: %s%s" % (place, ids or "no task", more))
+    lines += ["%s: task %s waits outside" % tuple(waits) for waits in told.get("waiting", [])]
+    return lines
 
 
 def _row(robot: Dict[str, Any], own: Optional[Dict[str, Any]]) -> Sequence[str]:

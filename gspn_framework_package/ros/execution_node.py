@@ -29,6 +29,7 @@ from gspn_framework_package.execution.event_log import (
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import told_phase
+from gspn_framework_package.execution.told_data import told_of_robot, told_of_team
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.plan import Plan, Synchronisation
@@ -476,7 +477,7 @@ class ExecutionNode(Worker):
             ledger.hash,
         )
 
-    def status(self) -> Dict[str, Any]:
+    def status(self, data: str = "") -> Dict[str, Any]:
         """See :class:`Worker`."""
         status = dict(
             self._replica.status(), log_file=self._log.path, messages_sent=self._link.sent
@@ -488,6 +489,12 @@ class ExecutionNode(Worker):
         )
         status["waits_for"] = self._waits_for()
         status["needs_operator"] = self._needs_operator()
+        if data:
+            brief = data == "brief"
+            status["data"] = told_of_team(state, self.plan.net, brief)
+            for robot in status["robots"]:
+                told = told_of_robot(state.robots[robot["robot"]], self.plan.net, brief)
+                robot.update(told)
         return status
 
     def request(

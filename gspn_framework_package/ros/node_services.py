@@ -74,9 +74,13 @@ class Worker:
         """The robot and the team as this node knows them; call it on the worker thread."""
         raise NotImplementedError
 
-    def status(self) -> Dict[str, Any]:
+    def status(self, data: str = "") -> Dict[str, Any]:
         """The node's status, for people and programs, as a JSON object; call it on the worker
-        thread."""
+        thread.
+
+        :param data: ``data``: with the data, tasks and held events of the team; ``brief``: with
+            these as short texts; "": without.
+        """
         raise NotImplementedError
 
     def request(self, message: Message, answer: Callable[[Message], None]) -> None:
@@ -201,7 +205,9 @@ class NodeServices:
             return CommandResponse(False, other)
         if request.command == "status":
             try:
-                status = self._worker.ask(self._worker.status, ANSWER_TIME)
+                status = self._worker.ask(
+                    lambda: self._worker.status(request.argument), ANSWER_TIME
+                )
             except queue.Empty:
                 raise rospy.ServiceException("the node is busy; no answer in time") from None
             return CommandResponse(True, json.dumps(status))

@@ -103,13 +103,13 @@ class OperatorClient:
         return sorted(nodes)
 
     def ask_all(
-        self, command: str, seconds: float = PATIENCE
+        self, command: str, seconds: float = PATIENCE, argument: str = ""
     ) -> Dict[NodeAddress, Optional[Answer]]:
-        """The answers of all nodes to a command without arguments; None for a node that does not
-        answer within ``seconds``."""
+        """The answers of all nodes to a command; None for a node that does not answer within
+        ``seconds``."""
         answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
         for node in self.nodes:
-            self._send(node, CommandRequest(command=command), answers)
+            self._send(node, CommandRequest(command=command, argument=argument), answers)
         got: Dict[NodeAddress, Optional[Answer]] = dict.fromkeys(self.nodes)
         deadline = time.monotonic() + seconds
         while any(answer is None for answer in got.values()):
@@ -120,11 +120,12 @@ class OperatorClient:
             got[answer.node] = answer
         return got
 
-    def statuses(self) -> Dict[NodeAddress, Optional[Dict[str, Any]]]:
-        """The status of every node; None for a node without a valid answer."""
+    def statuses(self, data: bool = False) -> Dict[NodeAddress, Optional[Dict[str, Any]]]:
+        """The status of every node, with or without ``data``; None for a node without a valid
+        answer."""
         return {
             node: read_status(answer.message) if answer is not None else None
-            for node, answer in self.ask_all("status").items()
+            for node, answer in self.ask_all("status", argument="data" * data).items()
         }
 
     def order(self, command: str, robot: str, argument: str, run: str = "") -> Tuple[bool, str]:

@@ -44,7 +44,7 @@ from gspn_framework_package.ros.transport.registration import (
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
 from gspn_framework_package.visualizer.activity import Activity, Fields, Handler, text_field
-from gspn_framework_package.visualizer.board import Event
+from gspn_framework_package.visualizer.board import Event, data_event
 from gspn_framework_package.visualizer.feedback import Feedback
 from gspn_framework_package.visualizer.fired_follower import (
     FiredFollower,
@@ -53,6 +53,7 @@ from gspn_framework_package.visualizer.fired_follower import (
 )
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.live_comparison import LiveComparison
+from gspn_framework_package.visualizer.submissions import submission
 
 ACTIVITY = "/activity"
 
@@ -109,6 +110,7 @@ class RosWatch(Activity):
         self._strangers: FrozenSet[str] = frozenset()
         self._follower = FiredFollower(plan)
         self._shown: Dict[str, Dict[str, Any]] = {}
+        self._data: Dict[str, Any] = {}
         self._status: Dict[str, Any] = {}
         self._others: Set[Tuple[str, str]] = set()
         self._unread: Set[str] = set()
@@ -133,6 +135,7 @@ class RosWatch(Activity):
             "leave": self._ordered(lambda f: ("leave", text_field(f, "robot"), "")),
             "set_place": self._ordered(self._set_place),
             "fire": self._ordered(self._fire),
+            "submit": self._ordered(self._submit),
         }
 
     def begin(self, hub: Hub) -> None:
@@ -382,7 +385,7 @@ class RosWatch(Activity):
     def _ask(self, namespaces: List[str]) -> List[Answer]:
         """The robots' answers about the team, without those that come too late."""
         answers: queue.SimpleQueue[Tuple[str, CommandResponse]] = queue.SimpleQueue()
-        request = CommandRequest(command="status", run=self._run)
+        request = CommandRequest(command="status", argument="brief", run=self._run)
         asked = [self._call(n, request, self._asking, answers) for n in namespaces]
         found = []
         give_up = time.monotonic() + ANSWER_TIME + 0.2
@@ -460,6 +463,9 @@ class RosWatch(Activity):
             silent = robot["robot"] not in self._names.values()  # does not publish
             if silent or phase.gone or was.gone:  # a robot that left cannot report it
                 self._show_robot(robot["robot"], phase=phase, why=robot["waits_for"])
+            self._show_extras(robot)
+        if "data" in status:
+            self._hub.publish(*data_event(self._data, status["data"]))
         phases = [Phase.of_state(r["state"]) for r in status["robots"]]
         acting = [p for p in phases if not (p.gone or p.told.at_rest)]
         waits = [r for r in status["robots"] if r["waits_for"]]
@@ -485,6 +491,16 @@ class RosWatch(Activity):
             shown.update(changed)
             event: Event = {"k": "robots", "r": [{"name": name, **changed}], "gone": []}
             self._hub.publish(event)
+
+    def _show_extras(self, told: Dict[str, Any]) -> None:
+        """Show the data, the task and the held events of a robot, as far as it has had any."""
+        shown = self._shown.get(told["robot"], {})
+        known: List[str] = [k for k in ("data", "task", "held", "resumed_from") if k in told]
+        new = {k: told[k] for k in known if told[k] or shown.get(k)}
+        new = {k: v for k, v in new.items() if shown.get(k) != v}
+        if new:
+            self._shown.setdefault(told["robot"], {"name": told["robot"]}).update(new)
+            self._hub.publish({"k": "robots", "r": [{"name": told["robot"], **new}], "gone": []})
 
     def _set_status(self, **fields: Any) -> None:
         changed = {k: v for k, v in fields.items() if self._status.get(k) != v}
@@ -538,6 +554,10 @@ class RosWatch(Activity):
         name = text_field(fields, "transition")
         self._net.transition_number(name)
         return "fire", "", name
+
+    def _submit(self, fields: Fields) -> Order:
+        task = submission(self._plan, fields)
+        return "submit", "", json.dumps(task._asdict())
 
     def _order(self, order: Order) -> Dict[str, Any]:
         """Send an order to the robots of the run in turn, until one answers.

@@ -23,6 +23,7 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
                 "capacity": p.capacity,
                 "kind": _kind(p.name, plan),
                 "action": _action(p.name, plan),
+                "queue": plan is not None and p.name in plan.tasks.queues,
             }
             for p in net.places
         ],
@@ -35,6 +36,8 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
                 "priority": t.priority,
                 "servers": t.servers,
                 "environment": plan is not None and _is_environment(net, plan, i),
+                "event": _event(t.name, plan),
+                "submits": plan is not None and t.name in plan.submissions,
             }
             for i, t in enumerate(net.transitions)
         ],
@@ -85,6 +88,15 @@ def _is_environment(net: Net, plan: Plan, t: int) -> bool:
 def _action(place: str, plan: Optional[Plan]) -> Optional[str]:
     action = plan.actions.get(place) if plan is not None else None
     return None if action is None else action.label
+
+
+def _event(transition: str, plan: Optional[Plan]) -> Optional[str]:
+    """The source of the event of a transition, in words; None if it has no event."""
+    if plan is None or transition not in plan.events:
+        return None
+    source = plan.events[transition]
+    modes = [mode for mode in ("edge", "hold", "resume") if getattr(source, mode)]
+    return source.label + (" (%s)" % ", ".join(modes) if modes else "")
 
 
 def _plan(plan: Optional[Plan]) -> Optional[Dict[str, Any]]:

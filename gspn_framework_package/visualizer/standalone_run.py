@@ -26,6 +26,7 @@ from gspn_framework_package.visualizer.feedback import Feedback
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.live_comparison import LiveComparison
 from gspn_framework_package.visualizer.run_marks import RunMark
+from gspn_framework_package.visualizer.submissions import submission
 from gspn_framework_package.visualizer.team_events import TeamEvents
 
 RUNS = "runs"
@@ -83,6 +84,9 @@ class StandaloneRun(Activity, Listener):
             ),
             "fire": self._order(
                 "{transition} is fired", lambda f: log_entries.Fire(self._transition(f))
+            ),
+            "submit": self._order(
+                "task {id} comes in by {transition}", lambda f: submission(plan, f)
             ),
         }
 

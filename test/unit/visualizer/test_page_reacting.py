@@ -9,60 +9,26 @@ from dataclasses import replace
 from typing import Any, Dict, List
 
 import pytest
+from shop_plan import SLOTS, shop
 
+from gspn_framework_package.cli.status import data_lines
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import EventLogWriter, LogFile, header
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.token_game import TokenGame
-from gspn_framework_package.execution.told_data import SHOWN_LENGTH, shown, told_of_team
-from gspn_framework_package.model.action import FunctionAction
-from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.event import EventSource, Tasks
-from gspn_framework_package.model.plan import Plan, RobotSpec
+from gspn_framework_package.execution.told_data import (
+    SHOWN_LENGTH,
+    shown,
+    told_of_robot,
+    told_of_team,
+)
+from gspn_framework_package.model.errors import DataError, RefusedError, UsageError
+from gspn_framework_package.model.event import Tasks
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer import recording
 from gspn_framework_package.visualizer.board import Board
+from gspn_framework_package.visualizer.submissions import submission
 from gspn_framework_package.visualizer.team_events import TeamEvents
-
-
-def shop() -> Plan:
-    """Orders come in, robots deliver them; a low battery interrupts, if the dock is free."""
-    net = (
-        NetBuilder("shop")
-        .place("Idle", tokens=2)
-        .place("Deliver")
-        .place("Charge")
-        .place("Orders", capacity=3)
-        .place("Dock", tokens=1)
-        .exponential("order", rate=1, outputs="Orders")
-        .immediate("take", inputs=["Idle", "Orders"], outputs="Deliver")
-        .exponential("delivered", rate=1, inputs="Deliver", outputs="Idle")
-        .exponential("low", rate=0.1, inputs=["Deliver", "Dock"], outputs="Charge")
-        .exponential("full", rate=1, inputs="Charge", outputs=["Deliver", "Dock"])
-        .build()
-    )
-    return Plan(
-        net=net,
-        name="shop",
-        actions={
-            "Idle": None,
-            "Deliver": FunctionAction("actions.deliver", "Deliver"),
-            "Charge": FunctionAction("actions.charge", "Charge"),
-        },
-        resource_places=frozenset({"Orders", "Dock"}),
-        robots=(RobotSpec("a", "Idle"), RobotSpec("b", "Idle")),
-        events={"low": EventSource("battery", "a/B", "percentage < 0.2", hold=True, resume=True)},
-        tasks=Tasks(("Orders",), ("delivered",)),
-    ).validate()
-
-
-SLOTS: List[List[log_entries.Entry]] = [
-    [log_entries.Submit("order", "o%d" % i, {"pose": [i, 0]}) for i in range(1, 8)],
-    [log_entries.Interrupt("a", 0, 2, "low", {"percentage": 0.1})],
-    [log_entries.Interrupt("b", 0, 2, "low", {"percentage": 0.15})],
-    [log_entries.Done("a", 0, 3, "full", {"charged": 12, "team.door": "open"})],
-    [log_entries.Done("b", 0, 3, "full", {"note": "x" * 1000})],
-    [log_entries.Done("a", 0, 4, "delivered")],
-]
 
 
 def played(plan: Plan) -> Any:
@@ -154,3 +120,50 @@ def test_values_are_shown_as_short_texts(value: Any, text: str):
 
 def test_a_board_without_data_is_read_as_before():
     assert Board.from_json(Board(0, [1]).to_json()).data == {}
+
+
+def test_a_task_of_the_page_is_checked():
+    task = submission(shop(), {"transition": "order", "id": " o9 ", "data": {"pose": [1, 2]}})
+    assert task == log_entries.Submit("order", "o9", {"pose": [1, 2]})
+    made_up = [submission(shop(), {"transition": "order"}).id for _ in range(2)]
+    assert all(made_up) and len(set(made_up)) == 2
+
+
+@pytest.mark.parametrize(
+    "fields, error",
+    [
+        ({"transition": "delivered"}, RefusedError),
+        ({}, UsageError),
+        ({"transition": "order", "id": 7}, UsageError),
+        ({"transition": "order", "id": "x" * 201}, DataError),
+        ({"transition": "order", "data": [1]}, DataError),
+        ({"transition": "order", "data": {"no name": 1}}, DataError),
+        ({"transition": "order", "data": {"task.pose": 1}}, DataError),
+        ({"transition": "order", "data": {"a": float("nan")}}, DataError),
+        ({"transition": "order", "data": {"a": "x" * 64_000}}, DataError),
+    ],
+)
+def test_a_task_of_the_page_that_cannot_be_taken_is_refused(fields: Any, error: Any):
+    with pytest.raises(error):
+        submission(shop(), fields)
+
+
+def test_the_status_command_prints_data_tasks_and_held_events():
+    _, _, ledger = played(shop())
+    net, state = ledger.game.net, ledger.state
+    state.robots["b"].held[net.transition_index["low"]] = {"percentage": 0.1}
+    robots = [{"robot": r.name, **told_of_robot(r, net)} for r in state.robots.values()]
+    status = {"robots": robots, "data": told_of_team(state, net)}
+    assert data_lines(json.loads(json.dumps(status))) == [
+        "a has task o3",
+        "a task.pose: [3, 0]",
+        "a robot.charged: 12",
+        "b has task o2",
+        "b task.pose: [2, 0]",
+        "b holds low: percentage: 0.1",
+        "b robot.note: " + "x" * (SHOWN_LENGTH - 1) + "…",
+        "team.door: open",
+        "queue Orders: o4, o5, o6",
+        "order: task o7 waits outside",
+    ]
+    assert data_lines({"robots": [{"robot": "a"}]}) == []

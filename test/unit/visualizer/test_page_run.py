@@ -410,3 +410,26 @@ def test_each_start_of_a_server_has_another_name(served):
 def test_a_mark_that_says_nothing_is_passed_over(tmp_path, text):
     Path(tmp_path, ".x.jsonl.running").write_text(text)
     assert cut_runs(str(tmp_path)) == []
+
+
+def test_a_task_that_is_submitted_comes_in_once(served):
+    client = served(a="wait", tasks={"queues": ["store"]})
+    key, _ = start(client)
+    task = {"transition": "fill", "id": "o1", "data": {"pose": [1, 2]}}
+    for _ in range(2):
+        answer = client.do("submit", session=key, **task)
+        assert (answer.status_code, answer.get_json()["message"]) == (
+            200,
+            "task o1 comes in by fill",
+        )
+    client.do("submit", session=key, transition="fill")
+    found = wait_for(
+        lambda: (lambda q: q if len(q) > 1 else None)(
+            client.board(key).get("data", {}).get("queues", {}).get("store", [])
+        ),
+        what="the tasks in the queue",
+    )
+    assert found[0] == ["o1", {"pose": "[1, 2]"}]
+    assert len(found) == 2 and found[1][0].startswith("page-")
+    assert client.do("submit", session=key, transition="ab").status_code == 409
+    assert client.do("submit", session=key, transition="fill", data=[1]).status_code == 400

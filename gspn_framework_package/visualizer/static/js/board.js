@@ -42,6 +42,7 @@ export function applyEvent(board, event) {
     for (const name of event.gone || []) board.robots.delete(name);
   } else if (event.k === "data") {
     const { team, waiting, queues } = event;
+    if (!team && !waiting && !queues) return;
     board.data = {
       ...board.data,
       ...(team && { team }),

@@ -1,9 +1,10 @@
 // The inspector describes the selected node. A place: its tokens and robots, since when, and what they do.
 // A transition: kind, rate or weight, number of firings, why it is not enabled.
 
-import { h, $, isPressed, toast, seconds, plural, number } from "./dom.js";
+import { h, $, attempt, isPressed, toast, seconds, plural, number } from "./dom.js";
 import { get } from "./api.js";
 import { told } from "./phases.js";
+import { queueOf, taskLine, waitingFor } from "./reacting.js";
 import { robotCard } from "./robots_panel.js";
 
 /** Whether a field contains something other than a number; if so, it reports this. */
@@ -186,7 +187,9 @@ export class Inspector extends EventTarget {
     );
     const kinds = {
       action: "action place",
-      resource: "resource place: its tokens are counters",
+      resource: place.queue
+        ? "queue: its tokens are tasks, the first to come is the first to go"
+        : "resource place: its tokens are counters",
       plain: "place",
     };
     const into = [
@@ -204,6 +207,7 @@ export class Inspector extends EventTarget {
         ["Capacity", place.capacity === null ? "unlimited" : String(place.capacity)],
         ["Action", place.action || (place.kind === "action" ? "none: done at once" : null)],
       ]),
+      place.queue && this.queue(place, board.marking[index]),
       robots.length > 0 && [
         h("h3", { text: "Robots here" }),
         robots.map((robot) => robotCard(this.model, robot)),
@@ -217,6 +221,18 @@ export class Inspector extends EventTarget {
         out.map((t) => h("p", {}, this.link("transition", t))),
       ],
     ];
+  }
+
+  /** The tasks in a queue, the next one first. */
+  queue(place, tokens) {
+    const tasks = queueOf(this.model.board, place.name);
+    return [
+      h("h3", { text: "Tasks" }),
+      tasks.length ? tasks.map(taskLine) : h("p", { class: "muted", text: "none is known" }),
+      tasks.length > 0 &&
+        tasks.length < tokens &&
+        h("p", { class: "muted", text: `and ${tokens - tasks.length} more` }),
+    ].filter(Boolean);
   }
 
   transition(index) {
@@ -239,6 +255,15 @@ export class Inspector extends EventTarget {
         { title: "On behalf of the environment: no robot takes part" },
       );
     if (order && !enabled) order.disabled = true;
+    const submit =
+      transition.submits &&
+      this.orders.button(
+        "Submit a task …",
+        "submit",
+        () => attempt(() => this.orders.submit(transition.name)),
+        { title: "A task comes in by this transition, with an id and data" },
+      );
+    const waiting = waitingFor(board, transition.name);
     const mine = info.probabilities?.[String(index)];
     const arcs = (forth) =>
       scene.arcs.filter(([, t, direction]) => t === index && direction === forth);
@@ -265,6 +290,8 @@ export class Inspector extends EventTarget {
               : number(transition.weight),
         ],
         ["Priority", transition.timed ? null : String(transition.priority)],
+        ["Event", transition.event],
+        ["Tasks waiting outside", waiting.length ? waiting.join(", ") : null],
         ["Fired", plural(board.counts[index], "time")],
         [
           "Now",
@@ -307,7 +334,7 @@ export class Inspector extends EventTarget {
           }),
         ),
       ],
-      order && h("div", { class: "buttons" }, order),
+      (order || submit) && h("div", { class: "buttons" }, order, submit),
       arcs(1).length > 0 && [
         h("h3", { text: "Inputs" }),
         arcs(1).map(([p, , , weight, inhibitor]) =>

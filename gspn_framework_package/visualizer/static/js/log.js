@@ -3,6 +3,7 @@
 
 import { h, $, seconds, isPressed, LIST_STEPS } from "./dom.js";
 import { courseOf } from "./course.js";
+import { firingExtras } from "./reacting.js";
 
 const ROWS = 120;
 
@@ -78,7 +79,9 @@ export class FiringLog extends EventTarget {
           .join(" ");
         return `${robot} ${ends}`;
       });
-      return `${scene.transitions[event.tr].name}${moves.length ? `   ${moves.join(", ")}` : ""}`;
+      const { cause, tasks } = firingExtras(event);
+      const what = [...moves, ...tasks].join(", ");
+      return `${scene.transitions[event.tr].name}${cause}${what ? `   ${what}` : ""}`;
     }
     if (event.k === "mark") return `— ${event.why}${event.restart ? ": time starts again" : ""} —`;
     if (event.k === "note") return `${event.robot ? `${event.robot}: ` : ""}${event.text}`;

@@ -8,6 +8,19 @@ export const ONLY_LOOK = "the viewer's token is read-only";
 const KEPT = 6;
 const RARE = ["set_place", "leave", "evict"]; // behind "More ..."
 
+/** The JSON object in a text; an error that says what is wrong with it. */
+function jsonObject(text) {
+  let value;
+  try {
+    value = JSON.parse(text.trim() || "{}");
+  } catch (error) {
+    throw new Error(`the data is not JSON: ${error.message}`, { cause: error });
+  }
+  if (value === null || typeof value !== "object" || Array.isArray(value))
+    throw new Error('the data is a JSON object, such as {"pose": [1, 2]}');
+  return value;
+}
+
 /** Fires "given" when an order has been answered. */
 export class Orders extends EventTarget {
   /** `page` knows the model and the role. */
@@ -149,6 +162,41 @@ export class Orders extends EventTarget {
     if (answer !== "stop" || this.model !== model) return;
     const fields = { reason: reason.value.trim() || "stopped on the page" };
     await this.give("stop", fields, `Stop ${this.runName}`);
+  }
+
+  /** Let a task in by a transition of the environment. */
+  async submit(transition) {
+    const { model } = this;
+    const field = (id, label, element) =>
+      h("div", { class: "form" }, h("label", { for: id, text: label }), element);
+    const id = h("input", {
+      type: "text",
+      id: "task-id",
+      maxlength: 200,
+      autocomplete: "off",
+      placeholder: "made up by the server",
+    });
+    const data = h("textarea", { id: "task-data", rows: 5, spellcheck: "false" });
+    data.value = "{}";
+    await ask(
+      `Submit a task by “${transition}”`,
+      [
+        h("p", {
+          text: "Of several tasks with one id, the first counts. Actions read the data as task.NAME.",
+        }),
+        field("task-id", "Id", id),
+        field("task-data", "Data, a JSON object", data),
+      ],
+      [
+        ["Cancel", ""],
+        ["Submit", "submit", "primary"],
+      ],
+      async () => {
+        const fields = { transition, id: id.value.trim(), data: jsonObject(data.value) };
+        if (this.model === model && !(await this.give("submit", fields, `Submit ${transition}`)))
+          throw new Error(this.given[0].answer);
+      },
+    );
   }
 
   /** The rarer orders for one robot, each with its description. */

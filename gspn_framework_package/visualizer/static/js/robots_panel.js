@@ -5,6 +5,7 @@ import { ModelPanel } from "./model_panel.js";
 import { h, $, isPressed, seconds } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
 import { told, toldOf } from "./phases.js";
+import { dataLines, robotExtras } from "./reacting.js";
 
 /** How long a robot has been in its phase. */
 function since(model, robot) {
@@ -26,6 +27,7 @@ export function robotCard(model, robot, buttons = []) {
   disc.style.background = colourOf(robot.name);
   const feedback =
     model.following && !ended && !told(robot.phase).gone ? feedbackOf(model, robot) : null;
+  const extras = robotExtras(robot);
   const attempt = robot.attempt > 1 ? `, attempt ${robot.attempt}` : "";
   return h(
     "div",
@@ -53,6 +55,7 @@ export function robotCard(model, robot, buttons = []) {
     ),
     robot.why && !ended ? h("div", { class: "why", text: robot.why }) : null,
     feedback ? h("div", { class: "feedback", text: feedback }) : null,
+    extras.length > 0 && h("div", { class: "extras" }, extras),
     buttons.length > 0 && h("div", { class: "buttons" }, buttons),
   );
 }
@@ -112,9 +115,13 @@ export class RobotsPanel {
         }),
       );
     }
-    const content = [this.look(), ...cards, this.comparison.element(), orders.list()].filter(
-      Boolean,
-    );
+    const content = [
+      this.look(),
+      ...cards,
+      this.team(),
+      this.comparison.element(),
+      orders.list(),
+    ].filter(Boolean);
     const same =
       content.length === panel.children.length &&
       content.every((element, i) => element === panel.children[i]);
@@ -136,6 +143,22 @@ export class RobotsPanel {
     return this.looking;
   }
 
+  /** The data of the team. */
+  team() {
+    const { team } = this.model.board.data || {};
+    if (!team || !Object.keys(team).length) return null;
+    if (this.teamData !== team) {
+      this.teamData = team;
+      this.teamShown = h(
+        "section",
+        { class: "team-data" },
+        h("h3", { text: "Data of the team" }),
+        dataLines(team),
+      );
+    }
+    return this.teamShown;
+  }
+
   card(robot) {
     const { model, orders } = this;
     const buttons = model.mode === "LIVE" ? orders.ofRobot(robot) : [];
@@ -145,6 +168,10 @@ export class RobotsPanel {
       robot.paused,
       robot.attempt,
       robot.why,
+      robot.task,
+      robot.held,
+      robot.resumed_from,
+      robot.data,
       model.board.status.ended,
       model.following,
       buttons.map((b) => [b.textContent, b.disabled]),

@@ -233,6 +233,7 @@ export class TimeLine extends EventTarget {
 
     // firings
     const timed = ink("--accent"),
+      eventful = ink("--warn"),
       immediate = ink("--ink-3");
     const y0 = top + step / 2;
     c.textAlign = "left";
@@ -244,8 +245,10 @@ export class TimeLine extends EventTarget {
       if (event.t < begin) break;
       if (event.k !== "fire" || drawn - x(event.t) < 0.5) continue;
       drawn = x(event.t);
-      c.fillStyle = model.scene.transitions[event.tr].timed ? timed : immediate;
-      c.fillRect(x(event.t) - 0.75, y0 - step * 0.32, 1.5, step * 0.64);
+      const transition = model.scene.transitions[event.tr];
+      const tall = transition.event ? 0.46 : 0.32; // an event stands out
+      c.fillStyle = transition.event ? eventful : transition.timed ? timed : immediate;
+      c.fillRect(x(event.t) - 0.75, y0 - step * tall, 1.5, step * tall * 2);
     }
 
     // robots
@@ -348,7 +351,8 @@ export class TimeLine extends EventTarget {
     const does = robots.map(
       (robot) =>
         `${robot.name} ${toldOf(robot, board.status).word}` +
-        (robot.place >= 0 ? ` in ${scene.places[robot.place].name}` : ""),
+        (robot.place >= 0 ? ` in ${scene.places[robot.place].name}` : "") +
+        (robot.task ? ` with task ${robot.task[0]}` : ""),
     );
     return [`${seconds(board.t)}, event ${board.n} of ${head.n}`, ...does].join("; ");
   }

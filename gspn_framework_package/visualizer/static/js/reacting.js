@@ -1,0 +1,51 @@
+// What the page shows of data, tasks and events: the server sends short texts.
+
+import { h } from "./dom.js";
+
+/** The entries of an object whose keys are names of the plan. */
+const entriesOf = (named) => Object.entries(named || {});
+const ofName = (named, name) => new Map(entriesOf(named)).get(name);
+
+/** The tasks in a queue (place name), the next one first: [id, data]. */
+export const queueOf = (board, place) => ofName(board.data?.queues, place) || [];
+
+/** The ids of the tasks that wait outside for a transition. */
+export const waitingFor = (board, transition) =>
+  (board.data?.waiting || []).filter(([name]) => name === transition).map(([, id]) => id);
+
+/** Data as lines: name and value. */
+export const dataLines = (named) =>
+  entriesOf(named).map(([name, value]) =>
+    h("div", { class: "datum" }, h("span", { class: "name", text: name }), ` ${value}`),
+  );
+
+/** A task with its data. */
+export const taskLine = ([id, data]) =>
+  h(
+    "div",
+    { class: "task" },
+    h("strong", { text: id ? `task ${id}` : "a task without an id" }),
+    dataLines(data),
+  );
+
+/** The task, the held events and the data of a robot; empty if it has none. */
+export function robotExtras(robot) {
+  return [
+    robot.task && taskLine(robot.task),
+    ...entriesOf(robot.held).map(([event, cause]) =>
+      h("div", { class: "held", text: `holds ${event}${cause ? `: ${cause}` : ""}` }),
+    ),
+    robot.resumed_from > 0 &&
+      h("div", { class: "muted", text: `continues visit ${robot.resumed_from}` }),
+    ...dataLines(robot.data),
+  ].filter(Boolean);
+}
+
+/** The end of a task's way, for people. */
+const end = (name) => name.replace(/^(place|robot) /, "") || "outside";
+
+/** What a firing tells beside its moves: its cause and the tasks. */
+export function firingExtras(event) {
+  const tasks = (event.tk || []).map(([id, from, to]) => `task ${id}: ${end(from)} → ${end(to)}`);
+  return { cause: event.why ? ` (${event.why})` : "", tasks };
+}

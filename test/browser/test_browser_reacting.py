@@ -1,0 +1,80 @@
+"""Data, tasks and events on the page: where they are shown, and how a task is submitted."""
+
+import pytest
+from shop_plan import SLOTS, shop
+from told_run import ToldRun
+
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.visualizer.submissions import submission
+from gspn_framework_package.visualizer.team_events import TeamEvents
+
+
+class Shop(ToldRun):
+    """A run of the shop whose log the test writes; tasks of the page go into it."""
+
+    def __init__(self, plan):
+        super().__init__(plan, {"run": "run_7"}, commands=["fire", "submit"])
+        self.commands = {"submit": self._submit}
+        self.game = TokenGame(plan)
+        self.state = self.game.new_state()
+        self.events = TeamEvents(self.game)
+        self.events.board(True)
+
+    def feed(self, *entries):
+        step = self.game.reduce(self.state, self.state.next_slot, entries)
+        self.hub.publish(*self.events.step(entries, step.firings, self.state))
+
+    def _submit(self, fields):
+        task = submission(self.plan, fields)
+        self.feed(task)
+        return {"message": "task %s comes in" % task.id}
+
+
+@pytest.fixture(name="run")
+def _run(show_net):
+    plan = shop()
+    run = Shop(plan)
+    run.site = show_net(plan.net, plan, run)
+    run.feed(run.game.start_entry())
+    return run
+
+
+def test_tasks_data_and_causes_are_shown_and_tasks_are_submitted(run, open_page, picture, axe):
+    page = open_page(run.site.address)
+    page.click("#list li:has-text('order')")
+    page.wait_for_selector("#inspector button:has-text('Submit a task'):enabled")
+    page.click("#inspector button:has-text('Submit a task')")
+    page.wait_for_selector("dialog[open] h2:has-text('order')")
+    page.fill("#task-id", "o1")
+    page.fill("#task-data", '{"pose": [1, 0]')
+    page.click("dialog button:has-text('Submit')")
+    page.wait_for_selector("dialog .wrong:has-text('the data is not JSON')")
+    page.fill("#task-data", '{"pose": [1, 0]}')
+    page.click("dialog button:has-text('Submit')")
+    page.wait_for_selector("#toast:has-text('task o1 comes in')")
+
+    for entries in SLOTS[:3]:
+        run.feed(*entries)
+    page.wait_for_selector("#inspector dd:has-text('o7')")  # it waits outside
+    page.click("#list li:has-text('Orders')")
+    page.wait_for_selector("#inspector .task:has-text('task o3')")
+    assert page.locator("#inspector .task").all_inner_texts()[0] == "task o3\npose [3, 0]"
+
+    page.keyboard.press("2")
+    page.wait_for_selector(".robot-card[data-robot='a'] .task:has-text('task o1')")
+    page.wait_for_selector(".robot-card[data-robot='b'] .held:has-text('low: percentage: 0.15')")
+    before = run.hub.board().n
+    for entries in SLOTS[3:]:
+        run.feed(*entries)
+    page.wait_for_selector(".robot-card[data-robot='a'] .datum:has-text('charged 12')")
+    page.wait_for_selector("#robots .team-data:has-text('door open')")
+    lines = page.locator("#log li").all_inner_texts()
+    assert any("low (percentage: 0.1)" in line and "a → Charge" in line for line in lines), lines
+    assert any("task o1: a → done" in line for line in lines), lines
+    assert any("task o7: outside → Orders" in line for line in lines) == (run.state.submitted == [])
+    picture(page, "reacting")
+    # as it was then
+    page.evaluate("(n) => window.gspn.model.show(n)", before)
+    page.wait_for_selector(".robot-card[data-robot='b'] .held")
+    assert page.locator("#robots .team-data").count() == 0
+    axe(page, "data and tasks", "right")
