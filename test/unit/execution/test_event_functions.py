@@ -283,8 +283,7 @@ def test_only_changes_are_reported(tmp_path: Path) -> None:
         more.step.release()
     host.until(lambda: len(host.seen) == 3)
     functions.forget("a")
-    more.step.release()
-    host.until(lambda: not more.answers)
+    more.step.release()  # it is in its last call, or will not be called again
     assert host.seen == [
         ("a", "low", True, {}),
         ("a", "low", False, {}),
