@@ -5,6 +5,11 @@ for.
 token game itself (``token_game``), so its policy draws, priorities, failure rules and time-outs are
 those of a run. Its log is a real event log, whose clocks start at 0.
 
+Events come at the rates of their transitions, to each robot by itself and as long as its visit
+lasts, whatever it is up to; an event of time (``after``) comes when its time is over. Tasks come in
+at the rate of their transition while it is enabled. The plan's sources are not asked, so whether an
+event counts by level or by edge makes no difference.
+
 >>> from gspn_framework_package.model.builder import NetBuilder
 >>> from gspn_framework_package.model.duration import Duration
 >>> from gspn_framework_package.model.action import FunctionAction
@@ -32,7 +37,7 @@ from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.firing import CancelAction, Command, Ended, StartAction
 from gspn_framework_package.execution.ledger import Ledger
-from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.execution.token_game import Step, TokenGame
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
@@ -97,7 +102,10 @@ class VirtualRun:
         self.result: Optional[Ended] = None
         """How the run ended; None while it goes on."""
         self._random = np.random.Generator(np.random.PCG64(self.plan.seed % 2**64))
-        self._environment = Environment(self.game, random.Random(self.plan.seed))
+        self._environment = Environment(self.game, random.Random(self.plan.seed), tasks=True)
+        self._interrupts = {p: plan.interrupts(p) for p in plan.action_places if plan.events}
+        self._visits: Dict[str, Tuple[int, int]] = {}  # robot -> incarnation, visit, with events
+        self._latest = math.inf
         self._loss_rate = loss_rate
         self._slowness = slowness
         self._log: Optional[EventLogWriter] = None
@@ -148,6 +156,7 @@ class VirtualRun:
         if self._ledger.length:
             raise UsageError("this run was started before", hint="make a new one")
         self._counted_from = warmup
+        self._latest = time
         self._reduce([self.game.start_entry()])
         if self._loss_rate > 0:
             self._schedule_losses()
@@ -185,6 +194,13 @@ class VirtualRun:
             if self._running.get(command.robot) != (command.visit, command.attempt):
                 return True  # cancelled in the meantime
             del self._running[command.robot]
+        elif isinstance(entry, log_entries.Interrupt):
+            if self._visit(entry.robot) != (entry.incarnation, entry.visit):
+                return True  # the visit is over
+            self._advance(when)
+            self._reduce([entry])
+            self._come_again(entry)
+            return True
         self._advance(when)
         self._reduce([entry])
         return True
@@ -207,6 +223,48 @@ class VirtualRun:
                 self._firings[self.plan.net.transition_index[firing.transition]] += 1
         for command in step.commands:
             self._carry_out(command)
+        if self.plan.events:
+            self._follow_visits(entries, step)
+
+    # -- events ------------------------------------------------------------------------------------
+
+    def _visit(self, name: str) -> Optional[Tuple[int, int]]:
+        """The visit that a robot is in, as (incarnation, number)."""
+        robot = self.state.robots.get(name)
+        return None if robot is None or robot.phase.gone else (robot.incarnation, robot.visit)
+
+    def _follow_visits(self, entries: List[log_entries.Entry], step: Step) -> None:
+        """Draw the events of the visits that have begun."""
+        names = dict.fromkeys(getattr(entry, "robot", "") for entry in entries)
+        names.update((move.robot, None) for firing in step.firings for move in firing.moves)
+        if any(isinstance(entry, log_entries.Start) for entry in entries):
+            names.update(dict.fromkeys(self.state.robots))
+        for name in names:
+            visit = self._visit(name)
+            if visit is None or self._visits.get(name) == visit:
+                continue
+            self._visits[name] = visit
+            place = self.plan.net.places[self.state.robots[name].place].name
+            for transition in self._interrupts[place]:
+                self._draw_event(log_entries.Interrupt(name, *visit, transition))
+
+    def _draw_event(self, event: log_entries.Interrupt) -> None:
+        after = self.plan.events[event.transition].after
+        if after is not None:
+            self._at(self.now + after, event._replace(cause={"after": after}))
+            return
+        rate = self.plan.net.transition(event.transition).rate
+        when = self.now + self._random.exponential(1 / rate)
+        if when <= self._latest:  # so that rare events of many visits do not fill the memory
+            self._at(when, event)
+
+    def _come_again(self, event: log_entries.Interrupt) -> None:
+        """Draw the next event, if the one that came changed nothing."""
+        same = self._visit(event.robot) == (event.incarnation, event.visit)
+        if same and self.plan.events[event.transition].after is None:
+            self._draw_event(event)
+
+    # -- actions -----------------------------------------------------------------------------------
 
     def _carry_out(self, command: Command) -> None:
         if isinstance(command, StartAction):

@@ -1,16 +1,23 @@
 """The token game in virtual time: it follows a run's rules, and its log is a real one."""
 
+import contextlib
 import math
+from collections import Counter
+from dataclasses import replace
 
 import pytest
+from game_driver import make_plan
+from test_reacting import guard_net, shop_net
 
-from gspn_framework_package.execution.event_log import read_log
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.event_log import read_log, replay
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.event import EventSource, Tasks
 from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan, RobotSpec
 
 ACT = FunctionAction("actions.work", "work")
@@ -114,3 +121,96 @@ def test_a_run_is_made_once_and_repeats_with_its_seed():
     with pytest.raises(UsageError, match="started before"):
         run.run(time=1.0)
     assert math.isfinite(first.time)
+
+
+# -- events and tasks --------------------------------------------------------------------------
+
+
+def charging(robots=1, hold=False, seconds=1e6, **settings):
+    """Robots work for that long, unless an event sends them to the charger, which has one dock."""
+    return make_plan(
+        guard_net(),
+        ["Work"] * robots,
+        ["Dock"],
+        durations={"Work": Duration.exponential(seconds), "Charge": Duration.exponential(1.0)},
+        outcomes={"Work": {"finish": 1.0}},
+        events={"low": EventSource("battery", "a/B", hold=hold)},
+        **settings,
+    )
+
+
+def test_events_come_at_their_rate_and_cancel_actions():
+    result = VirtualRun(charging()).run(time=30_000.0)
+    assert result.throughput("low") == pytest.approx(1 / 11, rel=0.05)
+    assert result.firings["finish"] == 0
+    # they come whatever the robot is up to, and how often its action is done
+    result = VirtualRun(charging(seconds=1.0)).run(time=10_000.0)
+    assert result.throughput("low") == pytest.approx(1 / 11, rel=0.05)
+    assert result.throughput("finish") == pytest.approx(10 / 11, rel=0.05)
+
+
+def test_a_robot_that_waits_is_interrupted_too():
+    net = (
+        NetBuilder()
+        .place("a", 1)
+        .place("b")
+        .place("gone")
+        .place("key")
+        .immediate("go", inputs=["a", "key"], outputs="b")
+        .exponential("called", rate=0.5, inputs="a", outputs="gone")
+        .build()
+    )
+    plan = make_plan(net, ["a"], ["key"], idle=["a", "gone"], events={"called": EventSource()})
+    result = VirtualRun(plan, seed=1).run(time=1000.0)
+    assert result.firings == {"go": 0, "called": 1}
+    assert result.ended is not None and result.ended.finished
+
+
+def test_an_event_that_cannot_fire_is_lost_unless_it_is_held():
+    lost = VirtualRun(charging(2), seed=2).run(time=12_000.0)
+    assert lost.throughput("low") == pytest.approx(1 / 6, rel=0.03)
+    held = VirtualRun(charging(2, hold=True), seed=2).run(time=12_000.0)
+    assert held.throughput("low") == pytest.approx(1.1 / 6.1, rel=0.03)
+
+
+def test_events_of_time_are_exact():
+    plan = replace(charging(), events={"low": EventSource(after=5.0)}).validate()
+    plan = replace(plan, durations={**plan.durations, "Charge": Duration.deterministic(2.0)})
+    result = VirtualRun(plan).run(time=701.0)
+    assert result.firings["low"] == 100
+    assert result.mean_tokens["Work"] == pytest.approx(5 / 7, rel=0.01)
+
+
+def test_tasks_come_in_at_their_rate_with_ids(tmp_path):
+    plan = make_plan(
+        shop_net(),
+        ["Idle"],
+        ["Orders"],
+        idle=["Idle"],
+        tasks=Tasks(("Orders",), ("delivered",)),
+        durations={"Deliver": Duration.exponential(0.5)},
+        outcomes={"Deliver": {"delivered": 1.0}},
+    )
+    run = VirtualRun(plan, seed=3)
+    path = str(tmp_path / "run.jsonl")
+    with contextlib.closing(run.record_in(path, "run", "1")):
+        result = run.run(time=1000.0)
+    # a shop with one clerk and room for four customers: rate 1 in, rate 2 out
+    room = 1 - (1 / 2) ** 4 / (2 - (1 / 2) ** 4)
+    assert result.throughput("delivered") == pytest.approx(room, rel=0.05)
+    moves = [m for r in read_log(path).records for f in r.get("firings", ()) for m in f["tasks"]]
+    done = [task for task, _, target in moves if target == "done"]
+    assert len(done) == len(set(done)) == result.firings["delivered"]
+
+
+def test_a_log_with_events_plays_again_alike(tmp_path):
+    plan = replace(charging(2, hold=True, seconds=3.0), seed=4)
+    run = VirtualRun(plan)
+    path = str(tmp_path / "run.jsonl")
+    with contextlib.closing(run.record_in(path, "run", "1")):
+        result = run.run(firings=300)
+    steps = list(replay(read_log(path)))
+    assert any(isinstance(e, log_entries.Interrupt) for step in steps for e in step.entries)
+    fired = Counter(firing.transition for step in steps for firing in step.firings)
+    assert fired["low"] == result.firings["low"] > 10
+    assert VirtualRun(plan).run(firings=300).firings == result.firings
