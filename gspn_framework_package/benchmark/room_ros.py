@@ -248,9 +248,10 @@ def count_policy_misses(event_log: EventLog) -> int:
         for firing in step.firings:
             if firing.drawn is not None:
                 before = list(firing.marking)
-                for place, change in net.effect(net.transition_index[firing.transition]):
+                t = net.transition_index[firing.transition]
+                for place, change in net.effect(t):
                     before[place] -= change
-                misses += not policy.matches(before)
+                misses += not policy.matches(before, net.inputs[t][0][0])
     return misses
 
 

@@ -326,6 +326,13 @@ def action(function: _Function) -> _Function:
     return function
 
 
+def split_function(folder: Optional[str], name: str) -> Tuple[Optional[str], str]:
+    """Return the folder and the ``module.function`` of a function in a plan. There may be a folder
+    before it, relative to the plan's: ``parts/actions.approach``."""
+    within, slash, function = name.rpartition("/")
+    return (os.path.join(folder or "", within), function) if slash else (folder, name)
+
+
 def load_action(
     folder: Optional[str], name: str, settings: Mapping[str, Any] = NO_SETTINGS
 ) -> PythonAction:
@@ -343,13 +350,14 @@ def load_function(
 
     :param folder: the plan's folder, which is searched for ``module.py`` (its subfolder for
         ``package.module``); a module that is not there is imported normally.
-    :param name: ``module.function``.
+    :param name: ``module.function``, or ``folder/module.function`` (see :func:`split_function`).
     :param settings: the settings in the plan, by parameter name.
     :param kind: what the function is for.
     :raises PlanError: the module or function does not exist, importing the module failed, or the
         function is not of that kind.
     """
     element = "%s '%s'" % (kind.role, name)
+    folder, name = split_function(folder, name)
     module_name, dot, function_name = name.rpartition(".")
     if not dot or not module_name or not all(part.isidentifier() for part in name.split(".")):
         raise PlanError(
@@ -404,6 +412,7 @@ def missing_function(folder: Optional[str], name: str) -> Optional[str]:
     :param folder: the plan's folder.
     :param name: ``module.function``.
     """
+    folder, name = split_function(folder, name)
     module, _, function = name.rpartition(".")
     path = os.path.join(os.path.abspath(folder), *module.split(".")) if folder else ""
     file = next(

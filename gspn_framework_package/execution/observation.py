@@ -68,7 +68,7 @@ class ChoiceReader:
             row = [(t, p) for t, p in distribution.choices if p > 0]
             if not all(net.is_enabled(marking, t) for t, _ in row):
                 return ()
-        elif self._table.matches(marking) or self._strict:
+        elif self._table.matches(marking, place) or self._strict:
             return ()
         else:
             row = [

@@ -523,7 +523,13 @@ class StandaloneExecutor:
         try:
             action = self._actions.get(command.robot) or self._actions[""]
             result = action[command.place](context)
-            entry = log_entries.Done(command.robot, command.incarnation, command.visit, *result)
+            entry = log_entries.Done(
+                command.robot,
+                command.incarnation,
+                command.visit,
+                self.plan.transition_meant(command.place, result.transition),
+                result.data,
+            )
         except (ActionFailed, DataError) as error:
             entry = self._failed(command, "aborted", error_text(error))
         except BaseException as error:  # anything a user's function raises, even SystemExit

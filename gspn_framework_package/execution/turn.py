@@ -164,7 +164,7 @@ class Turn:
             if not distribution.choices:
                 return self._nothing(robot, "the policy lets it wait in this marking")
             choices = self._of_top_priority(distribution.choices)
-        elif self.rules.policy.matches(self.state.marking):
+        elif self.rules.policy.matches(self.state.marking, robot.place):
             return self._nothing(
                 robot, "no policy row applies to %s in this marking" % self._name(robot.place)
             )

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
-from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.formats import thesis_input
 from gspn_framework_package.formats.draft import ReadOptions
 from gspn_framework_package.formats.format import is_xml
 from gspn_framework_package.formats.json_file import JsonDocument, read_document
+from gspn_framework_package.formats.net_json import net_from_json
 from gspn_framework_package.formats.plan_json import (
     LEARNED,
     check_schema,
@@ -24,6 +26,7 @@ from gspn_framework_package.formats.registry import (
     read_net_with_notes,
 )
 from gspn_framework_package.formats.source import read_bytes
+from gspn_framework_package.formats.subnets import expand, fill_parameters
 from gspn_framework_package.model.errors import GspnError, InputError, PlanError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -77,12 +80,15 @@ def plan_document(path: str, plan: Plan, folder: str) -> Dict[str, Any]:
     whole = plan_to_short_json(plan)
     if thesis_input.is_thesis_input(document.data):
         return whole
+    elsewhere = os.path.realpath(os.path.dirname(os.path.abspath(path))) != os.path.realpath(folder)
+    read = _read(path, document)
+    if plan.subnets and (elsewhere or (plan.policy, plan.robots) != (read.policy, read.robots)):
+        return whole  # names of files, or of places that have been replaced, would be wrong
     data = {key: value for key, value in document.data.items() if key not in LEARNED}
-    if os.path.realpath(os.path.dirname(os.path.abspath(path))) != os.path.realpath(folder):
+    if elsewhere:
         data["net"] = whole["net"]
         if isinstance(data.get("policy"), str):
             data["policy"] = whole["policy"]
-    read = _read(path, document)
     if plan.policy != read.policy:
         data["policy"] = policy_to_json(plan.policy)
     if plan.robots != read.robots:
@@ -95,7 +101,7 @@ def _read(path: str, document: JsonDocument) -> Plan:
     try:
         if thesis_input.is_thesis_input(document.data):
             return thesis_input.plan_from_thesis(document.data, path)
-        return _own_form(document, path)
+        return _own_form(document, path, (os.path.realpath(path),), {})
     except GspnError as error:
         error.located(file=path)
         raise
@@ -202,16 +208,38 @@ def is_plan(path: str) -> bool:
     return os.path.isdir(path) or os.fspath(path).lower().endswith(".json")
 
 
-def _own_form(document: JsonDocument, path: str) -> Plan:
-    data: Dict[str, Any] = document.data
-    check_schema(data, file=path, document=document)
+def _own_form(
+    document: JsonDocument,
+    path: str,
+    around: Tuple[str, ...],
+    known: Dict[Tuple[str, str], Plan],
+    given: Optional[Mapping[str, Any]] = None,
+) -> Plan:
+    """The plan of a file in the package's own form.
+
+    :param around: the file, after those of the plans that use it as a subnet.
+    :param known: the subnets that have been read, by file and parameters.
+    :param given: the values of its parameters, if it is used as a subnet.
+    """
     folder = os.path.dirname(os.path.abspath(path))
-    net, notes = _net(data["net"], folder)
-    policy: Optional[Policy] = None
-    if isinstance(data.get("policy"), str):
-        policy = read_policy(os.path.join(folder, data["policy"]))
+
+    def read_subnet(file: str, values: Mapping[str, Any]) -> Plan:
+        key = os.path.realpath(file), json.dumps(values, sort_keys=True)
+        if key not in known:
+            known[key] = _subnet(os.path.normpath(file), values, around, known)
+        return known[key]
+
     try:
-        plan = plan_from_json(data, net, policy, file=path, folder=folder, checked=True)
+        data = fill_parameters(document.data, given)
+        check_schema(data, file=path, document=document)
+        net, notes = _net(data["net"], folder)
+        policy: Optional[Policy] = None
+        if isinstance(data.get("policy"), str):
+            policy = read_policy(os.path.join(folder, data["policy"]))
+        data, whole, parts = expand(data, net or net_from_json(data["net"]), folder, read_subnet)
+        plan = plan_from_json(
+            data, whole, policy, file=path, folder=folder, checked=True, parts=parts
+        )
     except GspnError as error:
         if error.file in (None, path):
             error.located(file=path, line=_line(document, error.element or ""))
@@ -219,20 +247,56 @@ def _own_form(document: JsonDocument, path: str) -> Plan:
     return plan.with_notes(notes)
 
 
+def _subnet(
+    path: str,
+    values: Mapping[str, Any],
+    around: Tuple[str, ...],
+    known: Dict[Tuple[str, str], Plan],
+) -> Plan:
+    """The plan of a subnet. :raises GspnError: it cannot be read, or is inside itself."""
+    path, document = _open(path)
+    real = os.path.realpath(path)
+    if real in around:
+        names = [os.path.basename(file) for file in (*around[around.index(real) :], real)]
+        raise PlanError("the plan is a subnet of itself: %s" % " in ".join(reversed(names)))
+    try:
+        if thesis_input.is_thesis_input(document.data):
+            raise PlanError("a subnet is a plan.json, not an input file of the thesis")
+        return _own_form(document, path, (*around, real), known, values)
+    except GspnError as error:
+        error.located(file=path)
+        raise
+
+
 def _line(document: JsonDocument, element: str) -> Optional[int]:
     """Return the line of an element of a plan, named as in errors: ``transition 't'``,
     ``until``."""
     found = re.match(r"(place|transition) '(.*)'$", element)
-    net = document.data["net"]
+    net = document.data.get("net")
     if found is None:
-        key, dot, name = element.partition(".")
-        path = [key, name] if dot and key in LEARNED else element.split(".")
-        return document.line(path) if element else None
+        return _line_of(document, element) if element else None
     if isinstance(net, dict):
         for number, node in enumerate(net.get(found.group(1) + "s", ())):
             if node["name"] == found.group(2):
                 return document.line(["net", found.group(1) + "s", number])
     return None
+
+
+def _line_of(document: JsonDocument, element: str) -> Optional[int]:
+    """Return the line of an element named by its keys (``timeout.Sort``). A key may have dots; of
+    an element that is not there, the line of the innermost one around it."""
+    key, *rest = element.split(":")[0].split(".")
+    path: List[str] = [key]
+    line = document.line(path)
+    while line is not None and rest:
+        for length in range(len(rest), 0, -1):
+            deeper = document.line([*path, ".".join(rest[:length])])
+            if deeper is not None:
+                line, path, rest = deeper, [*path, ".".join(rest[:length])], rest[length:]
+                break
+        else:
+            break
+    return line
 
 
 def _net(data: Any, folder: str) -> Tuple[Optional[Net], List[str]]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-from typing import Any, Dict, List, Mapping, Optional, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import jsonschema
 
 from gspn_framework_package.formats.json_file import JsonDocument
 from gspn_framework_package.formats.net_json import net_from_json, net_to_json
+from gspn_framework_package.formats.subnets import SubnetPart, with_parts
 from gspn_framework_package.model.action import action_from_json, action_to_json
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Duration, Evidence, duration_from_json
@@ -28,7 +29,8 @@ from gspn_framework_package.model.plan import (
     Timing,
     too_many_robots,
 )
-from gspn_framework_package.model.policy import Policy
+from gspn_framework_package.model.policy import Policy, PolicyScope
+from gspn_framework_package.model.subnet import Subnet
 
 _SCHEMA_FILE = os.path.join(os.path.dirname(__file__), "plan.schema.json")
 
@@ -144,6 +146,7 @@ def plan_from_json(
     file: Optional[str] = None,
     folder: Optional[str] = None,
     checked: bool = False,
+    parts: Sequence[SubnetPart] = (),
 ) -> Plan:
     """Return the plan of a JSON object.
 
@@ -153,6 +156,7 @@ def plan_from_json(
     :param file: the file that it comes from, for messages and for ``Plan.file``.
     :param folder: the folder with the functions.
     :param checked: whether ``data`` is known to fit the schema.
+    :param parts: the subnets, which ``data`` and ``net`` have already (see ``formats.subnets``).
     :raises PlanError: the object does not fit the schema, or names something that does not exist.
     """
     if not checked:
@@ -195,6 +199,7 @@ def plan_from_json(
         evidence=_evidence(data),
         events={t: EventSource.from_json(e) for t, e in data.get("events", {}).items()},
         tasks=Tasks.from_json(data.get("tasks", {})),
+        subnets={name: Subnet.from_json(s) for name, s in data.get("subnets", {}).items()},
         cancel_grace=float(data.get("cancel_grace", Plan.cancel_grace)),
         timing=Timing(
             float(agreement.get("evict_after", Timing().evict_after)),
@@ -206,9 +211,8 @@ def plan_from_json(
         file=file,
     )
     # an unknown or immediate transition is left to Plan.validate
-    return plan.with_rates(
-        {t: float(r["rate"]) for t, r in data.get("rates", {}).items()}
-    ).validate()
+    rates = {t: float(r["rate"]) for t, r in data.get("rates", {}).items()}
+    return with_parts(plan.with_rates(rates), parts).validate()
 
 
 LEARNED = ("durations", "outcomes", "failures", "rates")
@@ -240,7 +244,11 @@ def _evidence(data: Dict[str, Any]) -> Dict[Tuple[str, str], Evidence]:
 
 def policy_from_json(data: Dict[str, Any]) -> Policy:
     """Return the policy of a JSON object that fits the schema. :raises PolicyError: see Policy."""
-    return Policy.from_table(data["places"], ((r["marking"], r["choose"]) for r in data["rows"]))
+    return Policy.from_table(
+        data["places"],
+        ((r["marking"], r["choose"]) for r in data["rows"]),
+        (PolicyScope(tuple(s["places"]), *s["rows"]) for s in data.get("scopes", ())),
+    )
 
 
 def deal_robots(
@@ -333,6 +341,8 @@ def plan_to_json(plan: Plan) -> Dict[str, Any]:
         data["events"] = {t: event.to_json() for t, event in plan.events.items()}
     if plan.tasks != Tasks():
         data["tasks"] = plan.tasks.to_json()
+    if plan.subnets:
+        data["subnets"] = {name: subnet.to_json() for name, subnet in plan.subnets.items()}
     if plan.cancel_grace != Plan.cancel_grace:
         data["cancel_grace"] = plan.cancel_grace
     if plan.chance:
@@ -361,7 +371,7 @@ def evidence_to_json(evidence: Evidence) -> Dict[str, Any]:
 
 def policy_to_json(policy: Policy) -> Dict[str, Any]:
     """Return the policy as a JSON object; ``policy_from_json`` reads it."""
-    return {
+    data = {
         "places": list(policy.places),
         "rows": [
             {
@@ -371,6 +381,11 @@ def policy_to_json(policy: Policy) -> Dict[str, Any]:
             for row in policy.rows
         ],
     }
+    if policy.scopes:
+        data["scopes"] = [
+            {"places": list(s.places), "rows": [s.first, s.last]} for s in policy.scopes
+        ]
+    return data
 
 
 def plan_to_short_json(plan: Plan) -> Dict[str, Any]:

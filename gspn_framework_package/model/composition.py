@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Dict, List, Optional
+from typing import Collection, Dict, List, Mapping, Optional
 
 from gspn_framework_package.model.errors import NetError
 from gspn_framework_package.model.net import Arc, Net, Place, Position, Transition
 
 
 def expand_place(
-    net: Net, place: str, subnet: Net, entry: str, exit: str, prefix: Optional[str] = None
+    net: Net,
+    place: str,
+    subnet: Net,
+    entry: str,
+    exit: str,
+    prefix: Optional[str] = None,
+    *,
+    resources: Optional[Collection[str]] = None,
+    shared: Mapping[str, str] = {},
 ) -> Net:
     """Replace ``place`` with ``subnet``, which turns a single activity into a procedure.
 
@@ -21,8 +29,8 @@ def expand_place(
 
     If every transition of the subnet preserves the number of tokens, the total number of tokens in
     the subnet behaves as the tokens of the place did, except that a token must reach the exit
-    before it can leave. Places of the subnet that are marked initially are its own resources (a
-    tool that the procedure needs) and are not part of that total.
+    before it can leave. The subnet's own ``resources`` (a tool that the procedure needs) are not
+    part of that total.
 
     An inhibitor arc of weight 1 from the place ("while it is occupied") becomes one from every
     place of the subnet that is not such a resource. An inhibitor arc of larger weight is refused,
@@ -33,6 +41,10 @@ def expand_place(
     :param entry: name of the subnet's place where tokens enter.
     :param exit: name of the subnet's place where tokens leave; may be the entry.
     :param prefix: prefix of the names of the subnet's nodes; by default ``place`` and a dot.
+    :param resources: the places of the subnet that hold its own resources; by default those that
+        are marked initially.
+    :param shared: resource of the subnet -> place of the net that takes its part; its own tokens
+        are left out.
     :raises NetError: the place, entry or exit does not exist; the entry or exit holds tokens; a
         name is taken; an inhibitor arc or a capacity cannot be carried over.
 
@@ -47,14 +59,19 @@ def expand_place(
     ['Idle', 'Inspect.Approach', 'Inspect.Look']
     """
     replaced = net.place(place)
-    _check(net, replaced, subnet, entry, exit)
+    if resources is None:
+        resources = [p.name for p in subnet.places if p.tokens]
+    _check(net, replaced, subnet, entry, exit, resources, shared)
     start = place + "." if prefix is None else prefix
     inner_names: Dict[str, str] = {n.name: start + n.name for n in subnet.places}
     inner_names.update((n.name, start + n.name) for n in subnet.transitions)
+    inner_names.update(shared)
     shift = _shift(replaced.position, subnet.place(entry).position)
 
     inner_places = []
     for inner in subnet.places:
+        if inner.name in shared:
+            continue
         tokens = inner.tokens + (replaced.tokens if inner.name == entry else 0)
         inner_places.append(
             inner._replace(
@@ -72,7 +89,7 @@ def expand_place(
             transition._replace(name=name, position=_moved(transition.position, shift))
         )
 
-    occupied = [inner_names[p.name] for p in subnet.places if p.tokens == 0]
+    occupied = [inner_names[p.name] for p in subnet.places if p.name not in resources]
     arcs: List[Arc] = []
     for arc in net.arcs:
         if arc.inhibitor and arc.source == place:
@@ -88,17 +105,35 @@ def expand_place(
     return Net(places, transitions, arcs, net.name)
 
 
-def _check(net: Net, replaced: Place, subnet: Net, entry: str, exit: str) -> None:
+def _check(
+    net: Net,
+    replaced: Place,
+    subnet: Net,
+    entry: str,
+    exit: str,
+    resources: Collection[str],
+    shared: Mapping[str, str],
+) -> None:
     element = "place '%s'" % replaced.name
-    for end in (entry, exit):
+    for end in (entry, exit, *shared):
         if end not in subnet.place_index:
             raise NetError("the net to put in its place has no place '%s'" % end, element=element)
-    if subnet.place(entry).tokens or subnet.place(exit).tokens:
+    if subnet.place(entry).tokens or subnet.place(exit).tokens or {entry, exit} & set(resources):
         raise NetError(
             "the net to put in its place has tokens on its entry or exit",
             element=element,
             hint="only its own resources may be marked; tokens come in from outside",
         )
+    for inner, outer in shared.items():
+        if inner not in resources:
+            raise NetError(
+                "'%s' of the net to put in its place is no resource, so it cannot be shared"
+                % inner,
+                element=element,
+            )
+        if outer == replaced.name:
+            raise NetError("a resource cannot be the place that is replaced", element=element)
+        net.place(outer)
     if replaced.capacity is not None:
         raise NetError(
             "it has a capacity, which a whole net cannot have",

@@ -31,6 +31,7 @@ from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.event import EventSource, Tasks
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.policy import SUM_TOLERANCE, Policy
+from gspn_framework_package.model.subnet import SEPARATOR, Subnet
 
 MAX_ROBOTS = 10_000
 """Maximum number of robots in a team: a larger number is a typo, and would exhaust the memory."""
@@ -148,6 +149,7 @@ class Plan:
     :ivar evidence: (key of the plan file, place or transition) -> where that value was learned.
     :ivar events: exponential transition -> the event that fires it.
     :ivar tasks: the places where tasks queue, and the transitions at which they are done.
+    :ivar subnets: name -> the part of the net that came from a plan of its own.
     :ivar cancel_grace: seconds that the server of an interrupted action has to end it, before that
         is reported.
     :ivar timing: times of the agreement protocol.
@@ -184,6 +186,7 @@ class Plan:
     evidence: Mapping[Tuple[str, str], Evidence] = field(default_factory=dict)
     events: Mapping[str, EventSource] = field(default_factory=dict)
     tasks: Tasks = Tasks()
+    subnets: Mapping[str, Subnet] = field(default_factory=dict)
     cancel_grace: float = 5.0
     timing: Timing = Timing()
     fsync: bool = False
@@ -217,6 +220,42 @@ class Plan:
         yield from self.actions.items()
         for robot in self.robots:
             yield from robot.actions.items()
+
+    def subnet_of(self, place: str) -> str:
+        """Return the name of the innermost subnet that has the place, "" if there is none."""
+        found = ""
+        for name, subnet in self.subnets.items():
+            if place in subnet.places and len(name) > len(found):
+                found = name
+        return found
+
+    def decided_in(self, subnet: str) -> Tuple[str, ...]:
+        """Return the action places where the policy of a subnet decides ("": that of the plan
+        itself): its places, but not those of subnets inside it other than their exits, and not its
+        own exit."""
+        found = []
+        for place in self.action_places:
+            within = self.subnet_of(place)
+            while within and self.subnets[within].exit == place:
+                within = self.subnets[within].parent
+            if within == subnet:
+                found.append(place)
+        return tuple(found)
+
+    def transition_meant(self, place: str, name: str) -> str:
+        """Return the transition that an action in ``place`` means by the name that it returns. An
+        action of a subnet says the name that the transition has in its own plan; if that does not
+        leave the place, the name is read as one of the plan around it, and so on."""
+        if not name or not self.subnets or place not in self.net.place_index:
+            return name
+        leaving = self._leaving(place)
+        within = self.subnet_of(place)
+        while within:
+            full = within + SEPARATOR + name
+            if full in leaving:
+                return full
+            within = self.subnets[within].parent
+        return name
 
     def interrupts(self, place: str) -> Tuple[str, ...]:
         """Return the event transitions that leave a place, in the order of the net."""
@@ -276,6 +315,7 @@ class Plan:
             "policy": [
                 list(self.policy.places),
                 self.policy.rows,  # named tuples become lists
+                *([self.policy.scopes] if self.policy.scopes else []),
             ],
             "idle": sorted(p for p in self.action_places if self.actions.get(p) is None),
             "idle_per_robot": {
@@ -440,6 +480,7 @@ class Plan:
         self._validate_robots()
         self._validate_times()
         self._validate_events()
+        self._validate_subnets()
         return self
 
     def _validate_actions(self) -> None:
@@ -457,6 +498,20 @@ class Plan:
                         % (outcome, transition),
                         "choose from: %s" % ", ".join(self._leaving(place)),
                     )
+
+    def _validate_subnets(self) -> None:
+        for name, subnet in self.subnets.items():
+            element = "subnets.%s" % name
+            for place in (subnet.entry, subnet.exit, *subnet.places):
+                self._known_place(place, element)
+            for transition in subnet.transitions:
+                self._known_transition(transition, element)
+            if not {subnet.entry, subnet.exit} <= set(subnet.places):
+                raise PlanError("its entry or exit is outside", file=self.file, element=element)
+            if subnet.parent and subnet.parent not in self.subnets:
+                raise PlanError(
+                    "there is no subnet '%s'" % subnet.parent, file=self.file, element=element
+                )
 
     def _validate_events(self) -> None:
         net = self.net

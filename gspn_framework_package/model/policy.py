@@ -40,18 +40,37 @@ class PolicyRow(NamedTuple):
     choices: Tuple[Tuple[str, float], ...]
 
 
+class PolicyScope(NamedTuple):
+    """A part of a plan with a policy of its own: the robots in ``places`` are decided by the rows
+    ``first`` to ``last`` (exclusive, numbered from 0), as if there were no others, and no other
+    robot is."""
+
+    places: Tuple[str, ...]
+    first: int
+    last: int
+
+
 class Policy:
     """A stationary policy as a table over an ordered tuple of places.
 
     :param places: the places that the cells of a row refer to; other places may have any count.
     :param rows: the rows, in file order.
-    :raises PolicyError: a row has the wrong length, a count is not a number of tokens, or
-        probabilities are negative or do not sum to 1.
+    :param scopes: the subnets with policies of their own. The rows that are in none of them decide
+        in the places that are in none of them.
+    :raises PolicyError: a row has the wrong length, a count is not a number of tokens,
+        probabilities are negative or do not sum to 1, or scopes overlap.
     """
 
-    def __init__(self, places: Sequence[str] = (), rows: Iterable[PolicyRow] = ()) -> None:
+    def __init__(
+        self,
+        places: Sequence[str] = (),
+        rows: Iterable[PolicyRow] = (),
+        scopes: Iterable[PolicyScope] = (),
+    ) -> None:
         self.places: Tuple[str, ...] = tuple(places)
         self.rows: Tuple[PolicyRow, ...] = tuple(rows)
+        self.scopes: Tuple[PolicyScope, ...] = tuple(scopes)
+        self._check_scopes()
         if len(set(self.places)) != len(self.places):
             doubles = sorted(p for p, n in Counter(self.places).items() if n > 1)
             raise PolicyError("the place '%s' occurs twice in the tuple of places" % doubles[0])
@@ -64,7 +83,10 @@ class Policy:
 
     @classmethod
     def from_table(
-        cls, places: Sequence[str], table: Iterable[Tuple[Sequence[object], Mapping[str, object]]]
+        cls,
+        places: Sequence[str],
+        table: Iterable[Tuple[Sequence[object], Mapping[str, object]]],
+        scopes: Iterable[PolicyScope] = (),
     ) -> Policy:
         """Create a policy from cells as people write them: numbers, numeric strings, or ``'-'`` for
         any count.
@@ -86,7 +108,23 @@ class Policy:
                     tuple([(str(t), _probability(p, number)) for t, p in choices.items()]),
                 )
             )
-        return cls(places, rows)
+        return cls(places, rows, scopes)
+
+    def scope_of(self, row: int) -> Optional[PolicyScope]:
+        """Return the scope that a row (numbered from 0) belongs to; None for the plan's own."""
+        return next((s for s in self.scopes if s.first <= row < s.last), None)
+
+    def _check_scopes(self) -> None:
+        seen: Set[str] = set()
+        taken = 0
+        for scope in sorted(self.scopes, key=lambda scope: (scope.first, scope.last)):
+            if not taken <= scope.first <= scope.last <= len(self.rows):
+                raise PolicyError("the rows of two scopes overlap, or do not exist")
+            taken = scope.last
+            doubles = seen.intersection(scope.places)
+            if doubles:
+                raise PolicyError("the place '%s' is in two scopes" % min(doubles))
+            seen.update(scope.places)
 
     def _check_row(self, number: int, row: PolicyRow) -> None:
         element = "policy row %d" % number
@@ -115,10 +153,14 @@ class Policy:
         return table
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Policy) and (self.places, self.rows) == (other.places, other.rows)
+        return isinstance(other, Policy) and self._parts == other._parts
 
     def __hash__(self) -> int:
-        return hash((self.places, self.rows))
+        return hash(self._parts)
+
+    @property
+    def _parts(self) -> Tuple[object, ...]:
+        return self.places, self.rows, self.scopes
 
     def __repr__(self) -> str:
         return "<Policy: %d rows over %d places>" % (len(self.rows), len(self.places))
@@ -142,7 +184,8 @@ class PolicyTable:
     """A policy indexed for look-up in one net.
 
     Among the rows that match the marking and apply to the robot's place, the one with the fewest
-    wildcards takes precedence, then the first in file order.
+    wildcards takes precedence, then the first in file order. Where the policy has scopes, only the
+    rows of the place's own scope count.
 
     :raises PolicyError: the policy names a place or transition that the net does not have, or an
         exponential transition.
@@ -158,17 +201,29 @@ class PolicyTable:
                 )
         self._columns = columns = [net.place_index[p] for p in policy.places]
         self._restricted: Dict[Tuple[int, int], Distribution] = {}
-        self._any: Optional[_RowIndex] = None  # all rows; rarely asked for
+        self._scope: Dict[int, int] = {}  # place -> number of its scope, from 1; others: 0
+        row_scope = [0] * len(policy.rows)
+        for k, scope in enumerate(policy.scopes, 1):
+            row_scope[scope.first : scope.last] = [k] * (scope.last - scope.first)
+            for name in scope.places:
+                if name not in net.place_index:
+                    raise PolicyError(
+                        "the net has no place '%s'" % name, element="a scope of the policy"
+                    )
+                self._scope[net.place_index[name]] = k
+        self._row_scope = row_scope
+        self._any: Dict[int, _RowIndex] = {}  # scope -> its rows; rarely asked for
         self._by_place: Dict[int, _RowIndex] = {}
-        self._waits: Optional[_RowIndex] = None  # the rows without choices, which suit every place
+        self._waits: Dict[int, _RowIndex] = {}  # scope -> its rows without choices
         speaks_of: Dict[Tuple[Tuple[str, float], ...], Tuple[int, ...]] = {}
         for number, row in enumerate(policy.rows):
             if row.choices not in speaks_of:
                 speaks_of[row.choices] = self._places_of(number, row)
             if not row.choices:
-                self._waits = self._waits or _RowIndex(columns)
-                self._waits.add(number, row)
+                self._waits.setdefault(row_scope[number], _RowIndex(columns)).add(number, row)
             for place in speaks_of[row.choices]:
+                if self._scope.get(place, 0) != row_scope[number]:
+                    continue
                 index = self._by_place.get(place)
                 if index is None:
                     index = self._by_place[place] = _RowIndex(columns)
@@ -197,8 +252,9 @@ class PolicyTable:
         row applies to that place."""
         index = self._by_place.get(place)
         number = index.find(marking) if index is not None else None
-        if self._waits is not None:
-            waits = self._waits.find(marking)
+        if self._waits:
+            silent = self._waits.get(self._scope.get(place, 0))
+            waits = silent.find(marking) if silent is not None else None
             if waits is not None and (number is None or self._goes_first(waits, number)):
                 number = waits
         if number is None:
@@ -208,14 +264,22 @@ class PolicyTable:
             self._restricted[key] = self._restrict(number, place)
         return self._restricted[key]
 
-    def matches(self, marking: Sequence[int]) -> bool:
-        """Whether any row matches ``marking``, whatever place the row applies to."""
-        if self._any is None:
-            rows = _RowIndex(self._columns)
-            for number, row in enumerate(self.policy.rows):
-                rows.add(number, row)
-            self._any = rows
-        return self._any.find(marking) is not None
+    def matches(self, marking: Sequence[int], place: int) -> bool:
+        """Whether any row of the scope of ``place`` matches ``marking``, whatever place of that
+        scope the row applies to."""
+        scope = self._scope.get(place, 0)
+        if scope not in self._any:
+            rows = self._any[scope] = _RowIndex(self._columns)
+            for number in self.rows_of(place):
+                rows.add(number, self.policy.rows[number])
+        return self._any[scope].find(marking) is not None
+
+    def rows_of(self, place: int) -> Sequence[int]:
+        """The numbers of the rows in the scope of ``place``."""
+        if not self.policy.scopes:
+            return range(len(self.policy.rows))
+        scope = self._scope.get(place, 0)
+        return [number for number, of in enumerate(self._row_scope) if of == scope]
 
     def _goes_first(self, number: int, other: int) -> bool:
         """Whether the row ``number`` takes precedence over the row ``other``."""
@@ -238,8 +302,9 @@ class PolicyTable:
         found: List[Overlap] = []
         for place, index in self._by_place.items():
             pairs = index.overlaps(limit - len(found))
-            if self._waits is not None:
-                pairs += index.overlaps_with(self._waits, limit - len(found) - len(pairs))
+            waits = self._waits.get(self._scope.get(place, 0))
+            if waits is not None:
+                pairs += index.overlaps_with(waits, limit - len(found) - len(pairs))
             found += [(place, earlier, later) for earlier, later in pairs]
             if len(found) >= limit:
                 break

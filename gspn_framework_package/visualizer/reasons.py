@@ -81,7 +81,7 @@ def _policy_says(net: Net, plan: Plan, board: Board, t: int) -> List[str]:
         if place in plan.resource_places:
             continue
         found = table.distribution(board.marking, p)
-        if found is None and table.matches(board.marking):
+        if found is None and table.matches(board.marking, p):
             said.append("no policy row applies to %s in this marking: robots wait there" % place)
         elif found is not None and not found.choices:
             said.append("row %d of the policy lets robots wait in %s" % (found.row + 1, place))

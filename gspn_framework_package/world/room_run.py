@@ -99,7 +99,8 @@ class RoomRun:
                 next(running.steps)
                 continue
             except StopIteration as done:
-                entry = log_entries.Done(name, command.incarnation, command.visit, done.value or "")
+                result = self.plan.transition_meant(command.place, done.value or "")
+                entry = log_entries.Done(name, command.incarnation, command.visit, result)
             except ActionFailed as error:
                 self.failures.append("%s at %.1f s: %s" % (name, self.team.time, error))
                 entry = log_entries.Failed(

@@ -417,7 +417,7 @@ def _verify(asked: _Asked, policy: Policy, watch: Watch) -> None:
                 if (
                     found.keys() != wanted.keys()
                     or any(abs(found[t] - v) > TOLERANCE for t, v in wanted.items())
-                    or not (distribution is not None or table.matches(marking))
+                    or not (distribution is not None or table.matches(marking, p))
                 ):
                     raise PolicyError(
                         "the merged rows decide differently for a robot in %s in the marking %s"

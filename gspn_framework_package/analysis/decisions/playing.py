@@ -75,7 +75,7 @@ class Answers:
             for (p, _), n in zip(self._columns, row):
                 marking[p] = n
             distribution = self._table.distribution(marking, place)
-            if distribution is None and not self._table.matches(marking):
+            if distribution is None and not self._table.matches(marking, place):
                 continue
             choices = distribution.choices if distribution is not None else ()
             if choices not in numbers:

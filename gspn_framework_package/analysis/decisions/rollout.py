@@ -464,7 +464,7 @@ class _Search:
                 continue
             if self.net.places[p].name in self.plan.resource_places:
                 continue
-            if table.matches(marking):
+            if table.matches(marking, p):
                 spoken = table.distribution(marking, p)
                 if choice == WAIT and spoken is not None:
                     others.update((self.net.transitions[t].name, v) for t, v in spoken.choices)

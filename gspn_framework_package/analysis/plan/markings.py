@@ -300,7 +300,7 @@ class _Answers:
                     marking[column] = count
                 self._known[key] = (
                     self._table.distribution(marking, place),
-                    self._table.matches(marking),
+                    self._table.matches(marking, place),
                 )
             result[i] = verdict(*self._known[key])
         return result[of]

@@ -127,7 +127,7 @@ class PlanRules:
         distribution = self._table.distribution(full, place)
         if distribution is not None:
             choices = list(distribution.choices)
-        elif self._table.matches(full) or self.plan.strict:
+        elif self._table.matches(full, place) or self.plan.strict:
             return []
         else:
             choices = [(t, self.net.transitions[t].weight) for t in self._leaving[p] if t in ready]

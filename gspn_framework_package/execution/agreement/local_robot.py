@@ -114,6 +114,10 @@ class LocalRobot:
             entry = log_entries.Failed(self.config.name, *goal, given.reason, given.detail)
         else:
             result = given.result if given.result not in (None, "None") else ""
+            assert self.state.position is not None  # _report has looked
+            plan = self.config.plan
+            place = plan.net.places[self.state.position.place].name
+            result = plan.transition_meant(place, result)
             entry = log_entries.Done(
                 self.config.name, goal.incarnation, goal.visit, result, given.data
             )

@@ -46,6 +46,13 @@ class SlotCheck(LoggedTeam):
             cells = [(p, c) for p, c in zip(plan.policy.places, row.counts) if c is not None]
             group = self._rows.setdefault(tuple(p for p, _ in cells), {})
             group.setdefault(tuple(c for _, c in cells), []).append(number)
+        # subnets with policies of their own, by number from 1; the plan's own policy is 0
+        self._scope: Dict[str, int] = {}
+        self._row_scope = [0] * len(plan.policy.rows)
+        for k, scope in enumerate(plan.policy.scopes, 1):
+            self._scope.update((place, k) for place in scope.places)
+            for number in range(scope.first, scope.last):
+                self._row_scope[number] = k
 
     # -- a slot ------------------------------------------------------------------------------------
 
@@ -245,7 +252,10 @@ class SlotCheck(LoggedTeam):
         leaving = [t for t in self.leaving[robot.place] if not self.kind[t].timed]
         best: Optional[Tuple[int, int, List[Tuple[str, float]]]] = None
         matches = False
+        scope = self._scope.get(robot.place, 0)
         for number in self._matching_rows():
+            if self._row_scope[number] != scope:
+                continue
             row = self.plan.policy.rows[number]
             matches = True
             speaks = [(t, p) for t, p in row.choices if p > 0 and t in leaving]

@@ -270,7 +270,7 @@ def test_rows_of_a_large_policy_are_found(data):
         b = tables.book
         for place, expected in (
             (0, table.distribution(marking, 0)),
-            (len(net.places), table.matches(marking) or None),
+            (len(net.places), table.matches(marking, 0) or None),
         ):
             entry = kernel.find_entry(
                 place,

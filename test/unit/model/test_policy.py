@@ -63,7 +63,7 @@ def test_only_rows_that_speak_of_the_place_count_and_are_renormalised() -> None:
     assert ask(table, (1, 1, 0), "P") == {"a": 0.5, "b": 0.5}
     assert ask(table, (1, 1, 0), "Q") == {"c": 1.0}
     assert ask(table, (1, 1, 0), "R") is None
-    assert table.matches((1, 1, 0)) and not table.matches((0, 1, 0))
+    assert table.matches((1, 1, 0), 0) and not table.matches((0, 1, 0), 0)
 
 
 def test_a_row_without_choices_lets_robots_wait_in_every_place() -> None:
@@ -78,7 +78,7 @@ def test_a_row_without_choices_lets_robots_wait_in_every_place() -> None:
     assert ask(table, (1, 2, 1), "P") == {}
     assert ask(table, (1, 0, 0), "P") == {"a": 1.0}
     assert ask(table, (1, 2, 0), "Q") == {}
-    assert ask(table, (3, 3, 3), "Q") == {} and table.matches((3, 3, 3))
+    assert ask(table, (3, 3, 3), "Q") == {} and table.matches((3, 3, 3), 0)
     found = table.distribution((1, 2, 1), 0)
     assert found is not None and found.row == 1
     assert table.overlaps() == []
@@ -144,6 +144,6 @@ def _look_up_equals_a_scan(rows: List[Any], marking: Any, place: str) -> None:
         chosen = min(matching)[2]
         expected = {chosen: 1.0} if chosen else {}
     assert ask(table, marking, place) == expected
-    assert table.matches(marking) == any(
+    assert table.matches(marking, 0) == any(
         all(c is None or c == n for c, n in zip(counts, marking)) for counts, _ in rows
     )

@@ -60,7 +60,7 @@ def assert_as_asked(plan: Plan, asked: Asked, policy: Policy) -> None:
             leaving = [t for t in net.consumers[p] if not net.transitions[t].timed]
             if any(net.is_enabled(marking, t) for t in leaving):
                 assert says(plan, policy, marking, p) == wanted(plan, choice, marking, p)
-                assert policy.bind(net).matches(marking)
+                assert policy.bind(net).matches(marking, p)
 
 
 @st.composite
