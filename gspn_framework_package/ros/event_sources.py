@@ -1,4 +1,4 @@
-"""The topics that a plan's events and tasks come from, watched for one robot.
+"""The topics and functions that a plan's events and tasks come from, watched for one robot.
 
 Each callback of rospy evaluates the condition itself. Only what changes reaches the replica, so a
 topic that floods costs the robot's node no more than its rises, and the reading of its messages.
@@ -17,6 +17,7 @@ import rospy
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.interface import EventObserved, Input, TaskCame
+from gspn_framework_package.execution.event_functions import EventFunctions, EventHost
 from gspn_framework_package.model.errors import DataError, ExpressionError, GspnError, PlanError
 from gspn_framework_package.model.event import EventSource
 from gspn_framework_package.model.message_condition import (
@@ -46,6 +47,8 @@ class Host(NamedTuple):
     """Whether an event could interrupt the robot in its present visit."""
     complain: Callable[[str], None]
     """Reports a fault of a source."""
+    data_of: Callable[[str], Mapping[str, Any]] = lambda robot: {}
+    """The data that a robot, or "" the team, may read."""
 
 
 class _Complaints:
@@ -321,17 +324,27 @@ def look_at_events(plan: Plan) -> EventFindings:
     return found
 
 
-class TopicSources:
-    """Subscribes to the topics of a robot's events and of the tasks.
+class EventSources:
+    """Watches the topics and functions of a robot's events and of the tasks.
+
+    A function that lets tasks in runs in the node of every robot, so it has to give them ids.
 
     :param plan: the plan.
+    :param robot: name of the robot.
     :param namespace: absolute namespace of the robot, to which the topics are relative.
     :param witness: whether the node has no robot: it takes tasks only.
     :param host: the robot's node.
-    :raises PlanError: a topic, type, field or condition makes no sense.
+    :raises PlanError: a topic, type, field or condition makes no sense, or a function is missing.
     """
 
-    def __init__(self, plan: Plan, namespace: str, witness: bool, host: Host) -> None:
+    def __init__(self, plan: Plan, robot: str, namespace: str, witness: bool, host: Host) -> None:
+        self._robot, self._witness, self._host = robot, witness, host
+        self._without_id = _Complaints(host, "tasks from a function")
+        self._functions = EventFunctions(
+            plan,
+            EventHost(self._observed, self._submitted, self._function_failed, host.data_of),
+            topics=True,
+        )
         self._takers: Dict[str, Tuple[type, List[Callable[[Any], None]]]] = {}
         self._subscribers: List[rospy.Subscriber] = []
         for transition, source in watched_topics(plan).items():
@@ -348,18 +361,45 @@ class TopicSources:
             kind: Any = TaskSource if outside else ConditionSource if source.when else MomentSource
             takers.append(kind(transition, source, host).take)
 
-    def start(self) -> None:
-        """Subscribe."""
+    def subscribe(self) -> None:
+        """Subscribe to the topics."""
         for topic, (message, takers) in self._takers.items():
             self._subscribers.append(
                 rospy.Subscriber(topic, message, _give_to(takers), tcp_nodelay=True)
             )
 
+    def start(self) -> None:
+        """Start the functions."""
+        if not self._witness:
+            self._functions.watch(self._robot)
+            self._functions.watch_tasks()
+
     def close(self) -> None:
-        """Unsubscribe."""
+        """Unsubscribe, and end the functions."""
+        self._functions.close()
         for subscriber in self._subscribers:
             subscriber.unregister()
         self._subscribers = []
+
+    # -- what functions report, on their threads ---------------------------------------------------
+
+    def _observed(
+        self, robot: str, transition: str, holds: Optional[bool], cause: Mapping[str, Any]
+    ) -> None:
+        if holds is not None or self._host.watches(transition):
+            self._host.enqueue(self._host.give, EventObserved(transition, holds, cause))
+
+    def _submitted(self, task: log_entries.Submit) -> None:
+        if task.id:
+            self._host.enqueue(self._host.give, TaskCame(task))
+        else:
+            self._without_id.tell(
+                "a task has no id: the function runs in the node of every robot, so it has to "
+                "return an id with each task"
+            )
+
+    def _function_failed(self, robot: str, text: str) -> None:
+        self._host.complain(text)
 
 
 def _give_to(takers: List[Callable[[Any], None]]) -> Callable[[genpy.Message], None]:

@@ -11,7 +11,7 @@ import queue
 import threading
 import time
 import uuid
-from typing import Any, BinaryIO, Callable, Dict, List, Optional
+from typing import Any, BinaryIO, Callable, Dict, List, Mapping, Optional
 
 import rospy
 
@@ -36,7 +36,7 @@ from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.ros.action_caller import CONNECT_POLL, ActionCaller, ActionEnded
 from gspn_framework_package.ros.action_targets import action_targets
-from gspn_framework_package.ros.event_sources import Host, TopicSources
+from gspn_framework_package.ros.event_sources import EventSources, Host
 from gspn_framework_package.ros.goal_id import GoalIdentity
 from gspn_framework_package.ros.links import ServiceLink, TopicLink
 from gspn_framework_package.ros.messages import FIRED_TOPIC, fired_message
@@ -89,7 +89,7 @@ class ExecutionNode(Worker):
 
     It publishes ``/fired_transitions`` (gspn_framework_package/FiredTransition). The rest of the
     node's ROS interface is documented in :class:`TopicLink`, :class:`NodeServices`,
-    :class:`Narrator`, :class:`PlaceServers`, :class:`ActionCaller` and :class:`TopicSources`.
+    :class:`Narrator`, :class:`PlaceServers`, :class:`ActionCaller` and :class:`EventSources`.
 
     :param plan: the checked plan, with the team that begins the run.
     :param robot: name of the robot.
@@ -123,7 +123,7 @@ class ExecutionNode(Worker):
         self._narrator = Narrator(robot, namespace, options.run)
         self._fired = eager_publisher(FIRED_TOPIC, FiredTransition)
         witness = robot in plan.witness  # votes, but has no token and runs no actions
-        self._topics = TopicSources(plan, namespace, witness, self._host())
+        self._events = EventSources(plan, robot, namespace, witness, self._host())
         self._open_log()
         targets = {} if witness else action_targets(plan, robot, namespace)
         serves = options.place_servers and not witness
@@ -151,7 +151,7 @@ class ExecutionNode(Worker):
             robot, options.run, namespace, self._received, self._serve_neighbour, quiet
         )
         self._link.serve_at(self._services.uri)
-        self._topics.start()
+        self._events.subscribe()
         self._told_end: Callable[[str], None] = lambda robot: None
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
 
@@ -190,7 +190,16 @@ class ExecutionNode(Worker):
             self._step,
             lambda transition: self._replica.watches(transition),
             lambda text: self.enqueue(self._narrator.warn, text),
+            self._data_of,
         )
+
+    def _data_of(self, robot: str) -> Mapping[str, Any]:
+        """The data that a robot, or "" the team, may read now; called on any thread."""
+        team = self._replica.ledger.state
+        if not robot:
+            return team.team_data()
+        known = team.robots.get(robot)
+        return team.data_of(known) if known is not None else {}
 
     # -- from any thread ---------------------------------------------------------------------------
 
@@ -206,6 +215,7 @@ class ExecutionNode(Worker):
         """
         self._told_end = ended
         self._thread.start()
+        self._events.start()
 
     def stop(self) -> None:
         """End soon, without leaving the team; the running action is cancelled."""
@@ -283,7 +293,7 @@ class ExecutionNode(Worker):
         self._running = False
 
     def _close(self) -> None:
-        parts: List[Any] = [self._topics, self._caller, self._link, self._services, self._log]
+        parts: List[Any] = [self._events, self._caller, self._link, self._services, self._log]
         for part in parts:
             # rospy may have closed it already
             with contextlib.suppress(rospy.ROSException, rospy.ServiceException):

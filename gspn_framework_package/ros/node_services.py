@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import queue
+import uuid
 from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple, TypeVar
 
 import rospy
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.interface import Message
+from gspn_framework_package.model.errors import DataError
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.ros.messages import json_object, marking_fields
 from gspn_framework_package.srv import (
@@ -214,7 +216,10 @@ class NodeServices:
         robot = request.robot or self._worker.robot
         if request.command == "force_evict":
             return CommandResponse(*self._order(None, robot))
-        entry = order_entry(request.command, request.robot, robot, request.argument)
+        try:
+            entry = order_entry(request.command, request.robot, robot, request.argument)
+        except DataError as error:
+            return CommandResponse(False, "not a task: %s" % error)
         if entry is None:
             return CommandResponse(
                 False, "there is no command '%s'; there are: %s" % (request.command, _COMMANDS)
@@ -246,7 +251,7 @@ class NodeServices:
         return result.ok, result.text
 
 
-_COMMANDS = "pause, resume, evict, force_evict, set_place, retry, fire, leave, stop, status"
+_COMMANDS = "pause, resume, evict, force_evict, set_place, retry, fire, submit, leave, stop, status"
 
 
 def order_entry(command: str, given: str, robot: str, argument: str) -> Optional[log_entries.Entry]:
@@ -255,8 +260,9 @@ def order_entry(command: str, given: str, robot: str, argument: str) -> Optional
     :param command: the name of the command.
     :param given: the robot that was named; "" for the whole team, if the command allows that.
     :param robot: the robot that was named, or else the one that serves the call.
-    :param argument: for ``set_place``, the place; for ``fire``, the transition; for ``stop``, the
-        reason.
+    :param argument: for ``set_place``, the place; for ``fire``, the transition; for ``submit``, the
+        task (see :func:`submitted`); for ``stop``, the reason.
+    :raises DataError: the argument is no task.
     """
     if command == "pause":
         return log_entries.Pause(given)
@@ -272,6 +278,32 @@ def order_entry(command: str, given: str, robot: str, argument: str) -> Optional
         return log_entries.Retry(robot)
     if command == "fire":
         return log_entries.Fire(argument)
+    if command == "submit":
+        return submitted(argument)
     if command == "stop":
         return log_entries.Stop(argument or log_entries.Stop().reason)
     return None
+
+
+def submitted(argument: str) -> log_entries.Submit:
+    """The entry for a task that is given by hand.
+
+    :param argument: a JSON object with ``transition``, and perhaps ``id`` (default: a new one) and
+        ``data``.
+    :raises DataError: it is not.
+    """
+    task = json_object(argument)
+    if task is None or not set(task) <= {"transition", "id", "data"}:
+        raise DataError(
+            "%.100r is not a JSON object with transition, id and data" % argument,
+            hint='like {"transition": "order", "id": "o1", "data": {"pose": [1, 2]}}',
+        )
+    transition, data = task.get("transition"), task.get("data", {})
+    if not isinstance(transition, str) or not transition:
+        raise DataError("it names no transition")
+    if not isinstance(data, dict):
+        raise DataError("its data are not a JSON object, but %.100r" % (data,))
+    task_id = task.get("id", "")
+    if task_id in ("", None):
+        task_id = "submitted-" + uuid.uuid4().hex[:12]
+    return log_entries.make_submit(transition, task_id, data)

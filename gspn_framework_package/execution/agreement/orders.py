@@ -54,6 +54,10 @@ class Orders:
             entry = entry._replace(incarnation=robot.incarnation if robot else 0)
         why = self._why_not(entry)
         if not why and isinstance(entry, log_entries.Submit):
+            if self.reactions.is_known(entry):
+                text = "it came before, and is not taken again"
+                self.outbox.order_result(order.order_id, True, text)
+                return
             why = self.reactions.take_task(entry)
         if why:
             self.outbox.order_result(order.order_id, False, why)

@@ -86,6 +86,11 @@ class Reactions:
         state.offered[key] = (task, state.now)
         return ""
 
+    def is_known(self, task: log_entries.Submit) -> bool:
+        """Whether the team has a task already."""
+        t = self.config.plan.net.transition_index.get(task.transition)
+        return t is not None and self.state.ledger.state.is_known(t, task.id)
+
     def want_tasks(self) -> None:
         """Propose the tasks that the team does not have yet, if it is our turn."""
         state = self.state
