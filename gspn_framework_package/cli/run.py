@@ -16,6 +16,7 @@ from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.firing import Firing
+from gspn_framework_package.execution.local_kinds import ALLOW, refuse_commands
 from gspn_framework_package.execution.log_entries import Entry
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.team_state import TeamState
@@ -44,6 +45,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="print one JSON object a line: firings, faults, the end; "
         "what actions print goes to standard error",
     )
+    parser.add_argument(
+        "--allow-commands",
+        action="store_true",
+        help="let the plan run programs on this computer (actions with 'command')",
+    )
     parser.add_argument("--quiet", action="store_true", help="print only faults and the end")
     parser.epilog = (
         "Exit codes: 0 the run came to its end or to the limit that was set, 1 the plan was "
@@ -56,7 +62,13 @@ def run(args: argparse.Namespace) -> int:
     plan = _plan(args)
     event_log = _event_log(args.log, plan)
     printer = _Printer(plan, args.json, args.quiet)
-    executor = StandaloneExecutor(plan, printer, event_log, firing_limit=args.firings)
+    executor = StandaloneExecutor(
+        plan,
+        printer,
+        event_log,
+        firing_limit=args.firings,
+        allow_commands=args.allow_commands,
+    )
     # a line that an action prints could split a JSON line
     with contextlib.redirect_stdout(sys.stderr) if args.json else contextlib.nullcontext():
         return _execute(args, executor, printer, event_log)
@@ -105,6 +117,8 @@ def _plan(args: argparse.Namespace) -> Plan:
         plan = plan.for_robots(args.agents)
     for note in plan.notes:
         print("note: %s" % note, file=sys.stderr)
+    if not args.allow_commands:
+        refuse_commands(plan, ALLOW)
     report = check(plan, standalone=True)
     if report.refused:
         print(report, file=sys.stderr)

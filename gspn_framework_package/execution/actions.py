@@ -81,6 +81,7 @@ from typing import (
     Dict,
     FrozenSet,
     Iterable,
+    List,
     Mapping,
     NamedTuple,
     Optional,
@@ -122,6 +123,8 @@ class Cancellation:
 
     def __init__(self) -> None:
         self._event = threading.Event()
+        self._lock = threading.Lock()
+        self._called: List[Callable[[], None]] = []
 
     def __call__(self) -> bool:
         """Whether the action should end."""
@@ -134,7 +137,19 @@ class Cancellation:
 
     def cancel(self) -> None:
         """Ask the action to end."""
-        self._event.set()
+        with self._lock:
+            self._event.set()
+            called, self._called = self._called, []
+        for function in called:
+            function()
+
+    def on_cancel(self, function: Callable[[], None]) -> None:
+        """Call ``function`` as soon as the action should end, on the thread that says so."""
+        with self._lock:
+            if not self._event.is_set():
+                self._called.append(function)
+                return
+        function()
 
 
 def no_feedback(*progress: Any) -> None:

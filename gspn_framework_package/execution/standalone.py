@@ -32,10 +32,8 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.actions import (
     ActionContext,
     ActionFailed,
-    ActionResult,
     Cancellation,
     error_text,
-    load_actions,
 )
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.event_functions import EventFunctions, EventHost
@@ -50,6 +48,13 @@ from gspn_framework_package.execution.firing import (
     StartAction,
 )
 from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.local_kinds import (
+    ALLOW,
+    LOCAL_KINDS,
+    LocalAction,
+    load_local_actions,
+    refuse_commands,
+)
 from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import TeamState
@@ -115,14 +120,16 @@ _Message = Callable[[], List[log_entries.Entry]]
 class StandaloneExecutor:
     """Runs a plan on threads, once.
 
-    :param plan: a validated plan whose actions are Python functions (or null).
+    :param plan: a validated plan whose actions are Python functions, commands or null.
     :param listener: notified of what happens.
     :param event_log: the log that records the run; its creator writes the header.
     :param time_source: returns monotonic seconds.
     :param firing_limit: the run stops after the event that brings the number of firings to this
         limit. An event may cause several firings, which belong together, so the limit may be
         exceeded.
-    :raises PlanError: a place is bound to an action server; a function is missing or broken.
+    :param allow_commands: whether the plan may run programs.
+    :raises PlanError: an action needs ROS; a function is missing or broken.
+    :raises RefusedError: an action is a command, and they are not allowed.
 
     ``start`` returns at once; ``wait`` waits for the end; ``stop`` ends the run at any time,
     without waiting for functions that never return.
@@ -135,6 +142,7 @@ class StandaloneExecutor:
         event_log: Optional[EventLogWriter] = None,
         time_source: Callable[[], float] = time.monotonic,
         firing_limit: Optional[int] = None,
+        allow_commands: bool = False,
     ) -> None:
         self.plan = plan
         self._firing_limit = firing_limit
@@ -148,6 +156,8 @@ class StandaloneExecutor:
         self._listener = listener or Listener()
         self._event_log = event_log
         self._clock = time_source
+        if not allow_commands:
+            refuse_commands(plan, ALLOW)
         self._actions = _load_functions(plan)
         self._pool = WorkerPool("agent")
         self._queue: queue.SimpleQueue[_Message] = queue.SimpleQueue()
@@ -575,11 +585,11 @@ def _broke_off(error: BaseException) -> str:
     return "the run failed: %s" % what
 
 
-def _load_functions(plan: Plan) -> Dict[str, Dict[str, Callable[[ActionContext], ActionResult]]]:
-    """The functions by agent and place; "" stands for agents without their own actions, and for
+def _load_functions(plan: Plan) -> Dict[str, Dict[str, LocalAction]]:
+    """The actions by agent and place; "" stands for agents without their own actions, and for
     agents that will be created."""
     for place, action in plan.bindings():
-        if action is not None and not isinstance(action, FunctionAction):
+        if not (action is None or isinstance(action, (FunctionAction, *LOCAL_KINDS))):
             raise PlanError(
                 "its action '%s' needs ROS" % action.label,
                 file=plan.file,
@@ -587,4 +597,4 @@ def _load_functions(plan: Plan) -> Dict[str, Dict[str, Callable[[ActionContext],
                 hint="run the plan with roslaunch, or bind the place to a function",
             )
     own = [r.name for r in plan.robots if r.actions]
-    return {name: dict(load_actions(plan, name)) for name in ["", *own]}
+    return {name: load_local_actions(plan, name) for name in ["", *own]}
