@@ -64,6 +64,7 @@ is imported.
 from __future__ import annotations
 
 import ast
+import copy
 import hashlib
 import importlib
 import importlib.util
@@ -320,6 +321,8 @@ class PythonAction(PythonFunction):
         most 200 characters), which the token game reports as a bad result since it names no
         transition.
         """
+        if context.data:  # what an action does to the values must not reach anybody else
+            context = context._replace(data=copy.deepcopy(dict(context.data)))
         result = self.call(context)
         data: Mapping[str, Any] = NO_SETTINGS
         if isinstance(result, tuple) and len(result) == 2 and isinstance(result[1], dict):

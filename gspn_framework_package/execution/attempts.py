@@ -295,7 +295,8 @@ class AttemptFollower:
         leaving = net.consumers[p]
         if result:
             return bool(leaving) and net.transition_index.get(result) not in leaving
-        return len(leaving) > 1 and all(net.transitions[t].timed for t in leaving)
+        of_action = self._game.of_action[p]
+        return len(of_action) > 1 and all(net.transitions[t].timed for t in leaving)
 
     def _goal(self, record: Record) -> List[Attempt]:
         """The robot's own node starts an action."""

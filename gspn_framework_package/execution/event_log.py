@@ -27,7 +27,9 @@ seconds, comparable between the processes of one host). Kinds:
 ``void``        an ``invoked`` proposal can no longer take effect (``why``)
 ``private``     partial synchronisation: a local transition of this robot: ``entry``, ``origin``,
                 ``firing``
-``goal``        the goal of an action is sent: ``place``, ``incarnation``, ``visit``, ``attempt``
+``goal``        the goal of an action is sent: ``place``, ``incarnation``, ``visit``, ``attempt``;
+                if the action reads data, ``reads``, a digest of it, and ``resumed_from`` as in
+                :class:`~gspn_framework_package.execution.firing.StartAction`
 ``cancel``      the goals of visits up to ``visit`` are void
 ``peer``        first contact with a robot: ``robot``, ``log`` (the id of its log)
 ``forced``      the operator asserts that these ``robots`` (robot -> incarnation) are off

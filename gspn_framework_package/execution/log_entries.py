@@ -7,6 +7,7 @@ has no effect.
 
 from __future__ import annotations
 
+import json
 from types import MappingProxyType
 from typing import Any, Dict, Mapping, NamedTuple, Tuple, Type, Union
 
@@ -209,6 +210,17 @@ def to_json(entry: Entry) -> Dict[str, Any]:
             else:
                 del fields[key]
     return {"entry": _NAMES[type(entry)], **fields}
+
+
+def checked(entry: Entry) -> Entry:
+    """A copy of the entry as every reader of the log will see it.
+
+    :raises LogError: nobody could read it: its data, cause or id is not JSON, or too long.
+    """
+    try:
+        return from_json(json.loads(json.dumps(to_json(entry))))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise LogError("not a log entry: its data or cause is not JSON (%s)" % error) from None
 
 
 def from_json(data: Any) -> Entry:

@@ -159,6 +159,8 @@ class Turn:
         """The policy's choice for ``robot``, None if there is none. A robot keeps its draw until
         the marking or the candidates change."""
         leaving = self.rules.immediate[robot.place]
+        if not leaving:
+            return self._nothing(robot, "an event has to come")
         distribution = self.rules.policy.distribution(self.state.marking, robot.place)
         if distribution is not None:
             if not distribution.choices:
@@ -183,9 +185,7 @@ class Turn:
                     robot,
                     "the policy has no row for this marking, and no weight decides"
                     if choices
-                    else "no immediate transition is enabled"
-                    if leaving
-                    else "an event has to come",
+                    else "no immediate transition is enabled",
                 )
         candidates = tuple(t for t, _ in choices)
         held = robot.drawn
@@ -248,7 +248,8 @@ class Turn:
             movers = self._bind(t, requester)
         incarnation, visit = (requester.incarnation, requester.visit) if requester else (0, 0)
         targets = self._targets(t, movers)
-        tasks = self._pass_tasks(t, movers, targets, task) if self.rules.queues else ()
+        passes = bool(self.rules.queues) or task is not None
+        tasks = self._pass_tasks(t, movers, targets, task) if passes else ()
         self.state.set_marking(self.net.fire(self.state.marking, t))
         moves = []
         arrived = []
@@ -299,7 +300,8 @@ class Turn:
         the one that comes in.
 
         A queue gets the tasks of the robots first, then those from other queues, then the one that
-        comes in. What is left goes to the robots that carry none, in order.
+        comes in. What is left goes to the robots that carry none, in order. A task that comes in
+        without a queue is done with the firing.
         """
         queues, state = self.rules.queues, self.state
         moves: List[TaskMove] = []
@@ -334,8 +336,10 @@ class Turn:
                 moves.append(self._drop_task(robot))
         for task, source in at_hand:
             if not takers:
-                target_name = "done" if t in self.rules.task_done else "dropped"
-                moves.append(TaskMove(task.id, source, target_name))
+                done = t in self.rules.task_done or not source
+                moves.append(TaskMove(task.id, source, "done" if done else "dropped"))
+                if task.id and not done:
+                    self._fault(None, "drops task %s, which was not done" % task.id)
                 continue
             robot = takers.pop(0)
             if robot.task is not None:

@@ -41,7 +41,8 @@ def full_name(name: str) -> str:
 
 
 def check_values(values: Any) -> Dict[str, Any]:
-    """Return data that an action or a task brings, if it may be kept.
+    """Return a copy of the data that an action or a task brings, as JSON keeps it (a tuple becomes
+    a list, a key of a map becomes text).
 
     :param values: name -> JSON value.
     :raises DataError: a name is not one, or a value is not JSON or too long.
@@ -50,23 +51,31 @@ def check_values(values: Any) -> Dict[str, Any]:
         raise DataError("data is a JSON object, not a %s" % type(values).__name__)
     if len(values) > NAMES_LIMIT:
         raise DataError("%d names of data; at most %d are kept" % (len(values), NAMES_LIMIT))
+    kept = {}
     for name, value in values.items():
         split(name)
-        why = why_not_kept(value)
+        text, why = _as_text(value)
         if why:
             raise DataError("the value of '%s' %s" % (name, why))
-    return dict(values)
+        kept[name] = json.loads(text)
+    return kept
 
 
 def why_not_kept(value: Any) -> Optional[str]:
     """Return why a value cannot be kept as data; None if it can."""
+    return _as_text(value)[1]
+
+
+def _as_text(value: Any) -> Tuple[str, Optional[str]]:
+    """The value as JSON, and why it cannot be kept (None if it can)."""
     try:
         text = json.dumps(value, allow_nan=False, separators=(",", ":"))
     except (TypeError, ValueError, RecursionError) as error:
-        return "is not JSON: %.200s" % error
+        return "", "is not JSON: %.200s" % error
     if len(text) > VALUE_LIMIT:
-        return "is %d characters long as JSON; at most %d are kept" % (len(text), VALUE_LIMIT)
-    return None
+        why = "is %d characters long as JSON; at most %d are kept" % (len(text), VALUE_LIMIT)
+        return text, why
+    return text, None
 
 
 def is_reference(value: Any) -> bool:

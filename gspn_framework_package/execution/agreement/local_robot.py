@@ -8,6 +8,8 @@ the electorate whether it may make a transition without asking, puts goals into 
 
 from __future__ import annotations
 
+import hashlib
+import json
 import random
 from typing import Any, Dict, List, Mapping, Optional, Tuple, Union
 
@@ -22,6 +24,8 @@ from gspn_framework_package.execution.agreement.state import Goal, Position, Pro
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.firing import CancelAction, Firing, Move, StartAction
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import RobotState
+from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.net import Marking
 
 Command = Union[StartAction, CancelAction]
@@ -121,7 +125,9 @@ class LocalRobot:
             entry = log_entries.Done(
                 self.config.name, goal.incarnation, goal.visit, result, given.data
             )
-            if not given.data and self._may_move_alone():
+            if given.data:
+                entry = self._readable(entry, goal)
+            elif self._may_move_alone():
                 firing = self._make(entry)
                 if firing is not None:
                     self.proposals.add_local_transition(entry, firing)
@@ -129,6 +135,13 @@ class LocalRobot:
                     self.act({})
                     return
         self.proposals.propose(entry)
+
+    def _readable(self, done: log_entries.Done, goal: Goal) -> log_entries.Entry:
+        """A ``Done`` with data as it is written; a failure if nobody could read it."""
+        try:
+            return log_entries.checked(done)
+        except LogError as error:
+            return log_entries.Failed(self.config.name, *goal, "bad result", str(error))
 
     def _report(self, goal: Goal) -> bool:
         """Note the end of an attempt; False if it no longer matters."""
@@ -226,7 +239,22 @@ class LocalRobot:
         data = self.state.ledger.state.data_of(robot)
         if robot.visit == at.visit:
             return data, robot.resumed_from
-        return data, robot.interrupted.get(at.place, 0)  # ahead of the log
+        if at.place in self._places_ahead(robot, at.visit):
+            return data, 0  # an earlier local transition has led there
+        return data, robot.interrupted.get(at.place, 0)
+
+    def _places_ahead(self, robot: RobotState, visit: int) -> List[int]:
+        """The places that the robot entered after the log and before ``visit``."""
+        places: List[int] = []
+        place = robot.place
+        for own in self.state.own_proposals:
+            entry = own.item.entry
+            if own.item.private and isinstance(entry, log_entries.Done) and self._transitions:
+                found = self._transitions.find(place, entry.result)
+                if found is not None and robot.visit + len(places) == entry.visit < visit - 1:
+                    place = found[1]
+                    places.append(place)
+        return places
 
     # -- the simulated environment -----------------------------------------------------------------
 
@@ -259,10 +287,16 @@ def _goal_record(command: Command) -> Dict[str, Any]:
     """The record of a command to the robot's actions."""
     if isinstance(command, CancelAction):
         return {"kind": "cancel", "visit": command.visit}
-    return {
+    record = {
         "kind": "goal",
         "place": command.place,
         "incarnation": command.incarnation,
         "visit": command.visit,
         "attempt": command.attempt,
     }
+    if command.data:
+        text = json.dumps(dict(command.data), sort_keys=True, separators=(",", ":"))
+        record["reads"] = hashlib.sha256(text.encode()).hexdigest()[:16]
+    if command.resumed_from:
+        record["resumed_from"] = command.resumed_from
+    return record

@@ -464,18 +464,16 @@ class Membership:
         )
 
     def part(self) -> None:
-        """We have left: end once a quorum of those who stay knows, or no quorum can be reached."""
+        """We have left: end once a quorum of those who stay knows and the tasks that reached us are
+        in the log, or after a while."""
         state = self.state
         members = self.electorate.members()
         know = [m for m in members if state.peers.get(m).length >= state.ledger.length]
         if state.leaving_since is None:
             state.leaving_since = state.now
         lingered = state.now - state.leaving_since
-        if (
-            members
-            and not is_quorum(know, members)
-            and lingered < LINGER * self.config.pace.heartbeat
-        ):
+        waits = not is_quorum(know, members) or self.state.offered
+        if members and waits and lingered < LINGER * self.config.pace.heartbeat:
             return
         state.halted = "%s has left the team" % self.config.name
         self.outbox.put(Ended(state.halted, True))

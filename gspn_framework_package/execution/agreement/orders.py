@@ -53,15 +53,12 @@ class Orders:
             robot = self._robot(entry.robot)
             entry = entry._replace(incarnation=robot.incarnation if robot else 0)
         why = self._why_not(entry)
+        submits = isinstance(entry, log_entries.Submit)
         if not why and isinstance(entry, log_entries.Submit):
-            if self.reactions.is_known(entry):
-                text = "it came before, and is not taken again"
-                self.outbox.order_result(order.order_id, True, text)
-                return
-            why = self.reactions.take_task(entry)
+            why = self.reactions.take_task(entry, order.order_id)
         if why:
             self.outbox.order_result(order.order_id, False, why)
-        else:
+        elif not submits:
             self.proposals.propose(entry, order.order_id)
 
     def take_up_held(self) -> None:

@@ -112,7 +112,7 @@ class Proposals:
 
     def _without_effect(self, entry: log_entries.Entry, step: Optional[Step]) -> str:
         """Why an order in the log changed nothing; "" if it did change something."""
-        if isinstance(entry, (log_entries.SetPlace, log_entries.Fire, log_entries.Submit)):
+        if isinstance(entry, (log_entries.SetPlace, log_entries.Fire)):
             return "; ".join(
                 c.message
                 for c in (step.commands if step is not None else ())

@@ -152,8 +152,9 @@ class Proposer:
         return False
 
     def _somebody_asks_the_policy(self) -> bool:
-        team = self.state.ledger.state
-        return any(team.robots[name].request == POLICY for name in team.waiting)
+        team, immediate = self.state.ledger.state, self.config.game.immediate
+        asking = (team.robots[name] for name in team.waiting)
+        return any(robot.request == POLICY and immediate[robot.place] for robot in asking)
 
     def drive(self) -> None:
         """Get on with the proposals."""

@@ -8,17 +8,19 @@ received it, and usually is proposed once.
 
 from __future__ import annotations
 
-from typing import List, Optional, Set, Tuple
+from typing import Dict, List, Optional, Set, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.electorate import Electorate
+from gspn_framework_package.execution.agreement.local_robot import LocalRobot
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.proposals import Proposals
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.event_watch import EventWatch, Visit
+from gspn_framework_package.model.errors import LogError
 
 OFFERED_LIMIT = 10_000
 """Most tasks that a robot keeps for a team that does not take them."""
@@ -34,13 +36,17 @@ class Reactions:
         outbox: Outbox,
         electorate: Electorate,
         proposals: Proposals,
+        robot: LocalRobot,
     ) -> None:
         self.config = config
         self.state = state
         self.outbox = outbox
         self.electorate = electorate
         self.proposals = proposals
+        self.robot = robot
         self._watch = EventWatch(config.plan, config.name) if config.plan.events else None
+        self._orders: Dict[Tuple[str, str], List[str]] = {}
+        """Task -> the orders of operators that wait until the team has it."""
 
     # -- events ------------------------------------------------------------------------------------
 
@@ -51,9 +57,37 @@ class Reactions:
 
     def want_events(self) -> None:
         """Propose the events that interrupt the robot now."""
-        if self._watch is not None:
-            for event in self._watch.due(self._visit(), self.state.now):
-                self.proposals.propose(event)
+        if self._watch is None:
+            return
+        for event in self._watch.due(self._visit(), self.state.now):
+            if not self._is_idle(event):
+                self.proposals.propose(self._readable(event))
+
+    def _is_idle(self, event: log_entries.Interrupt) -> bool:
+        """Whether an event would change nothing, as far as we know: the same event of this visit is
+        on its way or held already, or its transition is not enabled and would not be held. Sources
+        that show something new all the time must not fill the log."""
+        for own in self.state.own_proposals:
+            entry = own.item.entry
+            if isinstance(entry, log_entries.Interrupt) and entry[:4] == event[:4]:
+                return True
+        team, robot = self.state.ledger.state, self.electorate.own_robot()
+        net = self.config.plan.net
+        t = net.transition_number(event.transition)
+        if robot is not None and robot.visit == event.visit and t in robot.held:
+            return True
+        if self.config.plan.events[event.transition].hold or team.paused:
+            return False
+        paused = robot is not None and robot.paused
+        return not paused and not net.is_enabled(self.robot.marking(), t)
+
+    def _readable(self, event: log_entries.Interrupt) -> log_entries.Entry:
+        """The event as it is written, without a cause that nobody could read."""
+        try:
+            return log_entries.checked(event)
+        except LogError as error:
+            self.outbox.fault("the cause of '%s' is left out: %s" % (event.transition, error))
+            return event._replace(cause=log_entries.NOTHING)
 
     def watches(self, transition: str) -> bool:
         """Whether an event could interrupt the robot in its present visit."""
@@ -68,43 +102,73 @@ class Reactions:
 
     # -- tasks -------------------------------------------------------------------------------------
 
-    def take_task(self, task: log_entries.Submit) -> str:
-        """Keep a task until the team has it; returns why it is not kept, "" if it is."""
+    def take_task(self, task: log_entries.Submit, order_id: str = "") -> str:
+        """Keep a task until the team has it; returns why it is not kept, "" if it is.
+
+        :param order_id: the operator's order that gave it, answered once the team has the task.
+        """
         state = self.state
         t = self.config.plan.net.transition_index.get(task.transition)
         if t not in self.config.game.submissions:
             return "no tasks come in by '%s'" % task.transition
         if state.ledger.state.ended is not None:
             return "the run is over: %s" % state.ledger.state.ended
-        assert t is not None
+        try:
+            log_entries.checked(task)
+        except LogError as error:
+            return str(error)
         key = (task.transition, task.id)
-        if key in state.offered or state.ledger.state.is_known(t, task.id):
-            return ""
-        if len(state.offered) >= OFFERED_LIMIT:
-            return "%d tasks wait for the team already" % OFFERED_LIMIT
-        self.outbox.persist({"kind": "offered", "entry": log_entries.to_json(task)})
-        state.offered[key] = (task, state.now)
+        if key not in state.offered and not self._has(key):
+            if len(state.offered) >= OFFERED_LIMIT:
+                return "%d tasks wait for the team already" % OFFERED_LIMIT
+            self.outbox.persist({"kind": "offered", "entry": log_entries.to_json(task)})
+            state.offered[key] = (task, state.now)
+        if order_id and key in state.offered:
+            self._orders.setdefault(key, []).append(order_id)
+        elif order_id:
+            text = "it came before, and is not taken again"
+            self.outbox.order_result(order_id, True, text)
         return ""
-
-    def is_known(self, task: log_entries.Submit) -> bool:
-        """Whether the team has a task already."""
-        t = self.config.plan.net.transition_index.get(task.transition)
-        return t is not None and self.state.ledger.state.is_known(t, task.id)
 
     def want_tasks(self) -> None:
         """Propose the tasks that the team does not have yet, if it is our turn."""
         state = self.state
         if not state.offered:
             return
-        team, index = state.ledger.state, self.config.plan.net.transition_index
-        for key in [key for key in state.offered if team.is_known(index[key[0]], key[1])]:
+        for key in [key for key in state.offered if self._has(key)]:
             del state.offered[key]
-        if not self.electorate.is_settled() and not state.active:
+            self._answer(key, self._orders.pop(key, []))
+        if state.ledger.state.ended is not None:
+            self._refuse_orders("the run is over: %s" % state.ledger.state.ended)
+            return
+        if not state.active:
             return
         proposed = self._proposed()
+        soon = state.leaving or self._is_first()
         for key, (task, since) in state.offered.items():
-            if key not in proposed and (self._is_first() or state.now >= since + self._patience()):
+            if key not in proposed and (
+                soon or key in self._orders or state.now >= since + self._patience()
+            ):
                 self.proposals.propose(task)
+
+    def _has(self, key: Tuple[str, str]) -> bool:
+        """Whether the team has a task."""
+        transition, task = key
+        t = self.config.plan.net.transition_index[transition]
+        return self.state.ledger.state.is_known(t, task)
+
+    def _answer(self, key: Tuple[str, str], orders: List[str]) -> None:
+        """Tell operators that the team has their task."""
+        team = self.state.ledger.state
+        waits = any(task.id == key[1] for _, task in team.submitted)
+        text = "the team has it; it waits until '%s' is enabled" % key[0] if waits else "done"
+        for order in orders:
+            self.outbox.order_result(order, True, text)
+
+    def _refuse_orders(self, why: str) -> None:
+        orders, self._orders = self._orders, {}
+        for order in (order for waiting in orders.values() for order in waiting):
+            self.outbox.order_result(order, False, why)
 
     def _proposed(self) -> Set[Tuple[str, str]]:
         entries = (own.item.entry for own in self.state.own_proposals)
@@ -127,7 +191,8 @@ class Reactions:
             time = self._watch.wake_time(self._visit())
             if time is not None:
                 times.append(time)
-        if self.state.offered and self.state.active:
+        over = self.state.ledger.state.ended is not None or self.state.halted is not None
+        if self.state.offered and self.state.active and not over:
             proposed = self._proposed()
             times += [
                 since + self._patience()
@@ -137,7 +202,18 @@ class Reactions:
         return times
 
     def recall(self, record: Record) -> None:
-        """Take over a record of our own log."""
-        entry = log_entries.from_json(record["entry"])
-        if isinstance(entry, log_entries.Submit) and len(self.state.offered) < OFFERED_LIMIT:
-            self.state.offered[entry.transition, entry.id] = (entry, self.state.now)
+        """Take over a record of our own log: a task that came, or a slot or snapshot that says that
+        the team has it."""
+        offered = self.state.offered
+        if record["kind"] == "slot":
+            for entry in record["entries"]:
+                if entry.get("entry") == "submit":
+                    offered.pop((entry["transition"], entry["id"]), None)
+        elif record["kind"] == "snapshot":
+            for transition, ids in record["state"].get("known", {}).items():
+                for task in ids:
+                    offered.pop((transition, task), None)
+        else:
+            task = log_entries.from_json(record["entry"])
+            if isinstance(task, log_entries.Submit) and len(offered) < OFFERED_LIMIT:
+                offered[task.transition, task.id] = (task, self.state.now)

@@ -21,6 +21,7 @@ from gspn_framework_package.model.errors import LogError
 OF_MEMBERSHIP = ("life", "active", "reset", "peer", "forced")
 OF_PROPOSALS = ("invoked", "private", "void", "reset")
 OF_REPLICATION = ("slot", "snapshot")
+OF_REACTIONS = ("offered", "slot", "snapshot")
 OF_CONSENSUS = ("promised", "accepted")
 
 
@@ -72,7 +73,7 @@ class Recovery:
             self.membership.recall(record)
         if kind in OF_PROPOSALS:
             self.proposals.recall(record)
-        if kind == "offered":
+        if kind in OF_REACTIONS:
             self.reactions.recall(record)
         if kind == "reset":
             self.replication.begin_anew()

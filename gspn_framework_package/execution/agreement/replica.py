@@ -107,7 +107,7 @@ class Replica:
         )
         consensus.connect(replication)
         membership.connect(replication)
-        self.reactions = Reactions(config, state, outbox, electorate, proposals)
+        self.reactions = Reactions(config, state, outbox, electorate, proposals, local)
         self.recovery = Recovery(
             config, state, consensus, proposals, membership, replication, self.reactions
         )
@@ -220,13 +220,13 @@ class Replica:
                 self.membership.consider_active()
                 self.membership.watch()
                 self.people.tell()
+            self.reactions.want_tasks()
             if state.leaving:
                 self.membership.part()
             elif state.ledger.state.ended is None:
                 self.membership.want_to_join()
                 self.robot.want_environment()
                 self.reactions.want_events()
-                self.reactions.want_tasks()
             self.proposer.drive()
         times = [
             *self.membership.wake_times(),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import random
 from functools import lru_cache
-from typing import Any, Callable, List, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.event import EventSource, Tasks
 from gspn_framework_package.model.plan import (
     FailureKind,
     FailureRule,
@@ -144,7 +145,93 @@ def _crowd() -> Tuple[Plan, Sequence[str]]:
     )
 
 
-_MAKERS: List[Callable[[], Tuple[Plan, Sequence[str]]]] = [_tour, _meet, _tokens, _crowd]
+def _errands() -> Tuple[Plan, Sequence[str]]:
+    """Tasks in a queue that is full at three, robots that carry them, events of every sort: held,
+    resumed, in private places, by time, and in a place that only an event leaves."""
+    builder = (
+        NetBuilder("errands")
+        .place("Idle")
+        .place("Roam")
+        .place("Look")
+        .place("Deliver")
+        .place("Charge")
+        .place("Shelter")
+        .place("dock", tokens=1)
+        .place("orders")
+        .exponential("order", rate=5.0, inputs={}, outputs="orders", inhibitors={"orders": 3})
+        .immediate("take", inputs=["Idle", "orders"], outputs="Deliver", priority=2)
+        .immediate("roam", inputs="Idle", outputs="Roam")
+        .exponential("look", inputs="Roam", outputs="Look")
+        .exponential("bored", inputs="Roam", outputs="Look")
+        .exponential("on", inputs="Look", outputs="Roam")
+        .exponential("home", inputs="Look", outputs="Idle")
+        .exponential("delivered", inputs="Deliver", outputs="Idle")
+        .exponential("refused", inputs="Deliver", outputs=["Idle", "orders"])
+        .exponential("low", inputs=["Deliver", "dock"], outputs="Charge")
+        .exponential("alarm", inputs="Deliver", outputs="Shelter")
+        .exponential("full", inputs="Charge", outputs=["Deliver", "dock"])
+        .exponential("calm", inputs="Shelter", outputs="Deliver")
+    )
+    return _plan(
+        builder,
+        ["Idle", "Roam"],
+        ["dock", "orders"],
+        idle=["Idle"],
+        events={
+            "order": EventSource("/orders", "std_msgs/String"),
+            "bored": EventSource("boring", "std_msgs/Bool", edge=True),
+            "low": EventSource("battery", "std_msgs/Float32", "data < 0.2", hold=True, resume=True),
+            "alarm": EventSource("bell", "std_msgs/Empty", resume=True),
+            "calm": EventSource(after=0.05),
+        },
+        tasks=Tasks(("orders",), ("delivered",)),
+        on_evict={
+            "Deliver": {"orders": 1},
+            "Charge": {"orders": 1, "dock": 1},
+            "Shelter": {"orders": 1},
+        },
+    )
+
+
+def _rounds() -> Tuple[Plan, Sequence[str]]:
+    """Private places in a ring, which events leave as well; one of them may be resumed."""
+    builder = (
+        NetBuilder("rounds")
+        .place("A")
+        .place("B")
+        .place("C")
+        .place("news")
+        .exponential("ab", inputs="A", outputs="B")
+        .exponential("ba", inputs="B", outputs="A")
+        .exponential("bc", inputs="B", outputs="C")
+        .exponential("ca", inputs="C", outputs="A")
+        .exponential("jump", inputs="A", outputs="C")
+        .exponential("late", inputs="B", outputs="A")
+        .exponential("tell", inputs={}, outputs="news")
+    )
+    return _plan(
+        builder,
+        ["A", "B"],
+        ["news"],
+        events={
+            "jump": EventSource("jump", "std_msgs/Bool", "data", hold=True, resume=True),
+            "late": EventSource(after=0.04, resume=True),
+            "tell": EventSource("/news", "std_msgs/String"),
+        },
+    )
+
+
+_MAKERS: List[Callable[[], Tuple[Plan, Sequence[str]]]] = [
+    _tour,
+    _meet,
+    _tokens,
+    _crowd,
+    _errands,
+    _rounds,
+]
+
+NOT_REACTING, REACTING = (0, 1, 2, 3), (4, 5)
+"""The kinds of plans without and with events, tasks and data."""
 
 
 @lru_cache(maxsize=None)
@@ -185,3 +272,17 @@ def random_result(plan: Plan, place: str, source: random.Random, *, nonsense: bo
     if immediate and (not timed or source.random() < 0.7):
         return "" if source.random() < 0.9 else source.choice(immediate)
     return source.choice(timed) if timed else ""
+
+
+def random_data(plan: Plan, number: int, source: random.Random) -> Dict[str, Any]:
+    """Data that an action may write: nothing in a plan without events, and often nothing.
+
+    :param number: makes the values differ from all others.
+    """
+    if not plan.events:
+        return {}
+    written: Dict[str, Any] = {}
+    for name, share in (("a", 0.3), ("robot.b", 0.1), ("team.c", 0.3), ("task.d", 0.05)):
+        if source.random() < share:
+            written[name] = [number, name]
+    return written

@@ -9,7 +9,11 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.agreement.replica import ProtocolLimits, Replica
-from gspn_framework_package.execution.agreement_simulation.plans import make_plan
+from gspn_framework_package.execution.agreement_simulation.plans import (
+    NOT_REACTING,
+    REACTING,
+    make_plan,
+)
 from gspn_framework_package.execution.agreement_simulation.world import (
     PACE,
     Disk,
@@ -50,6 +54,16 @@ KINDS = {
     "archive": "logs are lost, and snapshots taken every few slots; long runs",
 }
 """The kinds of schedules, each with the faults that it injects."""
+
+
+REACT = "react"
+"""A kind of schedules may begin with this word: then events come, tasks and data. Alone it means
+the faults of the kind without a name."""
+
+KINDS[REACT] = "events, tasks and data, and any of these faults (react-power, react-operator, ...)"
+KINDS.update(
+    {"%s-%s" % (REACT, kind): "the same" for kind in list(KINDS) if kind not in ("", REACT)}
+)
 
 
 MOST_FAULTS = {
@@ -112,15 +126,21 @@ class ScheduleResult(NamedTuple):
 
 class _Run:
     def __init__(self, schedule: Schedule, replica_type: Type[Replica]) -> None:
-        self.kind = schedule.kind
+        word, _, rest = schedule.kind.partition("-")
+        reacts = word == REACT
+        self.kind = rest if reacts else schedule.kind
         self.random = source = random.Random("%d|%d|%d|%s" % schedule)
         evict_after = source.choice([0.0, 0.35])
         if self.kind in ("link", "sleep"):
             evict_after = 0.35
         fence_after = source.choice([0.0, 0.25]) if evict_after else 0.0
         witness = schedule.robots == 2 and source.random() < 0.3
+        if reacts:
+            kind = source.choice(REACTING)
+        else:
+            kind = source.choice(NOT_REACTING) if self.kind != "freeze" else 0
         plan = make_plan(
-            source.randrange(4) if self.kind != "freeze" else 0,
+            kind,
             schedule.robots,
             schedule.partial,
             evict_after,
@@ -456,6 +476,8 @@ class _Run:
             self._start_late()
         for node in list(world.nodes.values()):
             world.at(0.1 * self.random.random() ** 2, node.start)
+        if world.plan.submissions:
+            world.at(0.05, lambda: world.publish_tasks(0.05))
         most = MOST_FAULTS.get(self.kind, 7)
         if self.kind == "link":
             world.weather = Weather()

@@ -12,7 +12,10 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple, 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.replica import Pace, ProtocolLimits, Replica
-from gspn_framework_package.execution.agreement_simulation.plans import random_result
+from gspn_framework_package.execution.agreement_simulation.plans import (
+    random_data,
+    random_result,
+)
 from gspn_framework_package.execution.event_log import Record, header
 from gspn_framework_package.execution.firing import Ended, Fault, StartAction
 from gspn_framework_package.model.plan import Plan, Synchronisation
@@ -96,6 +99,8 @@ class SimulatedNode:
         """The current id of its log."""
         self.holds = -1
         """The robot has promised to fire no local transition until this slot is decided."""
+        self.shows: Dict[str, bool] = {}
+        """Event -> whether its source showed that it holds."""
 
     # -- life ------------------------------------------------------------------------------------
 
@@ -123,9 +128,12 @@ class SimulatedNode:
             trusted=self.trusted,
         )
         self.trusted = True
+        self.shows = {}
         resets = [r for r in self.disk.records() if r["kind"] == "reset"]
         self.log_id = str((resets or [self.disk.header])[-1]["log"])
         self.carry_out(self.replica.start(world.now))
+        if world.robot_events and self.replica is not None and not self.replica.witness:
+            world.watch_sources(self)
 
     def crash(self) -> None:
         """``kill -9``."""
@@ -325,6 +333,11 @@ class World:
         self.away: Set[Tuple[str, str]] = set()
         """Blocked links of a robot that is out of reach while a spare runs under its name."""
         self._gone: List[Disk] = []
+        self.robot_events = [
+            t for t, e in plan.events.items() if t not in plan.submissions and e.after is None
+        ]
+        self.tasks = 0
+        """The number of tasks that came."""
         self.nodes: Dict[str, SimulatedNode] = {}
         for name in [r.name for r in plan.robots] + list(plan.witness):
             self.nodes[name] = SimulatedNode(self, name)
@@ -416,6 +429,7 @@ class World:
         time = goal.delay + low + (high - low) * self.random.random()
         failed = self.mishaps and self.random.random() < 0.02
         result = random_result(self.plan, goal.place, self.random, nonsense=self.mishaps)
+        data = random_data(self.plan, next(self._count), self.random)
 
         def end() -> None:
             if node.life != life:
@@ -426,9 +440,47 @@ class World:
             if failed:
                 node.give(interface.AttemptFailed(*key, "aborted"))
             else:
-                node.give(interface.ActionDone(*key, result))
+                node.give(interface.ActionDone(*key, result, data))
 
         self.at(self.now + time, end)
+
+    # -- events and tasks --------------------------------------------------------------------------
+
+    def watch_sources(self, node: SimulatedNode) -> None:
+        """Let the sources of a robot's events show something new at random times."""
+        life = node.life
+
+        def show() -> None:
+            if node.life != life or not self.acting:
+                return
+            event = self.random.choice(self.robot_events)
+            source = self.plan.events[event]
+            cause = {"now": self.steps}
+            if not source.when and not source.edge:
+                if node.replica is not None and node.replica.watches(event):
+                    node.give(interface.EventObserved(event, None, cause))
+            else:
+                holds = node.shows[event] = not node.shows.get(event, False)
+                node.give(interface.EventObserved(event, holds, cause))
+            self.at(self.now + 0.1 * self.random.random(), show)
+
+        self.at(self.now + 0.1 * self.random.random(), show)
+
+    def publish_tasks(self, every: float) -> None:
+        """Let tasks come in at random times, each at some of the robots, or from an operator."""
+        up = [node for node in self.alive() if not node.superseded]
+        if not self.acting:
+            return
+        if up:
+            self.tasks += 1
+            transition = self.random.choice(self.plan.submissions)
+            task = log_entries.Submit(transition, "t%d" % self.tasks, {"number": self.tasks})
+            if self.random.random() < 0.2:
+                self.operator(task, self.random.choice(up))
+            else:
+                for node in self.random.sample(up, self.random.randint(1, len(up))):
+                    node.give(interface.TaskCame(task))
+        self.at(self.now + 2 * every * self.random.random(), lambda: self.publish_tasks(every))
 
     # -- checks during the run ---------------------------------------------------------------------
 
@@ -522,6 +574,8 @@ class World:
             if node.superseded:
                 return False  # it has not noticed yet
             if any(not o.item.private for o in replica.state.own_proposals):
+                return False
+            if replica.state.offered and replica.ledger.state.ended is None:
                 return False
             if replica.ledger.state.ended is None and not (
                 replica.is_settled() or (replica.witness and replica.active)

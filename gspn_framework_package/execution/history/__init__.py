@@ -1,6 +1,6 @@
 """The history checker: whether the logs of a run are consistent and valid.
 
-:func:`verify` uses only the logs. It checks the ten invariants of ``docs/agreement.md`` and the
+:func:`verify` uses only the logs. It checks the invariants of ``docs/agreement.md`` and the
 protocol's own rules, and shares no code with the token game or the protocol.
 """
 
@@ -141,6 +141,9 @@ class _Check:
             last = self.settled and newest[log.robot] == i and replay.ended is None
             if last:
                 check.check_goal_at_end()
+                here = replay.robots.get(log.robot)
+                if here is not None and here.here:
+                    check.check_tasks_at_end()
             if check.open:
                 text = "%s: %d proposals are not in the log" % (log.robot, len(check.open))
                 here = replay.robots.get(log.robot)

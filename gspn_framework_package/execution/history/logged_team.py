@@ -6,13 +6,37 @@ This was written independently of the token game and shares no code with it (see
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Dict, Iterable, List, NamedTuple, Optional, Tuple
+from dataclasses import dataclass, field
+from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.history.cargo import Cargo, LoggedTask
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.plan import FailureKind, LostKind, Plan
+
+MOST_NAMES = 1_000
+"""Names of data of one robot, task, or team."""
+
+Values = Mapping[str, Any]
+
+
+class Memory(NamedTuple):
+    """What an action of a robot may read: the data of the robot, the team and its task, the visit
+    that this one continues, and the visits (by place) that later ones may."""
+
+    own: Values
+    team: Values
+    task: Optional[Tuple[str, Values]]
+    resumed_from: int
+    interrupted: Mapping[str, int]
+
+    def data(self) -> Dict[str, Any]:
+        """The data by full name."""
+        scopes = [("robot", self.own), ("team", self.team)]
+        if self.task is not None:
+            scopes.append(("task", {"id": self.task[0], **self.task[1]}))
+        return {"%s.%s" % (s, name): v for s, values in scopes for name, v in values.items()}
 
 
 class Situation(NamedTuple):
@@ -23,6 +47,16 @@ class Situation(NamedTuple):
     visit: int
     attempt: int
     phase: Phase
+    memory: Memory
+
+
+class Direct(NamedTuple):
+    """A firing that an entry brings about at once: of the environment, or an event that interrupts
+    ``robot`` for this cause."""
+
+    transition: str
+    robot: str = ""
+    cause: Values = {}
 
 
 @dataclass
@@ -42,6 +76,12 @@ class LoggedRobot:
     order: int = 0
     failures: int = 0
     paused: bool = False
+    data: Values = field(default_factory=dict)
+    held: Dict[str, Values] = field(default_factory=dict)
+    """The events that interrupt it as soon as they can, in order, with their causes."""
+    interrupted: Mapping[str, int] = field(default_factory=dict)
+    """Place -> the visit there that the next one continues."""
+    resumed_from: int = 0
 
     @property
     def goal(self) -> Tuple[int, int, int]:
@@ -103,6 +143,8 @@ class LoggedTeam:
             and self.resources.issuperset(self.inputs[t.name])
             and (agents or self.resources.issuperset(self.outputs[t.name]))
         ]
+        self.data: Values = {}
+        self.cargo = Cargo(plan, self.inputs, self.outputs)
         self.until = (
             parse_condition(plan.until, [p.name for p in net.places]) if plan.until else None
         )
@@ -116,9 +158,20 @@ class LoggedTeam:
     def situations(self) -> Dict[str, Situation]:
         """The situation of every robot, by name."""
         return {
-            r.name: Situation(r.place, r.incarnation, r.visit, r.attempt, r.phase)
+            r.name: Situation(r.place, r.incarnation, r.visit, r.attempt, r.phase, self._memory(r))
             for r in self.robots.values()
         }
+
+    def _memory(self, robot: LoggedRobot) -> Memory:
+        task = self.cargo.carried.get(robot.name)
+        # a change replaces these maps, so they may be kept
+        return Memory(
+            robot.data,
+            self.data,
+            None if task is None else (task.id, task.data),
+            robot.resumed_from,
+            robot.interrupted,
+        )
 
     def _has_concession(self, t: str) -> bool:
         if any(self.marking[p] < n for p, n in self.inputs[t].items()):
@@ -156,16 +209,16 @@ class LoggedTeam:
 
     # -- entries -----------------------------------------------------------------------------------
 
-    def _apply(self, entry: log_entries.Entry) -> Optional[str]:
-        """Apply an entry. For a valid ``Fire``, returns the environment's transition that must fire
-        at once."""
+    def _apply(self, entry: log_entries.Entry) -> Optional[Direct]:
+        """Apply an entry. Returns the firing that a valid ``Fire`` or ``Interrupt`` brings about at
+        once."""
         if isinstance(entry, log_entries.Start):
             self._start(entry)
         elif isinstance(entry, log_entries.Done):
             robot = self.robots.get(entry.robot)
             key = (entry.incarnation, entry.visit)
             if robot and robot.phase is Phase.DOING and key == (robot.incarnation, robot.visit):
-                self._done(robot, entry.result)
+                self._done(robot, entry.result, entry.data)
         elif isinstance(entry, log_entries.Failed):
             robot = self.robots.get(entry.robot)
             attempt = (entry.incarnation, entry.visit, entry.attempt)
@@ -181,7 +234,11 @@ class LoggedTeam:
             if t in self.kind and not self.paused and self._has_concession(t):
                 touched = set(self.inputs[t]) | (set() if self.agents else set(self.outputs[t]))
                 if self.resources.issuperset(touched):
-                    return t
+                    return Direct(t)
+        elif isinstance(entry, log_entries.Interrupt):
+            return self._event(entry)
+        elif isinstance(entry, log_entries.Submit):
+            self.cargo.comes(entry)
         elif isinstance(entry, log_entries.Join):
             self._join(entry)
         elif isinstance(entry, (log_entries.Leave, log_entries.Evict)):
@@ -204,6 +261,21 @@ class LoggedTeam:
             self.ended = entry.reason
         return None
 
+    def _event(self, entry: log_entries.Interrupt) -> Optional[Direct]:
+        robot, t = self.robots.get(entry.robot), entry.transition
+        if robot is None or t not in self.plan.events or t not in self.leaving[robot.place]:
+            return None
+        if (entry.incarnation, entry.visit) != (robot.incarnation, robot.visit) or not robot.here:
+            return None
+        if self._may_interrupt(robot, t):
+            return Direct(t, robot.name, entry.cause)
+        if self.paused or robot.paused or self.plan.events[t].hold:
+            robot.held.setdefault(t, entry.cause)
+        return None
+
+    def _may_interrupt(self, robot: LoggedRobot, t: str) -> bool:
+        return not (self.paused or robot.paused) and self._has_concession(t)
+
     def _start(self, entry: log_entries.Start) -> None:
         if self.robots:
             return
@@ -218,10 +290,20 @@ class LoggedTeam:
         robot.attempt, robot.failures = 1, 0
         robot.asks = robot.may_ask = None
         robot.phase = Phase.DOING
+        robot.held = {}
+        robot.resumed_from = robot.interrupted.get(robot.place, 0)
+        if robot.resumed_from:
+            left = {p: v for p, v in robot.interrupted.items() if p != robot.place}
+            robot.interrupted = left
         if self.plan.action(robot.name, robot.place) is None:
             self._done(robot, "")
 
-    def _done(self, robot: LoggedRobot, result: Optional[str]) -> None:
+    def _done(
+        self, robot: LoggedRobot, result: Optional[str], data: Optional[Values] = None
+    ) -> None:
+        if data and not self._write(robot, data):
+            self._failed(robot)
+            return
         leaving = self.leaving[robot.place]
         if not leaving:
             robot.phase = Phase.INACTIVE
@@ -238,6 +320,25 @@ class LoggedTeam:
             self._ask(robot, leaving[0])
         else:
             self._failed(robot)
+
+    def _write(self, robot: LoggedRobot, data: Values) -> bool:
+        """Write what an action returned, all of it or nothing; returns whether it is possible."""
+        by_scope: Dict[str, Dict[str, Any]] = {"robot": {}, "team": {}, "task": {}}
+        for name, value in data.items():
+            scope, _, short = name.rpartition(".")
+            by_scope[scope or "robot"][short] = value
+        task: Optional[LoggedTask] = self.cargo.carried.get(robot.name)
+        if by_scope["task"] and task is None:
+            return False
+        own = {**robot.data, **by_scope["robot"]}
+        team = {**self.data, **by_scope["team"]}
+        of_task = {**(task.data if task is not None else {}), **by_scope["task"]}
+        if max(len(own), len(team), len(of_task)) > MOST_NAMES:
+            return False
+        robot.data, self.data = own, team
+        if task is not None:
+            task.data = of_task
+        return True
 
     def _ask(self, robot: LoggedRobot, what: Optional[str]) -> None:
         self.orders += 1
@@ -291,6 +392,7 @@ class LoggedTeam:
         self.marking[robot.place] -= 1
         for place, n in self.plan.on_evict.get(robot.place, {}).items():
             self.marking[place] += n
+            self.cargo.returned(robot.name, place, n)
         if leaves:
             return
         rule = self.plan.on_lost

@@ -7,6 +7,7 @@ from bisect import bisect_left
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.execution.event_log import EventLog, Record
+from gspn_framework_package.execution.history.cargo import digest
 from gspn_framework_package.execution.history.logged_team import Situation
 from gspn_framework_package.execution.history.merge import Merged
 from gspn_framework_package.execution.history.slot_check import BrokenRuleError
@@ -27,6 +28,7 @@ class LoggedProposals:
 
     def __init__(self, merged: Merged, length: int) -> None:
         self.where: Dict[Origin, Tuple[int, Record]] = {}
+        self.tasks: Set[Tuple[str, str]] = set()
         newest: Dict[str, Tuple[int, int]] = {}
         moved: Set[Tuple[str, int]] = set()
         for slot in range(length):
@@ -43,6 +45,8 @@ class LoggedProposals:
                     raise BrokenRuleError(
                         4, "%s is in slot %d, after a newer one of that robot" % (_name(key), slot)
                     )
+                if entry["entry"] == "submit":
+                    self.tasks.add((entry["transition"], entry["id"]))
                 newest[key[0]] = key[1:3]
                 self.where[key] = (slot, entry)
             for firing in record["firings"]:
@@ -135,6 +139,8 @@ class RobotCheck:
         self._goals: Set[Tuple[int, int, int]] = set()
         self._last_goal: Optional[Tuple[int, int, int]] = None
         self._void: Set[Origin] = set()
+        self._offered: Set[Tuple[str, str]] = set()
+        """(transition, id) of the tasks that reached the robot."""
 
     def check(self) -> None:
         """Check the log. :raises BrokenRuleError: a rule is broken."""
@@ -171,6 +177,9 @@ class RobotCheck:
                     self._local_transition(origin, record)
             elif kind == "goal":
                 self._goal(record)
+            elif kind == "offered":
+                entry = record["entry"]
+                self._offered.add((entry["transition"], entry["id"]))
         for origin, record in known.items():
             self._proposal(origin, record)
 
@@ -225,7 +234,7 @@ class RobotCheck:
         at = self.situations[self._length - 1].get(self.robot)
         if at is None:
             return None
-        place, incarnation, visit, attempt, phase = at
+        place, incarnation, visit, attempt, phase, _ = at
         for _, entry, firing in self._ahead:
             if (entry["incarnation"], entry["visit"]) != (incarnation, visit):
                 continue
@@ -315,8 +324,35 @@ class RobotCheck:
             )
         if key in self._goals:
             raise BrokenRuleError(8, "%s went out twice" % what)
+        self._memory(record, what, at[0])
         self._goals.add(key)
         self._last_goal = key
+
+    def _memory(self, record: Record, what: str, place: str) -> None:
+        """Check that the action reads what the log had before it, and continues the visit that it
+        should; rule 11."""
+        if not self.plan.events and "reads" not in record:
+            return  # a log of a version before data
+        memory = self.situations[self._length - 1][self.robot].memory
+        data = memory.data()
+        if record.get("reads", "") != (digest(data) if data else ""):
+            raise BrokenRuleError(11, "%s reads other data than is in the log before it" % what)
+        entered = [firing["moves"][0][2] for _, _, firing in self._ahead]
+        if not entered:
+            expected = memory.resumed_from
+        else:
+            expected = 0 if place in entered[:-1] else memory.interrupted.get(place, 0)
+        if record.get("resumed_from", 0) != expected:
+            raise BrokenRuleError(11, "%s does not continue visit %d" % (what, expected))
+
+    def check_tasks_at_end(self) -> None:
+        """Check that every task that reached the robot is in the agreed log; rule 9. Call this only
+        for robots whose nodes are up and take part."""
+        missing = [task for _, task in sorted(self._offered - self.proposals.tasks)]
+        if missing:
+            raise BrokenRuleError(
+                9, "task %s reached %s, and is not in the log" % (missing[0], self.robot)
+            )
 
     def check_goal_at_end(self) -> None:
         """Check that the robot runs the action that it should, if its log has all slots; rule 8.

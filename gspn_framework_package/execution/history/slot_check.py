@@ -9,14 +9,18 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from typing import Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import Record
-from gspn_framework_package.execution.history.logged_team import LoggedRobot, LoggedTeam
+from gspn_framework_package.execution.history.cargo import recorded_moves
+from gspn_framework_package.execution.history.logged_team import Direct, LoggedRobot, LoggedTeam
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.errors import LogError
+from gspn_framework_package.model.event import EventSource
 from gspn_framework_package.model.plan import Plan
+
+NO_EVENT = EventSource()
 
 CYCLE = 10_000
 """This many firings after one entry end the run (a timeless cycle)."""
@@ -73,14 +77,19 @@ class SlotCheck(LoggedTeam):
             while at < len(firings) and since < CYCLE:
                 if self.ended is None and not (direct and since == 0):
                     self._look_at_until()
-                why = self._why_not(firings[at], direct if since == 0 else None)
+                first = direct if since == 0 else None
+                why = self._why_not(firings[at], first)
                 if why:
-                    if direct and since == 0 and self._is_direct(firings[at], direct):
+                    if self._is_direct(firings[at], first):
                         raise BrokenRuleError(2, "slot %d: %s" % (slot, why))
                     break
-                self._fire(slot, at, firings[at])
+                self._fire(slot, at, firings[at], first)
                 at += 1
                 since += 1
+            if direct and not since and not self.perhaps_ended:
+                raise BrokenRuleError(
+                    7, "slot %d: %s is due, and does not fire" % (slot, direct.transition)
+                )
             self._settled(slot, since, firings[at] if at < len(firings) else None)
         if at < len(firings):
             why = self._why_not(firings[at], None) or "no entry of the slot leads to it"
@@ -127,13 +136,23 @@ class SlotCheck(LoggedTeam):
                 self.ended = "until"
 
     def _due(self) -> List[str]:
-        """Transitions that should have fired: immediate ones with only resource inputs, and those
-        that robots named."""
+        """Transitions that should have fired: immediate ones with only resource inputs, those that
+        robots named, and else events that are held, and else tasks that wait."""
         due = [t for t in self.spontaneous if self._has_concession(t)]
         for robot in self._waiting():
             if robot.asks is not None and self._may_fire(robot.asks):
                 due.append(robot.asks)
-        return due
+        return due or self._held() or self._waiting_tasks()[:1]
+
+    def _held(self) -> List[str]:
+        """The events that are held and can interrupt a robot."""
+        return [
+            t for r in self.robots.values() if r.here for t in r.held if self._may_interrupt(r, t)
+        ]
+
+    def _waiting_tasks(self) -> List[str]:
+        """The transitions by which a task can come in, that of the oldest first."""
+        return [t for t, _ in self.cargo.outside if self._has_concession(t)]
 
     def _conserved(self, slot: int) -> None:
         counts = Counter(r.place for r in self.robots.values() if r.here)
@@ -149,12 +168,13 @@ class SlotCheck(LoggedTeam):
 
     # -- firings -----------------------------------------------------------------------------------
 
-    def _is_direct(self, firing: Record, direct: Optional[str]) -> bool:
-        return firing.get("transition") == direct and not firing.get("robot")
+    def _is_direct(self, firing: Record, direct: Optional[Direct]) -> bool:
+        who = firing.get("transition"), firing.get("robot", "")
+        return direct is not None and direct[:2] == who
 
-    def _why_not(self, firing: Record, direct: Optional[str]) -> str:
-        """Why a firing is not possible now; "" if it is. ``direct``: the environment's transition
-        that the preceding entry fires."""
+    def _why_not(self, firing: Record, direct: Optional[Direct]) -> str:
+        """Why a firing is not possible now; "" if it is. ``direct``: the firing that the preceding
+        entry brings about."""
         t = firing.get("transition", "")
         if t not in self.kind:
             return "the net has no transition '%s'" % t
@@ -164,13 +184,62 @@ class SlotCheck(LoggedTeam):
             return "the team is paused"
         if not self._has_concession(t):
             return "it is not enabled in %s" % _short(self.marking)
-        robot = firing.get("robot", "")
-        if not robot:
-            if t not in self.spontaneous and not self._is_direct(firing, direct):
-                return "no robot asked for it"
-        elif any(self._has_concession(s) for s in self.spontaneous):
+        name = firing.get("robot", "")
+        if self._is_direct(firing, direct):
+            if name and direct is not None:
+                return self._why_not_event(firing, t, name, direct.cause)
+            return self._why_not_moved(firing, t)
+        if t not in self.spontaneous and any(self._has_concession(s) for s in self.spontaneous):
             return "an immediate transition of resources goes first"
-        return self._why_not_robots(firing, t, robot)
+        robot = self.robots.get(name)
+        if robot is not None and self._is_held(robot, t):
+            if self._asked():
+                return "a robot that is done goes before an event that is held"
+            return self._why_not_event(firing, t, name, robot.held[t])
+        if firing.get("cause"):
+            return "no event of this cause came"
+        if not name and t not in self.spontaneous:
+            return self._why_not_task(firing, t)
+        return self._why_not_robots(firing, t, name)
+
+    def _is_held(self, robot: LoggedRobot, t: str) -> bool:
+        """Whether ``t`` takes the robot along because its event is held."""
+        asks = robot.phase is Phase.DONE and t in (robot.asks, robot.may_ask)
+        return t in robot.held and not (asks and not robot.paused)
+
+    def _asked(self) -> bool:
+        """Whether a transition that a robot named may fire."""
+        return any(r.asks is not None and self._may_fire(r.asks) for r in self._waiting())
+
+    def _why_not_task(self, firing: Record, t: str) -> str:
+        """Why no task comes in by ``t`` now."""
+        tasks = self._waiting_tasks()
+        if t not in tasks:
+            return "no robot asked for it, and no task waits for it"
+        if tasks[0] != t:
+            return "an older task waits for %s" % tasks[0]
+        if self._asked() or self._held():
+            return "robots go before a task that comes in"
+        return self._why_not_moved(firing, t)
+
+    def _why_not_moved(self, firing: Record, t: str) -> str:
+        return self._why_not_robots(firing, t, "")
+
+    def _why_not_event(self, firing: Record, t: str, name: str, cause: Mapping[str, Any]) -> str:
+        """Why the event of ``t`` does not take this robot along, for this cause."""
+        robot = self.robots.get(name)
+        if robot is None or not robot.here or robot.place not in self.inputs[t]:
+            return "%s is not where its event is" % name
+        if robot.paused:
+            return "%s is paused" % name
+        if (firing["incarnation"], firing["visit"]) != (robot.incarnation, robot.visit):
+            return "%s is at visit %d" % (name, robot.visit)
+        movers = [(r, source, visit) for r, source, _, visit in firing["moves"] if source]
+        if firing.get("cause", {}) != cause:
+            return "its cause is %s" % dict(cause)
+        if movers != [(name, robot.place, robot.visit + 1)]:
+            return "the event moves %s alone" % name
+        return self._why_not_targets(firing, t)
 
     def _why_not_robots(self, firing: Record, t: str, requester: str) -> str:
         taken: Dict[str, List[LoggedRobot]] = {}
@@ -282,7 +351,9 @@ class SlotCheck(LoggedTeam):
         floor = max([self.kind[t].priority for t, _ in choices if self._may_fire(t)], default=0)
         return [(t, w) for t, w in choices if self.kind[t].priority >= floor]
 
-    def _fire(self, slot: int, index: int, firing: Record) -> None:
+    def _fire(self, slot: int, index: int, firing: Record, direct: Optional[Direct]) -> None:
+        self._note_interrupt(firing, direct)
+        self._pass_tasks(slot, index, firing, direct)
         where = "slot %d, firing %d (%s)" % (slot, index, firing["transition"])
         if (firing["slot"], firing["index"]) != (slot, index):
             raise BrokenRuleError(1, "the recorded position of %s differs" % where)
@@ -309,6 +380,31 @@ class SlotCheck(LoggedTeam):
             arrived.append(robot)
         for robot in arrived:
             self._enter(robot)
+
+    def _note_interrupt(self, firing: Record, direct: Optional[Direct]) -> None:
+        """Note the visit that an event interrupts, where a later one may continue it."""
+        t, robot = firing["transition"], self.robots.get(firing.get("robot", ""))
+        if robot is None or not self.plan.events.get(t, NO_EVENT).resume:
+            return
+        if self._is_direct(firing, direct) or self._is_held(robot, t):
+            robot.interrupted = {**robot.interrupted, robot.place: robot.visit}
+
+    def _pass_tasks(self, slot: int, index: int, firing: Record, direct: Optional[Direct]) -> None:
+        """Move the tasks as the firing says; rule 11."""
+        t, cargo = firing["transition"], self.cargo
+        robots = [
+            (name, target is not None) for name, source, target, _ in firing["moves"] if source
+        ]
+        comes = not firing.get("robot") and not self._is_direct(firing, direct)
+        incoming = cargo.enter(t) if comes and t in cargo.entrances else None
+        expected = cargo.pass_on(t, robots, incoming)
+        recorded = recorded_moves(firing)
+        if sorted(expected) != sorted(recorded):
+            raise BrokenRuleError(
+                11,
+                "slot %d, firing %d (%s) passes the tasks on as %s, not as %s"
+                % (slot, index, t, recorded, expected),
+            )
 
 
 def _short(marking: Mapping[str, int]) -> str:

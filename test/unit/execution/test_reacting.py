@@ -11,6 +11,7 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import CancelAction, Fault, StartAction, TaskMove
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.data import check_values
 from gspn_framework_package.model.errors import LogError, PlanError
 from gspn_framework_package.model.event import EventSource, Tasks
 from gspn_framework_package.model.net import Net
@@ -241,6 +242,42 @@ def test_a_task_for_another_transition_is_refused_and_told():
     ]
 
 
+def test_a_task_that_comes_in_without_a_queue_is_done_with_the_firing():
+    net = NetBuilder().place("Go").place("rings").exponential("ring", rate=1, outputs="rings")
+    plan = make_plan(net.build(), ["Go"], ["rings"], events={"ring": EventSource("bell", "a/B")})
+    run = Run(plan)
+    run.feed(log_entries.Submit("ring", "r1"))
+    assert run.firings[-1].tasks == (TaskMove("r1", "", "done"),)
+    assert not [c for c in run.commands if isinstance(c, Fault)]
+
+
+def test_a_task_that_a_resource_transition_takes_is_dropped_and_that_is_told():
+    net = (
+        NetBuilder()
+        .place("Go")
+        .place("Orders")
+        .place("refused")
+        .exponential("order", rate=1, outputs="Orders")
+        .immediate("refuse", inputs="Orders", outputs="refused")
+        .build()
+    )
+    run = Run(make_plan(net, ["Go"], ["Orders", "refused"], tasks=Tasks(("Orders",))))
+    assert run.feed(submit(1)) == ["order", "refuse"]
+    assert run.firings[-1].tasks == (TaskMove("o1", "place Orders", "dropped"),)
+    assert [c.message for c in run.commands if isinstance(c, Fault)] == [
+        "drops task o1, which was not done"
+    ]
+
+
+def test_a_robot_that_waits_for_an_event_asks_no_policy():
+    net = NetBuilder().place("Wait").exponential("go", rate=1, inputs="Wait", outputs="Wait")
+    event = {"go": EventSource("bell", "a/B")}
+    run = Run(make_plan(net.build(), ["Wait"], events=event, strict=True))
+    run.done("a")
+    assert not [c for c in run.commands if isinstance(c, Fault)]
+    assert run.why("a") == "an event has to come"
+
+
 # -- data --------------------------------------------------------------------------------------
 
 
@@ -262,6 +299,14 @@ def test_data_of_a_task_needs_a_task():
     run = guard()
     assert run.done("a", "finish", {"task.x": 1}) == []
     assert run.state.robots["a"].phase is Phase.FAILED
+
+
+def test_data_is_kept_as_json_keeps_it():
+    given = {"x": ({1: "one"},)}
+    kept = check_values(given)
+    assert kept == {"x": [{"1": "one"}]}
+    given["x"][0][1] = "two"
+    assert kept == {"x": [{"1": "one"}]}
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,150 @@
+"""The tasks of a run according to its log: which came, and where each of them is.
+
+This was written independently of the token game and shares no code with it (see
+:mod:`.slot_check`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence, Set, Tuple
+
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.event_log import Record
+from gspn_framework_package.model.plan import Plan
+
+REMEMBERED = 10_000
+"""Of each transition, so many ids of tasks count as known."""
+
+TaskMoves = List[Tuple[str, str, str]]
+"""(id, from where, to where), as a firing records them."""
+
+
+class LoggedTask:
+    """A task, or a token of a queue that came without one (``id`` "")."""
+
+    def __init__(self, task_id: str = "", data: Optional[Mapping[str, Any]] = None) -> None:
+        self.id = task_id
+        self.data: Dict[str, Any] = dict(data or {})
+
+
+class Cargo:
+    """The tasks of a team: outside, in queues, with robots.
+
+    :param plan: the plan.
+    :param inputs: transition -> place -> weight.
+    :param outputs: the same.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        inputs: Mapping[str, Mapping[str, int]],
+        outputs: Mapping[str, Mapping[str, int]],
+    ) -> None:
+        self._inputs, self._outputs = inputs, outputs
+        self.entrances = set(plan.submissions)
+        self._ends = set(plan.tasks.done)
+        self.queues: Dict[str, List[LoggedTask]] = {
+            place: [
+                LoggedTask() for _ in range(plan.net.places[plan.net.place_number(place)].tokens)
+            ]
+            for place in plan.tasks.queues
+        }
+        self.carried: Dict[str, LoggedTask] = {}
+        """Robot -> its task."""
+        self.outside: List[Tuple[str, LoggedTask]] = []
+        """(transition, task) of those that came and are not in yet, the oldest first."""
+        self._known: Dict[str, List[str]] = {}
+        self._known_set: Set[Tuple[str, str]] = set()
+
+    # -- entries -----------------------------------------------------------------------------------
+
+    def comes(self, entry: log_entries.Submit) -> None:
+        """A task comes; one that came before does not count."""
+        key = entry.transition, entry.id
+        if entry.transition not in self.entrances or key in self._known_set:
+            return
+        ids = self._known.setdefault(entry.transition, [])
+        ids.append(entry.id)
+        self._known_set.add(key)
+        if len(ids) > REMEMBERED:
+            self._known_set.discard((entry.transition, ids.pop(0)))
+        self.outside.append((entry.transition, LoggedTask(entry.id, entry.data)))
+
+    def returned(self, robot: str, place: str, tokens: int) -> None:
+        """A robot that is gone gives back tokens of a queue: the first of them is its task."""
+        if place in self.queues:
+            task = self.carried.pop(robot, None) or LoggedTask()
+            fillers = [LoggedTask() for _ in range(tokens - 1)]
+            self.queues[place] = [task, *fillers, *self.queues[place]]
+
+    # -- firings -----------------------------------------------------------------------------------
+
+    def enter(self, t: str) -> Optional[LoggedTask]:
+        """Take the oldest task that waits outside for ``t``."""
+        for number, (transition, task) in enumerate(self.outside):
+            if transition == t:
+                del self.outside[number]
+                return task
+        return None
+
+    def pass_on(
+        self, t: str, movers: Sequence[Tuple[str, bool]], incoming: Optional[LoggedTask]
+    ) -> TaskMoves:
+        """Carry out what a firing does with tasks; returns how it should be recorded.
+
+        :param movers: (robot, whether it stays in the net), in the order of the record.
+        :param incoming: the task that comes in with it.
+        """
+        if not self.queues and incoming is None:
+            return []
+        moves: TaskMoves = []
+        if t in self._ends:
+            for robot, _ in movers:
+                if robot in self.carried:
+                    moves.append((self.carried.pop(robot).id, "robot " + robot, "done"))
+        room = [p for p, n in self._outputs[t].items() if p in self.queues for _ in range(n)]
+        given: List[Tuple[LoggedTask, str]] = []
+        for robot, _ in movers:
+            if robot in self.carried and len(given) < len(room):
+                given.append((self.carried.pop(robot), "robot " + robot))
+        taken: List[Tuple[LoggedTask, str]] = []
+        for p, n in self._inputs[t].items():
+            for _ in range(n if p in self.queues else 0):
+                taken.append((self.queues[p].pop(0), "place " + p))
+        if incoming is not None:
+            taken.append((incoming, ""))
+        loads: Iterator[Tuple[LoggedTask, str]] = iter([*given, *taken])
+        for p in room:
+            task, source = next(loads, (LoggedTask(), ""))
+            self.queues[p].append(task)
+            moves.append((task.id, source, "place " + p))
+        for robot, stays in movers:
+            if not stays and robot in self.carried:
+                moves.append((self.carried.pop(robot).id, "robot " + robot, "dropped"))
+        left = list(loads)
+        staying = [robot for robot, stays in movers if stays]
+        empty_handed = [robot for robot in staying if robot not in self.carried]
+        takers = empty_handed + [robot for robot in staying if robot in self.carried]
+        for (task, source), robot in zip(left, takers):
+            if robot in self.carried:
+                moves.append((self.carried[robot].id, "robot " + robot, "dropped"))
+            self.carried[robot] = task
+            moves.append((task.id, source, "robot " + robot))
+        for task, source in left[len(takers) :]:
+            over = t in self._ends or not source
+            moves.append((task.id, source, "done" if over else "dropped"))
+        return [move for move in moves if move[0]]
+
+
+def recorded_moves(firing: Record) -> TaskMoves:
+    """What a firing records of tasks."""
+    return [(str(i), str(a), str(b)) for i, a, b in firing.get("tasks", ())]
+
+
+def digest(data: Mapping[str, Any]) -> str:
+    """A short text for data that an action reads (full name -> value)."""
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
