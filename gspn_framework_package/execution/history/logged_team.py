@@ -21,7 +21,7 @@ MOST_NAMES = 1_000
 Values = Mapping[str, Any]
 
 
-class Memory(NamedTuple):
+class KnownData(NamedTuple):
     """What an action of a robot may read: the data of the robot, the team and its task, the visit
     that this one continues, and the visits (by place) that later ones may."""
 
@@ -47,7 +47,7 @@ class Situation(NamedTuple):
     visit: int
     attempt: int
     phase: Phase
-    memory: Memory
+    memory: KnownData
 
 
 class Direct(NamedTuple):
@@ -162,10 +162,10 @@ class LoggedTeam:
             for r in self.robots.values()
         }
 
-    def _memory(self, robot: LoggedRobot) -> Memory:
+    def _memory(self, robot: LoggedRobot) -> KnownData:
         task = self.cargo.carried.get(robot.name)
         # a change replaces these maps, so they may be kept
-        return Memory(
+        return KnownData(
             robot.data,
             self.data,
             None if task is None else (task.id, task.data),
