@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any, Dict, Optional, Set
+from typing import Any, Callable, Dict, Optional, Set
 
 import actionlib
 import rospy
@@ -20,8 +20,12 @@ from sensor_msgs.msg import Temperature
 
 from gspn_framework_package.execution.actions import ActionFailed
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, published_topics
+from gspn_framework_package.world import patrol
 from gspn_framework_package.world.messages import pose_from, pose_message
 from gspn_framework_package.world.room import Pose
+
+Feedback = Callable[..., None]
+IsCancelled = Callable[[], bool]
 
 POSE_TYPE = "geometry_msgs/PoseWithCovarianceStamped"
 DISCOVERY_PERIOD = 2.0
@@ -106,10 +110,11 @@ class BaseClient:
 
     # ---- connecting --------------------------------------------------------------------------
 
-    def connect(self, seconds: float = 30.0) -> None:
+    def connect(self, seconds: float = 30.0, *, thermometer: bool = True) -> None:
         """Wait until the robot is available.
 
         :param seconds: timeout in wall time.
+        :param thermometer: whether the robot has to have one.
         :raises ActionFailed: no ``move_base``, pose or thermometer within that time.
         """
         deadline = time.monotonic() + seconds
@@ -117,7 +122,7 @@ class BaseClient:
             missing = [
                 name
                 for name, value in (("amcl_pose", self._pose), ("temperature", self._temperature))
-                if value is None
+                if value is None and (thermometer or name != "temperature")
             ]
             if not self._client.wait_for_server(rospy.Duration(0.01)):
                 missing.append("move_base")
@@ -233,3 +238,45 @@ class BaseClient:
             self._arrived, self._trouble = False, "cancelled"
         if under_way and self._handle is not None:
             self._handle.cancel()
+
+
+_lock = threading.Lock()
+_clients: Dict[str, BaseClient] = {}
+
+
+def client_of(robot: str) -> BaseClient:
+    """The client of a robot, created once per process."""
+    with _lock:
+        if robot not in _clients:
+            _clients[robot] = BaseClient(robot)
+        return _clients[robot]
+
+
+def carry_out(
+    steps: patrol.Action,
+    client: BaseClient,
+    place: str,
+    feedback: Feedback,
+    is_cancelled: IsCancelled,
+) -> Optional[str]:
+    """Run the steps of an action until it ends or is cancelled; the feedback is the elapsed time in
+    seconds."""
+    start, told, said = client.now(), -1, ""
+    while not rospy.is_shutdown():
+        if is_cancelled():
+            break
+        try:
+            text = next(steps)
+        except StopIteration as done:
+            return done.value
+        seconds = int(client.now() - start)
+        if seconds != told:
+            told = seconds
+            feedback(seconds)
+        if text.partition(",")[0] != said.partition(",")[0]:
+            said = text
+            rospy.logdebug("%s in %s: %s", client.name, place, text)
+        client.await_news(0.2)
+    steps.close()
+    client.stop()
+    return None

@@ -23,13 +23,11 @@ separated by commas), ``real_time_factor`` (1 is real time, 0 as fast as possibl
 from __future__ import annotations
 
 import json
-import math
 import queue
-import re
 import sys
 import time
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional, Union
+from typing import Any, Callable, Dict, List, Optional
 
 import rospy
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
@@ -44,6 +42,7 @@ from gspn_framework_package.ros.options import launched_file
 from gspn_framework_package.world import messages
 from gspn_framework_package.world.driving_team import CONTROL_PERIOD, DrivingTeam
 from gspn_framework_package.world.move_base import MAP_FRAME, MoveBase
+from gspn_framework_package.world.parameters import number_parameter, robot_names
 from gspn_framework_package.world.recording import Recorder
 from gspn_framework_package.world.referee import Referee
 from gspn_framework_package.world.room import Room
@@ -205,46 +204,6 @@ class WorldNode:
         self._report.publish(json.dumps(self.referee.report()))
 
 
-def robot_names(value: Union[int, str, List[str]]) -> List[str]:
-    """The names of the robots from a parameter: a list, a text with commas, or a number.
-
-    :raises InputError: there is no name, or one occurs twice.
-    """
-    if isinstance(value, str) and value.isdigit():
-        value = int(value)
-    if isinstance(value, int):
-        value = ["robot_%d" % number for number in range(1, value + 1)]
-    names = value.replace(",", " ").split() if isinstance(value, str) else [str(v) for v in value]
-    names = [name.strip("/") for name in names]
-    wrong = [name for name in names if not re.match(r"^[A-Za-z]\w*(/[A-Za-z]\w*)*$", name)]
-    trouble = (
-        "'%s' is not a valid name for a robot" % wrong[0]
-        if wrong
-        else "no robots, or one twice: %r" % (value,)
-    )
-    if wrong or not names or len(set(names)) != len(names):
-        raise InputError(
-            trouble,
-            element="parameter ~robots",
-            hint="give how many, or their names, e.g. robot_1,robot_2",
-        )
-    return names
-
-
-def _number(parameter: str, default: float) -> float:
-    """A private parameter that is a number, 0 or more. :raises InputError: it is anything else."""
-    value = rospy.get_param("~" + parameter, default)
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, (int, float))
-        or not 0.0 <= value < math.inf
-    ):
-        raise InputError(
-            "%r is not a number of at least 0" % (value,), element="parameter ~" + parameter
-        )
-    return float(value)
-
-
 def main() -> int:
     """Run the node; return the exit code."""
     rospy.init_node("world")
@@ -262,7 +221,10 @@ def main() -> int:
                 element="spawn",
                 hint="add poses, or start fewer robots",
             )
-        factor, duration = _number("real_time_factor", 1.0), _number("duration", 0.0)
+        factor, duration = (
+            number_parameter("real_time_factor", 1.0),
+            number_parameter("duration", 0.0),
+        )
         node = WorldNode(room, robots, factor, bool(rospy.get_param("~gui", False)))
         speed = "%g times real time" % factor if factor else "as fast as it goes"
         rospy.loginfo("world: '%s' with %d robots, %s", room.name, len(robots), speed)

@@ -140,7 +140,7 @@ def wait(robot: Robot, room: Room, location: str, seconds: float, first_slot: in
     :raises ActionFailed: no slot can be reached.
     """
     bay = room.locations[location].bay
-    yield from _park(robot, bay, first_slot, room.robot.radius)
+    yield from park(robot, bay, first_slot, room.robot.radius)
     start = robot.now()
     while robot.now() - start < seconds:
         yield "waiting after %s" % location
@@ -154,9 +154,15 @@ def preferred_slot(robot: str) -> int:
     return int(number.group(1)) if number is not None else zlib.crc32(robot.encode())
 
 
-def _park(
+def park(
     robot: Robot, bay: Sequence[Pose], first: int, radius: float
 ) -> Generator[str, None, None]:
+    """Drive to a free slot of a bay, unless the robot stands in one already.
+
+    :param first: the slot that it tries first.
+    :param radius: of a robot, in metres.
+    :raises ActionFailed: no slot can be reached.
+    """
     here = robot.pose()
     if any(here.distance(slot) < 0.15 for slot in bay):
         return

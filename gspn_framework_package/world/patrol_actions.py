@@ -12,7 +12,7 @@ Celsius above which a location is too hot, 30), ``patrol/alarm_seconds`` (5),
 from __future__ import annotations
 
 import threading
-from typing import Any, Callable, Dict, Optional, Tuple
+from typing import Any, Dict, Optional, Tuple
 
 import rospy
 
@@ -20,15 +20,17 @@ from gspn_framework_package.execution.actions import ActionFailed
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.ros.options import launched_file
 from gspn_framework_package.world import patrol
-from gspn_framework_package.world.base_client import BaseClient
+from gspn_framework_package.world.base_client import (
+    BaseClient,
+    Feedback,
+    IsCancelled,
+    carry_out,
+    client_of,
+)
 from gspn_framework_package.world.room import Room
 from gspn_framework_package.world.room_file import load_room
 
-Feedback = Callable[..., None]
-IsCancelled = Callable[[], bool]
-
 _lock = threading.Lock()
-_clients: Dict[str, BaseClient] = {}
 _rooms: Dict[str, Room] = {}
 
 
@@ -41,7 +43,7 @@ def check_temperature(
     threshold = float(_parameter("patrol/threshold", 30.0))
     high, low = patrol.temperature_transitions(number, location)
     steps = patrol.check_temperature(client, room, location, threshold, high, low)
-    return _run(steps, client, place, feedback, is_cancelled)
+    return carry_out(steps, client, place, feedback, is_cancelled)
 
 
 def alarm(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled) -> Optional[str]:
@@ -50,7 +52,7 @@ def alarm(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled)
     client, _ = _connect(robot, location)
     seconds = float(_parameter("patrol/alarm_seconds", 5.0))
     steps = patrol.alarm(client, location, seconds)
-    return _run(steps, client, place, feedback, is_cancelled)
+    return carry_out(steps, client, place, feedback, is_cancelled)
 
 
 def decide(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled) -> Optional[str]:
@@ -65,7 +67,7 @@ def wait(place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled) 
     client, room = _connect(robot, location)
     seconds = float(_parameter("patrol/wait_seconds", 4.0))
     steps = patrol.wait(client, room, location, seconds, patrol.preferred_slot(robot))
-    return _run(steps, client, place, feedback, is_cancelled)
+    return carry_out(steps, client, place, feedback, is_cancelled)
 
 
 def _read(place: str) -> Tuple[int, str]:
@@ -102,9 +104,8 @@ def _connect(robot: str, location: str) -> Tuple[BaseClient, Room]:
                 _rooms[file] = load_room(launched_file(str(file), "parameter room"))
             except GspnError as error:
                 raise ActionFailed(str(error)) from None
-        if robot not in _clients:
-            _clients[robot] = BaseClient(robot)
-        client, room = _clients[robot], _rooms[file]
+        room = _rooms[file]
+    client = client_of(robot)
     if location not in room.locations:
         known = ", ".join(room.locations) or "none"
         raise ActionFailed(
@@ -112,33 +113,3 @@ def _connect(robot: str, location: str) -> Tuple[BaseClient, Room]:
         )
     client.connect()
     return client, room
-
-
-def _run(
-    steps: patrol.Action,
-    client: BaseClient,
-    place: str,
-    feedback: Feedback,
-    is_cancelled: IsCancelled,
-) -> Optional[str]:
-    """Run the steps of an action until it ends or is cancelled; the feedback is the elapsed time in
-    seconds."""
-    start, told, said = client.now(), -1, ""
-    while not rospy.is_shutdown():
-        if is_cancelled():
-            break
-        try:
-            text = next(steps)
-        except StopIteration as done:
-            return done.value
-        seconds = int(client.now() - start)
-        if seconds != told:
-            told = seconds
-            feedback(seconds)
-        if text.partition(",")[0] != said.partition(",")[0]:
-            said = text
-            rospy.logdebug("%s in %s: %s", client.name, place, text)
-        client.await_news(0.2)
-    steps.close()
-    client.stop()
-    return None

@@ -486,7 +486,7 @@ def test_the_report_is_plain_json():
     assert str(report).splitlines()[-1].startswith("plan may run")
 
 
-@pytest.mark.parametrize("name", ["measure", "patrol", "rendezvous", "tokens"])
+@pytest.mark.parametrize("name", ["measure", "patrol", "rendezvous", "tokens", "warehouse"])
 def test_the_example_plans_may_run(name):
     assert check(read_plan(PLANS / name)).exit_code == 0
 

@@ -1,0 +1,40 @@
+"""Parking, as an action of robots with ``move_base``: plans/warehouse uses it in several places."""
+
+from __future__ import annotations
+
+from typing import Optional, Sequence
+
+from gspn_framework_package.world import patrol
+from gspn_framework_package.world.base_client import (
+    Feedback,
+    IsCancelled,
+    carry_out,
+    client_of,
+)
+from gspn_framework_package.world.room import Pose
+
+
+class Park:
+    """Drives the robot to a free one of some slots, if it is in none of them.
+
+    :param slots: poses ``[x, y, yaw]`` in the map, in metres and radians.
+    :param radius: of a robot, in metres.
+    """
+
+    def __init__(self, slots: Sequence[Sequence[float]], radius: float = 0.105) -> None:
+        self._slots = [Pose(*(float(number) for number in slot)) for slot in slots]
+        self._radius = radius
+
+    def __call__(
+        self, place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled
+    ) -> Optional[str]:
+        """Park; the policy, or the place's only transition, follows."""
+        client = client_of(robot)
+        client.connect(thermometer=False)
+        steps = self._steps(client)
+        return carry_out(steps, client, place, feedback, is_cancelled)
+
+    def _steps(self, client: patrol.Robot) -> patrol.Action:
+        first = patrol.preferred_slot(client.name)
+        yield from patrol.park(client, self._slots, first, self._radius)
+        return None

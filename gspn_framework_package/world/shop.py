@@ -1,0 +1,156 @@
+"""What happens around the robots of plans/warehouse: customers order, batteries run down, and a
+person walks in now and then.
+
+It knows no ROS and no clock; :mod:`.shop_node` connects it to the robots.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Dict, List, Mapping, Tuple
+
+import jsonschema
+
+from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.world.room import Pose
+from gspn_framework_package.world.yaml_file import YamlDocument, path_text
+
+_POSITIVE = {"type": "number", "exclusiveMinimum": 0, "maximum": 1e9}
+
+
+def _numbers(count: int) -> Dict[str, Any]:
+    number = {"type": "number", "minimum": -10_000, "maximum": 10_000}
+    return {"type": "array", "items": number, "minItems": count, "maxItems": count}
+
+
+def _record(**properties: Any) -> Dict[str, Any]:
+    return {
+        "type": "object",
+        "required": list(properties),
+        "properties": properties,
+        "additionalProperties": False,
+    }
+
+
+SCHEMA = _record(
+    shelves={"type": "object", "minProperties": 1, "additionalProperties": _numbers(3)},
+    orders=_record(mean=_POSITIVE, repeat_after=_POSITIVE),
+    battery=_record(
+        range=_POSITIVE, charger=_numbers(2), reach=_POSITIVE, charge_seconds=_POSITIVE
+    ),
+    person=_record(away_mean=_POSITIVE, stays=_POSITIVE),
+)
+"""The JSON schema of ``shop.yaml``."""
+
+
+@dataclass(frozen=True)
+class CustomerOrder:
+    """Something from the shelf ``shelf``, where a robot stands at ``pose``."""
+
+    id: str
+    shelf: str
+    pose: Pose
+
+    def to_json(self) -> Dict[str, Any]:
+        """The order as customers send it, with the pose as ROS writes it."""
+        half = self.pose.yaw / 2
+        return {
+            "id": self.id,
+            "shelf": self.shelf,
+            "pose": {
+                "position": {"x": self.pose.x, "y": self.pose.y},
+                "orientation": {"z": math.sin(half), "w": math.cos(half)},
+            },
+        }
+
+
+class Shop:
+    """The customers, the batteries and the person.
+
+    :param settings: an object that fits :data:`SCHEMA`.
+    :param seed: of all that is random.
+    :param run: what the ids of the orders begin with.
+
+    :ivar person: whether the person is there.
+    :ivar ordered: the ids of all orders so far.
+    """
+
+    def __init__(self, settings: Mapping[str, Any], seed: int = 0, run: str = "order") -> None:
+        self._settings = settings
+        self._random = random.Random(seed)
+        self._run = run
+        self._levels: Dict[str, float] = {}
+        self._seen: Dict[str, Tuple[Pose, float]] = {}
+        self._due: List[Tuple[float, CustomerOrder]] = []
+        self._next_order = self._after(0.0, "orders", "mean")
+        self._next_walk = self._after(0.0, "person", "away_mean")
+        self.person = False
+        self.ordered: List[str] = []
+
+    def _after(self, now: float, what: str, mean: str) -> float:
+        return now + self._random.expovariate(1.0 / self._settings[what][mean])
+
+    def orders(self, now: float, is_open: bool = True) -> List[CustomerOrder]:
+        """The orders that are sent now (s). Each is sent twice; new ones only while the shop is
+        open."""
+        repeated = [order for when, order in self._due if when <= now]
+        self._due = [(when, order) for when, order in self._due if when > now]
+        new = []
+        while is_open and self._next_order <= now:
+            self._next_order = self._after(self._next_order, "orders", "mean")
+            name = self._random.choice(sorted(self._settings["shelves"]))
+            number = len(self.ordered) + 1
+            pose = Pose(*self._settings["shelves"][name])
+            new.append(CustomerOrder("%s_%d" % (self._run, number), name, pose))
+            self.ordered.append(new[-1].id)
+            self._due.append((now + self._settings["orders"]["repeat_after"], new[-1]))
+        return repeated + new
+
+    def walk(self, now: float) -> bool:
+        """Let the person come and go; returns whether they have just done so."""
+        if now < self._next_walk:
+            return False
+        self.person = not self.person
+        if self.person:
+            self._next_walk = now + self._settings["person"]["stays"]
+        else:
+            self._next_walk = self._after(now, "person", "away_mean")
+        return True
+
+    def battery(self, robot: str, pose: Pose, now: float) -> float:
+        """The level of a robot's battery, from 0 to 1, after it has been seen at ``pose``."""
+        settings = self._settings["battery"]
+        level = self._levels.get(robot, 1.0)
+        last, when = self._seen.get(robot, (pose, now))
+        charger = Pose(*settings["charger"])
+        level -= last.distance(pose) / settings["range"]
+        if max(charger.distance(pose), charger.distance(last)) <= settings["reach"]:
+            level += (now - when) / settings["charge_seconds"]
+        self._seen[robot] = (pose, now)
+        self._levels[robot] = min(max(level, 0.0), 1.0)
+        return self._levels[robot]
+
+
+def load_settings(file: str) -> Dict[str, Any]:
+    """Read a file such as plans/warehouse/shop.yaml.
+
+    :raises InputError: it cannot be read, or does not fit :data:`SCHEMA`.
+    """
+    try:
+        text = Path(file).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError("cannot read the shop: %s" % error, file=file) from None
+    document = YamlDocument(text, file)
+    for problem in jsonschema.Draft7Validator(SCHEMA).iter_errors(document.data):
+        raise InputError(
+            problem.message[:200],
+            file=file,
+            line=document.line(problem.path),
+            element=path_text(problem.path) or "shop",
+            hint="see plans/warehouse/shop.yaml",
+        )
+    settings: Dict[str, Any] = document.data
+    return settings
