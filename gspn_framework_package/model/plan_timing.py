@@ -8,6 +8,10 @@ outcome j has the probability r_j / (r_1 + r_2 + ...). A robot in a decision pla
 then, and the policy decides. A place that is mapped to no action (``null``) takes no time in any
 case; one that the plan does not map at all is treated as if it had an action.
 
+A transition with an event is no outcome of the action: the action does not end with it, but the
+event interrupts the robot, whatever it is doing in the place. While a robot is there, its event
+comes at the rate of the transition, or after the time that the event's ``after`` gives.
+
 This is the same as the classical reading of the net, in which exponential transitions race while
 they are enabled, wherever nothing but the robot's own token can disable them, since exponential
 times have no memory. :attr:`PlanTiming.splits` names the places where the two differ.
@@ -48,6 +52,8 @@ class PlanTiming:
     :param plan: a validated plan.
 
     :ivar places: number of each action place -> its timing, with the action of the team.
+    :ivar events: number of each action place -> the transitions by which events interrupt a robot
+        there.
     :ivar assumptions: what the plan leaves open and this class had to assume: sentences for people.
     """
 
@@ -55,6 +61,16 @@ class PlanTiming:
         self._plan = plan
         self._net = plan.net
         self.assumptions: List[str] = []
+        self.events: Dict[int, Tuple[int, ...]] = {
+            self._net.place_index[name]: tuple(
+                self._net.transition_index[t] for t in plan.interrupts(name)
+            )
+            for name in plan.action_places
+        }
+        self._of_action = {
+            p: [t for t in self._net.consumers[p] if t not in events]
+            for p, events in self.events.items()
+        }
         self.places: Dict[int, PlaceTiming] = {
             self._net.place_index[name]: self._timing(name) for name in plan.action_places
         }
@@ -82,6 +98,11 @@ class PlanTiming:
                 found[self._net.places[p].name] = why
         return found
 
+    def of_action(self, place: int) -> List[int]:
+        """The transitions that leave action place number ``place`` without an event: those that a
+        robot asks for."""
+        return self._of_action[place]
+
     def _is_idle(self, p: int, robot: str = "") -> bool:
         """Whether the place is mapped to no action: for the robot, or for the team."""
         name = self._net.places[p].name
@@ -91,10 +112,10 @@ class PlanTiming:
         return name in self._plan.actions and self._plan.actions[name] is None
 
     def _why_split(self, p: int, timing: PlaceTiming) -> str:
-        leaving = self._net.consumers[p]
+        leaving = self._of_action[p]
         timed = [t for t in leaving if self._net.transitions[t].timed]
-        if not leaving:
-            return ""
+        if not leaving and all(t == POLICY for t, _ in timing.outcomes):
+            return ""  # nobody leaves when the action is done
         if timing.duration.mean == 0:
             return "its action takes no time" if timed else ""
         if timing.duration.kind is not Kind.EXPONENTIAL:
@@ -113,8 +134,9 @@ class PlanTiming:
         if self._is_idle(p) and not any(name in r.actions for r in plan.robots):
             return PlaceTiming(Duration.none(), self._asked_at_once(p), 0.0, self._blocked(p))
         given = plan.durations.get(name)
-        rates = [(t, net.transitions[t].rate) for t in net.consumers[p] if net.transitions[t].timed]
-        decides = len(rates) < len(net.consumers[p])
+        leaving = self._of_action[p]
+        rates = [(t, net.transitions[t].rate) for t in leaving if net.transitions[t].timed]
+        decides = len(rates) < len(leaving)
         total = sum(rate for _, rate in rates)
         if given is not None:
             duration = given
@@ -129,7 +151,7 @@ class PlanTiming:
                 for t, chance in outcomes.items()
                 if chance > 0
             )
-        elif decides:
+        elif decides or (not leaving and self.events[p]):
             pairs = ((POLICY, 1.0),)
         else:
             pairs = tuple((t, rate / total) for t, rate in rates)
@@ -137,15 +159,19 @@ class PlanTiming:
 
     def _asked_at_once(self, p: int) -> Tuple[Tuple[int, float], ...]:
         """What a robot asks for in a place without an action (``docs/semantics.md``): the policy if
-        it has a say, else the only transition."""
-        leaving = self._net.consumers[p]
+        it has a say, else the only transition. Where only events leave, it asks for nothing."""
+        leaving = self._of_action[p]
         if any(not self._net.transitions[t].timed for t in leaving):
+            return ((POLICY, 1.0),)
+        if not leaving and self.events[p]:
             return ((POLICY, 1.0),)
         return ((leaving[0], 1.0),) if len(leaving) == 1 else ()
 
     def _blocked(self, p: int) -> str:
+        named = self._plan.outcomes.get(self._net.places[p].name, {})
         for t in self._net.consumers[p]:
-            if self._net.transitions[t].timed:
+            transition = self._net.transitions[t]
+            if transition.timed and (t not in self.events[p] or named.get(transition.name)):
                 why = why_blocked(self._net, t, p)
                 if why:
                     return "%s %s" % (self._net.transitions[t].name, why)
@@ -159,7 +185,7 @@ class PlanTiming:
         by_rates: List[str] = []
         for p, timing in self.places.items():
             name = net.places[p].name
-            if self._is_idle(p) or not net.consumers[p]:
+            if self._is_idle(p) or not self._of_action[p]:
                 continue
             if name not in plan.durations:
                 (no_time if timing.duration.mean == 0 else by_rates).append(name)
@@ -179,9 +205,21 @@ class PlanTiming:
             if timing.outcomes == ((POLICY, 1.0),)
             and net.places[p].name not in plan.outcomes
             and not self._is_idle(p)
+            and not (self.events[p] and not self._of_action[p])
         ]
         if decided:
             self.assumptions.append("the policy, not the action, decides in %s" % listed(decided))
+        by_rate = [
+            net.transitions[t].name
+            for events in self.events.values()
+            for t in events
+            if plan.events[net.transitions[t].name].after is None
+        ]
+        if by_rate:
+            self.assumptions.append(
+                "while a robot is in their place, the events %s come at the rates of the net"
+                % listed(by_rate)
+            )
 
 
 def why_blocked(net: Net, t: int, place: int) -> str:

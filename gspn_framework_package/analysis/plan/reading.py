@@ -11,7 +11,7 @@ from typing import Dict, List, NamedTuple
 
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.plan_timing import PlanTiming
+from gspn_framework_package.model.plan_timing import PlanTiming, listed, why_blocked
 
 RUN, NET = "run", "net"
 
@@ -80,7 +80,7 @@ def _of_both(plan: Plan) -> List[str]:
     robots = [
         any(net.places[p].name not in plan.resource_places for p, _ in arcs) for arcs in net.inputs
     ]
-    assumptions = []
+    assumptions = _of_events(plan)
     if sum(p.tokens for p in net.places if p.name not in plan.resource_places) > 1 and any(
         not t.timed for t in net.transitions
     ):
@@ -89,10 +89,45 @@ def _of_both(plan: Plan) -> List[str]:
             "the first to finish does)"
         )
     if not plan.simulate_environment and any(
-        t.timed and not moves for t, moves in zip(net.transitions, robots)
+        t.timed and not moves and t.name not in plan.submissions
+        for t, moves in zip(net.transitions, robots)
     ):
         assumptions.append(
             "exponential transitions that only take resources fire at their rates (in a run, only "
             "with environment: simulate)"
         )
     return assumptions
+
+
+def _of_events(plan: Plan) -> List[str]:
+    """What both readings assume about events that interrupt."""
+    net = plan.net
+    interrupting = [
+        (p, t)
+        for p, place in enumerate(net.places)
+        if place.name not in plan.resource_places
+        for t in net.consumers[p]
+        if net.transitions[t].name in plan.events
+    ]
+    timed = [
+        net.transitions[t].name
+        for _, t in interrupting
+        if plan.events[net.transitions[t].name].after is not None
+    ]
+    held = [
+        net.transitions[t].name
+        for p, t in interrupting
+        if plan.events[net.transitions[t].name].hold and why_blocked(net, t, p)
+    ]
+    found = []
+    if timed:
+        found.append(
+            "the events %s come at the rates of the net, not after a fixed time (the simulation "
+            "has the time)" % listed(timed)
+        )
+    if held:
+        found.append(
+            "the events %s have no effect if they come while their transition is not enabled (the "
+            "simulation holds them)" % listed(held)
+        )
+    return found

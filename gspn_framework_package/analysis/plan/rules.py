@@ -5,6 +5,7 @@ The rules are those of the execution (``docs/semantics.md``), with simplificatio
 chain of the net's own markings:
 
 * the clock of an exponential transition runs only while the transition is enabled;
+* each robot in a place has its own clock for an event that interrupts it there;
 * robots take no time in a place with immediate outputs, even where an action runs there;
 * if several robots could fire at once, each is equally likely to fire first (in a run, the one that
   finished first does);
@@ -62,6 +63,14 @@ class PlanRules:
             t for t, transition in enumerate(net.transitions) if not transition.timed
         ]
         self._timed = [t for t, transition in enumerate(net.transitions) if transition.timed]
+        self.interrupts: Dict[int, int] = {
+            t: p
+            for t in self._timed
+            if net.transitions[t].name in plan.events
+            for p, _ in net.inputs[t]
+            if acts[p]
+        }
+        """Transitions by which events interrupt a robot -> the place of the robot."""
         self._spontaneous = [
             t for t in self._immediate if not any(acts[p] for p, _ in net.inputs[t])
         ]
@@ -80,8 +89,19 @@ class PlanRules:
         """The enabled exponential transitions, with their rates (1/s)."""
         net = self.net
         return [
-            (t, net.effective_rate(marking, t)) for t in self._timed if net.is_enabled(marking, t)
+            (t, self.event_rate(marking, t) or net.effective_rate(marking, t))
+            for t in self._timed
+            if net.is_enabled(marking, t)
         ]
+
+    def event_rate(self, marking: Marking, t: int) -> float:
+        """The rate (1/s) at which the event of ``t``, which is enabled, comes: to any of the robots
+        in its place. 0 if it interrupts nobody."""
+        return (
+            self.net.transitions[t].rate * marking[self.interrupts[t]]
+            if t in self.interrupts
+            else 0.0
+        )
 
     def outcomes(self, marking: Marking) -> List[Branch]:
         """What happens in zero time. The list is empty if nothing does, so that time passes. If the

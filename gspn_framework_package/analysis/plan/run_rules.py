@@ -8,6 +8,10 @@ a place is kept as it is. So is a decision place without a duration: robots ther
 If it has an action, which takes no time, they are done one after the other, each when all others
 have moved that can; without one they are done on arrival.
 
+**Events.** An event that interrupts comes at the rate of its transition to each robot in the place,
+whatever it is doing there, and has an effect if the marking then enables the transition. A place
+that only events leave is kept as it is.
+
 **The split.** Elsewhere a place has several *columns* (sub-places), and a state counts the robots
 in each:
 
@@ -119,6 +123,14 @@ class _Racing(NamedTuple):
     rates: Tuple[Tuple[int, float], ...]
 
 
+class _Interrupt(NamedTuple):
+    """An event: each robot in one of ``columns`` fires ``transition`` at this ``rate`` (1/s)."""
+
+    transition: int
+    rate: float
+    columns: Tuple[int, ...]
+
+
 class RunRules:
     """The states of a plan as it runs, and the steps between them.
 
@@ -150,6 +162,7 @@ class RunRules:
             for p, place in enumerate(net.places)
             if self._rules.acts[p]
         }
+        self._interrupting = self._rules.interrupts  # transition -> place
         self._changes = [bool(plan.net.effect(t)) for t in self._full]
         self._robots_of = [
             tuple((p, w) for p, w in arcs if self._rules.acts[p]) for arcs in net.inputs
@@ -170,6 +183,7 @@ class RunRules:
         self._keeps_draws = any(
             self._robots_of[t]
             and not self._changes[t]
+            and self._is_asked_for(t)
             and not any(self._races(p) for p, _ in self._robots_of[t])
             for t in range(len(net.transitions))
         )
@@ -196,12 +210,23 @@ class RunRules:
                     "every robot in %s does what most of them do there, since states do not tell "
                     "robots apart (the simulation does)" % place
                 )
-        leaving = self.plan.net.consumers[p]
+        leaving = timing.of_action(p)
         if len(leaving) == 1 and self.plan.net.transitions[leaving[0]].timed:
             # who names nothing asks for the only transition that there is
-            only = tuple((leaving[0], v) for _, v in team.outcomes)
-            team = team._replace(outcomes=((leaving[0], sum(v for _, v in only)),) if only else ())
+            asked: Dict[int, float] = {}
+            for t, v in team.outcomes:
+                t = leaving[0] if t == POLICY else t
+                asked[t] = asked.get(t, 0) + v
+            team = team._replace(outcomes=tuple(asked.items()))
         return team
+
+    def _of_action(self, p: int) -> List[int]:
+        """The transitions that leave place ``p`` without an event."""
+        return [t for t in self.net.consumers[p] if t not in self._interrupting]
+
+    def _only_events(self, p: int) -> bool:
+        """Whether nothing but events takes a robot out of place ``p``."""
+        return not self._of_action(p) and all(t == POLICY for t, _ in self.timing[p].outcomes)
 
     def _outcomes(self, p: int) -> Tuple[Tuple[int, float], ...]:
         """The requests of a robot that is done in place ``p``, in the numbers of the explored
@@ -221,14 +246,22 @@ class RunRules:
             and all(t != POLICY for t, v in timing.outcomes if v > 0)
             and all(
                 self.net.transitions[t].timed and fires_alone(self.net, t, p)
-                for t in self.net.consumers[p]
+                for t in {*self._of_action(p), *(t for t, v in self._outcomes(p) if v > 0)}
             )
         )
+
+    def _is_asked_for(self, t: int) -> bool:
+        """Whether a robot ever asks for transition ``t``; if not, only its event fires it."""
+        p = self._interrupting.get(t)
+        return p is None or any(asked == t for asked, _ in self._outcomes(p))
 
     def _takes_time(self, p: int) -> bool:
         """Whether robots in place ``p`` are told apart by doing and done."""
         return (
-            bool(self.net.consumers[p]) and self.timing[p].duration.mean > 0 and not self._races(p)
+            bool(self.net.consumers[p])
+            and not self._only_events(p)
+            and self.timing[p].duration.mean > 0
+            and not self._races(p)
         )
 
     def _ends_at_once(self, p: int) -> bool:
@@ -237,6 +270,7 @@ class RunRules:
         name = self.net.places[p].name
         return (
             bool(self.timing[p].outcomes)
+            and not self._only_events(p)
             and self.timing[p].duration.mean == 0
             and self.plan.actions.get(name, True) is not None
         )
@@ -256,7 +290,7 @@ class RunRules:
         width = 0
         for p in range(len(net.places)):
             first = width
-            if not self._rules.acts[p] or not net.consumers[p]:
+            if not self._rules.acts[p] or not net.consumers[p] or self._only_events(p):
                 self._column[p] = width
                 width += 1
             elif self._races(p):
@@ -353,6 +387,10 @@ class RunRules:
             if column >= 0
         ]
         self._arriving = [(self._columns[p].arriving, p) for p in sorted(self._ending)]
+        self._interrupts = [
+            _Interrupt(t, net.transitions[t].rate, tuple(range(*self._parts[p])))
+            for t, p in self._interrupting.items()
+        ]
         self._working = [(p, c) for p, c in self._columns.items() if c.phases]
         # for each transition: (place, weight, column of those that named it, columns at the policy)
         self._takes = [
@@ -493,6 +531,13 @@ class RunRules:
                     arcs.append(RunArc(tuple(counts), self.ends, robots * rate))
                 for request, v in columns.outcomes:
                     arcs += self._done(state, marking, p, column, request, robots * rate * v)
+        for t, rate, where in self._interrupts:
+            if self.net.is_enabled(marking, t):
+                for column in where:
+                    robots = state[column]
+                    if robots:
+                        for target, v in self._after(state, t, ((column, 1),)):
+                            arcs.append(RunArc(target, t, robots * rate * v))
         for t in self._environment:
             if self.net.is_enabled(marking, t):
                 rate = self.net.effective_rate(marking, t)

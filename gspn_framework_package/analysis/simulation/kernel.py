@@ -8,7 +8,8 @@ function but not in the files of the functions that it calls.
 
 An event costs the same in a net of ten places as in one of ten thousand. What depends on a place is
 listed by place; requests that could not fire are looked at again only when a count that they read
-has changed (*dirty*); the ends of actions are in a heap.
+has changed (*dirty*); the ends of actions are in a heap, and the events that interrupt robots in
+another.
 
 *Lists* of waiting robots: list ``a`` holds the robots that named a transition, by the arc from
 their place to it; list ``arcs + p`` holds those in place ``p`` that let the policy decide. *Groups*
@@ -116,7 +117,13 @@ KINDS = 23
 ABLE = 24
 LOST_ROBOT = 25
 READY = 26
-NUMBERS = 27
+ARRIVALS = 27
+HELD = 28
+HELD_AT = 29
+NUMBERS = 30
+
+NO_VISIT = 1 << 62
+"""The first event of a visit in which none comes: later than all."""
 
 # Positions in ``clocks`` of the state.
 NOW = 0
@@ -315,6 +322,30 @@ def drop_first(size: int, times: Floats, tags: Indices, who: Indices) -> None:
     times[i] = time
     tags[i] = tag
     who[i] = robot
+
+
+def only_current(
+    size: int,
+    times: Floats,
+    tags: Indices,
+    who: Indices,
+    divisor: int,
+    since: Indices,
+    exactly: bool,
+) -> int:
+    """Remove the events of a heap that no longer count; returns the size that is left. The robot of
+    an event is ``who // divisor``; its tag must be ``since`` of the robot, or also a later one
+    unless ``exactly`` is set."""
+    left = 0
+    for i in range(size):
+        time = times[i]
+        tag = tags[i]
+        what = who[i]
+        first = since[what // divisor]
+        if tag == first or (tag > first and not exactly):
+            push(time, tag, what, left, times, tags, who)
+            left += 1
+    return left
 
 
 def set_leaf(tree: Floats, leaves: int, i: int, value: float) -> None:
@@ -840,7 +871,7 @@ class PlanArrays(NamedTuple):
     sizes: Any
     """Places, transitions, arcs of robots, whether the environment fires, most robots, whether
     no row means waiting (strict), whether some row always matches, what to do when a robot is lost
-    and others wait for it, transition that they request then."""
+    and others wait for it, transition that they request then, events that interrupt."""
     test_from: Any
     tests: Any
     effect_from: Any
@@ -894,6 +925,15 @@ class PlanArrays(NamedTuple):
     evicted_from: Any
     evicted: Any
     loss_rate: Any
+    event_from: Any
+    """By place: the events that interrupt robots there."""
+    event_transition: Any
+    event_rate: Any
+    event_after: Any
+    """How long after a robot has entered the place the event comes (s); 0: at its rate."""
+    event_hold: Any
+    event_test_from: Any
+    event_tests: Any
 
 
 class PlanState(NamedTuple):
@@ -951,6 +991,17 @@ class PlanState(NamedTuple):
     is_spontaneous_dirty: Any
     tree: Any
     stack: Any
+    visit_from: Any
+    """Of each robot: the tag of the first event of its visit; NO_VISIT: none comes."""
+    arrival_time: Any
+    arrival_tag: Any
+    arrival_who: Any
+    """The heap of events: ``robot * (events + 1)``, plus the number of an event that comes after a
+    fixed time, or plus the number of all events for the next one that comes at a rate."""
+    held_robot: Any
+    held_tag: Any
+    held_event: Any
+    """Events that fire as soon as they can, if the visit is still the one with that tag."""
 
 
 def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
@@ -1014,6 +1065,13 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
         evicted_from,
         evicted,
         loss_rate,
+        event_from,
+        event_transition,
+        event_rate,
+        event_after,
+        event_hold,
+        event_test_from,
+        event_tests,
     ) = r
     (
         listed_from,
@@ -1085,6 +1143,13 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
         is_spontaneous_dirty,
         tree,
         stack,
+        visit_from,
+        arrival_time,
+        arrival_tag,
+        arrival_who,
+        held_robot,
+        held_tag,
+        held_event,
     ) = s
     places = sizes[0]
     transitions = sizes[1]
@@ -1093,6 +1158,7 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     most = sizes[4]
     strict = sizes[5]
     always = sizes[6]
+    all_events = sizes[9]
     leaves = len(tree) // 2
     queue_room = len(queue_robot)
     with_until = len(until_operations)
@@ -1104,6 +1170,11 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     n_dirty = numbers[DIRTY]
     n_volatile = numbers[VOLATILE]
     n_heap = numbers[HEAP]
+    n_arrivals = numbers[ARRIVALS]
+    n_held = numbers[HELD]
+    heap_room = len(heap_robot)
+    arrival_room = len(arrival_who)
+    interrupted = False
     queue_head = numbers[QUEUE_HEAD]
     n_queue = numbers[QUEUE]
     n_pending = numbers[PENDING]
@@ -1129,6 +1200,60 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
             delay = 0.0
             if what == ENTERS:
                 failures[robot] = 0
+                if all_events > 0:
+                    visit_from[robot] = NO_VISIT
+                    begin = event_from[at[robot]]
+                    end = event_from[at[robot] + 1]
+                    if begin < end:
+                        visit_from[robot] = sequence + 1
+                        total = 0.0
+                        for i in range(begin, end):
+                            if event_after[i] > 0.0:
+                                if n_arrivals >= arrival_room:
+                                    n_arrivals = only_current(
+                                        n_arrivals,
+                                        arrival_time,
+                                        arrival_tag,
+                                        arrival_who,
+                                        all_events + 1,
+                                        visit_from,
+                                        False,
+                                    )
+                                sequence += 1
+                                push(
+                                    now + event_after[i],
+                                    sequence,
+                                    robot * (all_events + 1) + i,
+                                    n_arrivals,
+                                    arrival_time,
+                                    arrival_tag,
+                                    arrival_who,
+                                )
+                                n_arrivals += 1
+                            else:
+                                total += event_rate[i]
+                        if total > 0.0:
+                            if n_arrivals >= arrival_room:
+                                n_arrivals = only_current(
+                                    n_arrivals,
+                                    arrival_time,
+                                    arrival_tag,
+                                    arrival_who,
+                                    all_events + 1,
+                                    visit_from,
+                                    False,
+                                )
+                            sequence += 1
+                            push(
+                                now + exponential(random) / total,
+                                sequence,
+                                robot * (all_events + 1) + all_events,
+                                n_arrivals,
+                                arrival_time,
+                                arrival_tag,
+                                arrival_who,
+                            )
+                            n_arrivals += 1
                 if timing_kind[timing] == NULL_ACTION:
                     what = IS_DONE
                     wish = null_list[timing]
@@ -1185,6 +1310,10 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                     due_what[robot] = FAILS
                 length += delay
                 if length > 0.0:
+                    if n_heap >= heap_room:
+                        n_heap = only_current(
+                            n_heap, heap_time, heap_tag, heap_robot, 1, due_tag, True
+                        )
                     push(now + length, sequence, robot, n_heap, heap_time, heap_tag, heap_robot)
                     n_heap += 1
                 else:
@@ -1373,6 +1502,28 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                 else:
                     i += 1
 
+        if firing < 0 and n_held > 0 and numbers[HELD_AT] != version:
+            # events that are held: the first robot whose event can fire now
+            i = 0
+            while i < n_held:
+                robot = held_robot[i]
+                if visit_from[robot] != held_tag[i]:
+                    n_held -= 1
+                    for j in range(i, n_held):
+                        held_robot[j] = held_robot[j + 1]
+                        held_tag[j] = held_tag[j + 1]
+                        held_event[j] = held_event[j + 1]
+                    continue
+                if (firing < 0 or robot < requester) and fits(
+                    held_event[i], level, event_test_from, event_tests
+                ):
+                    firing = event_transition[held_event[i]]
+                    requester = robot
+                    interrupted = True
+                i += 1
+            if firing < 0:
+                numbers[HELD_AT] = version
+
         # -- nothing fires: the next event -------------------------------------------------------
         if firing < 0:
             if n_active > 0 and inactives == n_active:
@@ -1412,6 +1563,14 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
             if clocks[LOSS_AT] < time:
                 time = clocks[LOSS_AT]
                 source = 3
+            while n_arrivals > 0 and (
+                arrival_tag[0] < visit_from[arrival_who[0] // (all_events + 1)]
+            ):
+                drop_first(n_arrivals, arrival_time, arrival_tag, arrival_who)
+                n_arrivals -= 1
+            if n_arrivals > 0 and arrival_time[0] < time:
+                time = arrival_time[0]
+                source = 4
             if time > stop:
                 now = stop
                 status = AT_STOP
@@ -1445,8 +1604,57 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                 numbers[LOST_ROBOT] = active[int(uniform(random) * n_active)]
                 status = LOSS
                 break
-            firing = environment_transition[find_leaf(tree, leaves, uniform(random) * tree[1])]
-            numbers[ENVIRONMENT_DIRTY] = 1
+            if source == 4:
+                robot = arrival_who[0] // (all_events + 1)
+                event = arrival_who[0] % (all_events + 1)
+                drop_first(n_arrivals, arrival_time, arrival_tag, arrival_who)
+                n_arrivals -= 1
+                if event == all_events:
+                    begin = event_from[at[robot]]
+                    end = event_from[at[robot] + 1]
+                    total = 0.0
+                    for i in range(begin, end):
+                        total += event_rate[i]
+                    u = uniform(random) * total
+                    for i in range(begin, end):
+                        if event_rate[i] > 0.0:
+                            event = i
+                            u -= event_rate[i]
+                            if u < 0.0:
+                                break
+                    sequence += 1
+                    push(
+                        now + exponential(random) / total,
+                        sequence,
+                        robot * (all_events + 1) + all_events,
+                        n_arrivals,
+                        arrival_time,
+                        arrival_tag,
+                        arrival_who,
+                    )
+                    n_arrivals += 1
+                if not fits(event, level, event_test_from, event_tests):
+                    if event_hold[event] > 0:
+                        i = 0
+                        while i < n_held and not (
+                            held_robot[i] == robot
+                            and held_tag[i] == visit_from[robot]
+                            and held_event[i] == event
+                        ):
+                            i += 1
+                        if i == n_held:
+                            held_robot[i] = robot
+                            held_tag[i] = visit_from[robot]
+                            held_event[i] = event
+                            n_held += 1
+                            numbers[HELD_AT] = -1
+                    continue
+                firing = event_transition[event]
+                requester = robot
+                interrupted = True
+            else:
+                firing = environment_transition[find_leaf(tree, leaves, uniform(random) * tree[1])]
+                numbers[ENVIRONMENT_DIRTY] = 1
 
         # -- fire ----------------------------------------------------------------------------------
         fired += 1
@@ -1480,7 +1688,26 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                     found = True
             if not found and requester >= 0 and at[requester] == place:
                 movers[n_movers - 1] = requester
+        if interrupted:
+            # it leaves whatever it is doing: its action, or a list in which it waits
+            interrupted = False
+            movers[0] = requester
+            n_movers = 1
+            visit_from[requester] = NO_VISIT
+            due_tag[requester] = 0
+            if phase[requester] == WAITING:
+                wish = in_list[requester]
+                unlink(requester, in_list, following, preceding, head, tail)
+                level[places + wish] -= 1
+                waits[list_group[wish]] -= 1
+                # without it, others may have other candidates
+                n_dirty = mark(
+                    joins_from[wish], joins_from[wish + 1], joins, waits, dirty, is_dirty, n_dirty
+                )
+            in_list[requester] = -1
         for i in range(n_movers):
+            if in_list[movers[i]] < 0:
+                continue
             unlink(movers[i], in_list, following, preceding, head, tail)
             wish = in_list[movers[i]]
             level[places + wish] -= 1
@@ -1583,6 +1810,7 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                 n_pending += 1
             else:
                 phase[robot] = GONE
+                visit_from[robot] = NO_VISIT
                 n_active -= 1
                 active[active_at[robot]] = active[n_active]
                 active_at[active[n_active]] = active_at[robot]
@@ -1614,6 +1842,8 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     numbers[DIRTY] = n_dirty
     numbers[VOLATILE] = n_volatile
     numbers[HEAP] = n_heap
+    numbers[ARRIVALS] = n_arrivals
+    numbers[HELD] = n_held
     numbers[QUEUE_HEAD] = queue_head
     numbers[QUEUE] = n_queue
     numbers[PENDING] = n_pending

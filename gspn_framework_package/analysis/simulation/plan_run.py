@@ -69,6 +69,7 @@ class PlanRun(KernelRun):
         elif s.phase[robot] == kernel.INACTIVE:
             numbers[kernel.INACTIVES] -= 1
         s.due_tag[robot] = 0
+        s.visit_from[robot] = kernel.NO_VISIT
         s.phase[robot] = kernel.GONE
         numbers[kernel.ACTIVE] -= 1
         last = s.active[numbers[kernel.ACTIVE]]
@@ -278,6 +279,10 @@ def _new_state(tables: PlanTables) -> kernel.PlanState:
         tables.most_slots,
         1,
     )
+    # the events of one visit: those after a fixed time, and the next one that comes at a rate
+    most = max(map(len, tables.events_at), default=0)
+    arrivals = 2 * room * (most + 1) + 1 if most else 1
+    held = room * most + 1
     return kernel.PlanState(
         numbers=numbers,
         clocks=clocks,
@@ -331,4 +336,11 @@ def _new_state(tables: PlanTables) -> kernel.PlanState:
         is_spontaneous_dirty=is_spontaneous_dirty,
         tree=tree,
         stack=real(len(tables.rules.until_operations) + 1),
+        visit_from=whole(room, kernel.NO_VISIT),
+        arrival_time=real(arrivals),
+        arrival_tag=whole(arrivals),
+        arrival_who=whole(arrivals),
+        held_robot=whole(held),
+        held_tag=whole(held),
+        held_event=whole(held),
     )

@@ -83,6 +83,15 @@ class PlanTables:
             > sum(w for p, w in net.inputs[t] if not self.is_resource[p])
             for t in range(len(net.transitions))
         )
+        self.events_at = [
+            [] if self.is_resource[p] else list(timing.events[p]) for p in range(len(net.places))
+        ]
+        """By place: the transitions by which events interrupt robots there."""
+        self.events = [t for here in self.events_at for t in here]
+        self.of_action = [
+            [t for t in leaving if t not in here]
+            for leaving, here in zip(net.consumers, self.events_at)
+        ]
         self.room = max(MOST_AGENTS, len(plan.robots)) if creates else max(len(plan.robots), 1)
         self.rules = self._rules(timing, policy_reads, always)
 
@@ -142,7 +151,7 @@ class PlanTables:
         environment = (
             [t for t in range(transitions) if not immediate[t] and not self.moves_robots[t]]
             if plan.simulate_environment
-            else []
+            else [net.transition_number(t) for t in plan.submissions]  # tasks come from outside
         )
         self.spontaneous, self.environment = spontaneous, environment
         spontaneous_from, reads_spontaneous = ragged(self._readers(spontaneous, spontaneous))
@@ -181,6 +190,7 @@ class PlanTables:
                     int(always),
                     lost_rule,
                     lost_transition,
+                    len(self.events),
                 ],
                 dtype=np.int64,
             ),
@@ -220,7 +230,41 @@ class PlanTables:
             evicted_from=evicted_from,
             evicted=evicted,
             loss_rate=_real([self.losses]),
+            **self._interrupts(zero),
         )
+
+    def _interrupts(self, zero: int) -> Dict[str, Any]:
+        """The events that interrupt robots. Their transitions are tested in the marking alone,
+        whatever the robots are doing."""
+        net = self.net
+        tests: List[List[int]] = []
+        for t in self.events:
+            found = []
+            for p, weight in net.inputs[t]:
+                found += [p, zero, 1, weight]
+            for p, weight in net.inhibitors[t]:
+                found += [p, zero, -1, 1 - weight]
+            for p, change in net.effect(t):
+                capacity = net.places[p].capacity
+                if change > 0 and capacity is not None:
+                    found += [p, zero, -1, change - capacity]
+            tests.append(found)
+        sources = [self.plan.events[net.transitions[t].name] for t in self.events]
+        test_from, flat_tests = ragged(tests)
+        return {
+            "event_from": np.cumsum([0, *map(len, self.events_at)]).astype(np.int64),
+            "event_transition": _whole(self.events),
+            "event_rate": _real(
+                [
+                    net.transitions[t].rate if source.after is None else 0.0
+                    for t, source in zip(self.events, sources)
+                ]
+            ),
+            "event_after": _real([source.after or 0.0 for source in sources]),
+            "event_hold": _whole([int(source.hold) for source in sources]),
+            "event_test_from": test_from,
+            "event_tests": flat_tests,
+        }
 
     def _joins(self) -> List[List[int]]:
         """For each list, the groups to look at again when a robot joins it."""
@@ -369,9 +413,10 @@ class PlanTables:
             return kernel.NOWHERE
         if outcome != POLICY:
             return self.arc_of.get((outcome, p), kernel.BAD_RESULT)
-        if self.immediate_from[p]:
+        asked = self.of_action[p]
+        if self.immediate_from[p] or not asked:
             return len(self.arcs) + p
-        return self.arc_of[leaving[0], p] if len(leaving) == 1 else kernel.BAD_RESULT
+        return self.arc_of[asked[0], p] if len(asked) == 1 else kernel.BAD_RESULT
 
 
 def _robot_classes(plan: Plan) -> Tuple[List[str], List[int]]:

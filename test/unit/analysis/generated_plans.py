@@ -1,7 +1,9 @@
 """Random small plans for Hypothesis, with everything that a run knows: durations of every kind,
 outcomes, failures and their rules, timeouts, policies with wildcards, priorities, weights,
 inhibitor arcs, capacities, resources, an environment, routing, actions of single robots, agents
-that come and go."""
+that come and go, events."""
+
+from dataclasses import replace
 
 from generated_nets import split
 from hypothesis import strategies as st
@@ -9,6 +11,8 @@ from hypothesis import strategies as st
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
+from gspn_framework_package.model.event import EventSource
+from gspn_framework_package.model.net import Arc, Net, Transition
 from gspn_framework_package.model.plan import (
     FailureKind,
     FailureRule,
@@ -166,3 +170,55 @@ def small_plans(draw):
         outcomes=outcomes,
         failures=failures,
     ).validate()
+
+
+@st.composite
+def with_events(draw, plans, sources=None):
+    """One of ``plans`` with one or two events that interrupt robots.
+
+    :param sources: a strategy for where events come from, and what they do; by default, any.
+    """
+    plan = draw(plans)
+    net = plan.net
+    acts, resources = list(plan.action_places), sorted(plan.resource_places)
+    transitions, arcs, events = [], [], {}
+    for number in range(draw(st.integers(1, 2))):
+        name = "event%d" % number
+        place = draw(st.sampled_from(acts))
+        transitions.append(
+            Transition(name, timed=True, rate=draw(st.sampled_from([0.3, 1.0, 3.0])))
+        )
+        arcs += [Arc(place, name), Arc(name, draw(st.sampled_from(acts)))]
+        if resources and draw(st.booleans()):
+            taken = draw(st.sampled_from(resources))
+            arcs.append(Arc(taken, name))
+            if draw(st.booleans()):
+                arcs.append(Arc(name, taken))
+        if draw(st.integers(0, 3)) == 0:
+            arcs.append(Arc(draw(st.sampled_from(acts)), name, draw(st.integers(1, 2)), True))
+        events[name] = draw(any_event() if sources is None else sources)
+    if resources and draw(st.booleans()):
+        back = "back"  # what events take comes back
+        transitions.append(Transition(back, timed=True, rate=0.7))
+        arcs += [Arc(acts[0], back), Arc(back, acts[0]), Arc(back, resources[0])]
+    return replace(
+        plan,
+        net=Net(net.places, [*net.transitions, *transitions], [*net.arcs, *arcs], net.name),
+        events=events,
+    ).validate()
+
+
+def any_event():
+    """Events that come at a rate or after a time, held or not."""
+    topics = st.tuples(st.booleans(), st.booleans()).map(
+        lambda flags: EventSource("sensor", "std_msgs/Empty", hold=flags[0], resume=flags[1])
+    )
+    times = st.tuples(st.sampled_from([0.37, 1.73]), st.booleans()).map(
+        lambda given: EventSource(after=given[0], hold=given[1])
+    )
+    return topics | times
+
+
+def plain_event():
+    """Events that come at a rate and are not held."""
+    return st.just(EventSource("sensor", "std_msgs/Empty"))

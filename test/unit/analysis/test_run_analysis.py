@@ -516,6 +516,7 @@ def as_net(plan):
     transitions = list(plan.net.transitions)
     for name, duration in plan.durations.items():
         leaving = plan.net.consumers[plan.net.place_number(name)]
+        leaving = [t for t in leaving if plan.net.transitions[t].name not in plan.events]
         total = sum(plan.net.transitions[t].rate for t in leaving)
         for t in leaving:
             rate = plan.net.transitions[t].rate / total / duration.mean

@@ -39,7 +39,7 @@ LIMIT = 7.5
 thousand comparisons is beyond it by chance once in ten million times."""
 
 
-class _TooLongError(Exception):
+class TooLongError(Exception):
     pass
 
 
@@ -48,7 +48,7 @@ def reference(plan, *, time, runs, losses=0.0, most_slots=20_000):
 
     def check(slots):
         if slots > most_slots:
-            raise _TooLongError
+            raise TooLongError
 
     rows = []
     for seed in range(runs):
@@ -101,7 +101,7 @@ def test_generated_plans(plan):
             reject()
         try:
             assert_alike(plan, reference(plan, time=time, runs=runs, losses=losses), rows)
-        except _TooLongError:
+        except TooLongError:
             reject()
 
 
