@@ -204,7 +204,9 @@ def measure(args: argparse.Namespace, folder: Path) -> Dict[str, Any]:
     pairs = []
     with Master() as master:
         for number in range(args.pairs):
-            pairs.append(tuple(run_on_ros(master, plan, args.seconds) for plan in plans))
+            # the seed is also that of the environment: with one seed, all runs have the same luck
+            seeded = [plan.with_seed(number + 1) for plan in plans]
+            pairs.append(tuple(run_on_ros(master, plan, args.seconds) for plan in seeded))
             told = "pair %d of %d on ROS: %s" % (number + 1, args.pairs, pairs[-1])
             print(told, file=sys.stderr, flush=True)
     result["ros"] = compared(pairs)  # type: ignore[arg-type]
