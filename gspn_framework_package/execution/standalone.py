@@ -35,6 +35,7 @@ from gspn_framework_package.execution.actions import (
     Cancellation,
     error_text,
 )
+from gspn_framework_package.execution.breakpoints import Breakpoints, Halts
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.event_functions import EventFunctions, EventHost
 from gspn_framework_package.execution.event_log import EventLogWriter, Record
@@ -162,6 +163,10 @@ class StandaloneExecutor:
         self._pool = WorkerPool("agent")
         self._queue: queue.SimpleQueue[_Message] = queue.SimpleQueue()
         self._running: Dict[str, _Attempt] = {}
+        self.halt_at = Breakpoints()
+        """Where agents halt. May be replaced at any time."""
+        self._halts: Dict[str, Halts] = {}
+        self._halted: Dict[str, StartAction] = {}
         self._timers: List[Tuple[float, int, _Message]] = []
         self._timer_numbers = itertools.count()
         host = EventHost(self._event_observed, self._task_came, self._event_failed, self._data_of)
@@ -325,6 +330,8 @@ class StandaloneExecutor:
         for command in step.commands:
             if not (enough and isinstance(command, StartAction)):
                 self._carry_out(command)
+        if self._halted:
+            self._release()
         if self._interrupts and self.state.ended is None:
             self._follow_visits(entries, step)
         if enough:
@@ -365,11 +372,14 @@ class StandaloneExecutor:
         if isinstance(command, StartAction):
             if command.attempt == 1:
                 self._set_phase(command.robot, Phase.FREE)
-            if command.delay > 0:
+            if not self._may_start(command):
+                self._halted[command.robot] = command
+            elif command.delay > 0:
                 self._at(self._clock() + command.delay, lambda: self._start_action(command))
             else:
                 self._start_action(command)
         elif isinstance(command, CancelAction):
+            self._halted.pop(command.robot, None)
             attempt = self._running.pop(command.robot, None)
             if attempt is not None:
                 attempt.cancellation.cancel()
@@ -382,6 +392,43 @@ class StandaloneExecutor:
             self._record({"kind": "ended", "reason": command.reason, "finished": command.finished})
             self._over.set()
             self._listener.on_end(command.reason, command.finished)
+
+    # -- breakpoints -------------------------------------------------------------------------------
+
+    def _may_start(self, command: StartAction) -> bool:
+        """Whether no breakpoint holds an agent before its action; if one does, pause the agent."""
+        robot = self.state.robots.get(command.robot)
+        if robot is None or not (self.halt_at.places or command.robot in self._halts):
+            return True
+        halts = self._halts.setdefault(command.robot, Halts())
+        halts.breakpoints = self.halt_at
+        visit = (command.incarnation, command.visit)
+        answer = halts.may_start(visit, command.place, command.attempt, robot.paused)
+        if answer == "pause":
+            self._queue.put(lambda: self._pause(command.robot) if self._is_current(command) else [])
+        return answer == "yes"
+
+    def _is_current(self, command: StartAction) -> bool:
+        robot = self.state.robots.get(command.robot)
+        return (
+            robot is not None
+            and not robot.phase.gone
+            and (robot.visit, robot.attempt) == (command.visit, command.attempt)
+        )
+
+    def _pause(self, agent: str) -> List[log_entries.Entry]:
+        robot = self.state.robots.get(agent)
+        return [log_entries.Pause(agent)] if robot is not None and not robot.paused else []
+
+    def _release(self) -> None:
+        """Start the actions of agents that halted and were resumed."""
+        for agent, command in list(self._halted.items()):
+            if not self._is_current(command) or self.state.ended is not None:
+                del self._halted[agent]
+            elif self._may_start(command):
+                del self._halted[agent]
+                data = self.state.data_of(self.state.robots[agent])
+                self._start_action(command._replace(data=data))
 
     def _at(self, when: float, message: _Message) -> None:
         heapq.heappush(self._timers, (when, next(self._timer_numbers), message))
@@ -468,9 +515,16 @@ class StandaloneExecutor:
                 self._queue.put(lambda found=found: found)  # type: ignore[misc]
 
     def _events_of(self, agent: str) -> List[log_entries.Entry]:
-        """The events that interrupt an agent now."""
+        """The events that interrupt an agent now, and a pause before those with a breakpoint."""
         visit = self._visit(agent)
-        return [*self._watches[agent].due(visit, self._clock())] if visit is not None else []
+        if visit is None:
+            return []
+        found: List[log_entries.Entry] = []
+        for event in self._watches[agent].due(visit, self._clock()):
+            if event.transition in self.halt_at.transitions:
+                found += self._pause(agent)
+            found.append(event)
+        return found
 
     def _visit(self, agent: str) -> Optional[Visit]:
         robot = self.state.robots.get(agent)
@@ -555,6 +609,10 @@ class StandaloneExecutor:
         if self._running.get(command.robot) is not attempt:
             return []  # timed out or cancelled in the meantime
         del self._running[command.robot]
+        if isinstance(entry, log_entries.Done) and self.halt_at.stops_result(
+            self.plan, command.place, entry.result
+        ):
+            return [*self._pause(command.robot), entry]
         return [entry]
 
     def _timed_out(self, command: StartAction, timeout: float) -> List[log_entries.Entry]:

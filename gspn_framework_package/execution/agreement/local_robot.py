@@ -21,6 +21,7 @@ from gspn_framework_package.execution.agreement.local_transitions import LocalTr
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.proposals import Proposals
 from gspn_framework_package.execution.agreement.state import Goal, Position, Proposal, ReplicaState
+from gspn_framework_package.execution.breakpoints import Halts
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.firing import CancelAction, Firing, Move, StartAction
 from gspn_framework_package.execution.phase import Phase
@@ -41,12 +42,14 @@ class LocalRobot:
         outbox: Outbox,
         electorate: Electorate,
         proposals: Proposals,
+        halts: Halts,
     ) -> None:
         self.config = config
         self.state = state
         self.outbox = outbox
         self.electorate = electorate
         self.proposals = proposals
+        self.halts = halts
         alone = config.partial and not config.witness
         self._transitions = LocalTransitions(config.game, config.name) if alone else None
         self._environment = Environment(
@@ -125,6 +128,7 @@ class LocalRobot:
             entry = log_entries.Done(
                 self.config.name, goal.incarnation, goal.visit, result, given.data
             )
+            self._halt_before(entry)
             if given.data:
                 entry = self._readable(entry, goal)
             elif self._may_move_alone():
@@ -142,6 +146,15 @@ class LocalRobot:
             return log_entries.checked(done)
         except LogError as error:
             return log_entries.Failed(self.config.name, *goal, "bad result", str(error))
+
+    def _halt_before(self, entry: log_entries.Done) -> None:
+        """Order a pause of our robot if there is a breakpoint at what it asks for."""
+        at, robot, plan = self.state.position, self.electorate.own_robot(), self.config.plan
+        if at is None or robot is None or robot.paused:
+            return
+        place = plan.net.places[at.place].name
+        if self.halts.breakpoints.stops_result(plan, place, entry.result):
+            self.proposals.propose(log_entries.Pause(self.config.name))
 
     def _report(self, goal: Goal) -> bool:
         """Note the end of an attempt; False if it no longer matters."""
@@ -225,11 +238,20 @@ class LocalRobot:
         if at is None or not at.doing or (state.started is not None and at.goal <= state.started):
             return out
         place = self.config.plan.net.places[at.place].name
-        if self.config.plan.action(name, place) is not None:
+        if self.config.plan.action(name, place) is not None and self._may_start(at, place):
             state.started = state.running = at.goal
             delay = delays.get((at.visit, at.attempt), 0.0)
             out.append(StartAction(name, place, *at.goal, delay, *self._given(at)))
         return out
+
+    def _may_start(self, at: Position, place: str) -> bool:
+        """Whether no breakpoint holds our robot before its action."""
+        robot = self.electorate.own_robot()
+        paused = robot is not None and robot.paused
+        answer = self.halts.may_start((at.incarnation, at.visit), place, at.attempt, paused)
+        if answer == "pause":
+            self.proposals.propose(log_entries.Pause(self.config.name))
+        return answer == "yes"
 
     def _given(self, at: Position) -> Tuple[Mapping[str, Any], int]:
         """What an action may read: the data in the log, and the visit that this one continues."""

@@ -18,6 +18,7 @@ from gspn_framework_package.execution.agreement.local_robot import LocalRobot
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.proposals import Proposals
 from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.breakpoints import Halts
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.event_watch import EventWatch, Visit
 from gspn_framework_package.model.errors import LogError
@@ -37,6 +38,7 @@ class Reactions:
         electorate: Electorate,
         proposals: Proposals,
         robot: LocalRobot,
+        halts: Halts,
     ) -> None:
         self.config = config
         self.state = state
@@ -44,6 +46,7 @@ class Reactions:
         self.electorate = electorate
         self.proposals = proposals
         self.robot = robot
+        self.halts = halts
         self._watch = EventWatch(config.plan, config.name) if config.plan.events else None
         self._orders: Dict[Tuple[str, str], List[str]] = {}
         """Task -> the orders of operators that wait until the team has it."""
@@ -61,6 +64,7 @@ class Reactions:
             return
         for event in self._watch.due(self._visit(), self.state.now):
             if not self._is_idle(event):
+                self._halt_before(event)
                 self.proposals.propose(self._readable(event))
 
     def _is_idle(self, event: log_entries.Interrupt) -> bool:
@@ -88,6 +92,12 @@ class Reactions:
         except LogError as error:
             self.outbox.fault("the cause of '%s' is left out: %s" % (event.transition, error))
             return event._replace(cause=log_entries.NOTHING)
+
+    def _halt_before(self, event: log_entries.Interrupt) -> None:
+        """Order a pause of our robot if there is a breakpoint at the transition of an event."""
+        robot = self.electorate.own_robot()
+        if event.transition in self.halts.breakpoints.transitions and not (robot and robot.paused):
+            self.proposals.propose(log_entries.Pause(self.config.name))
 
     def watches(self, transition: str) -> bool:
         """Whether an event could interrupt the robot in its present visit."""

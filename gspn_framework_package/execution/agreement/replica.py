@@ -28,6 +28,7 @@ from gspn_framework_package.execution.agreement.recovery import Recovery
 from gspn_framework_package.execution.agreement.replication import Replication
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.agreement.status import Status
+from gspn_framework_package.execution.breakpoints import Breakpoints, Halts
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.model.net import Marking
@@ -96,7 +97,8 @@ class Replica:
         self.outbox = outbox = Outbox(config, state)
         self.electorate = electorate = Electorate(config, state)
         self.proposals = proposals = Proposals(config, state, outbox, electorate)
-        self.robot = local = LocalRobot(config, state, outbox, electorate, proposals)
+        self.halts = halts = Halts()
+        self.robot = local = LocalRobot(config, state, outbox, electorate, proposals, halts)
         self.consensus = consensus = Consensus(config, state, outbox, electorate, proposals)
         self.proposer = proposer = Proposer(config, state, outbox, electorate, proposals, consensus)
         self.membership = membership = Membership(
@@ -107,7 +109,7 @@ class Replica:
         )
         consensus.connect(replication)
         membership.connect(replication)
-        self.reactions = Reactions(config, state, outbox, electorate, proposals, local)
+        self.reactions = Reactions(config, state, outbox, electorate, proposals, local, halts)
         self.recovery = Recovery(
             config, state, consensus, proposals, membership, replication, self.reactions
         )
@@ -306,6 +308,10 @@ class Replica:
     def watches(self, transition: str) -> bool:
         """Whether an event could interrupt our robot in its present visit."""
         return self.reactions.watches(transition)
+
+    def halt_at(self, breakpoints: Breakpoints) -> None:
+        """From now on, our robot halts at these places and transitions."""
+        self.halts.breakpoints = breakpoints
 
     def marking(self) -> Marking:
         """The marking as this robot knows it: the log's, with its own local transitions."""
