@@ -47,8 +47,22 @@ SHARES = {
     "rivals": 2,
     "late": 1,
     "archive": 3,
+    "react": 24,
+    "react-operator": 10,
+    "react-power": 8,
+    "react-spare": 3,
+    "react-tight": 6,
+    "react-amnesia": 4,
+    "react-calm": 3,
+    "react-freeze": 2,
+    "react-link": 1,
+    "react-sleep": 1,
+    "react-leave": 2,
+    "react-rivals": 2,
+    "react-late": 1,
+    "react-archive": 2,
 }
-"""Kinds of schedules, and how many of a hundred are of that kind."""
+"""Kinds of schedules, and how often each is drawn."""
 
 
 def draw_schedules(

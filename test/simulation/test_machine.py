@@ -20,11 +20,13 @@ from gspn_framework_package.execution.history import verify
 class Team(RuleBasedStateMachine):
     """Three robots; time passes only when a rule lets it."""
 
-    @initialize(kind=st.integers(0, 3), partial=st.booleans(), seed=st.integers(0, 1000))
+    @initialize(kind=st.integers(0, 5), partial=st.booleans(), seed=st.integers(0, 1000))
     def begin(self, kind: int, partial: bool, seed: int) -> None:
         self.world = World(make_plan(kind, 3, partial, 0.0, 0.0, False), seed)
         for node in self.world.nodes.values():
             node.start()
+        if self.world.plan.submissions:
+            self.world.publish_tasks(0.1)
 
     def node(self, i: int) -> Any:
         return list(self.world.nodes.values())[i]

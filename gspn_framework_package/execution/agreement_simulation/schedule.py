@@ -500,6 +500,10 @@ class _Run:
         settled = world.run(world.now + BOUND, world.has_settled)
         if self.kind in ("link", "sleep"):
             self._nobody_is_lost()
+        if settled and not world.given_up and self.kind != "power":
+            lost = world.lost_tasks()
+            if lost:
+                raise ViolationError("%s reached a robot, and nobody has it" % ", ".join(lost))
         blocked = False
         if not settled:
             blocked = self._is_blocked()

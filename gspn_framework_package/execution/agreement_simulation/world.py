@@ -338,6 +338,8 @@ class World:
         ]
         self.tasks = 0
         """The number of tasks that came."""
+        self.reached: List[Tuple[Disk, log_entries.Submit]] = []
+        """(log of a robot, task) of all that reached robots."""
         self.nodes: Dict[str, SimulatedNode] = {}
         for name in [r.name for r in plan.robots] + list(plan.witness):
             self.nodes[name] = SimulatedNode(self, name)
@@ -479,8 +481,32 @@ class World:
                 self.operator(task, self.random.choice(up))
             else:
                 for node in self.random.sample(up, self.random.randint(1, len(up))):
-                    node.give(interface.TaskCame(task))
+                    self._reach(node, task)
         self.at(self.now + 2 * every * self.random.random(), lambda: self.publish_tasks(every))
+
+    def _reach(self, node: SimulatedNode, task: log_entries.Submit) -> None:
+        """Let a task reach a robot; note the log in which it now has to be."""
+        life, disk, replica = node.life, node.disk, node.replica
+        awake = not (node.suspended or node.halted) and disk is not None and replica is not None
+        over = replica is not None and replica.ledger.state.ended is not None
+        node.give(interface.TaskCame(task))
+        if awake and not over and node.life == life and disk is not None:
+            self.reached.append((disk, task))
+
+    def lost_tasks(self) -> List[str]:
+        """The tasks that a running robot has taken in with the log that it has, and that the team
+        does not have."""
+        kept = [n.disk for n in self.alive() if not n.halted and n.disk is not None]
+        ledgers = [n.replica.ledger.state for n in self.alive() if n.replica is not None]
+        team = max(ledgers, key=lambda state: state.next_slot, default=None)
+        if team is None or team.ended is not None:
+            return []
+        return [
+            task.id
+            for disk, task in self.reached
+            if any(disk is other for other in kept)
+            and not team.is_known(self.plan.net.transition_number(task.transition), task.id)
+        ]
 
     # -- checks during the run ---------------------------------------------------------------------
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import json
+from functools import lru_cache
 from typing import Any, Callable, List
 
 import pytest
@@ -29,7 +30,7 @@ from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy, PolicyRow
 
-TOUR, MEET, TOKENS, CROWD = range(4)
+TOUR, MEET, TOKENS, CROWD, ERRANDS, ROUNDS = range(6)
 
 
 def story(kind: int, partial: bool = False, robots: int = 3) -> List[EventLog]:
@@ -37,6 +38,8 @@ def story(kind: int, partial: bool = False, robots: int = 3) -> List[EventLog]:
     world.mishaps = False
     for node in world.nodes.values():
         node.start()
+    if world.plan.submissions:
+        world.publish_tasks(0.05)
     world.run(1.0)
     world.acting = False
     assert world.run(4.0, world.has_settled)
@@ -57,7 +60,7 @@ def slots(log: EventLog) -> List[Any]:
     return [r for r in log.records if r["kind"] == "slot"]
 
 
-@pytest.mark.parametrize("kind", [TOUR, MEET, TOKENS, CROWD])
+@pytest.mark.parametrize("kind", [TOUR, MEET, TOKENS, CROWD, ERRANDS, ROUNDS])
 @pytest.mark.parametrize("partial", [False, True])
 def test_a_true_story_is_valid(kind: int, partial: bool) -> None:
     verdict = verify(story(kind, partial), settled=True)
@@ -183,6 +186,143 @@ def forgotten_proposal(logs: List[EventLog]) -> None:
 def test_a_lie_is_found(lie: Callable[[List[EventLog]], None], rules: Any) -> None:
     logs = story(TOKENS)
     lie(logs)
+    violation = verify(logs, settled=True).violation
+    assert violation is not None
+    assert violation.rule in rules, violation
+
+
+# -- events, tasks, data -----------------------------------------------------------------------
+
+
+@lru_cache(maxsize=None)
+def errands() -> List[EventLog]:
+    return story(ERRANDS)
+
+
+def first_slots(logs: List[EventLog], fits: Callable[[Any], bool]) -> List[Any]:
+    """The first slot that fits, in every log."""
+    number = next(r["slot"] for r in slots(logs[0]) if fits(r))
+    return [r for log in logs for r in slots(log) if r["slot"] == number]
+
+
+def caused(record: Any) -> List[Any]:
+    return [f for f in record["firings"] if f.get("cause")]
+
+
+def interrupted(record: Any) -> List[Any]:
+    who = [(e["robot"], e["visit"]) for e in record["entries"] if e["entry"] == "interrupt"]
+    return [f for f in caused(record) if (f["robot"], f["visit"]) in who]
+
+
+def moved(target: str) -> Callable[[Any], List[Any]]:
+    def find(record: Any) -> List[Any]:
+        return [m for f in record["firings"] for m in f.get("tasks", ()) if m[2] == target]
+
+    return find
+
+
+def without_cause(logs: List[EventLog]) -> None:
+    for record in first_slots(logs, caused):
+        del caused(record)[0]["cause"]
+
+
+def without_event(logs: List[EventLog]) -> None:
+    for record in first_slots(logs, interrupted):
+        at = next(i for i, e in enumerate(record["entries"]) if e["entry"] == "interrupt")
+        del record["entries"][at], record["origins"][at]
+
+
+def without_effect(logs: List[EventLog]) -> None:
+    for record in first_slots(logs, interrupted):
+        record["firings"].remove(interrupted(record)[0])
+
+
+def event_of_another(logs: List[EventLog]) -> None:
+    for record in first_slots(logs, interrupted):
+        next(e for e in record["entries"] if e["entry"] == "interrupt")["visit"] += 1
+
+
+def lost_task(logs: List[EventLog]) -> None:
+    for record in first_slots(logs, moved("place orders")):
+        for firing in record["firings"]:
+            firing.pop("tasks", None)
+
+
+def task_never_done(logs: List[EventLog]) -> None:
+    for record in first_slots(logs, moved("done")):
+        moved("done")(record)[0][2] = "place orders"
+
+
+def another_task(logs: List[EventLog]) -> None:
+    for record in first_slots(logs, moved("done")):
+        moved("done")(record)[0][0] = "t0"
+
+
+def task_again(logs: List[EventLog]) -> None:
+    for record in first_slots(logs, moved("done")):
+        firing = next(f for f in record["firings"] if f.get("tasks"))
+        firing["tasks"].append(["t1", "robot r1", "done"])
+
+
+def task_out_of_nowhere(logs: List[EventLog]) -> None:
+    def comes(record: Any) -> bool:
+        return any(e["entry"] == "submit" for e in record["entries"])
+
+    for record in first_slots(logs, lambda r: comes(r) and moved("place orders")(r)):
+        at = next(i for i, e in enumerate(record["entries"]) if e["entry"] == "submit")
+        del record["entries"][at], record["origins"][at]
+
+
+def forgotten_task(logs: List[EventLog]) -> None:
+    entry = {"entry": "submit", "transition": "order", "id": "t999"}
+    logs[0].records.append({"kind": "offered", "entry": entry, "mono": 2.0})
+
+
+def read_before_written(logs: List[EventLog]) -> None:
+    """The log writes less than actions have read."""
+    for log in logs:
+        for record in log.records:
+            voted = [entry for entry, _, _ in record.get("batch", ())]
+            for entry in [*record.get("entries", ()), *voted, record.get("entry", {})]:
+                if entry.get("entry") == "done":
+                    entry.pop("data", None)
+
+
+def other_data(logs: List[EventLog]) -> None:
+    next(r for log in logs for r in log.records if r.get("reads"))["reads"] = "0" * 16
+
+
+def continued(logs: List[EventLog]) -> None:
+    next(r for log in logs for r in log.records if r["kind"] == "goal")["resumed_from"] = 7
+
+
+@pytest.mark.parametrize(
+    ("lie", "rules"),
+    [
+        (without_cause, {2}),
+        (without_event, {2}),
+        (without_effect, {2, 7}),
+        (event_of_another, {2}),
+        (lost_task, {11}),
+        (task_never_done, {11}),
+        (another_task, {11}),
+        (task_again, {11}),
+        (task_out_of_nowhere, {2}),
+        (forgotten_task, {9}),
+        (read_before_written, {11}),
+        (other_data, {11}),
+        (continued, {11}),
+    ],
+)
+def test_a_lie_about_events_tasks_and_data_is_found(
+    lie: Callable[[List[EventLog]], None], rules: Any
+) -> None:
+    logs = [
+        EventLog(log.path, dict(log.header), copy.deepcopy(log.records), plan=log.plan)
+        for log in errands()
+    ]
+    lie(logs)
+    rechain(logs)
     violation = verify(logs, settled=True).violation
     assert violation is not None
     assert violation.rule in rules, violation

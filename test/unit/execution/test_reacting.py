@@ -114,6 +114,13 @@ def test_the_next_visit_learns_which_one_it_continues():
     assert starts(run)[-1].resumed_from == 0
 
 
+def test_an_event_of_a_former_life_is_void():
+    run = guard()
+    run.feed(log_entries.Join("a", 1, "Work"))
+    assert run.feed(log_entries.Interrupt("a", 0, 1, "low")) == []
+    assert run.feed(log_entries.Interrupt("a", 1, 1, "low")) == ["low"]
+
+
 def test_an_unknown_event_is_void():
     run = guard()
     assert run.event("a", "finish") == []
