@@ -41,12 +41,14 @@ class Measure(NamedTuple):
         if the answer was not decided, and RefusedError if there is none.
     :ivar title: its name in the text and on the page; empty for measures that have a layout of
         their own there.
+    :ivar applies: whether there is such an answer; a report without it does not have the key.
     """
 
     key: str
     part: Part
     compute: Callable[[Analysis], Any]
     title: str = ""
+    applies: Callable[[Analysis], bool] = lambda analysis: True
 
 
 def _most_tokens(analysis: Analysis) -> Optional[float]:
@@ -62,6 +64,47 @@ def _home_states(analysis: Analysis) -> Dict[str, Any]:
         "count": len(states),
         "example": analysis.space.named(int(states[0])) if len(states) else None,
         "without": list(analysis.left_out),
+    }
+
+
+def _has_subnets(analysis: Analysis) -> bool:
+    return analysis.plan is not None and bool(analysis.plan.subnets)
+
+
+def _subnet_robots(analysis: Analysis) -> Dict[str, float]:
+    """Mean number of robots inside each subnet."""
+    plan, means = analysis.plan, analysis.measures.mean_tokens
+    assert plan is not None
+    return {
+        name: math.fsum(means[p] for p in subnet.places if p not in plan.resource_places)
+        for name, subnet in plan.subnets.items()
+    }
+
+
+def _subnet_entries(analysis: Analysis) -> Dict[str, float]:
+    """How often (1/s) a robot enters each subnet."""
+    plan, throughput = analysis.plan, analysis.measures.throughput
+    assert plan is not None
+    found = {}
+    for name, subnet in plan.subnets.items():
+        inside = {plan.net.place_number(p) for p in subnet.places if p not in plan.resource_places}
+        inner = set(subnet.transitions)
+        found[name] = math.fsum(
+            throughput[transition.name] * weight
+            for transition, outputs in zip(plan.net.transitions, plan.net.outputs)
+            if transition.name not in inner
+            for p, weight in outputs
+            if p in inside
+        )
+    return found
+
+
+def _subnet_time(analysis: Analysis) -> Dict[str, float]:
+    """Mean time (s) of a robot's stay in each subnet, by Little's law."""
+    entries = _subnet_entries(analysis)
+    return {
+        name: robots / entries[name] if entries[name] > 0 else math.inf if robots > 0 else math.nan
+        for name, robots in _subnet_robots(analysis).items()
     }
 
 
@@ -100,6 +143,11 @@ MEASURES: List[Measure] = [
     Measure("dead_transitions", Part.BEHAVIOUR, lambda a: a.properties.dead_transitions),
     Measure("reversible", Part.BEHAVIOUR, lambda a: a.reversible),
     Measure("home_states", Part.BEHAVIOUR, _home_states),
+    Measure("subnet_robots", Part.TIMING, _subnet_robots, "Robots in each subnet", _has_subnets),
+    Measure(
+        "subnet_entries", Part.TIMING, _subnet_entries, "Entries of each subnet (1/s)", _has_subnets
+    ),
+    Measure("subnet_time", Part.TIMING, _subnet_time, "Mean time in each subnet (s)", _has_subnets),
 ]
 """To add a measure, add a row here and one to the table of keys in ``docs/analysis.md``. Measures
 with a title appear in the text, in the CSV file and on the page."""
@@ -204,7 +252,7 @@ class _Report:
         :param undecided: why none of them is decided; empty to compute them.
         """
         for measure in MEASURES:
-            if measure.part is not part:
+            if measure.part is not part or not measure.applies(self.analysis):
                 continue
             if undecided:
                 self.data[measure.key] = None

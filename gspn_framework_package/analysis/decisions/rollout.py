@@ -248,6 +248,11 @@ class _Search:
         self._visits, self._pairs = visits, pairs
         self._began = clock.monotonic()
         self._compiled = worth_compiling(self.seconds if seconds is not None else 0.0)
+        if plan.policy.scopes:
+            raise RefusedError(
+                "its subnets have policies of their own, which rows before them cannot improve",
+                hint="compute a policy for the whole plan: gspn optimise",
+            )
         self._places = list(plan.policy.places)
         self._old_rows = list(plan.policy.rows)
         self._policy = plan.policy

@@ -123,6 +123,8 @@ class PlanMarkings:
         whenever an immediate transition is enabled, other plans only if two or more are."""
         need = 1 if self.plan.strict else 2
         for p, leaving in self._decision_places():
+            if not self.plan.strict and not self._table.rows_of(self.original(p)):
+                continue  # a subnet without a policy of its own
             states = self._deciding(leaving, need)
             yield from self._findings(states[self._answers.silent(p, states)], p)
 

@@ -141,20 +141,26 @@ class PolicyCover:
             len(plan.robots),
             sum(p.tokens for p in plan.net.places if p.name not in plan.resource_places),
         )
+        self._scope: Dict[int, int] = {}  # place -> number of its scope; others: 0
+        row_scope = [0] * len(plan.policy.rows)
+        for k, scope in enumerate(plan.policy.scopes, 1):
+            self._scope.update((plan.net.place_number(name), k) for name in scope.places)
+            row_scope[scope.first : scope.last] = [k] * (scope.last - scope.first)
         # the rows that look at one place at most: only those can match whatever the others hold
         self._few_cells: Dict[int, List[Tuple[str, int]]] = {}
+        self._few_of: Dict[int, List[int]] = {}  # scope -> those of its rows
         for number, row in enumerate(plan.policy.rows):
             if row.counts.count(None) >= len(row.counts) - 1:
                 self._few_cells[number] = [
                     (p, c) for p, c in zip(plan.policy.places, row.counts) if c is not None
                 ]
-        self._any = not all(self._few_cells.values())
+                self._few_of.setdefault(row_scope[number], []).append(number)
         self._spoken: Dict[int, List[int]] = {}
-        self._waits: List[int] = []  # the rows without choices
+        self._waits: Dict[int, List[int]] = {}  # scope -> its rows without choices
         speaks_of: Dict[Tuple[Tuple[str, float], ...], Set[int]] = {}
         for number, row in enumerate(plan.policy.rows):
             if not row.choices:
-                self._waits.append(number)
+                self._waits.setdefault(row_scope[number], []).append(number)
             if row.choices not in speaks_of:
                 speaks_of[row.choices] = {
                     p
@@ -163,11 +169,12 @@ class PolicyCover:
                     for p, _ in plan.net.inputs[plan.net.transition_number(name)]
                 }
             for p in speaks_of[row.choices]:
-                self._spoken.setdefault(p, []).append(number)
+                if self._scope.get(p, 0) == row_scope[number]:
+                    self._spoken.setdefault(p, []).append(number)
 
     def matches(self, place: int) -> bool:
-        """Whether some row matches every marking with a robot in ``place``."""
-        return self._any or self._by_own_count(place, self._few_cells)
+        """Whether some row that has a say there matches every marking with a robot in ``place``."""
+        return self._by_own_count(place, self._few_of.get(self._scope.get(place, 0), []))
 
     def speaks(self, place: int) -> bool:
         """Whether, in every marking with a robot in ``place``, some row matches and decides for
@@ -208,7 +215,7 @@ class PolicyCover:
         always = [n for n in self._spoken[place] if all(c is None for c in rows[n].counts)]
         last = always[0] if always else math.inf
         name = self._plan.net.places[place].name
-        for number in self._waits:
+        for number in self._waits.get(self._scope.get(place, 0), []):
             if rows[number].counts.count(None) < len(rows[number].counts):
                 cells = dict(zip(self._plan.policy.places, rows[number].counts))
                 if cells.get(name) != 0:

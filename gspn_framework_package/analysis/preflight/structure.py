@@ -190,7 +190,7 @@ class StructureChecks:
         if any(t.timed for t in leaving) or self._cover.always_moves(p):
             return True
         return (
-            not self.plan.policy.rows
+            not self.plan.policy.bind(self.net).rows_of(p)
             and not self.plan.strict
             and all(t.weight > 0 for t in leaving)
         )

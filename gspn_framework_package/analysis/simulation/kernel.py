@@ -490,8 +490,8 @@ def power(a: float, b: float) -> float:
 
 
 class Book(NamedTuple):
-    """The rows of a policy, by the place that they apply to; the last "place" stands for all rows,
-    whatever they apply to.
+    """The rows of a policy, by the place that they apply to. Further "places" stand for all rows of
+    a scope, whatever they apply to; ``any_of`` has that of each place.
 
     An *entry* is a row for one place. Few entries of a place are a list in order of precedence
     (``listed``); many are in hash tables, one per set of cells that are not wildcards (*mask*),
@@ -513,6 +513,7 @@ class Book(NamedTuple):
     chance: Any
     cell_from: Any
     cells: Any
+    any_of: Any
 
 
 def find_entry(
@@ -575,7 +576,7 @@ def weigh(
     version: int,
     strict: int,
     always: int,
-    places: int,
+    any_of: Indices,
     level: Indices,
     test_from: Indices,
     tests: Indices,
@@ -650,7 +651,7 @@ def weigh(
         strict == 0
         and always == 0
         and find_entry(
-            places,
+            any_of[place],
             level,
             listed_from,
             listed,
@@ -1089,6 +1090,7 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
         chance,
         cell_from,
         cells,
+        any_of,
     ) = b
     (
         numbers,
@@ -1432,7 +1434,7 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                         version,
                         strict,
                         always,
-                        places,
+                        any_of,
                         level,
                         test_from,
                         tests,

@@ -139,7 +139,7 @@ class PlanRun(KernelRun):
                 s.numbers[kernel.VERSION],
                 rules.sizes[5],
                 rules.sizes[6],
-                places,
+                book.any_of,
                 s.level,
                 rules.test_from,
                 rules.tests,

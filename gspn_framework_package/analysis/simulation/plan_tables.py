@@ -445,18 +445,23 @@ class _Mask(NamedTuple):
 
 def _book(tables: PlanTables) -> Tuple[kernel.Book, List[Set[int]], bool]:
     """The policy as arrays; for each place, the places whose counts its choices depend on; whether
-    some row matches every marking."""
+    some row of every scope matches every marking."""
     plan, net = tables.plan, tables.net
     policy = plan.policy
     columns = [net.place_index[name] for name in policy.places]
-    everything = len(net.places)
-    entries: List[List[int]] = [[] for _ in range(everything + 1)]
+    places = len(net.places)
+    scope_of = np.zeros(places, dtype=np.int64)
+    row_scope = [0] * len(policy.rows)
+    for k, scope in enumerate(policy.scopes, 1):
+        scope_of[[net.place_index[name] for name in scope.places]] = k
+        row_scope[scope.first : scope.last] = [k] * (scope.last - scope.first)
+    entries: List[List[int]] = [[] for _ in range(places + 1 + len(policy.scopes))]
     entry_row: List[int] = []
     choices: List[List[int]] = []
     chances: List[List[float]] = []
     cells: List[List[int]] = []
     by_choice: Dict[Any, List[Tuple[int, List[int], List[float]]]] = {}
-    always = False
+    always: Set[int] = set()  # scopes of which some row matches every marking
     need_all = not plan.strict
     for number, row in enumerate(policy.rows):
         row_cells = [
@@ -466,31 +471,37 @@ def _book(tables: PlanTables) -> Tuple[kernel.Book, List[Set[int]], bool]:
             for value in (column, count)
         ]
         cells.append(row_cells)
-        always = always or not row_cells
+        if not row_cells:
+            always.add(row_scope[number])
         if row.choices not in by_choice:
             by_choice[row.choices] = _by_place(tables, row)
         for place, transitions, probabilities in by_choice[row.choices]:
+            if scope_of[place] != row_scope[number]:
+                continue
             entries[place].append(len(entry_row))
             entry_row.append(number)
             choices.append(transitions)
             chances.append(probabilities)
-    if always:
+    always_all = len(always) == 1 + len(policy.scopes)
+    if always_all:
         need_all = False
     if need_all:
         for number in range(len(policy.rows)):
-            entries[everything].append(len(entry_row))
+            entries[places + row_scope[number]].append(len(entry_row))
             entry_row.append(number)
             choices.append([])
             chances.append([])
     reads = [
         {cell for entry in entries[p] for cell in cells[entry_row[entry]][::2]}
-        for p in range(everything)
+        for p in range(places)
     ]
     if need_all:
-        whole = {cell for row_cells in cells for cell in row_cells[::2]}
-        for p in range(everything):
+        whole: List[Set[int]] = [set() for _ in range(1 + len(policy.scopes))]
+        for number, row_cells in enumerate(cells):
+            whole[row_scope[number]].update(row_cells[::2])
+        for p in range(places):
             if tables.immediate_from[p] and not tables.is_resource[p]:
-                reads[p] |= whole
+                reads[p] |= whole[scope_of[p]]
     listed: List[List[int]] = []
     masks: List[List[_Mask]] = []
     for mine in entries:
@@ -535,9 +546,10 @@ def _book(tables: PlanTables) -> Tuple[kernel.Book, List[Set[int]], bool]:
             chance=chance,
             cell_from=cell_from,
             cells=flat_cells,
+            any_of=places + scope_of,
         ),
         reads,
-        always,
+        always_all,
     )
 
 
