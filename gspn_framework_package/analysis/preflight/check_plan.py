@@ -11,6 +11,7 @@ from typing import Optional
 
 from gspn_framework_package.analysis.preflight.markings import MarkingChecks
 from gspn_framework_package.analysis.preflight.names import NameChecks, ServerProbe
+from gspn_framework_package.analysis.preflight.reacting import ReactingChecks
 from gspn_framework_package.analysis.preflight.report import Checklist, PreflightReport, Severity
 from gspn_framework_package.analysis.preflight.structure import StructureChecks
 from gspn_framework_package.analysis.watch import Cancel, Progress
@@ -47,6 +48,7 @@ def check(
     checklist = Checklist()
     by_name = NameChecks(plan, checklist)
     by_name.look_at_names()
+    ReactingChecks(plan, checklist, standalone).look_at_reactions()
     by_structure = StructureChecks(plan, checklist, standalone)
     by_structure.look_at_structure()
     by_marking = MarkingChecks(by_structure, checklist, limit, progress, cancel)

@@ -8,6 +8,7 @@ from typing import Any, Callable, Dict, List, Optional
 
 from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, Severity, names
 from gspn_framework_package.model.action import Action
+from gspn_framework_package.model.net import Transition
 from gspn_framework_package.model.plan import Plan
 
 ServerProbe = Callable[[str, str, Action], Optional[str]]
@@ -74,10 +75,9 @@ class NameChecks:
     def _look_at_times(self) -> None:
         """Report durations whose mean contradicts the rates of the net, unless they were learned
         from a run: analysis and simulation use the durations, and one of the two is wrong."""
-        net = self.net
         differing = []
         for name, duration in self.plan.durations.items():
-            leaving = [net.transitions[t] for t in net.consumers[net.place_number(name)]]
+            leaving = self._of_action(name)
             rate = sum(t.rate for t in leaving if t.timed)
             learned = ("durations", name) in self.plan.evidence
             if learned or not (rate and all(t.timed for t in leaving)):
@@ -150,9 +150,7 @@ class NameChecks:
         """Warn of places without an action that have several exponential outputs and no other:
         nothing decides which of them a robot requests."""
         for name in self.plan.action_places:
-            leaving = [
-                self.net.transitions[t] for t in self.net.consumers[self.net.place_number(name)]
-            ]
+            leaving = self._of_action(name)
             if (
                 name in self.plan.actions
                 and self.plan.actions[name] is None
@@ -171,8 +169,7 @@ class NameChecks:
         places = [
             name
             for name in self.plan.action_places
-            if self.plan.actions.get(name) is not None
-            and self._only_immediate(self.net.place_number(name))
+            if self.plan.actions.get(name) is not None and self._only_immediate(name)
         ]
         if places:
             self._list.add(
@@ -183,9 +180,16 @@ class NameChecks:
                 places=places,
             )
 
-    def _only_immediate(self, p: int) -> bool:
-        leaving = self.net.consumers[p]
-        return bool(leaving) and not any(self.net.transitions[t].timed for t in leaving)
+    def _only_immediate(self, place: str) -> bool:
+        leaving = self._of_action(place)
+        return bool(leaving) and not any(t.timed for t in leaving)
+
+    def _of_action(self, place: str) -> List[Transition]:
+        """The transitions that leave a place without an event: those that a robot asks for."""
+        leaving = (
+            self.net.transitions[t] for t in self.net.consumers[self.net.place_number(place)]
+        )
+        return [t for t in leaving if t.name not in self.plan.events]
 
     def look_at_servers(self, probe: ServerProbe) -> None:
         """Check the server of every action."""

@@ -9,6 +9,7 @@ from gspn_framework_package.analysis.plan.structure import (
     PolicyCover,
     always_leavable,
     find_cycle,
+    fires_alone,
     only_written,
     robot_flows,
     terminal_places,
@@ -186,7 +187,12 @@ class StructureChecks:
         """Whether a robot in place number ``p`` can continue whatever the others do."""
         if not always_leavable(self.net, p):
             return False
-        leaving = [self.net.transitions[t] for t in self.net.consumers[p]]
+        events = [
+            t for t in self.net.consumers[p] if self.net.transitions[t].name in self.plan.events
+        ]
+        if any(fires_alone(self.net, t, p) for t in events):
+            return True  # as soon as it comes
+        leaving = [self.net.transitions[t] for t in self.net.consumers[p] if t not in events]
         if any(t.timed for t in leaving) or self._cover.always_moves(p):
             return True
         return (

@@ -1,0 +1,283 @@
+"""The part of the check about events, tasks and data: what interrupts what, which names nothing
+writes, and where a task can get lost."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, Set, Tuple
+
+from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, Severity, names
+from gspn_framework_package.model.action import (
+    EXEC_GSPN,
+    FunctionAction,
+    ServerAction,
+    read_by,
+    written_by,
+)
+from gspn_framework_package.model.data import full_name
+from gspn_framework_package.model.plan import Plan
+
+
+class ReactingChecks:
+    """Adds the findings about events, tasks and data of ``plan`` to a checklist.
+
+    :param standalone: the tokens are agents, which are never evicted.
+    """
+
+    def __init__(self, plan: Plan, checklist: Checklist, standalone: bool) -> None:
+        self.plan = plan
+        self.net = net = plan.net
+        self._list = checklist
+        self._standalone = standalone
+        self._queues = {net.place_number(p) for p in plan.tasks.queues}
+        self._done = {net.transition_number(t) for t in plan.tasks.done}
+        self._acts = {net.place_number(p) for p in plan.action_places}
+
+    def look_at_reactions(self) -> None:
+        """Look at all of it, as far as the plan has any."""
+        if self.plan.events:
+            self._look_at_events()
+        if self._queues:
+            self._look_at_tasks()
+        self._look_at_data()
+
+    # -- events ------------------------------------------------------------------------------------
+
+    def _look_at_events(self) -> None:
+        plan, net = self.plan, self.net
+        interrupting = [
+            (t, net.places[p].name)
+            for name in plan.events
+            for t in (net.transition_number(name),)
+            for p, _ in net.inputs[t]
+            if p in self._acts
+        ]
+        if interrupting:
+            told = [
+                "%s (%s) interrupts %s"
+                % (net.transitions[t].name, plan.events[net.transitions[t].name].label, place)
+                for t, place in interrupting
+            ]
+            self._list.add(
+                "events",
+                Severity.OK,
+                "; ".join(told[:LISTED]) + _more(told),
+                events=[
+                    {
+                        "transition": net.transitions[t].name,
+                        "place": place,
+                        **plan.events[net.transitions[t].name].to_json(),
+                    }
+                    for t, place in interrupting
+                ],
+            )
+        possible = self._possible()
+        never = [t for t, _ in interrupting if t not in possible]
+        if never:
+            listed = [net.transitions[t].name for t in never]
+            self._list.add(
+                "events",
+                Severity.WARNING,
+                "%s can never have an effect: no robot gets into its place, or no token to another "
+                "one that it takes from (by structure)" % names(listed),
+                transitions=listed,
+                decided_by="structure",
+            )
+        differing = []
+        for t, _ in interrupting:
+            transition = net.transitions[t]
+            after = plan.events[transition.name].after
+            if after is not None and not 0.5 < after * transition.rate < 2:
+                differing.append(
+                    (
+                        transition.name,
+                        "%s: after %g s, %.4g s by its rate"
+                        % (transition.name, after, 1 / transition.rate),
+                    )
+                )
+        if differing:
+            self._list.add(
+                "events",
+                Severity.WARNING,
+                "times of events and rates of the net differ more than twofold: %s; a run and the "
+                "simulation take the time, the analysis the rate"
+                % "; ".join([text for _, text in differing][:LISTED]),
+                transitions=[name for name, _ in differing],
+            )
+
+    def _possible(self) -> Set[int]:
+        """The transitions that may fire, as far as single places tell: all their input places can
+        get a token."""
+        net = self.net
+        marked = {p for p, place in enumerate(net.places) if place.tokens}
+        marked |= {net.place_number(p) for p in self.plan.spawn}
+        marked |= {
+            net.place_number(resource)
+            for returned in self.plan.on_evict.values()
+            for resource in returned
+        }
+        possible: Set[int] = set()
+        while True:
+            new = {
+                t
+                for t, inputs in enumerate(net.inputs)
+                if t not in possible and all(p in marked for p, _ in inputs)
+            }
+            if not new:
+                return possible
+            possible |= new
+            marked |= {p for t in new for p, _ in net.outputs[t]}
+
+    # -- tasks -------------------------------------------------------------------------------------
+
+    def _look_at_tasks(self) -> None:
+        plan, net = self.plan, self.net
+        before = len(self._list.items)
+        carrying = self._carrying()
+        for t, transition in enumerate(net.transitions):
+            taken, given = self._tasks_of(t)
+            movers = sum(w for p, w in net.inputs[t] if p in self._acts)
+            places = sum(w for p, w in net.outputs[t] if p in self._acts)
+            laden = [net.places[p].name for p, _ in net.inputs[t] if p in carrying]
+            kept = 0 if t in self._done else len(laden)
+            if taken and not movers and t not in self._done and taken > given:
+                self._warn(
+                    "%s takes a task from its queue, and no robot gets it: it is dropped; list the "
+                    "transition in tasks.done if the task is done there" % transition.name,
+                    transition=transition.name,
+                )
+            elif taken and kept + taken - given > min(movers, places):
+                self._warn(
+                    "%s gives a task to a robot that may still carry one from before (in %s): the "
+                    "first one is dropped; end it before, by a transition in tasks.done or one "
+                    "that leads into a queue" % (transition.name, names(laden)),
+                    transition=transition.name,
+                    places=laden,
+                )
+            elif kept and not given and places < movers:
+                self._warn(
+                    "%s ends a robot that may carry a task (in %s): the task is dropped"
+                    % (transition.name, names(laden)),
+                    transition=transition.name,
+                    places=laden,
+                )
+        if not self._done:
+            self._warn("tasks.done lists no transition: no task is ever done")
+        ends = [net.places[p].name for p in sorted(carrying) if not net.consumers[p]]
+        if ends:
+            self._warn(
+                "a robot can end in %s with a task that is not done" % names(ends), places=ends
+            )
+        alone = [
+            net.places[p].name
+            for p in sorted(carrying)
+            if not any(
+                net.place_number(resource) in self._queues
+                for resource in plan.on_evict.get(net.places[p].name, {})
+            )
+        ]
+        if alone and plan.timing.evict_after > 0 and not self._standalone:
+            self._warn(
+                "a robot that is lost in %s keeps its task, and nobody else does it; let on_evict "
+                "give a token back to the queue there" % names(alone),
+                places=alone,
+            )
+        if len(self._list.items) == before:
+            self._list.add(
+                "tasks",
+                Severity.OK,
+                "tasks queue in %s and are done at %s; none gets lost on the way (by structure)"
+                % (names(plan.tasks.queues), names(plan.tasks.done)),
+                queues=list(plan.tasks.queues),
+                done=list(plan.tasks.done),
+                comes_in=list(plan.submissions),
+                decided_by="structure",
+            )
+
+    def _warn(self, text: str, **details: Any) -> None:
+        self._list.add("tasks", Severity.WARNING, text, **details)
+
+    def _tasks_of(self, t: int) -> Tuple[int, int]:
+        """How many tasks transition ``t`` takes from queues, and puts into queues."""
+        return (
+            sum(w for p, w in self.net.inputs[t] if p in self._queues),
+            sum(w for p, w in self.net.outputs[t] if p in self._queues),
+        )
+
+    def _carrying(self) -> Set[int]:
+        """The action places in which a robot may carry a task: where a task goes with it, by every
+        transition that may fire."""
+        net = self.net
+        carrying: Set[int] = set()
+        possible = self._possible()
+        while True:
+            size = len(carrying)
+            for t in possible:
+                taken, given = self._tasks_of(t)
+                laden = 0
+                if t not in self._done:
+                    laden = sum(w for p, w in net.inputs[t] if p in carrying)
+                if laden + taken > given:
+                    carrying |= {p for p, _ in net.outputs[t] if p in self._acts}
+            if len(carrying) == size:
+                return carrying
+
+    # -- data --------------------------------------------------------------------------------------
+
+    def _look_at_data(self) -> None:
+        plan = self.plan
+        read: Dict[str, List[str]] = {}
+        written: Set[str] = set()
+        open_ended: List[str] = []  # places whose actions may write anything
+        for place, action in plan.bindings():
+            for name in read_by(action):
+                if place not in read.setdefault(name, []):
+                    read[name].append(place)
+            written.update(full_name(name) for name in written_by(action))
+            if isinstance(action, FunctionAction) or (
+                isinstance(action, ServerAction) and action.type == EXEC_GSPN
+            ):
+                open_ended.append(place)
+        if not read:
+            return
+        before = len(self._list.items)
+        for name, places in read.items():
+            scope = name.split(".")[0]
+            who = "the action of %s reads '%s'" % (names(places), name)
+            if scope == "task" and not self._queues:
+                self._data(
+                    Severity.WARNING,
+                    "%s, but no robot ever carries a task: the plan has no tasks.queues" % who,
+                    name,
+                    places,
+                )
+            elif name in written or name == "task.id":
+                continue
+            elif scope == "task":
+                self._data(
+                    Severity.OK, who + ": the tasks that come in have to bring it", name, places
+                )
+            elif open_ended:
+                self._data(
+                    Severity.OK,
+                    "%s: only the functions and ExecGSPN servers of %s can write it"
+                    % (who, names(dict.fromkeys(open_ended))),
+                    name,
+                    places,
+                )
+            else:
+                self._data(
+                    Severity.WARNING,
+                    who + ", which nothing writes: the action fails there",
+                    name,
+                    places,
+                )
+        if len(self._list.items) == before:
+            self._data(Severity.OK, "every name that an action reads is written", "", [])
+
+    def _data(self, severity: Severity, text: str, name: str, places: List[str]) -> None:
+        details: Dict[str, Any] = {"name": name, "places": places} if name else {}
+        self._list.add("data", severity, text, **details)
+
+
+def _more(listed: List[str]) -> str:
+    return ", ... (%d in all)" % len(listed) if len(listed) > LISTED else ""
