@@ -12,7 +12,7 @@ from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.actions import missing_function
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.model.action import FunctionAction, ServerAction
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.plan import Plan
 
 
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     report = report._replace(
         items=(
             *_look_at_functions(plan),
-            *_look_at_goals(plan),
+            *_look_at_types(plan),
             *_look_at_events(plan),
             *report.items,
         )
@@ -80,16 +80,16 @@ def _look_at_functions(plan: Plan) -> List[CheckItem]:
     return items
 
 
-def _look_at_goals(plan: Plan) -> List[CheckItem]:
-    """Report errors in the goals for action servers, if this shell has ROS, which knows their
-    types."""
-    if not any(isinstance(action, ServerAction) for _, action in plan.bindings()):
+def _look_at_types(plan: Plan) -> List[CheckItem]:
+    """Report goals, requests, messages and conditions of actions that do not fit their types, if
+    this shell has ROS, which knows these."""
+    if all(isinstance(action, (FunctionAction, type(None))) for _, action in plan.bindings()):
         return []
     try:
-        from gspn_framework_package.ros.action_targets import look_at_goals
+        from gspn_framework_package.ros.action_kinds import look_at_actions
     except ImportError:
         return []
-    found = look_at_goals(plan)
+    found = look_at_actions(plan)
     items = [
         CheckItem("goals", Severity.REFUSED, "%s: %s" % (where, text), {"where": where})
         for where, text in found.misfits.items()
@@ -100,7 +100,7 @@ def _look_at_goals(plan: Plan) -> List[CheckItem]:
             CheckItem(
                 "goals",
                 Severity.WARNING,
-                "%s; its goals were not looked at (%s)" % (text, names(places)),
+                "%s; its fields were not looked at (%s)" % (text, names(places)),
                 {"where": places},
             )
         )

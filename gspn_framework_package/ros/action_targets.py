@@ -116,15 +116,14 @@ def action_targets(plan: Plan, robot: str, namespace: str) -> Dict[str, ActionTa
         if not isinstance(action, (FunctionAction, ServerAction)):
             continue
         try:
-            targets[place] = _target(place, action, namespace)
+            targets[place] = target(place, action, namespace)
         except PlanError as error:
             raise error.located(file=plan.file) from None
     return targets
 
 
-def _target(
-    place: str, action: Union[FunctionAction, ServerAction], namespace: str
-) -> ActionTarget:
+def target(place: str, action: Union[FunctionAction, ServerAction], namespace: str) -> ActionTarget:
+    """The target of a robot in a place. :raises PlanError: see :func:`action_targets`."""
     name = rospy.names.ns_join(namespace, action.server)
     if not rosgraph.names.is_legal_name(name):
         raise PlanError(
@@ -203,42 +202,3 @@ def kept(message: genpy.Message, keep: Mapping[str, str]) -> Dict[str, Any]:
         )
     except ExpressionError as error:
         raise DataError(error.message) from None
-
-
-class GoalFindings(NamedTuple):
-    """Findings about the goals of a plan: messages by "ROBOT in PLACE"."""
-
-    misfits: Dict[str, str]
-    """Goals that do not fit their type."""
-    unknown: Dict[str, str]
-    """Goals that were not checked because their type is unknown in this shell."""
-
-
-def look_at_goals(plan: Plan) -> GoalFindings:
-    """Check whether the goals of the plan's foreign action servers fit their types. This needs
-    neither a node nor a master."""
-    found = GoalFindings({}, {})
-    for robot in plan.robots:
-        for place in plan.action_places:
-            action = plan.action(robot.name, place)
-            if not isinstance(action, ServerAction):
-                continue
-            where = "%s in %s" % (robot.name, place)
-            try:
-                action_type = _action_type(place, action.type)
-            except PlanError as error:
-                found.unknown[where] = error.message
-                continue
-            try:
-                ActionTarget(
-                    place,
-                    action.server,
-                    action_type,
-                    action.goal or {},
-                    action.outcomes,
-                    True,
-                    action.keep,
-                ).check()
-            except PlanError as error:
-                found.misfits[where] = error.message
-    return found

@@ -27,17 +27,20 @@ from gspn_framework_package.execution.event_log import (
     read_log,
 )
 from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
+from gspn_framework_package.execution.local_kinds import refuse_commands
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import told_phase
 from gspn_framework_package.execution.told_data import told_of_robot, told_of_team
-from gspn_framework_package.model.errors import GspnError, LogError
+from gspn_framework_package.model.errors import ExecutionError, GspnError, LogError
 from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.ros.action_caller import CONNECT_POLL, ActionCaller, ActionEnded
+from gspn_framework_package.ros.action_kinds import Job, jobs, live_types
 from gspn_framework_package.ros.action_targets import action_targets
 from gspn_framework_package.ros.event_sources import EventSources, Host
 from gspn_framework_package.ros.goal_id import GoalIdentity
+from gspn_framework_package.ros.job_runner import ActionRunner, JobRunner
 from gspn_framework_package.ros.links import ServiceLink, TopicLink
 from gspn_framework_package.ros.messages import FIRED_TOPIC, fired_message
 from gspn_framework_package.ros.narrator import Diagnosis, Narrator, level_of
@@ -97,6 +100,7 @@ class ExecutionNode(Worker):
     :param options: see :class:`NodeOptions`.
     :raises GspnError: the log or the actions cannot be used.
 
+    :ivar jobs: the robot's actions that are no action servers, by place.
     :ivar foreign_servers: absolute names of the action servers that the robot needs and this node
         does not serve.
     :ivar exit_code: None while the run goes on; then 0 if the run completed, 1 if it was stopped or
@@ -130,7 +134,8 @@ class ExecutionNode(Worker):
         self._servers = PlaceServers(plan, robot, namespace) if serves else None
         served = set(self._servers.names) if self._servers else set()
         self.foreign_servers = sorted({t.server for t in targets.values()} - served)
-        self._caller = ActionCaller(
+        self.jobs = {} if witness else self._own_jobs()
+        caller = ActionCaller(
             robot,
             targets,
             plan.timeout,
@@ -143,6 +148,17 @@ class ExecutionNode(Worker):
             plan.cancel_grace,
             self._narrator.warn,
         )
+        runner = JobRunner(
+            robot,
+            self.jobs,
+            plan.timeout,
+            self.enqueue,
+            self._action_ended,
+            options.patience,
+            plan.cancel_grace,
+            self._narrator.warn,
+        )
+        self._caller = ActionRunner(caller, runner, self.jobs)
         self._services = NodeServices(self, namespace)
         full = plan.synchronisation is Synchronisation.FULL
         link = TopicLink if full else ServiceLink
@@ -154,6 +170,21 @@ class ExecutionNode(Worker):
         self._events.subscribe()
         self._told_end: Callable[[str], None] = lambda robot: None
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
+
+    def _own_jobs(self) -> Dict[str, Job]:
+        """The actions of this robot that are no action servers.
+
+        :raises GspnError: one does not fit its type, or the ROS graph, or is not allowed.
+        """
+        if not self.options.allow_commands:
+            refuse_commands(self.plan, "~allow_commands, allow_commands:=true")
+        found = jobs(self.plan, self.robot, self.namespace)
+        types = live_types() if found and self.options.check else {}
+        for place, job in found.items():
+            clash = job.clash(types) if self.options.check else None
+            if clash:
+                raise ExecutionError(clash, file=self.plan.file, element="action of '%s'" % place)
+        return found
 
     def _open_log(self) -> None:
         path = self.options.log_file(self.robot)

@@ -22,17 +22,21 @@ _TIMES = {"time": genpy.Time, "duration": genpy.Duration}
 _MISFITS = (genpy.MessageException, genpy.SerializationError, TypeError, ValueError, AttributeError)
 
 
+class UnknownTypeError(PlanError):
+    """This workspace does not have a type."""
+
+
 def message_class(name: str, kind: str = "message") -> type:
     """The class of a message type.
 
     :param kind: what it is called in errors.
-    :raises PlanError: this workspace does not have it.
+    :raises UnknownTypeError: this workspace does not have it.
     """
     return _class_of(kind, name, roslib.message.get_message_class)
 
 
 def service_class(name: str) -> Any:
-    """The class of a service type. :raises PlanError: this workspace does not have it."""
+    """The class of a service type. :raises UnknownTypeError: this workspace does not have it."""
     return _class_of("service", name, roslib.message.get_service_class)
 
 
@@ -40,9 +44,9 @@ def _class_of(kind: str, name: str, find: Callable[[str], Optional[type]]) -> ty
     try:
         found = find(name)
     except Exception as error:  # importing a foreign package may raise anything
-        raise PlanError("cannot load the %s type '%s': %s" % (kind, name, error)) from None
+        raise UnknownTypeError("cannot load the %s type '%s': %s" % (kind, name, error)) from None
     if found is None:
-        raise PlanError(
+        raise UnknownTypeError(
             "there is no %s type '%s'" % (kind, name),
             hint="write package/Name; is the package in this workspace?",
         )

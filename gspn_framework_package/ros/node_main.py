@@ -7,7 +7,7 @@ import contextlib
 import signal
 import sys
 import time
-from typing import Callable, Dict, Iterable, List, Tuple
+from typing import TYPE_CHECKING, Callable, Dict, Iterable, List, Sequence, Tuple
 
 import rospy
 
@@ -35,6 +35,9 @@ from gspn_framework_package.ros.transport.registration import (
     published_topics,
     registered_together,
 )
+
+if TYPE_CHECKING:
+    from gspn_framework_package.ros.action_kinds import Job
 
 
 def run_execution_node() -> int:
@@ -172,6 +175,33 @@ def await_servers(names: Iterable[str], seconds: float, ending: Ending) -> None:
         ending.wait(0.2)
 
 
+def await_jobs(jobs: Sequence[Job], seconds: float, ending: Ending) -> None:
+    """Wait until what actions need is there, or the process should end.
+
+    :param jobs: the actions.
+    :param seconds: how long to wait.
+    :raises ExecutionError: something was not there in time, or is of another type.
+    """
+    deadline = time.monotonic() + seconds
+    told = False
+    while not ending.is_set():
+        missing = sorted(set(filter(None, (job.missing() for job in jobs))))
+        if not missing:
+            break
+        if not told:
+            rospy.loginfo("waits: %s", "; ".join(missing))
+            told = True
+        if time.monotonic() > deadline:
+            raise ExecutionError(
+                "; ".join(missing),
+                hint="waited %g s; ~server_timeout says for how long" % seconds,
+            )
+        ending.wait(0.2)
+    if told:
+        for clash in filter(None, (job.clash({}) for job in jobs)):
+            raise ExecutionError(clash)
+
+
 def _execute(options: NodeOptions, ending: Ending) -> int:
     plan, robot = robot_of(read_plan(launched_file(options.plan, "~plan")), options)
     return _run_robots(plan, {robot: _own_namespace()}, options, ending)
@@ -297,6 +327,7 @@ def _run_robots(
         if options.check:
             servers = {server for node in nodes for server in node.foreign_servers}
             await_servers(servers, options.server_timeout, ending)
+            await_jobs([j for n in nodes for j in n.jobs.values()], options.server_timeout, ending)
         watch = MasterWatch(MASTER_PERIOD * max(1.0, len(plan.robots) / 8))
         watch.start()
         with registered_together():

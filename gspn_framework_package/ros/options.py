@@ -43,6 +43,8 @@ class NodeOptions(NamedTuple):
     direct_actions: bool = True
     """Whether goals for this node's own place servers are passed to them inside the process;
     otherwise they go over topics, as to any other action server."""
+    allow_commands: bool = False
+    """Whether the plan may run programs on this computer (actions with ``command``)."""
     check: bool = True
     """Whether the plan is checked before the robot moves."""
     stay: bool = False

@@ -11,7 +11,7 @@ import http.client
 import logging
 import time
 import xmlrpc.client
-from typing import Any, Iterator, List, NamedTuple, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, NamedTuple, Sequence, Tuple
 
 import rosgraph
 import rospy
@@ -82,6 +82,29 @@ def published_topics(timeout: float = 2.0) -> List[Tuple[str, str]]:
     master: Any = master_proxy(timeout)
     _, _, topics = master.getPublishedTopics(rospy.get_name(), "")
     return [(topic, kind) for topic, kind in topics]
+
+
+def topic_types(timeout: float = 2.0) -> Dict[str, str]:
+    """Topic -> type, for the topics that somebody publishes or subscribes. (The master remembers
+    the types of others as well.)
+
+    :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
+    """
+    master: Any = master_proxy(timeout)
+    _, _, types = master.getTopicTypes(rospy.get_name())
+    _, _, (published, subscribed, _) = master.getSystemState(rospy.get_name())
+    live = {topic for topic, _ in (*published, *subscribed)}
+    return {topic: kind for topic, kind in types if topic in live}
+
+
+def subscribers(topic: str, timeout: float = 2.0) -> List[str]:
+    """The nodes that subscribe a topic.
+
+    :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
+    """
+    master: Any = master_proxy(timeout)
+    _, _, (_, subscribed, _) = master.getSystemState(rospy.get_name())
+    return [node for name, nodes in subscribed if name == topic for node in nodes]
 
 
 def found_parameter(name: str, default: Any, timeout: float = 2.0) -> Any:

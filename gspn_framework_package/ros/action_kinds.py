@@ -1,0 +1,487 @@
+"""The kinds of action that are no action servers, as an execution node carries them out: calls of
+services, messages that are published or waited for, and what needs no ROS.
+
+To add a kind: its class in ``model.action`` (with its form in ``plan.schema.json``), and here a
+:class:`Job` in :data:`JOBS`; or, if it needs no ROS, an entry in ``execution.local_kinds``.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional
+
+import genpy
+import rosgraph.names
+import rospy
+
+from gspn_framework_package.execution.actions import (
+    ActionContext,
+    ActionFailed,
+    Cancellation,
+    error_text,
+    no_feedback,
+)
+from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.execution.local_kinds import LOCAL_KINDS
+from gspn_framework_package.execution.log_entries import NOTHING
+from gspn_framework_package.model.action import (
+    Action,
+    PublishAction,
+    ServerAction,
+    ServiceAction,
+    WaitAction,
+    outcomes_of,
+)
+from gspn_framework_package.model.errors import DataError, ExpressionError, PlanError
+from gspn_framework_package.model.message_condition import MessageCondition
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.ros.action_targets import check_kept, filled, kept, target
+from gspn_framework_package.ros.message_fields import (
+    UnknownTypeError,
+    check_condition,
+    check_fields,
+    fill_message,
+    message_class,
+    service_class,
+)
+from gspn_framework_package.ros.patience import Patience
+from gspn_framework_package.ros.transport.registration import (
+    MASTER_ERRORS,
+    subscribers,
+    topic_types,
+)
+from gspn_framework_package.ros.transport.service_call import (
+    ServiceCall,
+    ServiceFailed,
+    service_type,
+    service_uri,
+)
+
+LOOK_EVERY = 0.1
+"""Seconds between two looks whether a service or subscriber is there."""
+
+
+class JobEnd(NamedTuple):
+    """How an attempt ended: ``outcome`` is "succeeded" or one of ``log_entries.FAILURES``. An
+    ``outcome`` that the plan maps to a transition is no failure."""
+
+    outcome: str
+    text: str = ""
+    transition: str = ""
+    """The transition that the action named itself."""
+    data: Mapping[str, Any] = NOTHING
+
+
+CANCELLED = JobEnd("preempted", "cancelled")
+
+
+class JobAttempt:
+    """An attempt at a job, for the thread that makes it.
+
+    :param command: what to do.
+    :param patience: how long its steps may take.
+    :param changed: called when it says something new.
+    """
+
+    def __init__(
+        self, command: StartAction, patience: Patience, changed: Callable[[], None]
+    ) -> None:
+        self.command, self.patience = command, patience
+        self.is_cancelled = Cancellation()
+        self.waits_for = ""
+        self.begun_at: Optional[float] = None
+        """When the action itself began (monotonic seconds), from which its time is measured."""
+        self._changed = changed
+
+    def wait_for(self, what: str) -> None:
+        """Say what the attempt waits for; "": for nothing but its own end."""
+        self.waits_for = what
+        self._changed()
+
+    def begin(self) -> None:
+        """The action itself begins."""
+        self.begun_at = time.monotonic()
+        self._changed()
+
+
+class Job:
+    """An action of one robot in one place, of a kind that is no action server.
+
+    :param plan: the plan.
+    :param place: the place.
+    :param action: the action, of the kind that this class is for.
+    :param namespace: absolute namespace of the robot, to which names in the plan are relative.
+    :raises PlanError: a type does not exist, fields do not fit it, or a name is not legal in ROS.
+    """
+
+    def __init__(self, plan: Plan, place: str, action: Any, namespace: str) -> None:
+        self.place, self.action = place, action
+        self.outcomes: Mapping[str, str] = outcomes_of(action)
+
+    def open(self) -> None:
+        """Register with the master what should be there before the action begins."""
+
+    def clash(self, types: Mapping[str, str]) -> Optional[str]:
+        """What contradicts the plan in the ROS graph; None if nothing does. Asked before
+        :meth:`open`.
+
+        :param types: topic -> type of its messages, as the master knows it.
+        """
+        return None
+
+    def missing(self) -> Optional[str]:
+        """What the ROS graph lacks for this action; None if nothing."""
+        return None
+
+    def prepare(self, data: Mapping[str, Any]) -> Any:
+        """What is sent, with data filled in.
+
+        :raises DataError: data is missing.
+        :raises PlanError: data does not fit.
+        """
+
+    def run(self, prepared: Any, attempt: JobAttempt) -> JobEnd:
+        """Carry the action out, on a thread of its own; it ends soon after it is cancelled.
+
+        :raises ActionFailed: it did not succeed.
+        :raises DataError: what it wrote cannot be kept.
+        """
+        raise NotImplementedError
+
+    def transition_of(self, end: JobEnd) -> Optional[str]:
+        """The transition that an end stands for, "" to let the policy decide; None for a
+        failure."""
+        if end.outcome == "succeeded" and end.transition:
+            return end.transition
+        return self.outcomes.get(end.outcome, "" if end.outcome == "succeeded" else None)
+
+
+class ServiceJob(Job):
+    """Calls a service. A call that is cancelled is broken off; the service is not told."""
+
+    def __init__(self, plan: Plan, place: str, action: ServiceAction, namespace: str) -> None:
+        super().__init__(plan, place, action, namespace)
+        self._name = absolute(action.service, namespace)
+        self._class = service_class(action.type)
+        check_fields(self._class._request_class(), action.request, "request")
+        check_kept(self._class._response_class, action.keep)
+
+    def clash(self, types: Mapping[str, str]) -> Optional[str]:
+        """See :meth:`Job.clash`."""
+        found = service_type(self._name)
+        if found is None or found.checksum == self._class._md5sum:
+            return None
+        if found.type == self.action.type:
+            return "%s has another version of the type %s" % (self._name, found.type)
+        return "%s is of type %s, not %s" % (self._name, found.type, self.action.type)
+
+    def missing(self) -> Optional[str]:
+        """See :meth:`Job.missing`."""
+        return None if service_type(self._name) else "no such service: %s" % self._name
+
+    def prepare(self, data: Mapping[str, Any]) -> genpy.Message:
+        """See :meth:`Job.prepare`."""
+        request = self._class._request_class()
+        fill_message(request, filled(self.action.request, data, "request"), "request")
+        return request
+
+    def run(self, prepared: genpy.Message, attempt: JobAttempt) -> JobEnd:
+        """See :meth:`Job.run`."""
+        give_up = time.monotonic() + attempt.patience.server
+        attempt.wait_for("waits for the service %s" % self._name)
+        while True:
+            call = ServiceCall(self._name, self._class)
+            attempt.is_cancelled.on_cancel(call.close)
+            try:
+                uri = service_uri(self._name)
+                if uri is not None:
+                    call.connect(uri, attempt.patience.server)
+                    break
+            except ServiceFailed as error:
+                return JobEnd(error.outcome, str(error))
+            except OSError:
+                pass  # it may be about to start
+            if time.monotonic() > give_up:
+                text = "%s did not answer within %g s" % (self._name, attempt.patience.server)
+                return JobEnd("no server", text)
+            if attempt.is_cancelled.wait(LOOK_EVERY):
+                return CANCELLED
+        attempt.wait_for("")
+        attempt.begin()
+        try:
+            response = call.ask(prepared)
+        except ServiceFailed as error:
+            return CANCELLED if attempt.is_cancelled() else JobEnd(error.outcome, str(error))
+        finally:
+            call.close()
+        data = kept(response, self.action.keep)
+        if getattr(response, "success", True) is False:
+            text = getattr(response, "message", "")
+            text = text if isinstance(text, str) and text else "%s answered no" % self._name
+            return JobEnd("aborted", text, data=data)
+        return JobEnd("succeeded", data=data)
+
+
+class PublishJob(Job):
+    """Publishes a message. A node that has just started waits until the subscribers that the master
+    knows are connected, since the message would be lost to them."""
+
+    def __init__(self, plan: Plan, place: str, action: PublishAction, namespace: str) -> None:
+        super().__init__(plan, place, action, namespace)
+        self._topic = absolute(action.topic, namespace)
+        self._class = message_class(action.type)
+        check_fields(self._class(), action.message, "message")
+        self._publisher: Optional[rospy.Publisher] = None
+        self._opened_at = 0.0
+
+    def open(self) -> None:
+        """See :meth:`Job.open`."""
+        self._opened_at = time.monotonic()
+        self._publisher = rospy.Publisher(
+            self._topic, self._class, queue_size=100, tcp_nodelay=True
+        )
+
+    def clash(self, types: Mapping[str, str]) -> Optional[str]:
+        """See :meth:`Job.clash`."""
+        return other_type(self._topic, self.action.type, types)
+
+    def prepare(self, data: Mapping[str, Any]) -> genpy.Message:
+        """See :meth:`Job.prepare`."""
+        message = self._class()
+        fill_message(message, filled(self.action.message, data, "message"), "message")
+        return message
+
+    def run(self, prepared: genpy.Message, attempt: JobAttempt) -> JobEnd:
+        """See :meth:`Job.run`."""
+        assert self._publisher is not None
+        attempt.begin()
+        give_up = self._opened_at + attempt.patience.acknowledgement
+        while time.monotonic() < give_up:
+            if self._publisher.get_num_connections() >= self._known_subscribers():
+                break
+            attempt.wait_for("waits for the subscribers of %s" % self._topic)
+            if attempt.is_cancelled.wait(LOOK_EVERY):
+                return CANCELLED
+        self._publisher.publish(prepared)
+        return JobEnd("succeeded")
+
+    def _known_subscribers(self) -> int:
+        try:
+            return len(subscribers(rospy.resolve_name(self._topic)))
+        except MASTER_ERRORS:
+            return 0
+
+
+class WaitJob(Job):
+    """Waits for a message. The topic is subscribed from the start of the node on, so that a wait
+    begins at once; what arrives at other times is only read if it is latched."""
+
+    def __init__(self, plan: Plan, place: str, action: WaitAction, namespace: str) -> None:
+        super().__init__(plan, place, action, namespace)
+        self._topic = absolute(action.topic, namespace)
+        self._class = message_class(action.type)
+        self._condition = MessageCondition(action.when) if action.when else None
+        if self._condition is not None:
+            try:
+                check_condition(self._class, self._condition)
+            except ExpressionError as error:
+                raise PlanError("when: %s" % error.message, hint=error.hint) from None
+        check_kept(self._class, action.keep)
+        self._lock = threading.Lock()
+        self._take: Optional[Callable[[genpy.Message], None]] = None
+        self._latched: Optional[genpy.Message] = None
+        self._subscriber: Optional[rospy.Subscriber] = None
+        self._complained = False
+
+    def open(self) -> None:
+        """See :meth:`Job.open`."""
+        self._subscriber = rospy.Subscriber(self._topic, self._class, self._heard, tcp_nodelay=True)
+
+    def clash(self, types: Mapping[str, str]) -> Optional[str]:
+        """See :meth:`Job.clash`."""
+        return other_type(self._topic, self.action.type, types)
+
+    def run(self, prepared: Any, attempt: JobAttempt) -> JobEnd:
+        """See :meth:`Job.run`."""
+        found: List[genpy.Message] = []
+        over = threading.Event()
+        attempt.is_cancelled.on_cancel(over.set)
+        attempt.begin()
+        attempt.wait_for("waits for a message on %s%s" % (self._topic, self._what()))
+
+        def take(message: genpy.Message) -> None:
+            if not found and self._holds(message):
+                found.append(message)
+                over.set()
+
+        with self._lock:
+            self._take = take
+            if self._latched is not None and self._is_there(self._latched):
+                take(self._latched)
+        try:
+            over.wait()
+        finally:
+            with self._lock:
+                if self._take is take:  # no later attempt has begun
+                    self._take = None
+        return JobEnd("succeeded", data=kept(found[0], self.action.keep)) if found else CANCELLED
+
+    def _what(self) -> str:
+        return " with %s" % self.action.when if self.action.when else ""
+
+    def _heard(self, message: genpy.Message) -> None:
+        with self._lock:
+            if message._connection_header.get("latching") == "1":
+                self._latched = message
+            if self._take is not None:
+                self._take(message)
+
+    def _holds(self, message: genpy.Message) -> bool:
+        try:
+            return self._condition is None or self._condition.holds(message)
+        except ExpressionError as error:
+            if not self._complained:
+                self._complained = True
+                rospy.logwarn("%s: a message on %s: %s", self.place, self._topic, error.message)
+            return False
+
+    def _is_there(self, message: genpy.Message) -> bool:
+        """Whether the node that latched the message would still tell it."""
+        assert self._subscriber is not None
+        caller = message._connection_header.get("callerid", "")
+        return any(c.callerid_pub == caller for c in self._subscriber.impl.connections)
+
+
+class LocalJob(Job):
+    """An action of a kind that needs no ROS."""
+
+    def __init__(self, plan: Plan, place: str, action: Any, namespace: str) -> None:
+        super().__init__(plan, place, action, namespace)
+        self._do = LOCAL_KINDS[type(action)](plan, action)
+
+    def run(self, prepared: Any, attempt: JobAttempt) -> JobEnd:
+        """See :meth:`Job.run`."""
+        command = attempt.command
+        attempt.begin()
+        result = self._do(
+            ActionContext(
+                command.place,
+                command.robot,
+                no_feedback,
+                attempt.is_cancelled,
+                command.visit,
+                command.attempt,
+                command.data,
+                command.resumed_from,
+            )
+        )
+        return JobEnd("succeeded", "", *result)
+
+
+JOBS: Dict[type, Callable[[Plan, str, Any, str], Job]] = {
+    ServiceAction: ServiceJob,
+    PublishAction: PublishJob,
+    WaitAction: WaitJob,
+    **dict.fromkeys(LOCAL_KINDS, LocalJob),
+}
+"""Kind of action -> how a robot carries it out."""
+
+
+def job(plan: Plan, place: str, action: Action, namespace: str) -> Optional[Job]:
+    """The job of a robot in a place; None if its action is an action server, or none.
+
+    :raises PlanError: see :class:`Job`.
+    """
+    kind = JOBS.get(type(action))
+    try:
+        return None if kind is None else kind(plan, place, action, namespace)
+    except PlanError as error:
+        raise error.located(element="action of '%s'" % place) from None
+
+
+def jobs(plan: Plan, robot: str, namespace: str) -> Dict[str, Job]:
+    """The jobs of a robot by place. :raises PlanError: see :class:`Job`."""
+    found = {}
+    for place in plan.action_places:
+        try:
+            made = job(plan, place, plan.action(robot, place), namespace)
+        except PlanError as error:
+            raise error.located(file=plan.file) from None
+        if made is not None:
+            found[place] = made
+    return found
+
+
+def attempt_job(work: Job, prepared: Any, attempt: JobAttempt) -> JobEnd:
+    """Carry a job out; every exception becomes a failure."""
+    try:
+        return work.run(prepared, attempt)
+    except ActionFailed as error:
+        return JobEnd("aborted", error_text(error) or "the action failed")
+    except DataError as error:
+        return JobEnd("bad result", error.message)
+    except BaseException as error:
+        return JobEnd("aborted", "%s: %s" % (type(error).__name__, error_text(error)))
+
+
+def absolute(name: str, namespace: str) -> str:
+    """A name in a plan as an absolute name. :raises PlanError: it is not legal in ROS."""
+    found: str = rospy.names.ns_join(namespace, name)
+    if not rosgraph.names.is_legal_name(found):
+        raise PlanError("'%s' is not a legal name in ROS" % name)
+    return found
+
+
+def other_type(topic: str, wanted: str, types: Mapping[str, str]) -> Optional[str]:
+    """What is wrong if a topic has another type; None if nothing is."""
+    found = types.get(rospy.resolve_name(topic), wanted)
+    if found in (wanted, "*"):
+        return None
+    return "%s has messages of type %s, not %s" % (topic, found, wanted)
+
+
+class ActionFindings(NamedTuple):
+    """Findings about the actions of a plan: messages by "ROBOT in PLACE"."""
+
+    misfits: Dict[str, str]
+    """Goals, requests, messages, conditions and kept fields that do not fit their type, and types
+    that are not those of the ROS graph."""
+    unknown: Dict[str, str]
+    """What was not looked at because its type is unknown in this shell."""
+
+
+def look_at_actions(plan: Plan) -> ActionFindings:
+    """Check whether the actions of a plan fit their types. This needs neither a node nor a master;
+    if there is a master, what it knows is compared too. A robot's namespace is taken to be its
+    name."""
+    found = ActionFindings({}, {})
+    types: Optional[Mapping[str, str]] = None
+    for robot in plan.robots:
+        for place in plan.action_places:
+            action = plan.action(robot.name, place)
+            where = "%s in %s" % (robot.name, place)
+            try:
+                if isinstance(action, ServerAction):
+                    target(place, action, "/" + robot.name)
+                made = job(plan, place, action, "/" + robot.name)
+            except UnknownTypeError as error:
+                found.unknown[where] = error.message
+                continue
+            except PlanError as error:
+                found.misfits[where] = error.message
+                continue
+            if made is not None:
+                types = live_types() if types is None else types
+                clash = made.clash(types)
+                if clash:
+                    found.misfits[where] = clash
+    return found
+
+
+def live_types() -> Mapping[str, str]:
+    """Topic -> type, for topics that somebody publishes or subscribes; empty without a master."""
+    try:
+        return topic_types()
+    except MASTER_ERRORS:
+        return {}
