@@ -47,6 +47,7 @@ def run(args: argparse.Namespace) -> int:
         report = check(plan, limit=args.limit, standalone=args.standalone, progress=progress)
     report = report._replace(
         items=(
+            *_name_subnets(plan),
             *_look_at_functions(plan),
             *_look_at_types(plan),
             *_look_at_events(plan),
@@ -62,6 +63,20 @@ def run(args: argparse.Namespace) -> int:
             print("note     %s" % note)
         print(report)
     return report.exit_code
+
+
+def _name_subnets(plan: Plan) -> List[CheckItem]:
+    """Say which parts of the net are plans of their own."""
+    return [
+        CheckItem(
+            "subnets",
+            Severity.OK,
+            "%s is the plan '%s': robots enter %s and leave from %s"
+            % (name, subnet.plan, subnet.entry, subnet.exit),
+            {"subnet": name, **subnet.to_json()},
+        )
+        for name, subnet in plan.subnets.items()
+    ]
 
 
 def _look_at_functions(plan: Plan) -> List[CheckItem]:

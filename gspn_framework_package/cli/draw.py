@@ -85,7 +85,7 @@ def _graph(
 ) -> Graph:
     net = subject.net if isinstance(subject, Plan) else subject
     if what == "net":
-        return net_graph(net)
+        return net_graph(net, subnets=subject.subnets if isinstance(subject, Plan) else {})
 
     def draw(progress: Progress, cancel: Cancel) -> Graph:
         if what == "coverability":

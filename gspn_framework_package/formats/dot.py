@@ -12,6 +12,7 @@ from gspn_framework_package.formats.format import Format
 from gspn_framework_package.formats.routes import Line, NodeBox, Point, Routing, layout
 from gspn_framework_package.model.errors import InputError, LimitError, UsageError
 from gspn_framework_package.model.net import Net, Place, Position, Transition
+from gspn_framework_package.model.subnet import Subnet
 
 IMAGE_FORMATS = ("svg", "png", "pdf")
 """The image formats that :func:`render` supports."""
@@ -45,6 +46,7 @@ class Graph:
     def __init__(self, name: str = "", **attributes: Attribute) -> None:
         self.name = name
         self._lines: List[str] = []
+        self._open = 0
         if attributes:
             self._lines.append("graph%s;" % _attributes(attributes))
 
@@ -61,6 +63,23 @@ class Graph:
         self._lines.append(
             "%s -> %s%s;" % (_quote(source), _quote(target), _attributes(attributes))
         )
+
+    def cluster(self, number: int, label: str, nodes: Sequence[str], parents: int) -> None:
+        """Begin a box around nodes that have been added; ``parents`` boxes stay open around it.
+        ``close`` ends them all."""
+        self.close(parents)
+        self._lines.append("subgraph %s {" % _quote("cluster_%d" % number))
+        self._open += 1
+        self._lines.append(
+            "graph%s;" % _attributes({"label": label, "style": "rounded", "color": "gray50"})
+        )
+        self._lines += ["%s;" % _quote(node) for node in nodes]
+
+    def close(self, left: int = 0) -> None:
+        """End boxes until ``left`` are open."""
+        while self._open > left:
+            self._lines.append("}")
+            self._open -= 1
 
     def text(self) -> str:
         """Return the graph in the DOT language."""
@@ -81,25 +100,30 @@ def _attributes(values: Mapping[str, Attribute]) -> str:
     return " [%s]" % ", ".join("%s=%s" % (k, _quote(str(v))) for k, v in values.items())
 
 
-def net_graph(net: Net, marking: Optional[Sequence[int]] = None) -> Graph:
+def net_graph(
+    net: Net,
+    marking: Optional[Sequence[int]] = None,
+    subnets: Mapping[str, Subnet] = {},
+) -> Graph:
     """Draw a net as a graph. Places are circles with their tokens, immediate transitions are black
     and thin, exponential ones are white and thick, and inhibitor arcs end in a circle. Rates,
     weights, priorities, capacities and arc weights are shown where they differ from the default.
 
-    If all nodes of the net have positions, the drawing uses them; otherwise Graphviz lays the net
-    out.
+    If all nodes of the net have positions, the drawing uses them; otherwise, and where the net has
+    subnets, whose own drawings would lie upon that of the net around them, Graphviz lays it out.
 
     :param marking: the tokens to show, in place order; the initial marking by default.
+    :param subnets: the parts of the net to draw a box around.
     """
     nodes = len(net.places) + len(net.transitions)
-    positions = _positions(net)
+    positions = {} if subnets else _positions(net)
     attributes: Dict[str, Attribute] = {"fontname": "Helvetica", "forcelabels": "true"}
     placed = _placed(net, positions) if positions else None
     if placed is not None:
         attributes.update(layout="nop2", notranslate="true", outputorder="edgesfirst")
     elif positions:
         attributes.update(layout="neato", inputscale=72, splines="true", notranslate="true")
-    elif nodes > _MAX_LAYERED:
+    elif nodes > _MAX_LAYERED and not subnets:
         attributes.update(layout="sfdp", overlap="prism", splines="false")
     else:
         attributes.update(layout="dot", rankdir="LR", nodesep=0.5, ranksep=0.5)
@@ -133,7 +157,19 @@ def net_graph(net: Net, marking: Optional[Sequence[int]] = None) -> Graph:
             if route.label is not None:
                 looks["lp"] = _point(route.label)
         graph.edge(arc.source, arc.target, **looks)
+    _draw_boxes(graph, subnets)
     return graph
+
+
+def _draw_boxes(graph: Graph, subnets: Mapping[str, Subnet]) -> None:
+    def draw(parent: str, depth: int) -> None:
+        for number, (name, subnet) in enumerate(subnets.items()):
+            if subnet.parent == parent:
+                graph.cluster(number, name, (*subnet.places, *subnet.transitions), depth)
+                draw(name, depth + 1)
+
+    draw("", 0)
+    graph.close()
 
 
 def to_bytes(net: Net) -> bytes:

@@ -1,9 +1,11 @@
 """Subnets: a place of a plan whose action is another plan."""
 
 import json
+import shutil
 
 import pytest
 
+from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
@@ -464,3 +466,18 @@ def test_a_recorded_run_with_subnets_follows_the_rules(folder, tmp_path, record_
     assert read_log(log).plan.subnets == plan.subnets
     assert {f.transition for s in steps for f in s.firings} >= {"Left.plug", "Right.arrive", "stay"}
     assert verify([read_log(log)]).violation is None
+
+
+def test_commands_know_subnets(folder, tmp_path, capsys):
+    file = folder()
+    main(["check", file, "--json"])
+    items = [i for i in json.loads(capsys.readouterr().out)["items"] if i["check"] == "subnets"]
+    assert [item["subnet"] for item in items] == ["Left", "Right"]
+    picture = tmp_path / "net.dot"
+    assert main(["draw", file, "-o", str(picture)]) == 0
+    text = picture.read_text()
+    assert text.count("subgraph") == 2 and 'label="Left"' in text
+    if shutil.which("dot"):
+        assert main(["draw", file, "-o", str(tmp_path / "net.svg")]) == 0
+        svg = (tmp_path / "net.svg").read_text()
+        assert svg.count('class="cluster"') == 2 and svg.count('class="node"') == 23
