@@ -38,7 +38,7 @@ def check_votes(
     """
     votes: Dict[int, Dict[str, List[Vote]]] = {}
     voters: Dict[Tuple[int, str], Tuple[int, int]] = {}
-    asserted: List[Set[Off]] = []
+    asserted: List[Tuple[str, Set[Off]]] = []
     for number, log in enumerate(merged.logs):
         for vote_slot, memory, vote in _acceptor(number, log, merged):
             votes.setdefault(vote_slot, {}).setdefault(log.robot, []).append(vote)
@@ -47,7 +47,7 @@ def check_votes(
                 raise BrokenRuleError(
                     1, "%s votes in slot %d out of two memories" % (log.robot, vote_slot)
                 )
-        asserted.append(_asserted(log))
+        asserted.append((log.robot, _asserted(log)))
     for slot, by_robot in votes.items():
         _one_value_per_ballot(slot, by_robot)
         if slot < len(members):
@@ -59,12 +59,15 @@ def check_votes(
     for slot in range(1, len(members)):
         before = situations[slot - 1]
         off = [
-            {
-                m
-                for m in members[slot]
-                if (m, None) in those or (m in before and (m, before[m].incarnation) in those)
-            }
-            for those in asserted
+            (
+                robot,
+                {
+                    m
+                    for m in members[slot]
+                    if (m, None) in those or (m in before and (m, before[m].incarnation) in those)
+                },
+            )
+            for robot, those in asserted
             if those
         ]
         _quorum(slot, merged, votes.get(slot, {}), members[slot], off, complete)
@@ -144,7 +147,7 @@ def _quorum(
     merged: Merged,
     by_robot: Dict[str, List[Vote]],
     members: Sequence[str],
-    off: Sequence[Set[str]],
+    assertions: Sequence[Tuple[str, Set[str]]],
     complete: bool,
 ) -> None:
     record = merged.slots[slot]
@@ -152,6 +155,7 @@ def _quorum(
         raise BrokenRuleError(1, "slot %d does not say under which ballot it was decided" % slot)
     if not complete:
         return
+    off = [those for _, those in assertions]
     proposer = record["ballot"][1]
     if _may_decide({proposer}, members, off):
         return  # the proposer decides alone: the slot's record is its vote
@@ -172,9 +176,11 @@ def _quorum(
             % (slot, ", ".join(members), ", ".join(sorted(by_robot)) or "none"),
         )
     first = min(chosen)
+    # whoever was told that a quorum is off did not have to ask it
+    misled = {r for r, those in assertions if not _is_quorum(set(members) - those, members)}
     for robot, votes in by_robot.items():
         for ballot, batch in votes:
-            if ballot > first and not _leads_to(batch, record):
+            if ballot > first and ballot[1] not in misled and not _leads_to(batch, record):
                 raise BrokenRuleError(
                     1,
                     "%s accepted another batch for slot %d under ballot %s, after one was chosen "
