@@ -8,9 +8,9 @@ part of it, because every action of the run has it; an outage is not (see :data:
 changes nothing: actions go on, and their ends are logged.
 
 An attempt whose end is not known is *censored*: it lasted at least until then. That is so at the
-end of the log or of the run, when the operator moves the robot or takes it out of the team, and
-when its node ends. If not even the start is known, for example while a robot learns the log from
-the others, the attempt is left out.
+end of the log or of the run, when an event interrupts the action, when the operator moves the robot
+or takes it out of the team, and when its node ends. If not even the start is known, for example
+while a robot learns the log from the others, the attempt is left out.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from gspn_framework_package.execution.event_log import (
 )
 from gspn_framework_package.execution.firing import CancelAction, StartAction
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.turn import ASKS_POLICY
 from gspn_framework_package.model.errors import LogError, NetError
@@ -85,8 +86,14 @@ class Attempt(NamedTuple):
 
 
 class EventCount(NamedTuple):
-    """How often a transition of the environment fired, and its *exposure*: the time (s) in which it
-    could fire, multiplied by the number of its busy servers. The rate is the quotient."""
+    """How often something came, and its *exposure*: the time (s) in which it could. The rate is the
+    quotient.
+
+    A transition of the environment comes when it fires; its time counts once for each busy server.
+    A task from outside comes whether or not its transition is enabled. The event of a transition
+    that interrupts comes once in a visit, to each robot in its place (also while it is done or
+    waits); if it is not held, only while the transition is enabled.
+    """
 
     firings: int
     exposure: float
@@ -142,13 +149,24 @@ class AttemptFollower:
         """When the own robot's attempt ended and how, before the team has agreed on it."""
         self._delay = 0.0
         """Seconds for which the next goal of the log's own robot waits before it starts."""
+        self._interrupts = [t for t, e in self._game.interrupts.items() if e.after is None]
+        self._interrupts = [t for t in self._interrupts if self._game.has_robots[t]]
+        self._arrivals = {
+            t
+            for t in self._game.submissions
+            if not plan.simulate_environment or plan.net.transitions[t].name in plan.events
+        }
+        """The transitions by which tasks come from outside."""
+        self._came: Set[Tuple[object, ...]] = set()
+        """The tasks and events that were counted."""
         self._counted: Dict[int, Tuple[int, float]] = dict.fromkeys(
-            self._game.environment_transitions, (0, 0.0)
+            [*self._game.environment_transitions, *self._interrupts], (0, 0.0)
         )
 
     @property
     def events(self) -> Dict[str, EventCount]:
-        """The transitions of the environment, by name, with what was counted so far."""
+        """The transitions of the environment and those of events, by name, with what was counted so
+        far."""
         names = self.plan.net.transitions
         return {names[t].name: EventCount(*counted) for t, counted in self._counted.items()}
 
@@ -215,8 +233,8 @@ class AttemptFollower:
         )
         for entry in entries:
             ended += self._end(entry)
-            if isinstance(entry, log_entries.Fire) and self._live:
-                self._count_firing(entry.transition)
+            if self._live:
+                self._count_entry(entry)
         if self.step is not None:
             ended += self._commands(self.step)
         return ended
@@ -402,21 +420,55 @@ class AttemptFollower:
         if self._replayer is None or not self._live or seconds <= 0:
             return
         state = self._replayer.state
-        if state.paused or state.ended is not None or not state.robots:
+        if state.ended is not None or not state.robots:
             return
         net = self.plan.net
         for t, (firings, exposure) in self._counted.items():
+            if t in self._interrupts or t in self._arrivals:
+                times = self._exposed(state, t) if t in self._interrupts else 1
+                self._counted[t] = firings, exposure + times * seconds
+                continue
+            if state.paused:
+                continue
             rate = net.transitions[t].rate
             if rate > 0:
                 busy = net.effective_rate(state.marking, t) / rate
                 self._counted[t] = firings, exposure + busy * seconds
 
-    def _count_firing(self, transition: str) -> None:
-        t = self.plan.net.transition_index.get(transition)
-        fired = self.step.firings if self.step is not None else []
-        if t in self._counted and any(f.transition == transition and not f.robot for f in fired):
-            firings, exposure = self._counted[t]
-            self._counted[t] = firings + 1, exposure
+    def _exposed(self, state: TeamState, t: int) -> int:
+        """To how many robots the event of ``t`` can come now."""
+        place = next(p for p, _ in self.plan.net.inputs[t] if not self._game.is_resource[p])
+        free = self._game.interrupts[t].hold or self.plan.net.is_enabled(state.marking, t)
+        return sum(
+            robot.place == place and t not in robot.held and (free or state.paused or robot.paused)
+            for robot in state.active()
+        )
+
+    def _count_entry(self, entry: log_entries.Entry) -> None:
+        """Count a firing of the environment, a task or an event."""
+        if not isinstance(entry, (log_entries.Fire, log_entries.Interrupt, log_entries.Submit)):
+            return
+        t = self.plan.net.transition_index.get(entry.transition)
+        if t is None or t not in self._counted or self.step is None:
+            return
+        fired = [f for f in self.step.firings if f.transition == entry.transition]
+        key: Tuple[object, ...] = ()
+        if isinstance(entry, log_entries.Interrupt):
+            robot = self.step.state.robots.get(entry.robot)
+            held = robot is not None and robot.visit == entry.visit and t in robot.held
+            counts = held or any((f.robot, f.visit) == (entry.robot, entry.visit) for f in fired)
+            key = entry[:4]
+        elif isinstance(entry, log_entries.Submit):
+            counts = t in self._arrivals or bool(fired)
+            key = t, entry.id
+        else:
+            counts = t not in self._arrivals and any(not f.robot for f in fired)
+        if not counts or key in self._came:
+            return
+        if key:
+            self._came.add(key)
+        firings, exposure = self._counted[t]
+        self._counted[t] = firings + 1, exposure
 
 
 # -- several logs ----------------------------------------------------------------------------------
@@ -427,7 +479,7 @@ class Gathered(NamedTuple):
 
     :ivar plan: the plan of the first log.
     :ivar attempts: every attempt once, run by run and robot by robot in the order of time.
-    :ivar events: the transitions of the environment, by name, over all runs.
+    :ivar events: the transitions of the environment and those of events, by name, over all runs.
     :ivar logs: the files, as the attempts number them.
     :ivar runs: for each run, the indices of its logs in ``logs``, the longest first.
     :ivar notes: what a person should know about the logs.
@@ -572,7 +624,9 @@ def _read_run(
     plan = run[0].file.plan
     own: Set[str] = {log.robot for log in run}
     others = any(robot.name not in own for robot in plan.robots) or len(own - {""}) < 1
-    needs_replay = others or bool(TokenGame(plan).environment_transitions) or not own - {""}
+    game = TokenGame(plan)
+    counts = bool(game.environment_transitions or game.interrupts)
+    needs_replay = others or counts or not own - {""}
     longest = max(run, key=lambda log: log.length)
     found: Dict[Tuple[str, int, int], Attempt] = {}
     events: Dict[str, EventCount] = {}

@@ -28,6 +28,7 @@ from gspn_framework_package.execution.log_entries import Done, Failed
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LogError
+from gspn_framework_package.model.event import EventSource
 from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan, Timing
 
 TOUR, MEET, TOKENS, CROWD = range(4)
@@ -177,6 +178,67 @@ def test_the_environment_is_counted_while_it_can_fire(tmp_path) -> None:
     story.slot(16.0, log_entries.Stop())
     found = gather([story.save(tmp_path / "log.jsonl")])
     assert found.events == {"made": EventCount(2, 4.0 + 1.0 + 1.0)}
+
+
+def interrupted(**event: Any) -> Plan:
+    """A is left when its action ends, or by an event that needs R; tasks come in as R."""
+    net = (
+        NetBuilder("interrupted")
+        .place("A", tokens=2)
+        .place("B")
+        .place("R")
+        .exponential("t1", inputs="A", outputs="B")
+        .exponential("low", inputs=["A", "R"], outputs="B")
+        .exponential("t2", inputs="B", outputs="A")
+        .exponential("more", outputs="R", inhibitors={"R": 1})
+        .build()
+    )
+    low = EventSource("battery", "a/B", **event)
+    events = {"low": low, "more": EventSource("/more", "a/B")}
+    return make_plan(net, ["A", "A"], resources=["R"], events=events)
+
+
+def low(robot: str, visit: int) -> log_entries.Interrupt:
+    return log_entries.Interrupt(robot, 0, visit, "low")
+
+
+def test_an_event_ends_an_attempt_without_a_result_and_is_counted(tmp_path) -> None:
+    story = Story(interrupted()).start()
+    story.slot(1.0, low("a", 1))  # not enabled
+    story.slot(2.0, log_entries.Submit("more", "m1"))
+    story.slot(5.0, low("a", 1))
+    story.slot(6.0, log_entries.Submit("more", "m2"))
+    story.slot(7.0, log_entries.Submit("more", "m3"), log_entries.Submit("more", "m3"))
+    story.slot(8.0, Done("b", 0, 1, "t1"))
+    story.slot(10.0, log_entries.Stop())
+    found = gather([story.save(tmp_path / "log.jsonl")])
+    assert told(found.attempts)[:2] == [
+        ("a", "A", 1, 1, 0.0, 5.0, "censored"),
+        ("a", "B", 2, 1, 5.0, 10.0, "censored"),
+    ]
+    assert found.events == {
+        "low": EventCount(1, 2 * 3.0 + 2.0),
+        "more": EventCount(3, 10.0),
+    }
+
+
+def test_an_event_that_is_held_comes_once_in_a_visit(tmp_path) -> None:
+    story = Story(interrupted(hold=True)).start()
+    story.slot(1.0, low("a", 1))
+    story.slot(2.0, low("a", 1))
+    story.slot(5.0, log_entries.Submit("more", "m1"))
+    story.slot(6.0, log_entries.Stop())
+    events = gather([story.save(tmp_path / "log.jsonl")]).events
+    assert events["low"] == EventCount(1, 2 * 1.0 + 5.0)
+
+
+def test_a_result_that_leaves_the_choice_to_one_transition_is_none_of_several_with_events(
+    tmp_path,
+) -> None:
+    story = Story(interrupted()).start()
+    story.slot(1.0, Done("a", 0, 1, ""))
+    rows = told(read_attempts([story.save(tmp_path / "log.jsonl")]))
+    assert rows[0] == ("a", "A", 1, 1, 0.0, 1.0, "done")
 
 
 def test_a_follower_tells_of_what_goes_on_now() -> None:
