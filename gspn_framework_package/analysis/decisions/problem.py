@@ -33,7 +33,7 @@ from gspn_framework_package.analysis.decisions.who_decides import Decider, who_d
 from gspn_framework_package.analysis.graph import components, flat_ranges, reachable_from
 from gspn_framework_package.analysis.limits import Limits, states_of
 from gspn_framework_package.analysis.plan.markings import distinct_rows, with_end
-from gspn_framework_package.analysis.plan.reading import RUN, checked_reading, net_notes
+from gspn_framework_package.analysis.plan.reading import RUN, checked_reading, net_notes, of_events
 from gspn_framework_package.analysis.plan.run_rules import RunRules
 from gspn_framework_package.analysis.plan.structure import only_written, robot_flows
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
@@ -198,6 +198,7 @@ class DecisionProblem:
                 "durations are taken as exponential with their means (%s)"
                 % listed([self._rules.net.places[p].name for p in longer])
             )
+        sentences += of_events(self.plan)
         if any(chance > 0 for chance in self.plan.failures.values()):
             sentences.append("actions always succeed")
         return sentences

@@ -6,7 +6,7 @@ must be told apart keeps its place, with all robots in it, as inhibitor arcs, ca
 and policies see them. It gets a further place for each thing that such a robot can be up to: doing
 its action, done and naming a transition, done and asking the policy. Every duration is taken as
 exponential with its mean. A transition of the plan may then occur several times, with robots from
-different ones of these places.
+different ones of these places. An event that interrupts takes robots from each of them.
 """
 
 from __future__ import annotations
@@ -79,6 +79,12 @@ class _Parts(NamedTuple):
     arriving: str = ""
     racing: Mapping[int, float] = {}
 
+    @property
+    def pieces(self) -> Tuple[str, ...]:
+        """All of them, if the place is split."""
+        found = (self.doing, self.arriving, self.asking, *self.named.values())
+        return tuple(part for part in found if part)
+
 
 class DecisionNet:
     """The net of a decision problem.
@@ -119,6 +125,14 @@ class DecisionNet:
         self._left_out = set(left_out)
         self._source = plan_net(plan, left_out)
         self._acts = [p.name not in plan.resource_places for p in self._source.places]
+        self._events = {
+            t: p
+            for t, transition in enumerate(self._source.transitions)
+            if transition.name in plan.events
+            for p, _ in self._source.inputs[t]
+            if self._acts[p]
+        }
+        self._refuse_shared_clocks()
         self._taken: Set[str] = set(plan.net.place_index)
         self.labels: List[str] = []
         self.rated: List[int] = []
@@ -171,6 +185,8 @@ class DecisionNet:
         leaving = self._source.consumers[p]
         if not leaving:
             return _Parts(name)
+        if self._rules is not None and self._rules.only_events(p):
+            return _Parts(name)
         if self._rules is None:
             return _Parts(name, asking=name)
         timing = self._rules.timing[p]
@@ -214,8 +230,29 @@ class DecisionNet:
         return (
             timing.duration.mean > 0
             and all(t != POLICY for t, v in timing.outcomes if v > 0)
-            and all(net.transitions[t].timed and fires_alone(net, t, p) for t in net.consumers[p])
+            and all(
+                net.transitions[t].timed and fires_alone(net, t, p)
+                for t in {
+                    *(t for t in net.consumers[p] if t not in self._events),
+                    *(t for t, v in timing.outcomes if v > 0),
+                }
+            )
         )
+
+    def _refuse_shared_clocks(self) -> None:
+        """Refuse what the rates of this net cannot say: an event comes to each robot by itself, but
+        the rate of a transition is limited by all that it takes."""
+        robots = sum(place.tokens for place, acts in zip(self._source.places, self._acts) if acts)
+        for t, p in self._events.items():
+            others = [self._source.places[q].name for q, _ in self._source.inputs[t] if q != p]
+            if others and robots > 1:
+                raise RefusedError(
+                    "it is an event that comes to each robot by itself, and also takes from %s"
+                    % ", ".join(others),
+                    element=self._source.transitions[t].name,
+                    hint="for the computation of a policy, let the event lead to a place of its "
+                    "own, in which the robot waits for that",
+                )
 
     def _place(self, name: str, at: int) -> str:
         name = self._unused(name)
@@ -273,6 +310,12 @@ class DecisionNet:
             step = Stage.TIMED if transition.timed else Stage.SPONTANEOUS
             self._fire(step, t, {})
             return
+        if t in self._events and self._rules is not None:
+            parts = self._split[self._events[t]]
+            for part in parts.pieces or (self._source.places[self._events[t]].name,):
+                self._fire(Stage.TIMED, t, {self._events[t]: part})
+            if t not in parts.named and t not in parts.racing:
+                return  # no robot asks for it besides
         if transition.timed:
             self._add_exponential(t, robots)
             return
@@ -381,7 +424,11 @@ class DecisionNet:
             weight=transition.weight,
             priority=transition.priority if priority is None else priority,
             askers=askers,
-            rated=t if transition.timed and step is Stage.TIMED and self._by_net(t) else -1,
+            rated=t
+            if transition.timed
+            and step is Stage.TIMED
+            and (self._by_net(t) or (t in self._events and rate is None))
+            else -1,
         )
 
     def _by_net(self, t: int) -> bool:
@@ -417,16 +464,11 @@ class DecisionNet:
 
     def _add_losses(self, p: int, parts: _Parts) -> None:
         name = self._source.places[p].name
-        pieces = [
-            part
-            for part in (parts.doing, parts.arriving, parts.asking, *parts.named.values())
-            if part
-        ]
         back = [
             (resource, count)
             for resource, count in self._plan.on_evict.get(name, {}).items()
             if resource not in self._left_out and count > 0
         ]
-        for part in pieces or [name]:
+        for part in parts.pieces or (name,):
             inputs = [(name, 1)] + ([(part, 1)] if part != name else [])
             self._add(Stage.LOST, "(robot lost in %s)" % part, -1, inputs, back)

@@ -35,7 +35,12 @@ def who_decides(plan: Plan, reading: str, may_wait: AbstractSet[str]) -> Dict[st
     spoken = _spoken_of(plan)
     found: Dict[str, Decider] = {}
     for name in plan.action_places:
-        leaving = net.consumers[net.place_number(name)]
+        events = plan.interrupts(name)
+        leaving = [
+            t
+            for t in net.consumers[net.place_number(name)]
+            if net.transitions[t].name not in events
+        ]
         immediate = [t for t in leaving if not net.transitions[t].timed]
         if not immediate:
             continue

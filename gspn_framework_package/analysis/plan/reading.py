@@ -80,7 +80,7 @@ def _of_both(plan: Plan) -> List[str]:
     robots = [
         any(net.places[p].name not in plan.resource_places for p, _ in arcs) for arcs in net.inputs
     ]
-    assumptions = _of_events(plan)
+    assumptions = of_events(plan)
     if sum(p.tokens for p in net.places if p.name not in plan.resource_places) > 1 and any(
         not t.timed for t in net.transitions
     ):
@@ -99,8 +99,8 @@ def _of_both(plan: Plan) -> List[str]:
     return assumptions
 
 
-def _of_events(plan: Plan) -> List[str]:
-    """What both readings assume about events that interrupt."""
+def of_events(plan: Plan) -> List[str]:
+    """What the readings of a plan assume about events that interrupt, in words for people."""
     net = plan.net
     interrupting = [
         (p, t)

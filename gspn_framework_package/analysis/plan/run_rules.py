@@ -224,7 +224,7 @@ class RunRules:
         """The transitions that leave place ``p`` without an event."""
         return [t for t in self.net.consumers[p] if t not in self._interrupting]
 
-    def _only_events(self, p: int) -> bool:
+    def only_events(self, p: int) -> bool:
         """Whether nothing but events takes a robot out of place ``p``."""
         return not self._of_action(p) and all(t == POLICY for t, _ in self.timing[p].outcomes)
 
@@ -259,7 +259,7 @@ class RunRules:
         """Whether robots in place ``p`` are told apart by doing and done."""
         return (
             bool(self.net.consumers[p])
-            and not self._only_events(p)
+            and not self.only_events(p)
             and self.timing[p].duration.mean > 0
             and not self._races(p)
         )
@@ -270,7 +270,7 @@ class RunRules:
         name = self.net.places[p].name
         return (
             bool(self.timing[p].outcomes)
-            and not self._only_events(p)
+            and not self.only_events(p)
             and self.timing[p].duration.mean == 0
             and self.plan.actions.get(name, True) is not None
         )
@@ -290,7 +290,7 @@ class RunRules:
         width = 0
         for p in range(len(net.places)):
             first = width
-            if not self._rules.acts[p] or not net.consumers[p] or self._only_events(p):
+            if not self._rules.acts[p] or not net.consumers[p] or self.only_events(p):
                 self._column[p] = width
                 width += 1
             elif self._races(p):

@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, assume, given, settings
 
 sys.path.append(str(Path(__file__).parents[1]))
 
-from generated_plans import small_plans
+from generated_plans import plain_event, small_plans, with_events
+from hypothesis import strategies as st
 from running_plans import running_plans
 
 from gspn_framework_package.analysis.analyse import Analysis
@@ -23,6 +24,7 @@ from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import LimitError, RefusedError
+from gspn_framework_package.model.event import EventSource
 from gspn_framework_package.model.plan import Plan, RobotSpec
 
 PLANS = ["patrol", "rendezvous", "fork_join", "measure", "tokens"]
@@ -153,3 +155,37 @@ def test_given_durations_depend_on_no_rate():
     labels = decisions.rate_labels(decisions.teams[0])
     fetched = list(plan.net.consumers[plan.net.place_number("Fetch")])
     assert not np.isin(labels, fetched).any()
+
+
+@settings(many, max_examples=20)
+@given(with_events(running_plans(), plain_event()), st.sampled_from([NET, RUN]))
+def test_generated_plans_with_events(plan, reading):
+    check_generated(plan, reading)
+
+
+def test_an_event_that_several_robots_share_a_resource_for_is_refused():
+    net = (
+        NetBuilder()
+        .place("Work", 2)
+        .place("Charge")
+        .place("Dock", 1)
+        .exponential("low", rate=0.3, inputs=["Work", "Dock"], outputs="Charge")
+        .exponential("full", rate=1, inputs="Charge", outputs=["Work", "Dock"])
+        .build()
+    )
+    act = FunctionAction("actions.work", "work")
+    plan = Plan(
+        net,
+        actions={"Work": act, "Charge": act},
+        resource_places=frozenset(["Dock"]),
+        robots=(RobotSpec("a", "Work"), RobotSpec("b", "Work")),
+        events={"low": EventSource("battery", "a/B")},
+    ).validate()
+    for reading in (NET, RUN):
+        with pytest.raises(RefusedError, match="low: it is an event .* also takes from Dock"):
+            DecisionProblem(plan, reading=reading)
+        one = plan.for_robots(1)
+        assert_same(one, DecisionProblem(one, reading=reading), one.policy, reading)
+    held = replace(one, events={"low": EventSource("battery", "a/B", hold=True)}).validate()
+    notes = DecisionProblem(held, reading=RUN).assumptions
+    assert any("the simulation holds them" in note for note in notes)
