@@ -81,6 +81,7 @@ VERBS: Dict[str, Union[Verb, OrderVerb]] = {
         "measure how teams scale: start, cost and throughput, as in thesis 6.1 (needs ROS)",
     ),
     "status": Verb(".status", "show what every robot of a running team does and waits for"),
+    "breakpoints": Verb(".breakpoints", "halt a robot at a place or a transition, for debugging"),
     "submit": Verb(".submit", "give a task to a running team"),
     **ORDERS,
 }

@@ -14,6 +14,7 @@ from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.execution.breakpoints import BreakpointFile
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.local_kinds import ALLOW, refuse_commands
@@ -69,6 +70,9 @@ def run(args: argparse.Namespace) -> int:
         firing_limit=args.firings,
         allow_commands=args.allow_commands,
     )
+    executor.breakpoint_file = BreakpointFile(plan)
+    if executor.breakpoint_file.changed():
+        print("note: breakpoints: %s" % executor.breakpoint_file.breakpoints.told, file=sys.stderr)
     # a line that an action prints could split a JSON line
     with contextlib.redirect_stdout(sys.stderr) if args.json else contextlib.nullcontext():
         return _execute(args, executor, printer, event_log)

@@ -10,14 +10,17 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 from typing import Any, Dict, Hashable, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.formats.json_file import read_json
 from gspn_framework_package.formats.source import write_bytes
-from gspn_framework_package.model.errors import InputError, PlanError
+from gspn_framework_package.model.errors import InputError, PlanError, UsageError
 from gspn_framework_package.model.plan import Plan
 
 FILE_NAME = "breakpoints.json"
+
+_WRITING = threading.Lock()  # the robots of one process share the file
 
 
 class Breakpoints(NamedTuple):
@@ -25,6 +28,11 @@ class Breakpoints(NamedTuple):
 
     places: Tuple[str, ...] = ()
     transitions: Tuple[str, ...] = ()
+
+    @property
+    def told(self) -> str:
+        """The names, for people."""
+        return ", ".join((*self.places, *self.transitions)) or "no breakpoint"
 
     def to_json(self) -> Dict[str, List[str]]:
         """The breakpoints as a JSON object."""
@@ -72,6 +80,17 @@ class Breakpoints(NamedTuple):
         leaving = plan.net.consumers[plan.net.place_number(place)]
         names = (plan.net.transitions[t].name for t in leaving)
         return any(name in self.transitions and name not in plan.events for name in names)
+
+
+def read_names(text: str) -> List[str]:
+    """The names in a JSON list. :raises UsageError: it is none."""
+    try:
+        names = json.loads(text)
+    except (ValueError, RecursionError):
+        names = None
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise UsageError("breakpoints are a JSON list of names, not %.100r" % text)
+    return names
 
 
 def why_no_breakpoint(plan: Plan, name: str, kind: str) -> str:
@@ -171,8 +190,11 @@ class BreakpointFile:
         :raises InputError: the file cannot be written. They hold in this process all the same.
         """
         self.breakpoints = breakpoints
-        if not self.path:
-            return
+        if self.path:
+            with _WRITING:
+                self._write(breakpoints)
+
+    def _write(self, breakpoints: Breakpoints) -> None:
         if not any(breakpoints):
             try:
                 os.remove(self.path)

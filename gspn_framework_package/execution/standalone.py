@@ -35,7 +35,7 @@ from gspn_framework_package.execution.actions import (
     Cancellation,
     error_text,
 )
-from gspn_framework_package.execution.breakpoints import Breakpoints, Halts
+from gspn_framework_package.execution.breakpoints import BreakpointFile, Breakpoints, Halts
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.event_functions import EventFunctions, EventHost
 from gspn_framework_package.execution.event_log import EventLogWriter, Record
@@ -66,6 +66,7 @@ from gspn_framework_package.model.errors import (
     DataError,
     ExecutionError,
     GspnError,
+    InputError,
     PlanError,
     UsageError,
 )
@@ -165,6 +166,8 @@ class StandaloneExecutor:
         self._running: Dict[str, _Attempt] = {}
         self.halt_at = Breakpoints()
         """Where agents halt. May be replaced at any time."""
+        self.breakpoint_file: Optional[BreakpointFile] = None
+        """Where the breakpoints are kept; it is read again when it changes."""
         self._halts: Dict[str, Halts] = {}
         self._halted: Dict[str, StartAction] = {}
         self._timers: List[Tuple[float, int, _Message]] = []
@@ -314,6 +317,7 @@ class StandaloneExecutor:
         """One log slot: reduce the entries, notify the listener, carry out the commands."""
         if not entries:
             return
+        self._look_at_breakpoints()
         for entry in entries:
             if isinstance(entry, log_entries.Done):
                 self._set_phase(entry.robot, Phase.DONE)
@@ -394,6 +398,15 @@ class StandaloneExecutor:
             self._listener.on_end(command.reason, command.finished)
 
     # -- breakpoints -------------------------------------------------------------------------------
+
+    def _look_at_breakpoints(self) -> None:
+        if self.breakpoint_file is None:
+            return
+        try:
+            self.breakpoint_file.changed()
+        except InputError as error:
+            self._listener.on_fault("", "the breakpoints stay as they were: %s" % error)
+        self.halt_at = self.breakpoint_file.breakpoints
 
     def _may_start(self, command: StartAction) -> bool:
         """Whether no breakpoint holds an agent before its action; if one does, pause the agent."""

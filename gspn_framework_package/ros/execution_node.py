@@ -19,6 +19,11 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.actions import TEXT_LIMIT
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.replica import Replica
+from gspn_framework_package.execution.breakpoints import (
+    BreakpointFile,
+    Breakpoints,
+    read_names,
+)
 from gspn_framework_package.execution.event_log import (
     EventLogWriter,
     Record,
@@ -84,6 +89,10 @@ def lock_log(path: str) -> BinaryIO:
             return file
 
 
+BREAKPOINTS_PERIOD = 0.5
+"""Seconds between two looks at the file with the breakpoints."""
+
+
 class ExecutionNode(Worker):
     """Executes a plan for one robot, until the run is over.
 
@@ -117,6 +126,8 @@ class ExecutionNode(Worker):
         self._answers: Dict[str, Callable[[Any], None]] = {}
         self._wake_at = 0.0
         self._leave_at: Optional[float] = None
+        self._breakpoints = BreakpointFile(plan)
+        self._look_at = 0.0
         self._running = True
         self._progress: List[int] = []
         self._attempt = 0
@@ -304,6 +315,9 @@ class ExecutionNode(Worker):
             self._wake_at = now + 1.0
             self._step(interface.Tick())
             self._narrator.note_change()
+        if now >= self._look_at:
+            self._look_at = now + BREAKPOINTS_PERIOD
+            self._look_at_breakpoints()
         if self._leave_at is not None and now >= self._leave_at:
             self._end()
             return
@@ -319,6 +333,23 @@ class ExecutionNode(Worker):
             return
         function(*arguments)
         self._narrator.note_change()
+
+    def _look_at_breakpoints(self) -> None:
+        """Halt at other places and transitions if the file with the breakpoints has changed."""
+        try:
+            if self._breakpoints.changed():
+                self._replica.halt_at(self._breakpoints.breakpoints)
+                self._narrator.warn("halts at: %s" % self._breakpoints.breakpoints.told)
+        except GspnError as error:
+            self._narrator.warn("the breakpoints stay as they were: %s" % error)
+
+    def breakpoints(self, argument: str) -> str:
+        """See :class:`Worker`."""
+        if argument:
+            found = Breakpoints.of_names(read_names(argument), self.plan)
+            self._replica.halt_at(found)
+            self._breakpoints.write(found)
+        return "halts at: %s" % self._breakpoints.breakpoints.told
 
     def _end(self) -> None:
         self._running = False
@@ -530,6 +561,7 @@ class ExecutionNode(Worker):
         )
         status["waits_for"] = self._waits_for()
         status["needs_operator"] = self._needs_operator()
+        status["breakpoints"] = self._breakpoints.breakpoints.to_json()
         if data:
             brief = data == "brief"
             status["data"] = told_of_team(state, self.plan.net, brief)

@@ -11,7 +11,7 @@ import rospy
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.interface import Message
-from gspn_framework_package.model.errors import DataError
+from gspn_framework_package.model.errors import DataError, GspnError
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.ros.messages import json_object, marking_fields
 from gspn_framework_package.srv import (
@@ -82,6 +82,14 @@ class Worker:
 
         :param data: ``data``: with the data, tasks and held events of the team; ``brief``: with
             these as short texts; "": without.
+        """
+        raise NotImplementedError
+
+    def breakpoints(self, argument: str) -> str:
+        """The breakpoints of this node's robot, for people; call it on the worker thread.
+
+        :param argument: a JSON list of names to set, "" for none.
+        :raises GspnError: it is not a list of names of the plan, or cannot be kept in the file.
         """
         raise NotImplementedError
 
@@ -213,6 +221,8 @@ class NodeServices:
             except queue.Empty:
                 raise rospy.ServiceException("the node is busy; no answer in time") from None
             return CommandResponse(True, json.dumps(status))
+        if request.command == "breakpoints":
+            return self._breakpoints(request.argument)
         robot = request.robot or self._worker.robot
         if request.command == "force_evict":
             return CommandResponse(*self._order(None, robot))
@@ -225,6 +235,20 @@ class NodeServices:
                 False, "there is no command '%s'; there are: %s" % (request.command, _COMMANDS)
             )
         return CommandResponse(*self._order(entry))
+
+    def _breakpoints(self, argument: str) -> CommandResponse:
+        """Show or set the breakpoints of this node's robot."""
+
+        def take() -> CommandResponse:
+            try:
+                return CommandResponse(True, self._worker.breakpoints(argument))
+            except GspnError as error:
+                return CommandResponse(False, str(error))
+
+        try:
+            return self._worker.ask(take, ANSWER_TIME)
+        except queue.Empty:
+            raise rospy.ServiceException("the node is busy; no answer in time") from None
 
     # -- through the worker ------------------------------------------------------------------------
 
@@ -251,7 +275,10 @@ class NodeServices:
         return result.ok, result.text
 
 
-_COMMANDS = "pause, resume, evict, force_evict, set_place, retry, fire, submit, leave, stop, status"
+_COMMANDS = (
+    "pause, resume, evict, force_evict, set_place, retry, fire, submit, leave, stop, "
+    "breakpoints, status"
+)
 
 
 def order_entry(command: str, given: str, robot: str, argument: str) -> Optional[log_entries.Entry]:

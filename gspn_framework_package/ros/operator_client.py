@@ -103,14 +103,19 @@ class OperatorClient:
         return sorted(nodes)
 
     def ask_all(
-        self, command: str, seconds: float = PATIENCE, argument: str = ""
+        self,
+        command: str,
+        seconds: float = PATIENCE,
+        argument: str = "",
+        nodes: Optional[List[NodeAddress]] = None,
     ) -> Dict[NodeAddress, Optional[Answer]]:
         """The answers of all nodes to a command; None for a node that does not answer within
         ``seconds``."""
         answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
-        for node in self.nodes:
+        asked = self.nodes if nodes is None else nodes
+        for node in asked:
             self._send(node, CommandRequest(command=command, argument=argument), answers)
-        got: Dict[NodeAddress, Optional[Answer]] = dict.fromkeys(self.nodes)
+        got: Dict[NodeAddress, Optional[Answer]] = dict.fromkeys(asked)
         deadline = time.monotonic() + seconds
         while any(answer is None for answer in got.values()):
             try:
@@ -128,16 +133,21 @@ class OperatorClient:
             for node, answer in self.ask_all("status", argument="data" * data).items()
         }
 
-    def order(self, command: str, robot: str, argument: str, run: str = "") -> Tuple[bool, str]:
-        """Give an order to a node that answers, preferably the robot's own.
+    def breakpoints(self, argument: str, run: str = "") -> List[Tuple[str, Optional[Answer]]]:
+        """Show or set the breakpoints of every robot of a run.
 
-        :param command: the command; see the service ``Command``.
-        :param robot: the robot that the order concerns.
-        :param argument: the argument of the command.
-        :param run: only use nodes of this run; necessary if there are several runs.
-        :returns: whether the order was carried out, and the node's message.
+        :param argument: a JSON list of names to set, "" for none.
+        :param run: the name of the run; necessary if there are several.
+        :returns: pairs of a node's namespace and its answer; None if it does not answer.
         :raises ExecutionError: no node answers, or nodes of several runs do.
         """
+        there = self._of_one_run(run)
+        answers = self.ask_all("breakpoints", argument=argument, nodes=sorted(there))
+        return [(node.namespace, answer) for node, answer in answers.items()]
+
+    def _of_one_run(self, run: str) -> Dict[NodeAddress, Dict[str, Any]]:
+        """The nodes of a run that answer, with their status. :raises ExecutionError: there are
+        none, or of several runs."""
         there = {n: s for n, s in self.statuses().items() if s and run in ("", s["run"])}
         runs = sorted({status["run"] for status in there.values()})
         if not there:
@@ -148,6 +158,19 @@ class OperatorClient:
             raise ExecutionError(
                 "there are nodes of several runs: %s" % ", ".join(runs), hint="say which: --run"
             )
+        return there
+
+    def order(self, command: str, robot: str, argument: str, run: str = "") -> Tuple[bool, str]:
+        """Give an order to a node that answers, preferably the robot's own.
+
+        :param command: the command; see the service ``Command``.
+        :param robot: the robot that the order concerns.
+        :param argument: the argument of the command.
+        :param run: only use nodes of this run; necessary if there are several runs.
+        :returns: whether the order was carried out, and the node's message.
+        :raises ExecutionError: no node answers, or nodes of several runs do.
+        """
+        there = self._of_one_run(run)
         # its own node first (last if it is to be evicted), then one with a vote
         own_last = command in ("evict", "force_evict")
         node = min(

@@ -6,6 +6,7 @@ second thread, which asks the team for its state, since an answer may take a whi
 
 from __future__ import annotations
 
+import contextlib
 import json
 import queue
 import threading
@@ -29,6 +30,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import String
 
 from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, DAY, Alarm
+from gspn_framework_package.execution.breakpoints import Breakpoints
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
@@ -43,7 +45,13 @@ from gspn_framework_package.ros.transport.registration import (
 )
 from gspn_framework_package.ros.transport.service_calls import ServiceCalls
 from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
-from gspn_framework_package.visualizer.activity import Activity, Fields, Handler, text_field
+from gspn_framework_package.visualizer.activity import (
+    Activity,
+    Fields,
+    Handler,
+    names_field,
+    text_field,
+)
 from gspn_framework_package.visualizer.board import Event, data_event
 from gspn_framework_package.visualizer.feedback import Feedback
 from gspn_framework_package.visualizer.fired_follower import (
@@ -136,6 +144,7 @@ class RosWatch(Activity):
             "set_place": self._ordered(self._set_place),
             "fire": self._ordered(self._fire),
             "submit": self._ordered(self._submit),
+            "breakpoints": self._set_breakpoints,
         }
 
     def begin(self, hub: Hub) -> None:
@@ -464,6 +473,10 @@ class RosWatch(Activity):
             if silent or phase.gone or was.gone:  # a robot that left cannot report it
                 self._show_robot(robot["robot"], phase=phase, why=robot["waits_for"])
             self._show_extras(robot)
+        told = status.get("breakpoints", {})
+        names = [*told.get("places", ()), *told.get("transitions", ())]
+        if self._hub.info.get("breakpoints", []) != names:
+            self._hub.change_info(breakpoints=names)
         if "data" in status:
             self._hub.publish(*data_event(self._data, status["data"]))
         phases = [Phase.of_state(r["state"]) for r in status["robots"]]
@@ -585,6 +598,33 @@ class RosWatch(Activity):
             if self._names
             else "no robot of the run has been heard of yet"
         )
+
+    def _set_breakpoints(self, fields: Fields) -> Dict[str, Any]:
+        """Have every robot of the run halt at these places and transitions.
+
+        :raises RefusedError: a robot did not take them.
+        """
+        found = Breakpoints.of_names(names_field(fields), self._plan)
+        names = json.dumps([*found.places, *found.transitions])
+        request = CommandRequest("breakpoints", "", names, self._run)
+        answers: queue.SimpleQueue[Tuple[str, CommandResponse]] = queue.SimpleQueue()
+        try:
+            known = sorted(n for n, name in self._names.items() if name not in self._follower.gone)
+            asked = [n for n in known if self._call(n, request, self._ordering, answers)]
+        except MASTER_ERRORS as error:
+            raise RefusedError("the ROS master does not answer (%s)" % error) from None
+        silent, refusals = set(asked), []
+        with contextlib.suppress(queue.Empty):
+            while silent:
+                namespace, response = answers.get(timeout=ORDER_TIME + 0.2)
+                silent.discard(namespace)
+                if not response.success:
+                    refusals.append("%s: %s" % (namespace, response.message))
+        self._ask_now.set()
+        refusals += ["%s does not answer" % namespace for namespace in sorted(silent)]
+        if refusals or not asked:
+            raise RefusedError("; ".join(refusals) or "no robot of the run has been heard of yet")
+        return {"message": "robots halt at: %s" % found.told}
 
     def _first_to_order(self, command: str, robot: str) -> List[str]:
         """The namespaces of the run's robots, in the order to try them: first the robot concerned

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import Any, Dict, List, Optional, Sequence
 
+from gspn_framework_package.execution.breakpoints import why_no_breakpoint
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.layout import Layout, lay_out, net_hash
@@ -23,6 +24,7 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
                 "capacity": p.capacity,
                 "kind": _kind(p.name, plan),
                 "action": _action(p.name, plan),
+                "halts": plan is not None and not why_no_breakpoint(plan, p.name, "place"),
                 "queue": plan is not None and p.name in plan.tasks.queues,
             }
             for p in net.places
@@ -37,6 +39,7 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
                 "servers": t.servers,
                 "environment": plan is not None and _is_environment(net, plan, i),
                 "event": _event(t.name, plan),
+                "halts": plan is not None and not why_no_breakpoint(plan, t.name, "transition"),
                 "submits": plan is not None and t.name in plan.submissions,
             }
             for i, t in enumerate(net.transitions)

@@ -12,6 +12,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.breakpoints import BreakpointFile, Breakpoints
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.firing import Firing
 from gspn_framework_package.execution.phase import Phase
@@ -19,7 +20,13 @@ from gspn_framework_package.execution.standalone import Listener, StandaloneExec
 from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.model.errors import ExecutionError, LogError, RefusedError
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.visualizer.activity import Activity, Fields, Handler, text_field
+from gspn_framework_package.visualizer.activity import (
+    Activity,
+    Fields,
+    Handler,
+    names_field,
+    text_field,
+)
 from gspn_framework_package.visualizer.board import Event
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.feedback import Feedback
@@ -59,6 +66,7 @@ class StandaloneRun(Activity, Listener):
             raise RefusedError("the check refuses this plan: %s" % " ".join(str(report).split()))
         self._plan = plan
         self._executor = StandaloneExecutor(plan, self)
+        self._breakpoints = self._executor.breakpoint_file = BreakpointFile(plan)
         self.run = _run_name(plan)
         self.path: Optional[str] = None
         self._log: Optional[EventLogWriter] = None
@@ -85,6 +93,7 @@ class StandaloneRun(Activity, Listener):
             "fire": self._order(
                 "{transition} is fired", lambda f: log_entries.Fire(self._transition(f))
             ),
+            "breakpoints": self._set_breakpoints,
             "submit": self._order(
                 "task {id} comes in by {transition}", lambda f: submission(plan, f)
             ),
@@ -163,6 +172,20 @@ class StandaloneRun(Activity, Listener):
 
         return run
 
+    def _set_breakpoints(self, fields: Fields) -> Dict[str, Any]:
+        found = Breakpoints.of_names(names_field(fields), self._plan)
+        try:
+            self._breakpoints.write(found)
+        finally:
+            self._show_breakpoints()
+        return {"message": "agents halt at: %s" % found.told}
+
+    def _show_breakpoints(self) -> None:
+        """Tell the page where agents halt."""
+        names = [*self._breakpoints.breakpoints.places, *self._breakpoints.breakpoints.transitions]
+        if self._hub.info.get("breakpoints", []) != names:
+            self._hub.change_info(breakpoints=names)
+
     def _agent(self, fields: Fields) -> str:
         return self._robot(fields).name
 
@@ -208,6 +231,7 @@ class StandaloneRun(Activity, Listener):
         if self._told_end:
             return  # it was abandoned and no longer owns the hub
         self._hub.publish(*self._events.step(entries, firings, state))
+        self._show_breakpoints()
         for entry in entries:
             if isinstance(entry, (log_entries.Done, log_entries.Failed)):
                 self._feedback.forget(entry.robot)

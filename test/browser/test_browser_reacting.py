@@ -13,8 +13,8 @@ class Shop(ToldRun):
     """A run of the shop whose log the test writes; tasks of the page go into it."""
 
     def __init__(self, plan):
-        super().__init__(plan, {"run": "run_7"}, commands=["fire", "submit"])
-        self.commands = {"submit": self._submit}
+        super().__init__(plan, {"run": "run_7"}, commands=["fire", "submit", "breakpoints"])
+        self.commands = {"submit": self._submit, "breakpoints": self._halt}
         self.game = TokenGame(plan)
         self.state = self.game.new_state()
         self.events = TeamEvents(self.game)
@@ -23,6 +23,10 @@ class Shop(ToldRun):
     def feed(self, *entries):
         step = self.game.reduce(self.state, self.state.next_slot, entries)
         self.hub.publish(*self.events.step(entries, step.firings, self.state))
+
+    def _halt(self, fields):
+        self.hub.change_info(breakpoints=fields["names"])
+        return {"message": "robots halt there"}
 
     def _submit(self, fields):
         task = submission(self.plan, fields)
@@ -73,6 +77,20 @@ def test_tasks_data_and_causes_are_shown_and_tasks_are_submitted(run, open_page,
     assert any("task o1: a → done" in line for line in lines), lines
     assert any("task o7: outside → Orders" in line for line in lines) == (run.state.submitted == [])
     picture(page, "reacting")
+    # a breakpoint is set, marked on the net, told of a robot that halts there, and removed
+    page.click("#list li[data-key='p1']")
+    page.click("#inspector button:has-text('Set breakpoint')")
+    page.wait_for_selector("#net .place.halts")
+    run.hub.publish({"k": "robots", "r": [{"name": "b", "paused": True}], "gone": []})
+    page.wait_for_selector(
+        "#inspector .robot-card[data-robot='b']:has-text('halts at a breakpoint')"
+    )
+    page.click("#inspector button:has-text('Remove breakpoint')")
+    page.wait_for_selector("#net .place.halts", state="detached")
+    page.click("#list li[data-key='t1']")  # an immediate move from a place without an action
+    page.wait_for_selector("#inspector h2:has-text('take')")
+    assert page.locator("#inspector button:has-text('breakpoint')").count() == 0
+    page.keyboard.press("2")
     # as it was then
     page.evaluate("(n) => window.gspn.model.show(n)", before)
     page.wait_for_selector(".robot-card[data-robot='b'] .held")

@@ -115,6 +115,16 @@ class ServicesTest(RobotTestCase):
         self.assertEqual(code, 1, output)
         self.assertIn("no_such_transition", output)
 
+        status = json.loads(gspn("status", "--data", "--json")[1])["/robot_1"]
+        self.assertEqual(status["data"]["team"], {})
+        self.assertEqual(status["robots"][0]["data"], {})
+        code, output = gspn("breakpoints", "no_such_place")
+        self.assertEqual(code, 1, output)
+        self.assertIn("no_such_place", output)
+        code, output = gspn("breakpoints", "T2", "--json")
+        self.assertEqual(code, 0, output)
+        self.assertEqual(sorted(json.loads(output)), ["/robot_1", "/robot_2"])
+
         self.assertEqual(gspn("pause", "robot_1")[0], 0)
         wait_for(lambda: robot_1.state().state == "Paused", what="the pause")
         self.assertEqual(robot_2.state().state, "Doing")
@@ -128,6 +138,10 @@ class ServicesTest(RobotTestCase):
         self.assertTrue(json.loads(output)["done"], output)
         wait_for(lambda: "operator" in robot_2.status()["waits_for"], what="the failure")
         self.assertEqual(gspn("retry", "robot_2")[0], 0)
+        wait_for(lambda: robot_2.state().state == "Paused", what="the halt at the breakpoint")
+        self.assertEqual((robot_2.state().place, robot_1.state().state), ("B", "Doing"))
+        self.assertEqual(gspn("breakpoints", "--clear")[0], 0)
+        self.assertEqual(gspn("resume", "robot_2")[0], 0)
         wait_for(lambda: robot_2.state().place == "C", what="the second attempt")
         wait_for(lambda: team.transitions()[-1:] == ["T2"], what="the news of it")
 

@@ -10,6 +10,7 @@ import pytest
 from shop_plan import shop
 from waiting import wait_for
 
+from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement_simulation.plans import make_plan
@@ -242,3 +243,47 @@ def test_a_plan_without_a_file_keeps_them_in_memory() -> None:
     file = BreakpointFile(shop())
     file.write(Breakpoints(("Deliver",)))
     assert file.path == "" and not file.changed() and file.breakpoints.places == ("Deliver",)
+
+
+def test_the_command_keeps_them_for_a_plan(tmp_path: Path, capsys: Any) -> None:
+    ring(tmp_path)
+    net = {"places": [{"name": "A", "tokens": 1}], "transitions": [], "arcs": []}
+    plan = {"net": net, "actions": {"A": "ring_actions.go"}, "robots": {"a": "A"}}
+    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    words = ["breakpoints", "--plan", str(tmp_path)]
+    for more, code, out in (
+        ([], 0, "no breakpoint\n"),
+        (["A"], 0, "A\n"),
+        (["--json"], 0, '{"places": ["A"], "transitions": []}\n'),
+        (["B"], 2, ""),
+        (["A", "--clear"], 2, ""),
+        ([], 0, "A\n"),
+        (["--clear"], 0, "no breakpoint\n"),
+    ):
+        assert main([*words, *more]) == code, more
+        assert capsys.readouterr().out == out
+    assert not (tmp_path / FILE_NAME).exists()
+
+
+def test_a_run_reads_the_file_again_and_tells_what_is_wrong(tmp_path: Path) -> None:
+    plan = ring(tmp_path)
+    faults: List[str] = []
+
+    class Faults(Listener):
+        def on_fault(self, agent: str, message: str) -> None:
+            faults.append(message)
+
+    executor = StandaloneExecutor(plan, Faults())
+    executor.breakpoint_file = BreakpointFile(plan)
+    executor.start()
+    (tmp_path / "new.json").write_text('{"places": ["nowhere"]}')
+    (tmp_path / "new.json").rename(tmp_path / FILE_NAME)  # it is never seen half written
+    wait_for(lambda: faults, what="the fault")
+    assert "nowhere" in faults[0] and FILE_NAME in faults[0]
+    BreakpointFile(plan).write(Breakpoints(("B",)))
+    wait_for(
+        lambda: all(r.paused for r in list(executor.state.robots.values())), what="both to halt"
+    )
+    executor.stop()
+    executor.wait(20)
+    assert len(faults) == 1

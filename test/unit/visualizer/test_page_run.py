@@ -433,3 +433,23 @@ def test_a_task_that_is_submitted_comes_in_once(served):
     assert len(found) == 2 and found[1][0].startswith("page-")
     assert client.do("submit", session=key, transition="ab").status_code == 409
     assert client.do("submit", session=key, transition="fill", data=[1]).status_code == 400
+
+
+def test_breakpoints_are_set_on_the_page_kept_in_a_file_and_hold_one_agent(served, tmp_path):
+    client = served(robots={"r": "a"})
+    key, _ = start(client)
+    answer = client.do("breakpoints", session=key, names=["b"])
+    assert (answer.status_code, answer.get_json()["message"]) == (200, "agents halt at: b")
+    wait_for(lambda: client.board(key)["robots"][0].get("paused"), what="the agent to halt")
+    assert client.board(key)["marking"][1] == 1
+    session = client.project.sessions.get(key)
+    assert session.hub.info["breakpoints"] == ["b"]
+    file = tmp_path / "ring" / "breakpoints.json"
+    assert json.loads(file.read_text()) == {"places": ["b"], "transitions": []}
+    for names in (["store"], ["nothing"], "b"):
+        assert client.do("breakpoints", session=key, names=names).status_code == 400
+    assert client.do("breakpoints", session=key, names=[]).status_code == 200
+    assert not file.exists() and session.hub.info["breakpoints"] == []
+    client.do("resume", session=key, robot="r")
+    fired = sum(client.board(key)["counts"])
+    wait_for(lambda: sum(client.board(key)["counts"]) > fired + 2, what="the agent to go on")

@@ -185,6 +185,7 @@ export class Inspector extends EventTarget {
     const robots = [...board.robots.values()].filter(
       (robot) => robot.place === index && !told(robot.phase).gone,
     );
+    const breakpoint = this.orders.breakpoint(place);
     const kinds = {
       action: "action place",
       resource: place.queue
@@ -207,6 +208,7 @@ export class Inspector extends EventTarget {
         ["Capacity", place.capacity === null ? "unlimited" : String(place.capacity)],
         ["Action", place.action || (place.kind === "action" ? "none: done at once" : null)],
       ]),
+      breakpoint && h("div", { class: "buttons" }, breakpoint),
       place.queue && this.queue(place, board.marking[index]),
       robots.length > 0 && [
         h("h3", { text: "Robots here" }),
@@ -263,6 +265,7 @@ export class Inspector extends EventTarget {
         () => attempt(() => this.orders.submit(transition.name)),
         { title: "A task comes in by this transition, with an id and data" },
       );
+    const breakpoint = this.orders.breakpoint(transition);
     const waiting = waitingFor(board, transition.name);
     const mine = info.probabilities?.[String(index)];
     const arcs = (forth) =>
@@ -334,7 +337,7 @@ export class Inspector extends EventTarget {
           }),
         ),
       ],
-      (order || submit) && h("div", { class: "buttons" }, order, submit),
+      (order || submit || breakpoint) && h("div", { class: "buttons" }, order, submit, breakpoint),
       arcs(1).length > 0 && [
         h("h3", { text: "Inputs" }),
         arcs(1).map(([p, , , weight, inhibitor]) =>

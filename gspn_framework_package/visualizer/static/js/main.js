@@ -262,6 +262,17 @@ class Page {
 
   // -- one board, many views -----------------------------------------------------------------------
 
+  /** Mark the places and transitions with a breakpoint. */
+  showBreakpoints() {
+    const names = new Set(this.orders.breakpoints);
+    const { places, transitions } = this.model.scene;
+    for (const element of document.querySelectorAll("#net .place, #net .transition")) {
+      const { place, transition } = element.dataset;
+      const node = place === undefined ? transitions[transition] : places[place];
+      element.classList.toggle("halts", names.has(node?.name));
+    }
+  }
+
   wire(model) {
     model.addEventListener("reset", ({ detail }) => {
       if (detail.another) {
@@ -274,6 +285,7 @@ class Page {
       this.robots.update();
       this.optimise.later();
       this.line.later();
+      this.showBreakpoints();
       this.showRun();
     });
     model.addEventListener("events", ({ detail }) => {
@@ -302,6 +314,7 @@ class Page {
       if (detail.keys.includes("info")) {
         this.tools?.refresh();
         this.inspector.later();
+        this.showBreakpoints();
         this.showRun();
       }
       if (detail.keys.includes("choices")) this.inspector.later();

@@ -164,6 +164,28 @@ export class Orders extends EventTarget {
     await this.give("stop", fields, `Stop ${this.runName}`);
   }
 
+  /** The names of the places and transitions at which a robot halts. */
+  get breakpoints() {
+    return this.model.info.breakpoints || [];
+  }
+
+  /** The button that sets or removes the breakpoint of a node; null if no robot can halt there. */
+  breakpoint(node) {
+    const { breakpoints } = this;
+    const has = breakpoints.includes(node.name);
+    if (!node.halts && !has) return null;
+    const names = has
+      ? breakpoints.filter((name) => name !== node.name)
+      : [...breakpoints, node.name];
+    const says = `${has ? "Remove" : "Set"} breakpoint`;
+    return this.button(
+      says,
+      "breakpoints",
+      () => this.give("breakpoints", { names }, `${says} at ${node.name}`),
+      { about: node.name, title: "A robot that comes here halts until it is resumed" },
+    );
+  }
+
   /** Let a task in by a transition of the environment. */
   async submit(transition) {
     const { model } = this;

@@ -53,6 +53,9 @@ export function robotCard(model, robot, buttons = []) {
         h("span", { class: "since", text: ended ? "" : since(model, robot) }),
       ),
     ),
+    robot.paused && !ended && place && (model.info.breakpoints || []).includes(place.name)
+      ? h("div", { class: "held", text: "halts at a breakpoint, until it is resumed" })
+      : null,
     robot.why && !ended ? h("div", { class: "why", text: robot.why }) : null,
     feedback ? h("div", { class: "feedback", text: feedback }) : null,
     extras.length > 0 && h("div", { class: "extras" }, extras),
@@ -170,6 +173,7 @@ export class RobotsPanel {
       robot.why,
       robot.task,
       robot.held,
+      model.info.breakpoints,
       robot.resumed_from,
       robot.data,
       model.board.status.ended,

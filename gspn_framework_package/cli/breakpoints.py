@@ -1,0 +1,66 @@
+"""``gspn breakpoints``: the places and transitions at which a robot halts until it is resumed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from gspn_framework_package.cli.orders import add_team_options, require_ros
+from gspn_framework_package.execution.breakpoints import BreakpointFile, Breakpoints
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.model.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    parser.add_argument(
+        "names",
+        metavar="NAME",
+        nargs="*",
+        help="places and transitions, in place of those set before; without any: show them",
+    )
+    parser.add_argument("--clear", action="store_true", help="remove all breakpoints")
+    parser.add_argument(
+        "--plan",
+        metavar="PLAN",
+        help="of runs of this plan on this machine; default: of the team that runs on ROS",
+    )
+    add_team_options(parser)
+    parser.epilog = (
+        "A robot halts before its action in a place starts, or before it asks for a transition; "
+        "'gspn resume ROBOT' (on the page: Resume) releases it. They are kept in breakpoints.json "
+        "beside the plan, which runs read again when it changes. Exit codes: 0 done, 1 a node did "
+        "not take them, 2 a name is not one of the plan."
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show or set the breakpoints; return 0 if that was done everywhere."""
+    if args.names and args.clear:
+        raise UsageError("give names or --clear, not both")
+    if args.plan:
+        return _of_plan(args)
+    require_ros()
+    from gspn_framework_package.ros.operator_client import OperatorClient
+
+    argument = json.dumps(args.names) if args.names or args.clear else ""
+    answers = OperatorClient().breakpoints(argument, args.run_name)
+    if args.json:
+        told = {n: {"done": a.success, "message": a.message} if a else a for n, a in answers}
+        print(json.dumps(told))
+    else:
+        for namespace, answer in answers:
+            print("%s: %s" % (namespace, answer.message if answer else "does not answer"))
+    return 0 if all(answer is not None and answer.success for _, answer in answers) else 1
+
+
+def _of_plan(args: argparse.Namespace) -> int:
+    plan = read_plan(args.plan)
+    file = BreakpointFile(plan)
+    if args.names or args.clear:
+        file.write(Breakpoints.of_names(args.names, plan))
+    else:
+        file.changed()
+    found = file.breakpoints
+    print(json.dumps(found.to_json()) if args.json else found.told)
+    return 0
