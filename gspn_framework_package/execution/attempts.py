@@ -744,8 +744,20 @@ def attempts_between(
                 missing += 1
             elif place in open_places and robot == firing.robot:
                 result = firing.transition if net.transitions[t].timed else ""
+                ended = firing.transition not in plan.events  # else it was interrupted
                 found.append(
-                    Attempt(robot, place, visit, 1, start, firing.time, True, result, "", log)
+                    Attempt(
+                        robot,
+                        place,
+                        visit,
+                        1,
+                        start,
+                        firing.time,
+                        ended,
+                        result if ended else "",
+                        "",
+                        log,
+                    )
                 )
             at[firing.run, robot] = target, firing.time, visit + 1
     for (run, robot), (place, start, visit) in at.items():

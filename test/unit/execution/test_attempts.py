@@ -241,6 +241,16 @@ def test_a_result_that_leaves_the_choice_to_one_transition_is_none_of_several_wi
     assert rows[0] == ("a", "A", 1, 1, 0.0, 1.0, "done")
 
 
+def test_a_firing_of_an_event_tells_no_end_of_an_action() -> None:
+    net = NetBuilder().place("A").exponential("go", inputs="A", outputs="A")
+    net.exponential("bell", inputs="A", outputs="A")
+    plan = make_plan(net.build(), ["A"], events={"bell": EventSource("bell", "a/B")})
+    found, _ = attempts_between(
+        plan, [fired(1.0, "go", "a", "A"), fired(2.0, "bell", "a", "A"), fired(4.0, "go", "a", "A")]
+    )
+    assert [(a.result, a.completed) for a in found] == [("", False), ("go", True), ("", False)]
+
+
 def test_a_follower_tells_of_what_goes_on_now() -> None:
     story = Story(ring(on_failure={"A": FailureRule(FailureKind.RETRY, 1, 2.0)})).start()
     story.slot(1.0, Failed("a", 0, 1, 1, "aborted"))
