@@ -92,6 +92,11 @@ def _look_at_functions(plan: Plan) -> List[CheckItem]:
         if text:
             text = "%s in %s: %s" % (function, place, text)
             items.append(CheckItem("functions", Severity.REFUSED, text, {"place": place}))
+    for transition, source in plan.events.items():
+        text = missing_function(plan.folder, source.function) if source.function else ""
+        if text:
+            text = "%s for the event '%s': %s" % (source.function, transition, text)
+            items.append(CheckItem("functions", Severity.REFUSED, text, {"transition": transition}))
     return items
 
 

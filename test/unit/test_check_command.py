@@ -59,6 +59,18 @@ def test_a_module_that_is_not_there_is_refused(tmp_path, capsys):
     assert main(["check", str(tmp_path)]) == 0
 
 
+def test_a_function_of_an_event_that_is_not_there_is_refused(tmp_path, capsys):
+    (tmp_path / "plan.json").write_text(
+        json.dumps(
+            dict(PLAN, actions={"P": None, "Q": None}, events={"T": {"function": "watch.low"}})
+        )
+    )
+    (tmp_path / "watch.py").write_text("def high():\n    pass\n")
+    assert main(["check", str(tmp_path)]) == 1
+    shown = capsys.readouterr().out
+    assert "refused  functions: watch.low for the event 'T': there is no 'low' in" in shown
+
+
 def test_the_modules_of_another_plan_are_not_taken(tmp_path, capsys):
     for name in ("has", "lacks"):
         (tmp_path / name).mkdir()

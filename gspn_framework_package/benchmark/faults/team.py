@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from dataclasses import replace
-from typing import Any, Callable, Dict, Iterable, List
+from typing import Any, Callable, Dict, Iterable, List, Optional
 
 from gspn_framework_package.benchmark.faults import dying_node
 from gspn_framework_package.benchmark.log_tail import LogTail
@@ -26,7 +26,13 @@ from gspn_framework_package.execution.history import Verdict, verify
 from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import ExecutionError
-from gspn_framework_package.model.plan import FailureKind, FailureRule, Synchronisation, Timing
+from gspn_framework_package.model.plan import (
+    FailureKind,
+    FailureRule,
+    Plan,
+    Synchronisation,
+    Timing,
+)
 
 RUN = "faults"
 BRIEF = "gspn_framework_package.benchmark.load.brief"
@@ -72,24 +78,33 @@ class RestartableMaster:
 
 
 class LaunchedTeam:
-    """The nodes of a team that executes ``plans/tokens`` with actions of a tenth of a second.
+    """The nodes of a team that executes ``plans/tokens`` with actions of a tenth of a second, or
+    another plan.
 
     :param robots: initial number of robots: ``robot_1`` and so on.
     :param evict_after: see :class:`~gspn_framework_package.model.plan.Timing`.
+    :param plan: the other plan, with its own actions.
 
     :ivar gone: robots that have left, and must not be restarted.
     """
 
-    def __init__(self, robots: int, mode: Synchronisation, evict_after: float) -> None:
+    def __init__(
+        self,
+        robots: int,
+        mode: Synchronisation,
+        evict_after: float,
+        plan: Optional[Plan] = None,
+    ) -> None:
         self.folder = tempfile.mkdtemp(prefix="gspn_faults_")
-        plan = tokens_plan().for_robots(robots)
-        actions = {place: FunctionAction(BRIEF, place) for place in plan.actions}
+        if plan is None:
+            plan = tokens_plan()
+            plan = replace(plan, actions={p: FunctionAction(BRIEF, p) for p in plan.actions})
+        plan = plan.for_robots(robots)
         # on a busy machine an action server may be slow to accept a goal; by default its robot
         # would wait for the operator
         again = FailureRule(FailureKind.RETRY, 1000)
         plan = replace(
             plan,
-            actions=actions,
             on_failure={"*": again},
             synchronisation=mode,
             timing=Timing(evict_after=evict_after),
@@ -138,6 +153,10 @@ class LaunchedTeam:
             for n, process in self._processes.items()
             if process.poll() is not None and n not in self.gone
         ]
+
+    def pid(self, name: str) -> int:
+        """Process id of a robot's node."""
+        return int(self._processes[name].pid)
 
     def signal(self, name: str, number: int) -> None:
         """Send a signal to a robot's process."""

@@ -2,6 +2,7 @@
 
 import json
 import math
+import queue
 from types import SimpleNamespace
 
 import pytest
@@ -19,12 +20,16 @@ from std_msgs import msg as std
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution.agreement.interface import EventObserved, TaskCame
+from gspn_framework_package.execution.log_entries import Submit
+from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import ExpressionError, GspnError
 from gspn_framework_package.model.event import EventSource
 from gspn_framework_package.model.message_condition import MessageCondition, parse_field
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros import message_fields
 from gspn_framework_package.ros.event_sources import (
     ConditionSource,
+    EventSources,
     Host,
     MomentSource,
     TaskSource,
@@ -231,6 +236,57 @@ def test_a_message_that_is_no_task_is_reported_and_not_taken(text, why):
     source.take(std.String('{"id": 3}'))
     ((_, task),) = node.calls
     assert task == TaskCame(task_of("order", EventSource(json="data"), std.String('{"id": 3}')))
+
+
+# -- functions -------------------------------------------------------------------------------------
+
+WATCH = """
+def low(robot, data):
+    return {"speed": data["robot.speed"]} if robot == "robot_1" else False
+
+def order(emit):
+    emit(pose=[1, 2])
+    emit(id="o1", pose=[3, 4])
+"""
+
+
+def test_functions_watch_events_and_let_tasks_in_if_they_give_them_ids(tmp_path):
+    (tmp_path / "watch.py").write_text(WATCH)
+    net = (
+        NetBuilder()
+        .place("Work", 1)
+        .place("Orders", capacity=3)
+        .exponential("low", rate=1, inputs="Work", outputs="Work")
+        .exponential("order", rate=1, outputs="Orders")
+        .build()
+    )
+    plan = Plan(
+        net,
+        actions={"Work": None},
+        resource_places=frozenset(["Orders"]),
+        events={
+            "low": EventSource(function="watch.low"),
+            "order": EventSource(function="watch.order"),
+        },
+        folder=str(tmp_path),
+    ).validate()
+    calls, complaints = queue.Queue(), queue.Queue()
+    host = Host(
+        lambda function, *arguments: calls.put(arguments),
+        lambda given: None,
+        lambda transition: True,
+        complaints.put,
+        lambda robot: {"robot.speed": 3} if robot else {},
+    )
+    sources = EventSources(plan, "robot_1", "/robot_1", False, host)
+    sources.start()
+    try:
+        found = [calls.get(timeout=20)[0] for _ in range(2)]
+        assert EventObserved("low", True, {"speed": 3}) in found
+        assert TaskCame(Submit("order", "o1", {"pose": [3, 4]})) in found
+        assert "a task has no id" in complaints.get(timeout=20)
+    finally:
+        sources.close()
 
 
 # -- types -----------------------------------------------------------------------------------------
