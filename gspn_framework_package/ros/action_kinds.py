@@ -383,9 +383,8 @@ JOBS: Dict[type, Callable[[Plan, str, Any, str], Job]] = {
     ServiceAction: ServiceJob,
     PublishAction: PublishJob,
     WaitAction: WaitJob,
-    **dict.fromkeys(LOCAL_KINDS, LocalJob),
 }
-"""Kind of action -> how a robot carries it out."""
+"""Kind of action -> how a robot carries it out; those that need no ROS are in ``LOCAL_KINDS``."""
 
 
 def job(plan: Plan, place: str, action: Action, namespace: str) -> Optional[Job]:
@@ -393,7 +392,7 @@ def job(plan: Plan, place: str, action: Action, namespace: str) -> Optional[Job]
 
     :raises PlanError: see :class:`Job`.
     """
-    kind = JOBS.get(type(action))
+    kind = LocalJob if type(action) in LOCAL_KINDS else JOBS.get(type(action))
     try:
         return None if kind is None else kind(plan, place, action, namespace)
     except PlanError as error:

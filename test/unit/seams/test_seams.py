@@ -180,6 +180,37 @@ def test_settings_are_kept_when_a_plan_is_written(tmp_path, capsys):
     assert read_plan(str(tmp_path / "one.json")).actions == read_plan(folder).actions
 
 
+@pytest.fixture
+def toy_kind(monkeypatch):
+    from toys import toy_kind
+
+    from gspn_framework_package.execution.local_kinds import LOCAL_KINDS
+    from gspn_framework_package.formats import plan_json
+    from gspn_framework_package.model.action import KINDS
+
+    whole = plan_json.schema()
+    whole["definitions"]["action"]["oneOf"].append(toy_kind.FORM)
+    monkeypatch.setattr(plan_json, "schema", lambda: whole)
+    monkeypatch.setitem(KINDS, "say", toy_kind.SayAction)
+    monkeypatch.setitem(LOCAL_KINDS, toy_kind.SayAction, toy_kind.ready)
+    return toy_kind
+
+
+def test_a_kind_of_action_with_a_key_of_its_own(toy_kind, tmp_path, capsys):
+    folder = plan_in(tmp_path, {"say": "hello"}, {"say": {"from": "said"}})
+    log = str(tmp_path / "log.jsonl")
+    assert dispatcher.main(["run", folder, "--log", log]) == 0, capsys.readouterr()
+    assert toy_kind.said[:2] == ["hello", 1]
+    assert dispatcher.main(["verify", log]) == 0
+    assert dispatcher.main(["convert", folder, str(tmp_path / "one.json")]) == 0
+    assert read_plan(str(tmp_path / "one.json")).actions == read_plan(folder).actions
+    pytest.importorskip("rospy")
+    pytest.importorskip("gspn_framework_package.msg")
+    from gspn_framework_package.ros.action_kinds import LocalJob, jobs
+
+    assert {type(job) for job in jobs(read_plan(folder), "robot_1", "/x").values()} == {LocalJob}
+
+
 @pytest.mark.parametrize(
     "settings, message",
     [
