@@ -105,7 +105,7 @@ class AttemptLike(Protocol):
 
 
 class EventsLike(Protocol):
-    """How often a transition of the environment fired, and for how long it could."""
+    """How often a transition of the environment or of an event fired, and for how long it could."""
 
     @property
     def firings(self) -> int:
@@ -137,8 +137,8 @@ class OutcomeFit(NamedTuple):
 
 
 class EventFit(NamedTuple):
-    """The ``rate`` (1/s) of a transition of the environment, from the firings that were ``seen``,
-    with an ``interval`` of 95 %."""
+    """The ``rate`` (1/s) of a transition of the environment or of an event, from the firings that
+    were ``seen``, with an ``interval`` of 95 %."""
 
     seen: int
     rate: float
@@ -192,7 +192,8 @@ def _share(outcome: OutcomeFit) -> Dict[str, Any]:
 
 
 class FitReport(NamedTuple):
-    """What was learned: by place, by transition of the environment, and notes for people."""
+    """What was learned: by place, by transition of the environment or of an event, and notes for
+    people."""
 
     places: Mapping[str, PlaceFit]
     rates: Mapping[str, EventFit]
@@ -258,7 +259,8 @@ def fit_plan(
 
     :param plan: the plan that was run.
     :param attempts: the attempts of all runs, each once.
-    :param events: transition of the environment -> how often it fired, and for how long it could.
+    :param events: transition of the environment or of an event -> how often it fired, and for how
+        long it could.
     :param choice: the families that are considered for durations.
     :param seed: of the simulated tests; the same data and seed give the same report.
     :param samples: simulated samples of each test of fit; 0: no such tests.
@@ -429,7 +431,12 @@ class _Learning:
 
     def _outcomes(self, place: str, done: Sequence[AttemptLike]) -> Dict[str, OutcomeFit]:
         net = self.plan.net
-        leaving = [net.transitions[t] for t in net.consumers[net.place_number(place)]]
+        named = {attempt.result for attempt in done}
+        leaving = [
+            net.transitions[t]
+            for t in net.consumers[net.place_number(place)]
+            if net.transitions[t].name not in self.plan.events or net.transitions[t].name in named
+        ]
         if len(leaving) < 2 or len(done) < ENOUGH:
             return {}
         durations: Dict[str, List[float]] = {}

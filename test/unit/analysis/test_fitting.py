@@ -33,6 +33,7 @@ from gspn_framework_package.analysis.fitting.testing import (
 )
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.cli.plot import fit_figure
+from gspn_framework_package.execution.attempts import gather
 from gspn_framework_package.execution.event_log import EventLogWriter, header
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats import write_net
@@ -41,6 +42,7 @@ from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration, Kind
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.event import EventSource
 from gspn_framework_package.model.plan import Plan, RobotSpec
 
 
@@ -575,3 +577,41 @@ def test_a_figure_has_a_row_for_each_place_even_if_nothing_varies() -> None:
     assert sum(bar.get_height() * bar.get_width() for bar in histogram) == pytest.approx(
         1, abs=0.05
     )
+
+
+@pytest.mark.parametrize("hold", [False, True])
+def test_the_rate_of_an_event_is_learned_and_what_it_cuts_off_is_censored(tmp_path, hold):
+    net = (
+        NetBuilder("guards")
+        .place("Work", 3)
+        .place("Charge")
+        .place("Dock", 1)
+        .exponential("finish", rate=1, inputs="Work", outputs="Work")
+        .exponential("low", rate=0.3, inputs=["Work", "Dock"], outputs="Charge")
+        .exponential("full", rate=1, inputs="Charge", outputs=["Work", "Dock"])
+        .build()
+    )
+    act = FunctionAction("actions.work", "work")
+    plan = Plan(
+        net,
+        actions={"Work": act, "Charge": act},
+        resource_places=frozenset(["Dock"]),
+        robots=tuple(RobotSpec("r%d" % i, "Work") for i in range(3)),
+        durations={"Work": Duration.erlang(4, 3.0)},
+        events={"low": EventSource("battery", "a/B", hold=hold)},
+    ).validate()
+    path = str(tmp_path / "run.jsonl")
+    run = VirtualRun(plan, seed=7)
+    log = run.record_in(path, "run", "1")
+    run.run(time=1_500.0)
+    log.close()
+    found = gather([path])
+    assert set(found.events) == {"low"}
+    report = fit_plan(found.plan, found.attempts, found.events, samples=0)
+    low, high = report.rates["low"].interval
+    assert low < 0.3 < high and report.rates["low"].seen > 100
+    work = report.places["Work"]
+    assert work.outcomes == {} and work.censored > 100
+    assert work.fit.duration.mean == pytest.approx(3.0, rel=0.1)
+    learned = report.apply(plan, [path])
+    assert learned.rates == {"low": report.rates["low"].rate}
