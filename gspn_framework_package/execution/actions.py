@@ -323,13 +323,20 @@ class PythonAction(PythonFunction):
         """
         if context.data:  # what an action does to the values must not reach anybody else
             context = context._replace(data=copy.deepcopy(dict(context.data)))
-        result = self.call(context)
-        data: Mapping[str, Any] = NO_SETTINGS
-        if isinstance(result, tuple) and len(result) == 2 and isinstance(result[1], dict):
-            result, data = result[0], check_values(result[1])
-        if result is None:
-            return ActionResult("", data)
-        return ActionResult(result if isinstance(result, str) else "%.200r" % (result,), data)
+        return read_result(self.call(context))
+
+
+def read_result(returned: Any) -> ActionResult:
+    """What a function returned as an action: a transition, nothing, or a pair with data.
+
+    :raises DataError: the data cannot be kept.
+    """
+    data: Mapping[str, Any] = NO_SETTINGS
+    if isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], dict):
+        returned, data = returned[0], check_values(returned[1])
+    if returned is None:
+        return ActionResult("", data)
+    return ActionResult(returned if isinstance(returned, str) else "%.200r" % (returned,), data)
 
 
 _Kind = TypeVar("_Kind", bound=PythonFunction)

@@ -30,13 +30,15 @@ import heapq
 import itertools
 import math
 import random
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.environment import Environment
-from gspn_framework_package.execution.event_log import EventLogWriter, header
+from gspn_framework_package.execution.event_log import EventLogWriter, Record, header
 from gspn_framework_package.execution.firing import CancelAction, Command, Ended, StartAction
 from gspn_framework_package.execution.ledger import Ledger
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import RobotState
 from gspn_framework_package.execution.token_game import Step, TokenGame
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
@@ -79,6 +81,7 @@ class VirtualRun:
     :param agents: whether transitions may create and destroy agents, as in a standalone run.
     :param loss_rate: how often a robot is lost, per second and robot.
     :param slowness: makes actions slower; for experiments.
+    :param environment: whether transitions of the environment fire, and tasks come, by themselves.
     """
 
     def __init__(
@@ -89,6 +92,7 @@ class VirtualRun:
         agents: bool = True,
         loss_rate: float = 0.0,
         slowness: Optional[Slowness] = None,
+        environment: bool = True,
     ) -> None:
         import numpy as np
 
@@ -102,10 +106,16 @@ class VirtualRun:
         self.result: Optional[Ended] = None
         """How the run ended; None while it goes on."""
         self._random = np.random.Generator(np.random.PCG64(self.plan.seed % 2**64))
-        self._environment = Environment(self.game, random.Random(self.plan.seed), tasks=True)
+        self._environment = Environment(
+            self.game,
+            random.Random(self.plan.seed),
+            without=() if environment else [t.name for t in plan.net.transitions],
+            tasks=True,
+        )
         self._interrupts = {p: plan.interrupts(p) for p in plan.action_places if plan.events}
         self._visits: Dict[str, Tuple[int, int]] = {}  # robot -> incarnation, visit, with events
         self._latest = math.inf
+        self._begun = False
         self._loss_rate = loss_rate
         self._slowness = slowness
         self._log: Optional[EventLogWriter] = None
@@ -153,36 +163,66 @@ class VirtualRun:
         :param while_running: called with the number of slots at intervals; may raise, to cancel.
         :raises UsageError: it would never end, or was run before.
         """
-        if self._ledger.length:
-            raise UsageError("this run was started before", hint="make a new one")
-        self._counted_from = warmup
         self._latest = time
-        self._reduce([self.game.start_entry()])
-        if self._loss_rate > 0:
-            self._schedule_losses()
+        self.begin(warmup)
         left = math.inf if firings is None else firings
         while self.result is None and left > 0:
             before = sum(self._firings) if firings is not None else 0
-            if not self._step(time):
+            if not self.step(time):
                 break
             if firings is not None:
                 left -= sum(self._firings) - before
             if while_running is not None and self._ledger.length % 1024 == 0:
                 while_running(self._ledger.length)
         if self.result is None and math.isfinite(time) and left > 0:
-            self._advance(time)
+            self.wait_until(time)
         if self._log is not None and self.result is None:
             self._reduce([log_entries.Stop("the end of the simulated time")])
         return self._summary()
 
-    def _step(self, time: float) -> bool:
-        """The next event, if there is one within ``time``."""
+    # -- step by step ------------------------------------------------------------------------------
+
+    def begin(self, warmup: float = 0.0) -> None:
+        """Start the run, for :meth:`step`.
+
+        :param warmup: see :meth:`run`.
+        :raises UsageError: it was started before.
+        """
+        if self._begun:
+            raise UsageError("this run was started before", hint="make a new one")
+        self._begun = True
+        self._counted_from = warmup
+        if self._ledger.length:
+            self._go_on()
+        else:
+            self._reduce([self.game.start_entry()])
+        if self._loss_rate > 0:
+            self._schedule_losses()
+
+    def continue_from(self, snapshot: Record) -> None:
+        """Start in the middle of another run of the plan, at time 0: the robots are where they were
+        then, and those that were doing an action begin it anew. Call it before the run.
+
+        :param snapshot: a ``snapshot`` record.
+        :raises LogError: it is none, or not of this plan.
+        """
+        self._ledger.restore(snapshot)
+        self.state = self._ledger.state
+        if self._log is not None:
+            self._log.append(snapshot)
+
+    def order(self, entry: log_entries.Entry) -> None:
+        """Put an entry into the log now, for example an order of the operator."""
+        self._reduce([entry])
+
+    def step(self, time: float) -> bool:
+        """Go on to the next thing that happens; returns False if nothing does until ``time``."""
         fire_at = self._environment.next_time(self.state, self.now)
         due = self._heap[0][0] if self._heap else math.inf
         if fire_at is not None and fire_at < due:
             if fire_at > time:
                 return False
-            self._advance(fire_at)
+            self.wait_until(fire_at)
             drawn = self._environment.due(self.state, fire_at)
             if drawn is not None:
                 self._reduce([drawn])
@@ -197,15 +237,16 @@ class VirtualRun:
         elif isinstance(entry, log_entries.Interrupt):
             if self._visit(entry.robot) != (entry.incarnation, entry.visit):
                 return True  # the visit is over
-            self._advance(when)
+            self.wait_until(when)
             self._reduce([entry])
             self._come_again(entry)
             return True
-        self._advance(when)
+        self.wait_until(when)
         self._reduce([entry])
         return True
 
-    def _advance(self, when: float) -> None:
+    def wait_until(self, when: float) -> None:
+        """Let the time pass until ``when``, in which nothing happens."""
         seconds = when - max(self.now, self._counted_from)
         if seconds > 0:
             for p, count in enumerate(self.state.marking):
@@ -214,17 +255,23 @@ class VirtualRun:
         self.now = when
 
     def _reduce(self, entries: List[log_entries.Entry]) -> None:
-        slot = self._ledger.length
+        slot, before = self._ledger.length, self.state.marking
         step = self.game.reduce(self.state, slot, entries)
         if self._log is not None:
             self._log.append(self._ledger.record(slot, entries, [], step))
         if self.now >= self._counted_from:
             for firing in step.firings:
                 self._firings[self.plan.net.transition_index[firing.transition]] += 1
+        self._tell(entries, step, before)
         for command in step.commands:
             self._carry_out(command)
         if self.plan.events:
-            self._follow_visits(entries, step)
+            self._follow_visits(self._begun_visits(entries, step))
+
+    def _tell(
+        self, entries: Sequence[log_entries.Entry], step: Step, before: Tuple[int, ...]
+    ) -> None:
+        """A subclass may take in what a step did; ``before`` is the marking before it."""
 
     # -- events ------------------------------------------------------------------------------------
 
@@ -233,20 +280,27 @@ class VirtualRun:
         robot = self.state.robots.get(name)
         return None if robot is None or robot.phase.gone else (robot.incarnation, robot.visit)
 
-    def _follow_visits(self, entries: List[log_entries.Entry], step: Step) -> None:
-        """Draw the events of the visits that have begun."""
+    def _begun_visits(
+        self, entries: Sequence[log_entries.Entry], step: Step
+    ) -> List[Tuple[RobotState, Tuple[int, int]]]:
+        """The visits that began with this step."""
         names = dict.fromkeys(getattr(entry, "robot", "") for entry in entries)
         names.update((move.robot, None) for firing in step.firings for move in firing.moves)
         if any(isinstance(entry, log_entries.Start) for entry in entries):
             names.update(dict.fromkeys(self.state.robots))
+        begun = []
         for name in names:
             visit = self._visit(name)
-            if visit is None or self._visits.get(name) == visit:
-                continue
-            self._visits[name] = visit
-            place = self.plan.net.places[self.state.robots[name].place].name
-            for transition in self._interrupts[place]:
-                self._draw_event(log_entries.Interrupt(name, *visit, transition))
+            if visit is not None and self._visits.get(name) != visit:
+                self._visits[name] = visit
+                begun.append((self.state.robots[name], visit))
+        return begun
+
+    def _follow_visits(self, begun: Sequence[Tuple[RobotState, Tuple[int, int]]]) -> None:
+        """Draw the events of visits that have begun. A subclass may do something else."""
+        for robot, visit in begun:
+            for transition in self._interrupts[self.plan.net.places[robot.place].name]:
+                self._draw_event(log_entries.Interrupt(robot.name, *visit, transition))
 
     def _draw_event(self, event: log_entries.Interrupt) -> None:
         after = self.plan.events[event.transition].after
@@ -278,26 +332,53 @@ class VirtualRun:
                     {"kind": "ended", "reason": command.reason, "finished": command.finished}
                 )
 
+    def _go_on(self) -> None:
+        """Begin the actions and the events of a team in the middle of a run."""
+        state = self.state
+        if state.ended is not None:
+            self.result = Ended(state.ended, state.finished)
+            return
+        begun = []
+        for robot in state.active():
+            visit = robot.incarnation, robot.visit
+            self._visits[robot.name] = visit
+            begun.append((robot, visit))
+            if robot.phase is Phase.DOING:
+                place = self.plan.net.places[robot.place].name
+                self._start(
+                    StartAction(
+                        robot.name,
+                        place,
+                        *visit,
+                        robot.attempt,
+                        data=state.data_of(robot),
+                        resumed_from=robot.resumed_from,
+                    )
+                )
+        if self.plan.events:
+            self._follow_visits(begun)
+
     def _start(self, command: StartAction) -> None:
-        """Draw how long the attempt takes and how it ends."""
+        seconds, entry = self._attempt(command)
+        self._running[command.robot] = command.visit, command.attempt
+        if math.isfinite(seconds):
+            self._at(self.now + command.delay + seconds, entry, command)
+
+    def _attempt(self, command: StartAction) -> Tuple[float, log_entries.Entry]:
+        """Draw how long an attempt takes (s), and what the log says at its end. A subclass may do
+        something else."""
         p = self.plan.net.place_index[command.place]
         timing = self.timing.of(command.robot, p)
         seconds = timing.duration.sample(self._random)
         if self._slowness is not None:
             seconds *= self._slowness(command.robot, command.place, self.now)
         timeout = self.plan.timeout(command.place)
-        entry: log_entries.Entry
         if timeout is not None and seconds > timeout:
-            entry = _failed(command, "timeout", "no result within %g s" % timeout)
-            seconds = timeout
-        elif timing.failure > 0 and self._random.random() < timing.failure:
-            entry = _failed(command, "aborted", "a simulated failure")
-        else:
-            entry = log_entries.Done(
-                command.robot, command.incarnation, command.visit, self._outcome(p, timing.outcomes)
-            )
-        self._running[command.robot] = command.visit, command.attempt
-        self._at(self.now + command.delay + seconds, entry, command)
+            return timeout, timed_out(command, timeout)
+        if timing.failure > 0 and self._random.random() < timing.failure:
+            return seconds, failed(command, "aborted", "a simulated failure")
+        result = self._outcome(p, timing.outcomes)
+        return seconds, log_entries.Done(command.robot, command.incarnation, command.visit, result)
 
     def _outcome(self, p: int, outcomes: Tuple[Tuple[int, float], ...]) -> str:
         if len(outcomes) < 2:
@@ -340,7 +421,13 @@ class VirtualRun:
         )
 
 
-def _failed(command: StartAction, reason: str, detail: str) -> Any:
+def failed(command: StartAction, reason: str, detail: str) -> log_entries.Failed:
+    """The entry of an attempt that failed."""
     return log_entries.Failed(
         command.robot, command.incarnation, command.visit, command.attempt, reason, detail
     )
+
+
+def timed_out(command: StartAction, timeout: float) -> log_entries.Failed:
+    """The entry of an attempt that took longer than ``timeout`` seconds."""
+    return failed(command, "timeout", "no result within %g s" % timeout)

@@ -34,13 +34,14 @@ LAYERS = {
     "formats": 1,
     "analysis": 2,
     "execution": 3,
+    "testing": 4,
     "ros": 4,
     "visualizer": 5,
     "world": 5,
     "benchmark": 6,
     "cli": 7,
 }
-INNER = [layer for layer, number in LAYERS.items() if number <= 3]
+INNER = [layer for layer, number in LAYERS.items() if number <= 3 or layer == "testing"]
 
 #: What no inner module may import: ROS, and the generated messages of this package.
 ROS = re.compile(
