@@ -8,12 +8,14 @@ import json
 import math
 import sys
 from pathlib import Path
-from typing import Iterator, Tuple
+from typing import Iterator, List, Tuple
 
 from gspn_framework_package.analysis.plan.reading import READINGS, RUN
 from gspn_framework_package.analysis.simulation import Simulation, simulate
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.against import add_against_arguments, refuse_aims, run_against
+from gspn_framework_package.cli.continued import beginning_of, simulate_from
+from gspn_framework_package.cli.continued import notes as continued_notes
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.cli.subject import add_subject_arguments, read_subject
@@ -23,6 +25,10 @@ from gspn_framework_package.cli.virtual_log import simulate_to_log
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     add_subject_arguments(parser)
+    parser.description = (
+        "Simulates a net, or a plan. RUN.jsonl@SLOT in place of NET goes on from that slot of a "
+        "recorded run."
+    )
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.add_argument(
         "--csv", metavar="FILE", help="write the numbers to FILE: measure, name, mean, half width"
@@ -110,6 +116,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, and print the means."""
+    beginning = beginning_of(args)
+    if beginning is not None:
+        refuse_aims(args)
+        if args.log:
+            found = list(continued_notes(beginning))
+            return simulate_to_log(beginning.plan, found, args, beginning)
+        return _print(simulate_from(beginning, args), [], args)
     subject, notes = read_subject(args)
     if args.against is not None:
         return run_against(subject, notes, args)
@@ -132,6 +145,10 @@ def run(args: argparse.Namespace) -> int:
             batches=args.batches,
             progress=progress,
         )
+    return _print(result, notes, args)
+
+
+def _print(result: Simulation, notes: List[str], args: argparse.Namespace) -> int:
     if args.csv:
         with Path(args.csv).open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)

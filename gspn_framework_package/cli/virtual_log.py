@@ -9,9 +9,10 @@ import os
 import sys
 import uuid
 from dataclasses import replace
-from typing import Any, Dict, Iterator, List, Union
+from typing import Any, Dict, Iterator, List, Optional, Union
 
 from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.cli.continued import Beginning
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.virtual_time import VirtualResult, VirtualRun
@@ -21,8 +22,15 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
 
-def simulate_to_log(subject: Union[Net, Plan], notes: List[str], args: argparse.Namespace) -> int:
+def simulate_to_log(
+    subject: Union[Net, Plan],
+    notes: List[str],
+    args: argparse.Namespace,
+    beginning: Optional[Beginning] = None,
+) -> int:
     """Run the plan once, record it in ``args.log``, and print what happened.
+
+    :param beginning: where it goes on in the middle of another run.
 
     :raises UsageError: the subject is a net, the run would have no end, or the file exists.
     """
@@ -42,8 +50,11 @@ def simulate_to_log(subject: Union[Net, Plan], notes: List[str], args: argparse.
         raise UsageError(
             "it exists already", file=args.log, hint="give --log the name of a new file"
         )
-    run = VirtualRun(plan, loss_rate=args.losses)
+    agents = True if beginning is None else beginning.agents
+    run = VirtualRun(plan, agents=agents, loss_rate=args.losses)
     writer = run.record_in(args.log, plan.name, uuid.uuid4().hex)
+    if beginning is not None:
+        run.continue_from(beginning.snapshot)
     try:
         with ProgressLine() as progress:
             watch = Watch(progress, None)
