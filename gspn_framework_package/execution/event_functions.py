@@ -18,8 +18,9 @@ a class is instantiated once for each robot.
 
 A function without ``emit`` is asked every ``every`` seconds. For an event that interrupts a robot,
 it returns whether the event holds: True or False (or None), or a dict, which means that it holds
-with that cause. For tasks, it returns a dict with the data of a task, a list of such dicts, or None
-if none came; the entry ``id`` identifies the task::
+with that cause; it is also asked when the robot enters another place. For tasks, it returns a dict
+with the data of a task, a list of such dicts, or None if none came; the entry ``id`` identifies the
+task::
 
     def low(robot):
         level = battery_of(robot)
@@ -39,6 +40,7 @@ reports one event with that cause, ``emit(id="o7", pose=[1, 2])`` a task::
 
 from __future__ import annotations
 
+import threading
 from typing import Any, Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.execution.actions import (
@@ -112,7 +114,7 @@ class EventFunctions:
         self.interrupts: Tuple[str, ...] = tuple(t for t in self._events if t not in tasks)
         """The transitions that take a robot out of its place when a function says so."""
         self._pool = WorkerPool("event")
-        self._running: Dict[str, List[Cancellation]] = {}
+        self._running: Dict[str, List[_Watcher]] = {}
 
     def watch(self, robot: str) -> None:
         """Begin to watch for the events of a robot, unless that was begun before."""
@@ -124,10 +126,27 @@ class EventFunctions:
         if "" not in self._running:
             self._begin("", self.tasks)
 
+    def ask_again(self, robot: str) -> Tuple[str, ...]:
+        """Ask the functions of a robot at once, since it is elsewhere or has other data now; what
+        they said before counts no longer.
+
+        :returns: the events that are asked for: those with a condition that counts by level.
+        """
+        asked = [w for w in self._running.get(robot, ()) if w.may_be_asked_again]
+        for watcher in asked:
+            watcher.ask_again()
+        return tuple(watcher.transition for watcher in asked)
+
+    def round(self, robot: str, transition: str) -> int:
+        """How often :meth:`ask_again` has asked for an event; an answer of an earlier round, which
+        its host has not taken in yet, is void."""
+        watchers = self._running.get(robot, ())
+        return next((w.round for w in watchers if w.transition == transition), 0)
+
     def forget(self, robot: str) -> None:
         """End watching for the events of a robot."""
-        for cancellation in self._running.pop(robot, ()):
-            cancellation.cancel()
+        for watcher in self._running.pop(robot, ()):
+            watcher.end()
 
     def close(self) -> None:
         """End all watching. A function that does not end by itself can do nothing more."""
@@ -138,7 +157,7 @@ class EventFunctions:
         self._running[robot] = []
         for transition in transitions:
             watcher = _Watcher(self._host, robot, transition, *self._events[transition])
-            self._running[robot].append(watcher.cancellation)
+            self._running[robot].append(watcher)
             try:
                 self._pool.submit(watcher.run)
             except RuntimeError as error:  # the system cannot create another thread
@@ -157,12 +176,16 @@ class _Watcher:
         function: EventFunction,
     ) -> None:
         self.cancellation = Cancellation()
+        self.transition = transition
+        self.may_be_asked_again = not source.edge and not function.asks_for("emit")
         self.what = "the function %s of the event '%s'" % (function.name, transition)
         self._host = host
         self._robot = robot
-        self._transition = transition
         self._every = source.every
         self._function = function
+        self.round = 0
+        self._lock = threading.Lock()
+        self._asked_again = threading.Event()
         self._holds = False
         self._told = ""
 
@@ -175,12 +198,25 @@ class _Watcher:
                 self._tell_fault("%s; it does not watch any longer" % error)
             return
         while not self.cancellation():
+            self._asked_again.clear()
             try:
                 self._take(self._call(self._host.data_of(self._robot)))
                 self._told = ""
             except _FunctionFailed as error:
                 self._tell_fault(str(error))
-            self.cancellation.wait(self._every)
+            self._asked_again.wait(self._every)
+
+    def ask_again(self) -> None:
+        """Call the function at once; an answer that is on its way is void."""
+        with self._lock:
+            self._holds = False
+            self.round += 1
+            self._asked_again.set()
+
+    def end(self) -> None:
+        """Call the function no more."""
+        self.cancellation.cancel()
+        self._asked_again.set()
 
     def _call(self, data: Mapping[str, Any]) -> Any:
         """What the function returns. :raises _FunctionFailed: it raised an exception."""
@@ -197,7 +233,7 @@ class _Watcher:
         if not self._robot:
             self._submit(fields)
         elif not self.cancellation():
-            self._host.observe(self._robot, self._transition, None, _checked(fields))
+            self._host.observe(self._robot, self.transition, None, _checked(fields))
 
     def _take(self, found: Any) -> None:
         """Report what the function returned, as far as it is news.
@@ -221,15 +257,17 @@ class _Watcher:
             holds, cause = bool(found), NOTHING
         else:
             raise DataError("it returned %.100r, not True, False or a dict" % (found,))
-        if holds is not self._holds and not self.cancellation():
+        with self._lock:
+            if holds is self._holds or self._asked_again.is_set() or self.cancellation():
+                return
             self._holds = holds
-            self._host.observe(self._robot, self._transition, holds, cause)
+            self._host.observe(self._robot, self.transition, holds, cause)
 
     def _submit(self, task: Any) -> None:
         if not isinstance(task, Mapping):
             raise DataError("%.100r is not a task: it is no dict" % (task,))
         data = {name: value for name, value in task.items() if name != "id"}
-        entry = make_submit(self._transition, task.get("id", ""), data)
+        entry = make_submit(self.transition, task.get("id", ""), data)
         if not self.cancellation():
             self._host.submit(entry)
 

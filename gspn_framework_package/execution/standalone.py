@@ -180,6 +180,7 @@ class StandaloneExecutor:
         self._watches: Dict[str, EventWatch] = {}
         """Agent -> its events, if events can interrupt any."""
         self._interrupts = any(plan.interrupts(place) for place in plan.action_places)
+        self._watched_visits: Dict[str, Tuple[int, int]] = {}
         self._task_numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._phases: Dict[str, Tuple[Phase, float]] = {}
@@ -462,11 +463,12 @@ class StandaloneExecutor:
         self, agent: str, transition: str, holds: Optional[bool], cause: Mapping[str, Any]
     ) -> None:
         """Take in what the function of an event shows (called on its thread)."""
+        asked = self._functions.round(agent, transition)
 
         def message() -> List[log_entries.Entry]:
             watch = self._watches.get(agent)
-            if watch is None:
-                return []  # the agent is gone
+            if watch is None or asked != self._functions.round(agent, transition):
+                return []  # the agent is gone, or elsewhere
             watch.observe(transition, holds, cause)
             return self._events_of(agent)
 
@@ -518,10 +520,16 @@ class StandaloneExecutor:
             if robot is None or robot.phase.gone:
                 if self._watches.pop(agent, None) is not None:
                     self._functions.forget(agent)
+                    self._watched_visits.pop(agent, None)
                 continue
             if agent not in self._watches:
                 self._watches[agent] = EventWatch(self.plan, agent)
                 self._functions.watch(agent)
+            if self._watched_visits.get(agent) != (robot.incarnation, robot.visit):
+                # what functions said of the place before, or of the data then, is out of date
+                self._watched_visits[agent] = robot.incarnation, robot.visit
+                for transition in self._functions.ask_again(agent):
+                    self._watches[agent].observe(transition, False)
             found = self._events_of(agent)
             self._wake_for(agent)
             if found:  # later, so that an order to stop has its turn even if events never cease

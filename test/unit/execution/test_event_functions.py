@@ -33,6 +33,8 @@ def act(place, data, visit, resumed_from, is_cancelled):
         is_cancelled.wait(60)
         if deaf.is_set():
             other.wait(60)
+    if place == "Charge":
+        return None, {"battery": 1}
     if place == "Deliver":
         return "delivered", {"team.last": data["task.id"]}
     return None
@@ -51,6 +53,9 @@ def orders():
 
 def send(emit):
     emit(id="x", pose=[5])
+
+def is_empty(data):
+    return data.get("robot.battery", 0) < 1
 
 def broken():
     raise ValueError("no sensor")
@@ -135,6 +140,15 @@ def test_a_function_interrupts_an_action_and_gives_the_cause(tmp_path: Path) -> 
         assert ("Work", 1, 0) in [r[:3] for r in run.parts.ran]
 
 
+def test_what_a_function_said_of_the_data_before_does_not_count(tmp_path: Path) -> None:
+    with Run(guard(tmp_path, "is_empty", every=30.0)) as run:
+        run.until_fired("low", "full")
+        wait_for(lambda: ("Work", 3, 0) in [r[:3] for r in run.parts.ran], DEADLINE)
+        run.executor.order(log_entries.Pause())
+        run.recorder.until(lambda: run.entries(log_entries.Pause))
+        assert run.fired() == ["low", "full"]
+
+
 def test_with_edge_an_event_that_lasts_interrupts_once(tmp_path: Path) -> None:
     with Run(guard(tmp_path, "is_low", edge=True)) as run:
         run.parts.low.set()
@@ -153,7 +167,8 @@ def test_a_function_that_emits_runs_once_for_each_agent(tmp_path: Path) -> None:
         wait_for(lambda: run.parts.ran[-1][0] == "Work", DEADLINE)
         run.parts.low.set()
         run.until_fired("low", "full", "low")
-        assert [e.cause for e in run.entries(log_entries.Interrupt)] == [{"seen": []}] * 2
+        causes = [e.cause for e in run.entries(log_entries.Interrupt)]
+        assert causes == [{"seen": []}, {"seen": ["robot.battery"]}]
 
 
 def test_time_interrupts_each_visit(tmp_path: Path) -> None:
