@@ -13,7 +13,8 @@ from gspn_framework_package.visualizer.layout import Layout, lay_out, net_hash
 
 def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
     """The scene of a net, with the attributes from its plan."""
-    layout = lay_out(net)
+    # the drawings of subnets would lie upon that of the net around them
+    layout = lay_out(net, anew=plan is not None and bool(plan.subnets))
     return {
         "name": (plan.name if plan is not None else net.name) or "net",
         "hash": net_hash(net),
@@ -46,6 +47,7 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
         ],
         "arcs": [_arc(net, a) for a in range(len(net.arcs))],
         "layout": layout_to_json(net, layout),
+        "subnets": _subnets(net, plan),
         "plan": _plan(plan),
     }
 
@@ -100,6 +102,24 @@ def _event(transition: str, plan: Optional[Plan]) -> Optional[str]:
     source = plan.events[transition]
     modes = [mode for mode in ("edge", "hold", "resume") if getattr(source, mode)]
     return source.label + (" (%s)" % ", ".join(modes) if modes else "")
+
+
+def _subnets(net: Net, plan: Optional[Plan]) -> List[Dict[str, Any]]:
+    """The subnets, those around others first."""
+    if plan is None:
+        return []
+    return [
+        {
+            "name": name,
+            "plan": subnet.plan,
+            "entry": net.place_number(subnet.entry),
+            "exit": net.place_number(subnet.exit),
+            "places": [net.place_number(p) for p in subnet.places],
+            "robots": [net.place_number(p) for p in subnet.places if p not in plan.resource_places],
+            "transitions": [net.transition_number(t) for t in subnet.transitions],
+        }
+        for name, subnet in sorted(plan.subnets.items(), key=lambda item: len(item[0]))
+    ]
 
 
 def _plan(plan: Optional[Plan]) -> Optional[Dict[str, Any]]:

@@ -84,7 +84,7 @@ export class Labels {
   /** Width of a name at a font size of 1. */
   width(node) {
     if (node.text === undefined) {
-      node.text = shorten(node.name);
+      node.text = shorten(node.title || node.name);
       node.textWidth = this.ruler.measureText(node.text).width / 100 + 0.1;
     }
     return node.textWidth;
@@ -116,6 +116,7 @@ export class Labels {
     this.drawn = true;
     const seen = [];
     for (const node of view.nodes) {
+      if (node.folded && node.folded !== node) continue; // hidden in a subnet
       const [sx, sy] = [node.x * k + x, node.y * k + y];
       if (sx > -60 && sy > -40 && sx < width + 60 && sy < height + 40) seen.push({ node, sx, sy });
       else this.take(node, null);
@@ -159,7 +160,9 @@ export class Labels {
       ]);
     }
     if (view.arcs.all.length <= ARCS) this.sampleArcs(this.points, view.camera.now);
-    for (const element of view.container.parentElement.querySelectorAll(".zoom, .frame-name")) {
+    for (const element of view.container.parentElement.querySelectorAll(
+      ".zoom, .frame-name, .subnets",
+    )) {
       const box = element.getBoundingClientRect();
       this.fixed.add([box.left - left, box.top - top, box.right - left, box.bottom - top]);
     }

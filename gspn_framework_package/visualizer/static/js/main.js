@@ -131,7 +131,7 @@ class Page {
     $("subtitle").textContent = session.title === session.scene.name ? "" : session.title;
     document.title = `${session.scene.name} · GSPN`;
     const begun = performance.now();
-    this.view = new NetView($("net"), model);
+    this.view = new NetView($("net"), model, $("subnets"));
     this.view.setShowEnabled(this.showEnabled);
     this.list = new NodeList(model);
     this.orders = new Orders(this);

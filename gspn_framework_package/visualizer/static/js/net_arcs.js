@@ -41,7 +41,8 @@ export class Arcs {
   route(routes, only = null) {
     for (const arc of this.all) {
       if (only && arc.from !== only && arc.to !== only) continue;
-      const home = !arc.from.moved && !arc.to.moved;
+      arc.hidden = Boolean(arc.from.folded) && arc.from.folded === arc.to.folded;
+      const home = ![arc.from, arc.to].some((node) => node.moved || node.folded);
       arc.shape = arcShape(arc.from, arc.to, home ? routes[arc.index] : null, arc.both ? BEND : 0);
       arc.line = arcLine(arc.shape, arc.inhibitor);
       Object.assign(arc, { middle: arc.shape.middle, points: arc.shape.points });
@@ -57,14 +58,18 @@ export class Arcs {
     this.drawEnds();
     this.weights.replaceChildren(
       ...this.all
-        .filter((a) => a.weight > 1)
+        .filter((a) => a.weight > 1 && !a.hidden)
         .map((a) => s("text", { x: a.middle[0], y: a.middle[1], text: String(a.weight) })),
     );
     this.showNear(this.near);
   }
 
   join(pick) {
-    return this.all.map(pick).filter(Boolean).join("");
+    return this.all
+      .filter((arc) => !arc.hidden)
+      .map(pick)
+      .filter(Boolean)
+      .join("");
   }
 
   drawEnds() {
@@ -90,7 +95,7 @@ export class Arcs {
   showNear(node) {
     this.near = node;
     const near = node
-      ? this.all.filter((a) => (a.from === node || a.to === node) && !a.inhibitor)
+      ? this.all.filter((a) => (a.from === node || a.to === node) && !a.inhibitor && !a.hidden)
       : [];
     this.path.near.setAttribute("d", near.map((a) => a.line).join(""));
   }

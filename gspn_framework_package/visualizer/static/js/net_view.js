@@ -18,6 +18,7 @@ import { KeptPositions } from "./kept_positions.js";
 import { Travel } from "./travel.js";
 import { Labels } from "./labels.js";
 import { told } from "./phases.js";
+import { Subnets } from "./subnets.js";
 
 const TILED = 800; // nets with more nodes are drawn in tiles
 const TILE = 40; // nodes in a tile
@@ -26,7 +27,8 @@ const FLASH = 160; // ms
 
 /** Fires "select" (detail {kind, index}), "activate" (double click) and "frame" (detail.n, after drawing). */
 export class NetView extends EventTarget {
-  constructor(container, model) {
+  /** `folds`: the element for the list of the plan's subnets. */
+  constructor(container, model, folds) {
     super();
     this.container = container;
     this.model = model;
@@ -39,6 +41,7 @@ export class NetView extends EventTarget {
     this.kept = new KeptPositions(this.scene.hash);
     this.nodes = [];
     this.put(this.scene.layout);
+    this.subnets = new Subnets(this, folds);
     this.build();
     this.travel = new Travel(this);
     this.labels = new Labels(this);
@@ -97,6 +100,8 @@ export class NetView extends EventTarget {
       sheet("travel", this.layer.travel),
     );
     this.moving = [...Object.values(this.layer), ...this.tiles.values()];
+    this.subnets.apply();
+    for (const node of this.nodes) node.element.setAttribute("transform", at(node));
     this.arcs.route(this.routes);
   }
 
@@ -189,11 +194,15 @@ export class NetView extends EventTarget {
     const changed = this.dirty.places.size + this.dirty.transitions.size > 0;
     if (this.dirty.places.size) {
       const { here, lost } = this.robotsByPlace(board);
+      const count = (p) => board.marking[p] - (this.pending.get(p) || 0);
       for (const p of this.dirty.places) {
-        drawPlace(this.places[p], board.marking[p] - (this.pending.get(p) || 0), here.get(p) || []);
+        const entry = this.subnets.behind.get(p);
+        if (entry !== undefined) this.dirty.places.add(entry); // a set takes in what is added to it
+        drawPlace(this.places[p], this.subnets.tokens(p, count), here.get(p) || []);
         if (lost.has(p) || this.places[p].lost) drawLost(this.places[p], lost.get(p) || []);
       }
       this.dirty.places.clear();
+      this.subnets.count(board);
     }
     for (const t of this.dirty.transitions) drawEnabled(this.transitions[t], board.enabled.has(t));
     this.dirty.transitions.clear();
@@ -217,8 +226,9 @@ export class NetView extends EventTarget {
       )
         continue;
       const robots = told(robot.phase).gone ? lost : here;
-      if (!robots.has(robot.place)) robots.set(robot.place, []);
-      robots.get(robot.place).push(robot);
+      const place = this.subnets.behind.get(robot.place) ?? robot.place;
+      if (!robots.has(place)) robots.set(place, []);
+      robots.get(place).push(robot);
     }
     return { here, lost };
   }
@@ -255,9 +265,19 @@ export class NetView extends EventTarget {
     if (this.selection) this.nodeOf(this.selection).element.classList.remove("selected");
     this.selection = selection;
     const node = selection && this.nodeOf(selection);
+    this.subnets.show(node);
     if (node) node.element.classList.add("selected");
     this.labels.later();
     this.arcs.showNear(node);
+  }
+
+  /** Subnets were folded or unfolded. */
+  refold() {
+    this.subnets.apply();
+    for (const node of this.nodes) node.element.setAttribute("transform", at(node));
+    this.arcs.route(this.routes);
+    this.reset();
+    this.labels.later();
   }
 
   flyTo(kind, index) {
@@ -267,17 +287,19 @@ export class NetView extends EventTarget {
   /** A node is being dragged; its arcs follow with the next frame. */
   moveNode(node, x, y) {
     Object.assign(node, { x, y, moved: true });
+    if (node.own) node.own = [x, y];
+    for (const other of this.nodes) if (other.folded === node) Object.assign(other, { x, y });
     node.element.setAttribute("transform", at(node));
     if (!this.routing)
       this.routing = requestAnimationFrame(() => {
         this.routing = 0;
-        this.arcs.route(this.routes, node);
+        this.arcs.route(this.routes, node.folded ? null : node);
       });
   }
 
   /** A node was released. */
   dropNode(node) {
-    this.arcs.route(this.routes, node);
+    this.arcs.route(this.routes, node.folded ? null : node);
     this.kept.write(this.nodes);
     this.labels.later();
   }
@@ -285,7 +307,9 @@ export class NetView extends EventTarget {
   /** Use another layout from the server, and discard the dragged positions. */
   relayout(layout) {
     this.kept.forget();
+    for (const node of this.nodes) node.own = null;
     this.put(layout);
+    this.subnets.apply();
     for (const node of this.nodes) node.element.setAttribute("transform", at(node));
     this.arcs.route(this.routes);
     this.camera.fit();

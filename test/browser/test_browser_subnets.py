@@ -1,0 +1,86 @@
+"""Subnets on the page: folded into one node with the robots inside, unfolded by mouse and keys."""
+
+import json
+import re
+
+from told_run import ToldRun
+
+from gspn_framework_package.execution.log_entries import Done
+from gspn_framework_package.execution.token_game import TokenGame
+from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.visualizer.team_events import TeamEvents
+
+DOCK = {
+    "net": {
+        "places": [{"name": "Approach"}, {"name": "Turn"}, {"name": "Docked"}],
+        "transitions": [{"name": "near", "timed": True}, {"name": "turned", "timed": True}],
+        "arcs": [
+            {"from": "Approach", "to": "near"},
+            {"from": "near", "to": "Turn"},
+            {"from": "Turn", "to": "turned"},
+            {"from": "turned", "to": "Docked"},
+        ],
+    },
+    "actions": {"Approach": "a.b", "Turn": "a.b", "Docked": "a.b"},
+}
+HOME = {
+    "net": {
+        "places": [{"name": "Work", "tokens": 2}, {"name": "Dock"}],
+        "transitions": [{"name": "go", "timed": True}, {"name": "leave", "timed": True}],
+        "arcs": [
+            {"from": "Work", "to": "go"},
+            {"from": "go", "to": "Dock"},
+            {"from": "Dock", "to": "leave"},
+            {"from": "leave", "to": "Work"},
+        ],
+    },
+    "actions": {
+        "Work": "a.b",
+        "Dock": {"plan": "dock.json", "entry": "Approach", "exit": "Docked"},
+    },
+    "robots": {"r1": "Dock", "r2": "Work"},
+}
+
+
+def test_a_subnet_folds_into_one_node(tmp_path, show_net, open_page, axe, picture):
+    (tmp_path / "plan.json").write_text(json.dumps(HOME))
+    (tmp_path / "dock.json").write_text(json.dumps(DOCK))
+    plan = read_plan(str(tmp_path))
+    run = ToldRun(plan, {"run": "run_1"})
+    game = TokenGame(plan)
+    state = game.new_state()
+    events = TeamEvents(game)
+    events.board(True)
+
+    def feed(*entries):
+        step = game.reduce(state, state.next_slot, entries)
+        run.hub.publish(*events.step(entries, step.firings, state))
+
+    page = open_page(show_net(plan.net, plan, run).address)
+    feed(game.start_entry())
+    entry = page.locator(".place.subnet")
+    page.wait_for_selector("#subnets button[aria-expanded='false']:has-text('Dock: 1 robot')")
+    assert entry.count() == 1 and page.locator(".folded-away").count() == 4
+    page.wait_for_selector(".place.subnet [data-robot='r1']")
+    page.wait_for_selector(".place.subnet .label:has-text('Dock')")
+    assert entry.locator(".label").text_content() == "Dock"
+    # a step inside is no step of the folded net; a robot that comes in is
+    feed(Done("r1", 0, 1, "Dock.near"), Done("r2", 0, 1, "go"))
+    page.wait_for_selector("#subnets button:has-text('Dock: 2 robots')")
+    page.wait_for_selector(".place.subnet [data-robot='r2']")
+    page.wait_for_selector(".place.subnet [data-robot='r1']")
+    picture(page, "subnet")
+
+    page.focus("#subnets button")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#subnets button[aria-expanded='true']")
+    assert page.locator(".folded-away").count() == entry.count() == 0
+    turn = plan.net.place_number("Dock.Turn")
+    page.wait_for_selector("[data-place='%d'] [data-robot='r1']" % turn)
+    page.wait_for_selector(".label:has-text('Dock.Turn')")
+    page.keyboard.press("Enter")
+    page.wait_for_selector(".place.subnet [data-robot='r1']")
+    # who chooses a node inside gets to see it
+    page.locator("#list li").filter(has_text=re.compile(r"Dock\.Turn\b")).first.click()
+    page.wait_for_selector("[data-place='%d'].selected:not(.folded-away)" % turn)
+    axe(page, "subnets", "right")
