@@ -137,7 +137,7 @@ class Loss:
     def end(self) -> None:
         """End the restarted node."""
         if self._launch is not None:
-            _end(self._launch)
+            end_launch(self._launch)
 
     def report(self, watcher: Watcher) -> Dict[str, Any]:
         """When the robot was lost, and how many locations were entered before, during and after the
@@ -212,7 +212,7 @@ def measure_ros(
         finally:
             if loss is not None:
                 loss.end()
-            _end(launch)
+            end_launch(launch)
             rospy.signal_shutdown("measured")
         return {**result, **read_logs(os.path.join(master.folder, "gspn", "room_%d" % seed))}
 
@@ -270,12 +270,12 @@ def _watch(
     # count from the first firing: the start-up of the team is reported separately
     while first is None or watcher.time < first[1] + minutes * 60:
         if launch.poll() is not None:
-            raise ExecutionError("the patrol ended by itself", hint=_last_lines(output))
+            raise ExecutionError("the patrol ended by itself", hint=last_lines(output))
         if first is None and watcher.firings:
             cost = cost_of(descendants(launch.pid))
             first = (time.monotonic(), watcher.time, cost.cpu_seconds)
         if first is None and time.monotonic() - begin > START:
-            raise ExecutionError("nothing fired within %g s" % START, hint=_last_lines(output))
+            raise ExecutionError("nothing fired within %g s" % START, hint=last_lines(output))
         if loss is not None:
             loss.poll(watcher, master)
         time.sleep(0.2)
@@ -307,7 +307,8 @@ def _watch(
     }
 
 
-def _end(launch: subprocess.Popen[bytes]) -> None:
+def end_launch(launch: subprocess.Popen[bytes]) -> None:
+    """End a ``roslaunch`` with its process group, in the end by force."""
     for number, patience in ((signal.SIGINT, 20), (signal.SIGTERM, 5), (signal.SIGKILL, 5)):
         if launch.poll() is not None:
             return
@@ -318,6 +319,7 @@ def _end(launch: subprocess.Popen[bytes]) -> None:
             continue
 
 
-def _last_lines(file: str) -> str:
+def last_lines(file: str) -> str:
+    """The last lines of an output, for an error message."""
     with open(file, encoding="utf-8", errors="replace") as log:
         return " / ".join(log.read().strip().splitlines()[-3:])

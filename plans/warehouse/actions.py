@@ -79,19 +79,22 @@ class Park(Drive):
         return ("parked", there) if there else None
 
 
-class Dock(Drive):
-    """Drives to a station and docks there."""
+class Approach(Drive):
+    """Drives to a station."""
 
     def __init__(self, station):
         super().__init__()
         self.goal = STATIONS[station]
 
-    def __call__(self, robot, data, is_cancelled):
-        """Drive and dock; the place's only transition follows."""
-        there = self.drive(robot, data, self.goal, is_cancelled)
-        if there is None or is_cancelled.wait(0.2):
-            return None
-        return "", there
+    def __call__(self, robot, data, resumed_from, is_cancelled):
+        """Drive; the place's only transition follows."""
+        there = self.drive(robot, data, self.goal, is_cancelled, resumed_from)
+        return ("", there) if there else None
+
+
+def dock_in(is_cancelled):
+    """Dock; the place's only transition follows."""
+    is_cancelled.wait(0.2)
 
 
 def hand_over(data, is_cancelled):

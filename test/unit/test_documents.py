@@ -217,7 +217,8 @@ def test_the_first_plan_typed_in_a_terminal(tmp_path):
                 assert "Traceback" not in text, text
                 said.append((step.words[3:4], text))
     checks = [text for verb, text in said if verb == ["check"]]
-    assert len(checks) == 2
+    assert len(checks) == 3  # two of part one, one of part two
+    assert [text.split()[-3] for verb, text in said if verb == ["verify"]] == ["valid"]
     assert (
         "the policy has no row, so that the weights decide for a robot in Look in (Look: 2, Tap: 1"
         in checks[0]
