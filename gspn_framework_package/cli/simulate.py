@@ -25,10 +25,7 @@ from gspn_framework_package.cli.virtual_log import simulate_to_log
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     add_subject_arguments(parser)
-    parser.description = (
-        "Simulates a net, or a plan. RUN.jsonl@SLOT in place of NET goes on from that slot of a "
-        "recorded run."
-    )
+    parser.epilog = "RUN.jsonl@SLOT in place of NET goes on from that slot of a recorded run."
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.add_argument(
         "--csv", metavar="FILE", help="write the numbers to FILE: measure, name, mean, half width"
