@@ -8,7 +8,7 @@ no clock and no source; the token game decides whether an event has an effect.
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional
+from typing import Any, Collection, Dict, List, Mapping, NamedTuple, Optional
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.log_entries import NOTHING
@@ -29,10 +29,13 @@ class EventWatch:
 
     :param plan: the plan.
     :param robot: name of the robot.
+    :param asked_anew: events whose source the host asks anew when a visit begins: what it showed
+        before does not count in that visit.
     """
 
-    def __init__(self, plan: Plan, robot: str) -> None:
+    def __init__(self, plan: Plan, robot: str, asked_anew: Collection[str] = ()) -> None:
         self._robot = robot
+        self._asked_anew = tuple(asked_anew)
         self._events = plan.events
         self._interrupts = {place: plan.interrupts(place) for place in plan.action_places}
         self._holds: Dict[str, Mapping[str, Any]] = {}
@@ -77,6 +80,8 @@ class EventWatch:
         if visit != self._visit:
             self._visit, self._since = visit, now
             self._came, self._told = {}, {}
+            for transition in self._asked_anew:
+                self._holds.pop(transition, None)
         if visit is None:
             return []
         found = []

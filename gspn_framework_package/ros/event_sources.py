@@ -374,6 +374,12 @@ class EventSources:
             self._functions.watch(self._robot)
             self._functions.watch_tasks()
 
+    def visit_began(self) -> None:
+        """Ask the functions anew: what they said of the last visit, or of the data then, is out of
+        date."""
+        for transition in self._functions.ask_again(self._robot):
+            self._host.give(EventObserved(transition, False))
+
     def close(self) -> None:
         """Unsubscribe, and end the functions."""
         self._functions.close()
@@ -387,7 +393,15 @@ class EventSources:
         self, robot: str, transition: str, holds: Optional[bool], cause: Mapping[str, Any]
     ) -> None:
         if holds is not None or self._host.watches(transition):
-            self._host.enqueue(self._host.give, EventObserved(transition, holds, cause))
+            asked = self._functions.round(robot, transition)
+            self._host.enqueue(
+                self._hand_over, asked, robot, EventObserved(transition, holds, cause)
+            )
+
+    def _hand_over(self, asked: int, robot: str, given: EventObserved) -> None:
+        """Give the replica what a function said, unless it was asked anew since."""
+        if asked == self._functions.round(robot, given.transition):
+            self._host.give(given)
 
     def _submitted(self, task: log_entries.Submit) -> None:
         if task.id:

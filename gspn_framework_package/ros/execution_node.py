@@ -125,6 +125,7 @@ class ExecutionNode(Worker):
         self._numbers = itertools.count(1)
         self._answers: Dict[str, Callable[[Any], None]] = {}
         self._wake_at = 0.0
+        self._visit = (0, 0)
         self._leave_at: Optional[float] = None
         self._breakpoints = BreakpointFile(plan)
         self._look_at = 0.0
@@ -366,6 +367,9 @@ class ExecutionNode(Worker):
 
     def _step(self, given: interface.Input) -> None:
         self._carry_out(self._replica.step(given, time.monotonic()))
+        if self._replica.visit != self._visit:
+            self._visit = self._replica.visit
+            self._events.visit_began()
         self._note_team()
 
     def _note_team(self) -> None:

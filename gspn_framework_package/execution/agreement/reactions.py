@@ -47,7 +47,10 @@ class Reactions:
         self.proposals = proposals
         self.robot = robot
         self.halts = halts
-        self._watch = EventWatch(config.plan, config.name) if config.plan.events else None
+        events = config.plan.events
+        # the host asks a function of level anew for each visit, see EventFunctions.ask_again
+        functions = [t for t, e in events.items() if e.function and not (e.topic or e.edge)]
+        self._watch = EventWatch(config.plan, config.name, functions) if events else None
         self._orders: Dict[Tuple[str, str], List[str]] = {}
         """Task -> the orders of operators that wait until the team has it."""
 

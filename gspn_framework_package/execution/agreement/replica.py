@@ -10,7 +10,7 @@ Protocol, assumptions and a sketch of the proof are in ``docs/agreement.md``.
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Optional, Sequence, Set
+from typing import Any, Dict, List, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.execution.agreement import interface, messages
 from gspn_framework_package.execution.agreement.config import Config, Pace, ProtocolLimits
@@ -304,6 +304,13 @@ class Replica:
     def known_log(self, robot: str) -> str:
         """See :class:`~gspn_framework_package.execution.agreement.electorate.Electorate`."""
         return self.electorate.known_log(robot)
+
+    @property
+    def visit(self) -> Tuple[int, int]:
+        """Incarnation and number of the visit that our robot is in; zeros if it is in none. When it
+        changes, the host asks the functions of events anew."""
+        at = self.state.position
+        return (at.incarnation, at.visit) if at is not None else (0, 0)
 
     def watches(self, transition: str) -> bool:
         """Whether an event could interrupt our robot in its present visit."""

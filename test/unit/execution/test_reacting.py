@@ -8,6 +8,7 @@ import pytest
 from game_driver import Run, make_plan
 
 from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.event_watch import EventWatch, Visit
 from gspn_framework_package.execution.firing import CancelAction, Fault, StartAction, TaskMove
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.builder import NetBuilder
@@ -353,3 +354,16 @@ def test_a_plan_without_events_and_tasks_keeps_its_hash():
     plan = make_plan(guard_net(), ["Work"], ["Dock"])
     assert "events" not in plan._essence() and "tasks" not in plan._essence()
     assert isinstance(plan, Plan)
+
+
+def test_what_a_function_showed_before_a_visit_does_not_count_in_it():
+    plan = make_plan(
+        guard_net(), ["Work"], ["Dock"], events={"low": EventSource(function="watch.low")}
+    )
+    for asked_anew, expected in (((), 1), (("low",), 0)):
+        watch = EventWatch(plan, "a", asked_anew)
+        watch.due(Visit("Charge", 0, 1), 0.0)
+        watch.observe("low", True)
+        assert len(watch.due(Visit("Work", 0, 2), 1.0)) == expected
+    watch.observe("low", True)
+    assert len(watch.due(Visit("Work", 0, 2), 2.0)) == 1

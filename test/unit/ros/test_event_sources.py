@@ -272,8 +272,8 @@ def test_functions_watch_events_and_let_tasks_in_if_they_give_them_ids(tmp_path)
     ).validate()
     calls, complaints = queue.Queue(), queue.Queue()
     host = Host(
-        lambda function, *arguments: calls.put(arguments),
-        lambda given: None,
+        lambda function, *arguments: function(*arguments),
+        calls.put,
         lambda transition: True,
         complaints.put,
         lambda robot: {"robot.speed": 3} if robot else {},
@@ -281,10 +281,13 @@ def test_functions_watch_events_and_let_tasks_in_if_they_give_them_ids(tmp_path)
     sources = EventSources(plan, "robot_1", "/robot_1", False, host)
     sources.start()
     try:
-        found = [calls.get(timeout=20)[0] for _ in range(2)]
+        found = [calls.get(timeout=20) for _ in range(2)]
         assert EventObserved("low", True, {"speed": 3}) in found
         assert TaskCame(Submit("order", "o1", {"pose": [3, 4]})) in found
         assert "a task has no id" in complaints.get(timeout=20)
+        sources.visit_began()
+        again = [calls.get(timeout=20) for _ in range(2)]
+        assert again == [EventObserved("low", False), EventObserved("low", True, {"speed": 3})]
     finally:
         sources.close()
 
