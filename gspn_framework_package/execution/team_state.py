@@ -47,7 +47,7 @@ class Task(NamedTuple):
         name, values = data
         if not isinstance(name, str):
             raise ValueError("the id of a task is not text")
-        return cls(name, check_values(values))
+        return cls(name, check_values(values, None))
 
 
 @dataclass
@@ -219,7 +219,7 @@ class TeamState:
         return {key: value for key, value in found.items() if value}
 
     def _read_reacting(self, data: Dict[str, Any], net: Net) -> None:
-        self.data = check_values(data.get("data", {}))
+        self.data = check_values(data.get("data", {}), None)
         self.queues = {
             net.place_number(p): [Task.from_json(task) for task in queue]
             for p, queue in data.get("queues", {}).items()
@@ -321,7 +321,7 @@ def _robot_from_json(data: Dict[str, Any], net: Net) -> RobotState:
         phase=Phase.of_log(data["phase"]),
         **{key: data[key] for key in _ROBOT_PLAIN},
     )
-    robot.data = check_values(data.get("data", {}))
+    robot.data = check_values(data.get("data", {}), None)
     if "task" in data:
         robot.task = Task.from_json(data["task"])
     robot.held = {net.transition_number(t): dict(c) for t, c in data.get("held", {}).items()}

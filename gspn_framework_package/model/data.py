@@ -21,6 +21,9 @@ VALUE_LIMIT = 64_000
 NAMES_LIMIT = 1_000
 """Most names of one robot, task or team."""
 
+TOTAL_LIMIT = 256_000
+"""Longest data that one action or task brings, in characters of compact JSON."""
+
 _NAME = re.compile(r"(?:(%s)\.)?([A-Za-z_][A-Za-z0-9_]{0,99})" % "|".join(SCOPES))
 
 
@@ -40,11 +43,12 @@ def full_name(name: str) -> str:
     return "%s.%s" % split(name)
 
 
-def check_values(values: Any) -> Dict[str, Any]:
+def check_values(values: Any, limit: Optional[int] = TOTAL_LIMIT) -> Dict[str, Any]:
     """Return a copy of the data that an action or a task brings, as JSON keeps it (a tuple becomes
     a list, a key of a map becomes text).
 
     :param values: name -> JSON value.
+    :param limit: longest data in all, in characters of JSON; None: any length.
     :raises DataError: a name is not one, or a value is not JSON or too long.
     """
     if not isinstance(values, Mapping):
@@ -52,11 +56,15 @@ def check_values(values: Any) -> Dict[str, Any]:
     if len(values) > NAMES_LIMIT:
         raise DataError("%d names of data; at most %d are kept" % (len(values), NAMES_LIMIT))
     kept = {}
+    total = 0
     for name, value in values.items():
         split(name)
         text, why = _as_text(value)
         if why:
             raise DataError("the value of '%s' %s" % (name, why))
+        total += len(text)
+        if limit is not None and total > limit:
+            raise DataError("the data is longer than %d characters as JSON" % limit)
         kept[name] = json.loads(text)
     return kept
 

@@ -318,7 +318,15 @@ def test_data_is_kept_as_json_keeps_it():
 
 
 @pytest.mark.parametrize(
-    "data", [{"a b": 1}, {"x": float("nan")}, {"x": "y" * 70_000}, {"other.x": 1}, [1]]
+    "data",
+    [
+        {"a b": 1},
+        {"x": float("nan")},
+        {"x": "y" * 70_000},
+        {"x%d" % n: "y" * 60_000 for n in range(5)},
+        {"other.x": 1},
+        [1],
+    ],
 )
 def test_data_that_cannot_be_kept_is_no_entry(data: Any):
     entry = {"entry": "done", "robot": "a", "incarnation": 0, "visit": 1, "data": data}
