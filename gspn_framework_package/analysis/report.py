@@ -156,9 +156,9 @@ UNGUARDED = "unguarded_siphon"
 """Key of the witness if ``siphons_hold_marked_traps`` is false; null otherwise."""
 
 
-def keys_of(part: Part) -> Tuple[str, ...]:
-    """The keys of the measures of a part."""
-    keys = tuple(measure.key for measure in MEASURES if measure.part is part)
+def keys_of(part: Part, analysis: Analysis) -> Tuple[str, ...]:
+    """The keys of the measures of a part, as far as they apply to what is analysed."""
+    keys = tuple(m.key for m in MEASURES if m.part is part and m.applies(analysis))
     return (*keys, UNGUARDED) if part is Part.STRUCTURE else keys
 
 

@@ -134,7 +134,7 @@ def _run(args: argparse.Namespace) -> int:
         raise UsageError("--at: a time is a number of seconds, at least 0")
     limits = limits_of(args)
 
-    def analyse(progress: Progress, cancel: Cancel) -> Dict[str, Any]:
+    def analyse(progress: Progress, cancel: Cancel) -> Tuple[Dict[str, Any], List[str]]:
         analysis = Analysis(
             subject,
             limits=limits,
@@ -144,9 +144,14 @@ def _run(args: argparse.Namespace) -> int:
             progress=progress,
             cancel=cancel,
         )
-        return report(analysis, questions)
+        left_out: List[str] = []
+        if args.no_structure:
+            left_out += keys_of(Part.STRUCTURE, analysis)
+        if args.no_time:
+            left_out += ["steady_state", *keys_of(Part.TIMING, analysis)]
+        return report(analysis, questions), left_out
 
-    data = working(analyse, limits.memory)
+    data, left_out = working(analyse, limits.memory)
     data["notes"] = notes
     if args.csv:
         with Path(args.csv).open("w", newline="", encoding="utf-8") as file:
@@ -154,13 +159,9 @@ def _run(args: argparse.Namespace) -> int:
             writer.writerow(("measure", "name", "value"))
             writer.writerows(rows(data))
     if args.json:
-        for option, keys in (
-            (args.no_structure, keys_of(Part.STRUCTURE)),
-            (args.no_time, ("steady_state", *keys_of(Part.TIMING))),
-        ):
-            if option:  # the output has every key, even if a part is left out
-                data.update(dict.fromkeys(keys))
-                data["undecided"].update(dict.fromkeys(keys, "left out, as asked"))
+        # the output has every key, even if a part is left out
+        data.update(dict.fromkeys(left_out))
+        data["undecided"].update(dict.fromkeys(left_out, "left out, as asked"))
         parts = _json(data, "\n")
         # writing each part separately takes longer
         for block in iter(lambda: "".join(islice(parts, _PARTS)), ""):

@@ -9,6 +9,7 @@ from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import FORMATS, read_net, write_net
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.capacity import capacities_as_inhibitors
 
 DATA = Path(__file__).parent / "data"
 PLANS = Path(__file__).resolve().parents[3] / "plans"
@@ -20,8 +21,12 @@ def convert(*words):
 
 @pytest.mark.parametrize("name", ["pipe", "pnml", "pnpro"])
 def test_every_plan_through_every_format(name, tmp_path, capsys):
+    notes = []
     for plan in sorted(PLANS.iterdir()):
         net = read_net(plan / "net.xml")
+        if name == "pnpro" and any(p.capacity is not None for p in net.places):
+            net = capacities_as_inhibitors(net)  # GreatSPN has no capacities
+            notes.append("gspn: note: capacities are written as inhibitor arcs, which say the same")
         first, second = tmp_path / "first.file", tmp_path / "second.xml"
         assert convert(plan / "net.xml", first, "--to", name) == 0
         assert convert(first, second) == 0
@@ -32,7 +37,8 @@ def test_every_plan_through_every_format(name, tmp_path, capsys):
         assert [t._replace(position=None) for t in read_net(second).transitions] == [
             t._replace(position=None) for t in net.transitions
         ]
-    assert capsys.readouterr() == ("", "")
+    out, told = capsys.readouterr()
+    assert (out, told.splitlines()) == ("", notes)
 
 
 def test_a_plan_stands_for_its_net(tmp_path):
