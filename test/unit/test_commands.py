@@ -79,6 +79,7 @@ def test_each_system_lists_its_own_packages(prepared):
     assert not [name for name in noetic if name == "-" or name.startswith(("ros-core", "librost"))]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ignored", ["HUP", "HUP INT", "HUP INT TERM"])
 def test_the_end_reaches_what_has_moved_to_a_session_of_its_own(prepared, ignored):
     shown = prepared(

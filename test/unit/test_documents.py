@@ -301,9 +301,9 @@ def _try_rosservice(command: Command, words: list) -> None:
         given = yaml.safe_load(words[2])
         assert set(given) <= set(fields), str(command)
         if name == "command":
-            source = (ROOT / "srv/Command.srv").read_text(encoding="utf-8").splitlines()
-            orders = next(line for line in source if line.startswith("string command"))
-            assert given["command"] in re.findall(r"\w+", orders.split("#")[1]), str(command)
+            source = (ROOT / "srv/Command.srv").read_text(encoding="utf-8")
+            orders = re.search(r"^string command((.|\n)*?)^string", source, re.M).group(1)
+            assert given["command"] in re.findall(r"\w+", orders), str(command)
 
 
 def _try_rostopic(command: Command, words: list) -> None:

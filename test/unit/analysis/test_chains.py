@@ -226,6 +226,7 @@ def test_steady_states_are_where_time_leads(net):
         assert settled == 0 or (distance <= 0.0101 if apart else distance >= 0.0099)
 
 
+@pytest.mark.long
 def test_both_sweepers_and_lu_agree(monkeypatch):
     chain = Chain.of(explore(kanban(2)))
     numbers = []
@@ -279,6 +280,7 @@ def test_no_other_order_where_that_of_discovery_is_as_good():
     assert sweep_order(chain, np.arange(len(chain))) is None
 
 
+@pytest.mark.long
 def test_mean_times_are_right_where_they_are_long():
     """A queue that is rarely long, with room for 3000. The mean time has a formula."""
     size, up, down = 3000, 1.0, 1.003

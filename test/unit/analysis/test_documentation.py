@@ -30,6 +30,7 @@ MODULES = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", MODULES)
 def test_the_examples_of_the_docstrings(name):
     try:

@@ -91,6 +91,7 @@ def test_time_interrupts_after_that_time_in_the_simulation():
     assert Analysis(plan).first_passage("off == 1").mean_time == pytest.approx(2)
 
 
+@pytest.mark.long
 def test_an_event_that_is_held_fires_when_it_can():
     rows = kernel_rows(guards(event=EVENT._replace(hold=True), rate=0.2), time=500.0, runs=40)
     lost = kernel_rows(guards(rate=0.2), time=500.0, runs=40)
@@ -173,6 +174,7 @@ relaxed = settings(
 )
 
 
+@pytest.mark.long
 @settings(relaxed, max_examples=8)
 @given(with_events(running_plans(), plain_event()))
 def test_the_simulation_has_the_measures_of_the_chain(plan):

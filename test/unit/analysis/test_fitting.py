@@ -221,6 +221,7 @@ def test_strange_times_give_a_distribution_all_the_same(times: Any, family: str)
     assert fit.duration.mean > 0
 
 
+@pytest.mark.long
 def test_intervals_cover_the_truth() -> None:
     """95 % intervals, for times of which some are cut off: 60 runs each, from one seed."""
     for truth, family, size in (

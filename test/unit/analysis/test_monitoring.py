@@ -61,6 +61,7 @@ def test_the_chain_gives_the_simulated_run_lengths(
     assert chart.run_length(threshold, ratio) / ratio == pytest.approx(delay, rel=0.04)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ratio", [0.5, 0.8, 1.25, 2.0])
 def test_run_lengths_agree_with_a_simulation(ratio: float) -> None:
     generator = np.random.default_rng(5)
@@ -299,6 +300,7 @@ def test_a_plan_without_times_has_nothing_to_watch() -> None:
 # -- the policy's choices --------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_choices_by_their_rows_raise_few_alarms() -> None:
     generator = np.random.default_rng(2)
     test = ChoiceTest(0.05 / BLOCK)  # one block in twenty, at one choice per second

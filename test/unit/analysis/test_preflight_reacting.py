@@ -158,6 +158,7 @@ def test_a_lost_robot_with_its_task():
     assert said(replace(plan, timing=Timing(evict_after=0)), "tasks")[0][0] is OK
 
 
+@pytest.mark.long
 def test_tasks_that_are_never_done_or_end_with_a_robot():
     texts = [text for _, text in said(couriers(()), "tasks")]
     assert "tasks.done lists no transition: no task is ever done" in texts
@@ -178,6 +179,7 @@ def test_tasks_that_are_never_done_or_end_with_a_robot():
     assert "a robot can end in Gone with a task that is not done" in texts
 
 
+@pytest.mark.long
 def test_a_task_that_goes_back_to_its_queue_is_not_carried_on():
     net = (
         NetBuilder()

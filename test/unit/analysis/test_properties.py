@@ -111,6 +111,7 @@ def test_a_time_that_only_finitely_many_markings_matter_for_is_known_in_an_unbou
         _ = analysis.chain
 
 
+@pytest.mark.long
 def test_counters_that_nothing_reads_are_left_out():
     net = (
         NetBuilder("counting")

@@ -57,6 +57,7 @@ QUICKLY = {"seconds": None, "rounds": 1, "visits": 200, "pairs": 30}
 DONE = Objective.long_run({"left_done": 1.0, "right_done": 1.0})
 
 
+@pytest.mark.long
 def test_a_bad_policy_is_improved_but_not_beyond_the_optimum():
     plan = machines(to_right=1.0)
     found = improve(plan, Request(DONE), seed=1, seconds=None, rounds=2, visits=200, pairs=40)
@@ -81,6 +82,7 @@ def test_the_best_policy_is_left_alone():
     assert any("present one stays" in note for note in found.notes)
 
 
+@pytest.mark.long
 def test_it_waits_where_it_may_and_never_enters_what_is_forbidden():
     """The slow machine costs more than it earns: waiting for the quick one is best."""
     plan = machines(to_right=1.0)
@@ -98,6 +100,7 @@ def test_a_time_to_a_condition():
     assert found.improved and found.difference.high < 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("robots", [60])
 def test_a_large_team_is_improved_or_told_that_it_is_not(robots):
     plan = read_plan(Path(__file__).parents[3] / "plans" / "patrol").for_robots(robots)

@@ -74,6 +74,7 @@ READINGS = [(s, "net") for s in SUBJECTS]
 READINGS += [(s, "run") for s in (*SUBJECTS[2:4], deciding_patrol())]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("subject", "timing"), READINGS, ids=lambda s: getattr(s, "name", s))
 def test_long_runs_agree_with_the_steady_state(subject, timing):
     analysis = Analysis(subject, timing=timing)

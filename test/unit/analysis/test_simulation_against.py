@@ -57,6 +57,7 @@ def near(measured, value, widths=2.0):
     return abs(measured.mean - value) <= widths * half and half > 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("objective", "old", "new"),
     [
@@ -117,6 +118,7 @@ def test_a_small_difference_is_not_claimed_and_its_price_is_told():
     json.dumps(found.to_json(), allow_nan=False)
 
 
+@pytest.mark.long
 def test_intervals_cover_what_they_should():
     """95 % intervals of a known difference, 200 times; the slow way varies 16 times as much."""
     hits = 0
@@ -225,6 +227,7 @@ def test_a_slow_start_is_left_out():
     assert any("have not settled" in note for note in cut.notes)
 
 
+@pytest.mark.long
 def test_a_team_that_starts_in_one_place_has_unbiased_means():
     """All robots of the patrol begin in one place; 1.28168 is the exact value."""
     plan = read_plan(Path(__file__).parents[3] / "plans" / "patrol")
@@ -253,6 +256,7 @@ def test_the_budget_and_the_precision_end_it():
     assert half <= 0.1 * wide.old.mean and 40 <= wide.pairs < 1000
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_answer():
     def run(seed):
         return compare_plans(

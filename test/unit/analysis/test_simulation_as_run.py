@@ -81,6 +81,7 @@ def assert_alike(plan, one, other):
     ]
 
 
+@pytest.mark.long
 @settings(
     max_examples=25,
     deadline=None,
@@ -105,6 +106,7 @@ def test_generated_plans(plan):
             reject()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["patrol", "measure", "rendezvous", "tokens", "fork_join"])
 def test_shipped_plans(name):
     plan = read_plan(PLANS / name)
@@ -295,6 +297,7 @@ def test_rows_of_a_large_policy_are_found(data):
 # -- statistics --------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_precision_decides_how_many_runs():
     plan = read_plan(PLANS / "rendezvous")
     result = simulate(plan, time=60.0, precision=0.05, measures=["Hand_Over", "Fetch"])

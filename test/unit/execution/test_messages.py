@@ -203,6 +203,7 @@ ATTACKS: Dict[str, Attack] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("partial", [False, True])
 @pytest.mark.parametrize("part", range(4))
 def test_no_message_ends_a_replica_or_stops_its_team(part: int, partial: bool) -> None:

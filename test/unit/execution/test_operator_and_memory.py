@@ -161,6 +161,7 @@ def test_a_robot_cast_out_wrongly_is_not_let_in_with_what_was_given_up(partial: 
     world.verify()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("partial", [False, True])
 @pytest.mark.parametrize("joiner_at", ["r1", "r3"])
 def test_after_operators_who_contradict_each_other_one_story_is_left(

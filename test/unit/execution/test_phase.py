@@ -113,6 +113,7 @@ def test_a_second_vocabulary_would_be_found_in_javascript(source):
     assert second_vocabulary_in_javascript(source)
 
 
+@pytest.mark.long
 def test_there_is_no_second_vocabulary():
     found = {}
     for path in [*PACKAGE.rglob("*.py"), *(PACKAGE / "visualizer" / "static").rglob("*.js")]:
@@ -149,6 +150,7 @@ def test_a_branch_on_a_sentence_would_be_found():
         assert any(sentences(node) for node in ast.walk(ast.parse(source)))
 
 
+@pytest.mark.long
 def test_nothing_branches_on_a_sentence():
     found = {}
     for path in PACKAGE.rglob("*.py"):

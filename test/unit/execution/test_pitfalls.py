@@ -287,6 +287,7 @@ def test_24_initial_places_that_contradict_the_marking_are_refused(tmp_path: Pat
     assert "initial" in refused.stdout
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "content"),
     [

@@ -341,6 +341,7 @@ def test_a_joiner_far_behind_takes_a_snapshot() -> None:
     world.check(settled=True)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("partial, most", [(False, 0.5), (True, 5.0)])
 def test_where_messages_take_long_attempts_do_not_defeat_each_other_for_ever(
     partial: bool, most: float
@@ -419,6 +420,7 @@ def test_which_places_are_private() -> None:
     assert private_places(weights) == {"P", "Q"}
 
 
+@pytest.mark.long
 def test_a_robot_that_waits_for_hours_still_waits() -> None:
     world = team(TOKENS, 2)
     world.run(0.5)

@@ -211,6 +211,7 @@ def test_stop_cancels_what_runs_and_does_not_wait_for_what_never_returns(tmp_pat
         executor.start()
 
 
+@pytest.mark.long
 def test_a_thousand_agents_at_once(tmp_path: Path) -> None:
     net = {"in": (True, ["P1"], ["P2"]), "all": (False, ["P2"], ["P3"])}
     plan = write_plan(

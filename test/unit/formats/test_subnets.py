@@ -9,6 +9,7 @@ from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.history import verify
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
+from gspn_framework_package.formats import subnets
 from gspn_framework_package.formats.plan_file import plan_document, read_plan
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
 from gspn_framework_package.model.action import FunctionAction, ServerAction
@@ -418,7 +419,8 @@ def test_a_plan_inside_itself_is_refused(folder):
         read_plan(folder(dock=dock))
 
 
-def test_nesting_cannot_grow_without_bound(folder):
+def test_nesting_cannot_grow_without_bound(folder, monkeypatch):
+    monkeypatch.setattr(subnets, "MAX_NODES", 2_000)
     level = {
         "net": {"places": [{"name": "a"}, {"name": "b"}], "transitions": [], "arcs": []},
         "actions": {"a": None, "b": None},
@@ -428,7 +430,7 @@ def test_nesting_cannot_grow_without_bound(folder):
         part = {"plan": "level%d.json" % (k - 1), "entry": "a", "exit": "a"}
         more["level%d.json" % k] = {**level, "actions": {"a": part, "b": part}}
     last = edit(["actions", "Left"], {"plan": "level29.json", "entry": "a", "exit": "a"})(HOME)
-    with pytest.raises(GspnError, match="more than 100000 nodes"):
+    with pytest.raises(GspnError, match="more than 2000 nodes"):
         read_plan(folder({**last, "chance": []}, **more))
 
 

@@ -109,6 +109,7 @@ def test_agrees_with_python_where_both_mean_the_same(text, a, b):
     assert names_in(parse(text)) == {name for name in "ab" if name in text}
 
 
+@pytest.mark.long
 @given(text=st.text(max_size=60))
 def test_any_text_is_a_number_or_one_clear_error(text):
     try:

@@ -129,6 +129,7 @@ def test_a_bad_addition_is_refused_with_its_line(more, words):
     assert error.line == LAST + 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "text, words",
     [

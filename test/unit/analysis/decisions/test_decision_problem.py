@@ -62,6 +62,7 @@ def assert_same(plan, decisions, policy, reading):
             ), place.name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("reading", [NET, RUN])
 @pytest.mark.parametrize("name", PLANS)
 def test_the_present_policy_does_what_the_analysis_says(name, reading):

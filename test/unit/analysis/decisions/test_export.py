@@ -92,6 +92,7 @@ def problems(draw: Any) -> Tuple[Plan, Asked]:
     return plan, asked
 
 
+@pytest.mark.long
 @settings(max_examples=300, deadline=None)
 @given(problems(), st.randoms(use_true_random=False))
 def test_rows_decide_as_asked(problem: Tuple[Plan, Asked], source: random.Random) -> None:

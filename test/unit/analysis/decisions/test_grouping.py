@@ -194,6 +194,7 @@ def test_generated_plans_as_they_run(plan, names):
     check_generated(plan, RUN, names)
 
 
+@pytest.mark.long
 @some
 @given(small_plans(), st.integers(0, 20))
 def test_generated_plans_with_everything(plan, names):

@@ -86,6 +86,7 @@ def test_each_aim_has_its_value(objective, value):
     assert report.teams[0].value == pytest.approx(value, rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("reading", "robots", "present", "best"),
     [("net", 4, 1.194798945367, 1.325220304), ("run", 3, 1.12022406622, 1.15808613)],
@@ -217,6 +218,7 @@ def test_the_sensitivities_of_a_run_are_the_quotients_of_differences():
     assert len(found.sensitivities) > 6
 
 
+@pytest.mark.long
 def test_too_many_states_are_answered_by_simulation_or_not_at_all():
     aim = Objective.long_run({"walked": 1, "driven": 1})
     request = Request(aim, limits=Limits(states=2))
