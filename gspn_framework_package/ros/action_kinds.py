@@ -308,7 +308,6 @@ class WaitJob(Job):
         over = threading.Event()
         attempt.is_cancelled.on_cancel(over.set)
         attempt.begin()
-        attempt.wait_for("waits for a message on %s%s" % (self._topic, self._what()))
 
         def take(message: genpy.Message) -> None:
             if not found and self._holds(message):
@@ -319,6 +318,7 @@ class WaitJob(Job):
             self._take = take
             if self._latched is not None and self._is_there(self._latched):
                 take(self._latched)
+        attempt.wait_for("waits for a message on %s%s" % (self._topic, self._what()))
         try:
             over.wait()
         finally:
