@@ -440,7 +440,10 @@ def test_breakpoints_are_set_on_the_page_kept_in_a_file_and_hold_one_agent(serve
     key, _ = start(client)
     answer = client.do("breakpoints", session=key, names=["b"])
     assert (answer.status_code, answer.get_json()["message"]) == (200, "agents halt at: b")
-    wait_for(lambda: client.board(key)["robots"][0].get("paused"), what="the agent to halt")
+    wait_for(
+        lambda: any(robot.get("paused") for robot in client.board(key)["robots"]),
+        what="the agent to halt",
+    )
     assert client.board(key)["marking"][1] == 1
     session = client.project.sessions.get(key)
     assert session.hub.info["breakpoints"] == ["b"]
