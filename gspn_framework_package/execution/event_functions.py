@@ -106,7 +106,7 @@ class EventFunctions:
         self._events = {
             t: (source, load_function(plan.folder, source.function, source.settings, EventFunction))
             for t, source in plan.events.items()
-            if source.function and not (topics and source.topic)
+            if source.asks_function(topics)
         }
         tasks = set(plan.submissions)
         self.tasks: Tuple[str, ...] = tuple(t for t in self._events if t in tasks)
@@ -126,16 +126,12 @@ class EventFunctions:
         if "" not in self._running:
             self._begin("", self.tasks)
 
-    def ask_again(self, robot: str) -> Tuple[str, ...]:
-        """Ask the functions of a robot at once, since it is elsewhere or has other data now; what
-        they said before counts no longer.
-
-        :returns: the events that are asked for: those with a condition that counts by level.
-        """
-        asked = [w for w in self._running.get(robot, ()) if w.may_be_asked_again]
-        for watcher in asked:
-            watcher.ask_again()
-        return tuple(watcher.transition for watcher in asked)
+    def ask_again(self, robot: str) -> None:
+        """Ask the functions of a robot at once whose condition counts by level, since it is
+        elsewhere or has other data now; what they said before counts no longer."""
+        for watcher in self._running.get(robot, ()):
+            if watcher.may_be_asked_again:
+                watcher.ask_again()
 
     def round(self, robot: str, transition: str) -> int:
         """How often :meth:`ask_again` has asked for an event; an answer of an earlier round, which

@@ -24,6 +24,15 @@ class Visit(NamedTuple):
     number: int
 
 
+def asked_anew(plan: Plan, topics: bool) -> List[str]:
+    """The events whose functions a host asks anew when a visit begins (with
+    ``EventFunctions.ask_again``): those that count by level.
+
+    :param topics: whether the host subscribes to topics.
+    """
+    return [t for t, e in plan.events.items() if e.asks_function(topics) and not e.edge]
+
+
 class EventWatch:
     """The events of one robot.
 

@@ -39,7 +39,7 @@ from gspn_framework_package.execution.breakpoints import BreakpointFile, Breakpo
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.event_functions import EventFunctions, EventHost
 from gspn_framework_package.execution.event_log import EventLogWriter, Record
-from gspn_framework_package.execution.event_watch import EventWatch, Visit
+from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
 from gspn_framework_package.execution.firing import (
     CancelAction,
     Command,
@@ -59,7 +59,7 @@ from gspn_framework_package.execution.local_kinds import (
 from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import TeamState
-from gspn_framework_package.execution.token_game import Step, TokenGame
+from gspn_framework_package.execution.token_game import Step, TokenGame, robots_in
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import (
@@ -181,6 +181,7 @@ class StandaloneExecutor:
         """Agent -> its events, if events can interrupt any."""
         self._interrupts = any(plan.interrupts(place) for place in plan.action_places)
         self._watched_visits: Dict[str, Tuple[int, int]] = {}
+        self._asked_anew = asked_anew(plan, topics=False)
         self._task_numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._phases: Dict[str, Tuple[Phase, float]] = {}
@@ -511,11 +512,7 @@ class StandaloneExecutor:
 
     def _follow_visits(self, entries: List[log_entries.Entry], step: Step) -> None:
         """Look for events that interrupt the visits that have begun."""
-        changed = {move.robot for firing in step.firings for move in firing.moves}
-        changed.update(getattr(entry, "robot", "") for entry in entries)
-        if any(isinstance(entry, log_entries.Start) for entry in entries):
-            changed.update(self.state.robots)
-        for agent in sorted(changed - {""}):
+        for agent in sorted(robots_in(self.state, entries, step)):
             robot = self.state.robots.get(agent)
             if robot is None or robot.phase.gone:
                 if self._watches.pop(agent, None) is not None:
@@ -523,13 +520,11 @@ class StandaloneExecutor:
                     self._watched_visits.pop(agent, None)
                 continue
             if agent not in self._watches:
-                self._watches[agent] = EventWatch(self.plan, agent)
+                self._watches[agent] = EventWatch(self.plan, agent, self._asked_anew)
                 self._functions.watch(agent)
             if self._watched_visits.get(agent) != (robot.incarnation, robot.visit):
-                # what functions said of the place before, or of the data then, is out of date
                 self._watched_visits[agent] = robot.incarnation, robot.visit
-                for transition in self._functions.ask_again(agent):
-                    self._watches[agent].observe(transition, False)
+                self._functions.ask_again(agent)
             found = self._events_of(agent)
             self._wake_for(agent)
             if found:  # later, so that an order to stop has its turn even if events never cease

@@ -8,7 +8,7 @@ of the log.
 
 from __future__ import annotations
 
-from typing import Iterable, List, Mapping, NamedTuple, Optional
+from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.firing import Command, Firing
@@ -30,6 +30,20 @@ class Step(NamedTuple):
 
     firings: List[Firing]
     commands: List[Command]
+
+
+def robots_in(
+    state: TeamState, entries: Iterable[log_entries.Entry], step: Step
+) -> Dict[str, None]:
+    """The names of the robots whose visits may have begun or ended with a step: those that its
+    entries name, those that moved, and at the start all, in this order."""
+    entries = list(entries)
+    names = dict.fromkeys(getattr(entry, "robot", "") for entry in entries)
+    names.update((move.robot, None) for firing in step.firings for move in firing.moves)
+    if any(isinstance(entry, log_entries.Start) for entry in entries):
+        names.update(dict.fromkeys(state.robots))
+    names.pop("", None)
+    return names
 
 
 class TokenGame(Rules):

@@ -39,7 +39,7 @@ from gspn_framework_package.execution.firing import CancelAction, Command, Ended
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState
-from gspn_framework_package.execution.token_game import Step, TokenGame
+from gspn_framework_package.execution.token_game import Step, TokenGame, robots_in
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
@@ -284,12 +284,8 @@ class VirtualRun:
         self, entries: Sequence[log_entries.Entry], step: Step
     ) -> List[Tuple[RobotState, Tuple[int, int]]]:
         """The visits that began with this step."""
-        names = dict.fromkeys(getattr(entry, "robot", "") for entry in entries)
-        names.update((move.robot, None) for firing in step.firings for move in firing.moves)
-        if any(isinstance(entry, log_entries.Start) for entry in entries):
-            names.update(dict.fromkeys(self.state.robots))
         begun = []
-        for name in names:
+        for name in robots_in(self.state, entries, step):
             visit = self._visit(name)
             if visit is not None and self._visits.get(name) != visit:
                 self._visits[name] = visit

@@ -58,6 +58,13 @@ class EventSource(NamedTuple):
             return "topic %s%s" % (self.topic, ": " + self.when if self.when else "")
         return self.function or "gspn submit"
 
+    def asks_function(self, topics: bool) -> bool:
+        """Whether the function is the source that is used.
+
+        :param topics: whether topics can be subscribed to.
+        """
+        return bool(self.function) and not (topics and self.topic)
+
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> EventSource:
         """The source in a JSON object that fits the schema."""

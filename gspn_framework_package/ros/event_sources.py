@@ -377,8 +377,7 @@ class EventSources:
     def visit_began(self) -> None:
         """Ask the functions anew: what they said of the last visit, or of the data then, is out of
         date."""
-        for transition in self._functions.ask_again(self._robot):
-            self._host.give(EventObserved(transition, False))
+        self._functions.ask_again(self._robot)
 
     def close(self) -> None:
         """Unsubscribe, and end the functions."""

@@ -20,7 +20,7 @@ from gspn_framework_package.execution.agreement.proposals import Proposals
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.breakpoints import Halts
 from gspn_framework_package.execution.event_log import Record
-from gspn_framework_package.execution.event_watch import EventWatch, Visit
+from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
 from gspn_framework_package.model.errors import LogError
 
 OFFERED_LIMIT = 10_000
@@ -47,10 +47,9 @@ class Reactions:
         self.proposals = proposals
         self.robot = robot
         self.halts = halts
-        events = config.plan.events
-        # the host asks a function of level anew for each visit, see EventFunctions.ask_again
-        functions = [t for t, e in events.items() if e.function and not (e.topic or e.edge)]
-        self._watch = EventWatch(config.plan, config.name, functions) if events else None
+        plan = config.plan
+        anew = asked_anew(plan, topics=True)
+        self._watch = EventWatch(plan, config.name, anew) if plan.events else None
         self._orders: Dict[Tuple[str, str], List[str]] = {}
         """Task -> the orders of operators that wait until the team has it."""
 

@@ -8,7 +8,7 @@ import pytest
 from game_driver import Run, make_plan
 
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.event_watch import EventWatch, Visit
+from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
 from gspn_framework_package.execution.firing import CancelAction, Fault, StartAction, TaskMove
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.builder import NetBuilder
@@ -365,11 +365,15 @@ def test_a_plan_without_events_and_tasks_keeps_its_hash():
 
 
 def test_what_a_function_showed_before_a_visit_does_not_count_in_it():
+    """It is asked anew; a topic is not, and what it showed last still holds."""
     plan = make_plan(
-        guard_net(), ["Work"], ["Dock"], events={"low": EventSource(function="watch.low")}
+        guard_net(),
+        ["Work"],
+        ["Dock"],
+        events={"low": EventSource("battery", "a/B", function="watch.low")},
     )
-    for asked_anew, expected in (((), 1), (("low",), 0)):
-        watch = EventWatch(plan, "a", asked_anew)
+    for topics, expected in ((True, 1), (False, 0)):
+        watch = EventWatch(plan, "a", asked_anew(plan, topics))
         watch.due(Visit("Charge", 0, 1), 0.0)
         watch.observe("low", True)
         assert len(watch.due(Visit("Work", 0, 2), 1.0)) == expected
