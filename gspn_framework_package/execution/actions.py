@@ -93,6 +93,7 @@ from typing import (
     Union,
 )
 
+from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.data import check_values
 from gspn_framework_package.model.errors import PlanError
@@ -168,6 +169,22 @@ class ActionContext(NamedTuple):
     attempt: int = 1
     data: Mapping[str, Any] = {}
     resumed_from: int = 0
+
+    @classmethod
+    def of(
+        cls, command: StartAction, feedback: Callable[..., None], is_cancelled: Cancellation
+    ) -> ActionContext:
+        """The values for an action that a command starts."""
+        return cls(
+            command.place,
+            command.robot,
+            feedback,
+            is_cancelled,
+            command.visit,
+            command.attempt,
+            command.data,
+            command.resumed_from,
+        )
 
     @property
     def id(self) -> Union[int, str]:

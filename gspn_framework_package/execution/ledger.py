@@ -13,7 +13,7 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import Record, first_hash, next_hash
 from gspn_framework_package.execution.firing import firing_to_json
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.execution.team_state import TeamState
+from gspn_framework_package.execution.team_state import TeamState, whole_number
 from gspn_framework_package.execution.token_game import Step, TokenGame
 from gspn_framework_package.model.errors import LogError
 
@@ -182,18 +182,17 @@ class Ledger:
         """
         try:
             state = TeamState.from_json(record["state"], self.game.net)
-            seen = {r: (_whole(i), _whole(n), str(x)) for r, (i, n, x) in record["seen"].items()}
+            seen = {
+                r: (whole_number(i), whole_number(n), str(x))
+                for r, (i, n, x) in record["seen"].items()
+            }
             logs = {str(r): str(x) for r, x in record.get("logs", {}).items()}
-            cast_out = {str(r): _whole(n) for r, n in record.get("cast_out", {}).items()}
-            if state.next_slot != _whole(record["slot"]) + 1 or not isinstance(record["hash"], str):
+            cast_out = {str(r): whole_number(n) for r, n in record.get("cast_out", {}).items()}
+            if state.next_slot != whole_number(record["slot"]) + 1 or not isinstance(
+                record["hash"], str
+            ):
                 raise ValueError("it does not belong to the slot that it names")
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise LogError("not a snapshot (%r)" % error) from None
         self.state, self.seen, self.logs, self.cast_out = state, seen, logs, cast_out
         self.hash = record["hash"]
-
-
-def _whole(value: object) -> int:
-    if type(value) is not int or value < 0:
-        raise ValueError("not a whole number: %.80r" % (value,))
-    return value

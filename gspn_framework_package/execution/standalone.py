@@ -589,16 +589,7 @@ class StandaloneExecutor:
         def feedback(*progress: Any) -> None:
             self._listener.on_feedback(command.robot, command.visit, progress)
 
-        context = ActionContext(
-            command.place,
-            command.robot,
-            feedback,
-            attempt.cancellation,
-            command.visit,
-            command.attempt,
-            command.data,
-            command.resumed_from,
-        )
+        context = ActionContext.of(command, feedback, attempt.cancellation)
         entry: log_entries.Entry
         try:
             action = self._actions.get(command.robot) or self._actions[""]

@@ -268,6 +268,13 @@ class TeamState:
             raise ValueError("a field is of another type")
 
 
+def whole_number(value: object) -> int:
+    """The value, if it is a whole number from 0 on. :raises ValueError: it is not."""
+    if type(value) is not int or value < 0:
+        raise ValueError("not a whole number: %.80r" % (value,))
+    return value
+
+
 def told_phase(state: TeamState, robot: Optional[RobotState]) -> Phase:
     """The phase that is reported for a robot of a team. LOST, LEFT and FAILED take precedence, then
     the end of the run, then a pause. A robot that the team does not know (yet) is reported as
@@ -326,9 +333,9 @@ def _robot_from_json(data: Dict[str, Any], net: Net) -> RobotState:
         robot.task = Task.from_json(data["task"])
     robot.held = {net.transition_number(t): dict(c) for t, c in data.get("held", {}).items()}
     robot.interrupted = {
-        net.place_number(p): _number(v) for p, v in data.get("interrupted", {}).items()
+        net.place_number(p): whole_number(v) for p, v in data.get("interrupted", {}).items()
     }
-    robot.resumed_from = _number(data.get("resumed_from", 0))
+    robot.resumed_from = whole_number(data.get("resumed_from", 0))
     if data["request"]:
         robot.request = net.transition_number(data["request"])
     if "drawn" in data:
@@ -341,9 +348,3 @@ def _robot_from_json(data: Dict[str, Any], net: Net) -> RobotState:
             index,
         )
     return robot
-
-
-def _number(value: Any) -> int:
-    if type(value) is not int or value < 0:
-        raise ValueError("not a whole number: %.80r" % (value,))
-    return value

@@ -362,20 +362,8 @@ class LocalJob(Job):
 
     def run(self, prepared: Any, attempt: JobAttempt) -> JobEnd:
         """See :meth:`Job.run`."""
-        command = attempt.command
         attempt.begin()
-        result = self._do(
-            ActionContext(
-                command.place,
-                command.robot,
-                no_feedback,
-                attempt.is_cancelled,
-                command.visit,
-                command.attempt,
-                command.data,
-                command.resumed_from,
-            )
-        )
+        result = self._do(ActionContext.of(attempt.command, no_feedback, attempt.is_cancelled))
         return JobEnd("succeeded", "", *result)
 
 

@@ -73,6 +73,11 @@ class Electorate:
         state = self.state
         return state.peers.near(self.members(), self.config.name, seconds, state.now)
 
+    def is_first_running(self) -> bool:
+        """Whether we are the first member that seems to run: the one that proposes what anybody
+        could."""
+        return self.heard_within(3 * self.config.pace.heartbeat)[:1] == [self.config.name]
+
     def heard_of_late(self) -> List[str]:
         """The members that were heard within four heartbeats, ourselves included."""
         return self.heard_within(4 * self.config.pace.heartbeat)

@@ -128,7 +128,8 @@ class LocalRobot:
             entry = log_entries.Done(
                 self.config.name, goal.incarnation, goal.visit, result, given.data
             )
-            self._halt_before(entry)
+            if self.halts.breakpoints.stops_result(plan, place, result):
+                self.halt()
             if given.data:
                 entry = self._readable(entry, goal)
             elif self._may_move_alone():
@@ -147,13 +148,10 @@ class LocalRobot:
         except LogError as error:
             return log_entries.Failed(self.config.name, *goal, "bad result", str(error))
 
-    def _halt_before(self, entry: log_entries.Done) -> None:
-        """Order a pause of our robot if there is a breakpoint at what it asks for."""
-        at, robot, plan = self.state.position, self.electorate.own_robot(), self.config.plan
-        if at is None or robot is None or robot.paused:
-            return
-        place = plan.net.places[at.place].name
-        if self.halts.breakpoints.stops_result(plan, place, entry.result):
+    def halt(self) -> None:
+        """Order a pause of our robot, unless it is paused already."""
+        robot = self.electorate.own_robot()
+        if robot is not None and not robot.paused:
             self.proposals.propose(log_entries.Pause(self.config.name))
 
     def _report(self, goal: Goal) -> bool:
@@ -250,7 +248,7 @@ class LocalRobot:
         paused = robot is not None and robot.paused
         answer = self.halts.may_start((at.incarnation, at.visit), place, at.attempt, paused)
         if answer == "pause":
-            self.proposals.propose(log_entries.Pause(self.config.name))
+            self.halt()
         return answer == "yes"
 
     def _given(self, at: Position) -> Tuple[Mapping[str, Any], int]:
@@ -292,9 +290,8 @@ class LocalRobot:
         due = self._environment.next_time(state.ledger.state, state.now)
         if due is None or state.now < due:
             return
-        live = self.electorate.heard_within(3 * self.config.pace.heartbeat)
         drawn = self._environment.due(state.ledger.state, state.now)
-        if live[0] == self.config.name and drawn is not None:
+        if drawn is not None and self.electorate.is_first_running():
             self.proposals.propose(drawn)
 
     def wake_times(self) -> List[float]:

@@ -66,7 +66,8 @@ class Reactions:
             return
         for event in self._watch.due(self._visit(), self.state.now):
             if not self._is_idle(event):
-                self._halt_before(event)
+                if event.transition in self.halts.breakpoints.transitions:
+                    self.robot.halt()
                 self.proposals.propose(self._readable(event))
 
     def _is_idle(self, event: log_entries.Interrupt) -> bool:
@@ -94,12 +95,6 @@ class Reactions:
         except LogError as error:
             self.outbox.fault("the cause of '%s' is left out: %s" % (event.transition, error))
             return event._replace(cause=log_entries.NOTHING)
-
-    def _halt_before(self, event: log_entries.Interrupt) -> None:
-        """Order a pause of our robot if there is a breakpoint at the transition of an event."""
-        robot = self.electorate.own_robot()
-        if event.transition in self.halts.breakpoints.transitions and not (robot and robot.paused):
-            self.proposals.propose(log_entries.Pause(self.config.name))
 
     def watches(self, transition: str) -> bool:
         """Whether an event could interrupt the robot in its present visit."""
@@ -156,7 +151,7 @@ class Reactions:
         if not state.active:
             return
         proposed = self._proposed()
-        soon = state.leaving or self._is_first()
+        soon = state.leaving or self.electorate.is_first_running()
         for key, (task, since) in state.offered.items():
             if key not in proposed and (
                 soon or key in self._orders or state.now >= since + self._patience()
@@ -185,10 +180,6 @@ class Reactions:
     def _proposed(self) -> Set[Tuple[str, str]]:
         entries = (own.item.entry for own in self.state.own_proposals)
         return {(e.transition, e.id) for e in entries if isinstance(e, log_entries.Submit)}
-
-    def _is_first(self) -> bool:
-        live = self.electorate.heard_within(3 * self.config.pace.heartbeat)
-        return live[:1] == [self.config.name]
 
     def _patience(self) -> float:
         """How long we leave a task to the first member (s)."""
