@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import uuid
 from typing import Any, Dict
 
 from gspn_framework_package.cli.orders import add_team_options, require_ros
-from gspn_framework_package.execution.log_entries import make_submit
+from gspn_framework_package.execution.log_entries import make_submit, new_task_id
 from gspn_framework_package.model.errors import DataError, UsageError
 
 
@@ -40,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Submit the task; return 0 if the team has it, else 1."""
-    task_id = args.id or "submitted-" + uuid.uuid4().hex[:12]
+    task_id = args.id or new_task_id("submitted")
     task = make_submit(args.transition, task_id, read_data(args.data))
     require_ros()
     from gspn_framework_package.ros.operator_client import OperatorClient

@@ -8,6 +8,7 @@ has no effect.
 from __future__ import annotations
 
 import json
+import uuid
 from types import MappingProxyType
 from typing import Any, Dict, Mapping, NamedTuple, Tuple, Type, Union
 
@@ -238,6 +239,11 @@ def from_json(data: Any) -> Entry:
         return kind(**fields)
     except (KeyError, TypeError, ValueError, DataError) as error:
         raise LogError("not a log entry: %.200r (%s)" % (data, error)) from None
+
+
+def new_task_id(source: str) -> str:
+    """A new id for a task that came without one: ``source``, and some random digits."""
+    return "%s-%s" % (source, uuid.uuid4().hex[:12])
 
 
 def make_submit(transition: str, task: Any, data: Mapping[str, Any]) -> Submit:

@@ -47,9 +47,7 @@ class Rules:
         self.queues = frozenset(net.place_number(p) for p in plan.tasks.queues)
         self.task_done = frozenset(net.transition_number(t) for t in plan.tasks.done)
         self.interrupts = {net.transition_number(t): event for t, event in plan.events.items()}
-        self.of_action = [
-            tuple(t for t in leaving if t not in self.interrupts) for leaving in net.consumers
-        ]
+        self.of_action = [plan.of_action(p) for p in range(len(net.places))]
         """The transitions that leave each place without an event."""
         self.submissions = frozenset(net.transition_number(t) for t in plan.submissions)
         self.urgency = [-1 if t.timed else t.priority for t in net.transitions]

@@ -257,6 +257,12 @@ class Plan:
             within = self.subnets[within].parent
         return name
 
+    def of_action(self, place: int) -> Tuple[int, ...]:
+        """Return the numbers of the transitions that leave place number ``place`` without an event:
+        those that a robot asks for."""
+        transitions = self.net.transitions
+        return tuple(t for t in self.net.consumers[place] if transitions[t].name not in self.events)
+
     def interrupts(self, place: str) -> Tuple[str, ...]:
         """Return the event transitions that leave a place, in the order of the net."""
         if not self.events:

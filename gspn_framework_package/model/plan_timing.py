@@ -67,10 +67,7 @@ class PlanTiming:
             )
             for name in plan.action_places
         }
-        self._of_action = {
-            p: [t for t in self._net.consumers[p] if t not in events]
-            for p, events in self.events.items()
-        }
+        self._of_action = {p: plan.of_action(p) for p in self.events}
         self.places: Dict[int, PlaceTiming] = {
             self._net.place_index[name]: self._timing(name) for name in plan.action_places
         }
@@ -97,11 +94,6 @@ class PlanTiming:
             if why:
                 found[self._net.places[p].name] = why
         return found
-
-    def of_action(self, place: int) -> List[int]:
-        """The transitions that leave action place number ``place`` without an event: those that a
-        robot asks for."""
-        return self._of_action[place]
 
     def _is_idle(self, p: int, robot: str = "") -> bool:
         """Whether the place is mapped to no action: for the robot, or for the team."""

@@ -110,9 +110,17 @@ class Policy:
             )
         return cls(places, rows, scopes)
 
-    def scope_of(self, row: int) -> Optional[PolicyScope]:
-        """Return the scope that a row (numbered from 0) belongs to; None for the plan's own."""
-        return next((s for s in self.scopes if s.first <= row < s.last), None)
+    def scope_numbers(self) -> Dict[str, int]:
+        """Return the number of the scope of each place that is in one, from 1 on; all others have
+        0, that of the plan's own rows."""
+        return {name: k for k, scope in enumerate(self.scopes, 1) for name in scope.places}
+
+    def row_scopes(self) -> List[int]:
+        """Return the number of the scope that each row belongs to; see :meth:`scope_numbers`."""
+        found = [0] * len(self.rows)
+        for k, scope in enumerate(self.scopes, 1):
+            found[scope.first : scope.last] = [k] * (scope.last - scope.first)
+        return found
 
     def _check_scopes(self) -> None:
         seen: Set[str] = set()
@@ -201,17 +209,14 @@ class PolicyTable:
                 )
         self._columns = columns = [net.place_index[p] for p in policy.places]
         self._restricted: Dict[Tuple[int, int], Distribution] = {}
-        self._scope: Dict[int, int] = {}  # place -> number of its scope, from 1; others: 0
-        row_scope = [0] * len(policy.rows)
-        for k, scope in enumerate(policy.scopes, 1):
-            row_scope[scope.first : scope.last] = [k] * (scope.last - scope.first)
-            for name in scope.places:
-                if name not in net.place_index:
-                    raise PolicyError(
-                        "the net has no place '%s'" % name, element="a scope of the policy"
-                    )
-                self._scope[net.place_index[name]] = k
-        self._row_scope = row_scope
+        self._scope: Dict[int, int] = {}  # place -> number of its scope; others: 0
+        for name, k in policy.scope_numbers().items():
+            if name not in net.place_index:
+                raise PolicyError(
+                    "the net has no place '%s'" % name, element="a scope of the policy"
+                )
+            self._scope[net.place_index[name]] = k
+        self._row_scope = row_scope = policy.row_scopes()
         self._any: Dict[int, _RowIndex] = {}  # scope -> its rows; rarely asked for
         self._by_place: Dict[int, _RowIndex] = {}
         self._waits: Dict[int, _RowIndex] = {}  # scope -> its rows without choices

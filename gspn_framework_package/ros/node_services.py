@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import queue
-import uuid
 from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple, TypeVar
 
 import rospy
@@ -332,5 +331,5 @@ def submitted(argument: str) -> log_entries.Submit:
         raise DataError("its data are not a JSON object, but %.100r" % (data,))
     task_id = task.get("id", "")
     if task_id in ("", None):
-        task_id = "submitted-" + uuid.uuid4().hex[:12]
+        task_id = log_entries.new_task_id("submitted")
     return log_entries.make_submit(transition, task_id, data)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import secrets
-
-from gspn_framework_package.execution.log_entries import Submit, make_submit
+from gspn_framework_package.execution.log_entries import Submit, make_submit, new_task_id
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.activity import Fields, text_field
@@ -22,5 +20,5 @@ def submission(plan: Plan, fields: Fields) -> Submit:
             "no tasks come in by '%s'" % transition[:80],
             hint="possible: %s" % (", ".join(plan.submissions) or "nothing"),
         )
-    task = text_field(fields, "id", "").strip() or "page-" + secrets.token_hex(4)
+    task = text_field(fields, "id", "").strip() or new_task_id("page")
     return make_submit(transition, task, fields.get("data", {}))

@@ -102,22 +102,12 @@ def _of_both(plan: Plan) -> List[str]:
 def of_events(plan: Plan) -> List[str]:
     """What the readings of a plan assume about events that interrupt, in words for people."""
     net = plan.net
-    interrupting = [
-        (p, t)
-        for p, place in enumerate(net.places)
-        if place.name not in plan.resource_places
-        for t in net.consumers[p]
-        if net.transitions[t].name in plan.events
-    ]
-    timed = [
-        net.transitions[t].name
-        for _, t in interrupting
-        if plan.events[net.transitions[t].name].after is not None
-    ]
+    interrupting = [(p, t) for p in plan.action_places for t in plan.interrupts(p)]
+    timed = [t for _, t in interrupting if plan.events[t].after is not None]
     held = [
-        net.transitions[t].name
+        t
         for p, t in interrupting
-        if plan.events[net.transitions[t].name].hold and why_blocked(net, t, p)
+        if plan.events[t].hold and why_blocked(net, net.transition_number(t), net.place_number(p))
     ]
     found = []
     if timed:

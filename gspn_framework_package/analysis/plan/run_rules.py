@@ -210,7 +210,7 @@ class RunRules:
                     "every robot in %s does what most of them do there, since states do not tell "
                     "robots apart (the simulation does)" % place
                 )
-        leaving = timing.of_action(p)
+        leaving = self.plan.of_action(p)
         if len(leaving) == 1 and self.plan.net.transitions[leaving[0]].timed:
             # who names nothing asks for the only transition that there is
             asked: Dict[int, float] = {}

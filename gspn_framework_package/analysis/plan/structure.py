@@ -141,11 +141,9 @@ class PolicyCover:
             len(plan.robots),
             sum(p.tokens for p in plan.net.places if p.name not in plan.resource_places),
         )
-        self._scope: Dict[int, int] = {}  # place -> number of its scope; others: 0
-        row_scope = [0] * len(plan.policy.rows)
-        for k, scope in enumerate(plan.policy.scopes, 1):
-            self._scope.update((plan.net.place_number(name), k) for name in scope.places)
-            row_scope[scope.first : scope.last] = [k] * (scope.last - scope.first)
+        numbers = plan.policy.scope_numbers()
+        self._scope = {plan.net.place_number(name): k for name, k in numbers.items()}
+        row_scope = plan.policy.row_scopes()
         # the rows that look at one place at most: only those can match whatever the others hold
         self._few_cells: Dict[int, List[Tuple[str, int]]] = {}
         self._few_of: Dict[int, List[int]] = {}  # scope -> those of its rows

@@ -186,10 +186,8 @@ class NameChecks:
 
     def _of_action(self, place: str) -> List[Transition]:
         """The transitions that leave a place without an event: those that a robot asks for."""
-        leaving = (
-            self.net.transitions[t] for t in self.net.consumers[self.net.place_number(place)]
-        )
-        return [t for t in leaving if t.name not in self.plan.events]
+        asked = self.plan.of_action(self.net.place_number(place))
+        return [self.net.transitions[t] for t in asked]
 
     def look_at_servers(self, probe: ServerProbe) -> None:
         """Check the server of every action."""

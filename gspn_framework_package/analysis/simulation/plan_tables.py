@@ -88,10 +88,6 @@ class PlanTables:
         ]
         """By place: the transitions by which events interrupt robots there."""
         self.events = [t for here in self.events_at for t in here]
-        self.of_action = [
-            [t for t in leaving if t not in here]
-            for leaving, here in zip(net.consumers, self.events_at)
-        ]
         self.room = max(MOST_AGENTS, len(plan.robots)) if creates else max(len(plan.robots), 1)
         self.rules = self._rules(timing, policy_reads, always)
 
@@ -413,7 +409,7 @@ class PlanTables:
             return kernel.NOWHERE
         if outcome != POLICY:
             return self.arc_of.get((outcome, p), kernel.BAD_RESULT)
-        asked = self.of_action[p]
+        asked = self.plan.of_action(p)
         if self.immediate_from[p] or not asked:
             return len(self.arcs) + p
         return self.arc_of[asked[0], p] if len(asked) == 1 else kernel.BAD_RESULT
@@ -450,11 +446,9 @@ def _book(tables: PlanTables) -> Tuple[kernel.Book, List[Set[int]], bool]:
     policy = plan.policy
     columns = [net.place_index[name] for name in policy.places]
     places = len(net.places)
-    scope_of = np.zeros(places, dtype=np.int64)
-    row_scope = [0] * len(policy.rows)
-    for k, scope in enumerate(policy.scopes, 1):
-        scope_of[[net.place_index[name] for name in scope.places]] = k
-        row_scope[scope.first : scope.last] = [k] * (scope.last - scope.first)
+    number_of = policy.scope_numbers()
+    scope_of = np.array([number_of.get(p.name, 0) for p in net.places], dtype=np.int64)
+    row_scope = policy.row_scopes()
     entries: List[List[int]] = [[] for _ in range(places + 1 + len(policy.scopes))]
     entry_row: List[int] = []
     choices: List[List[int]] = []

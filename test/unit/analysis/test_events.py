@@ -58,7 +58,7 @@ def test_an_event_is_no_outcome_of_the_action():
     assert timing.places[work].outcomes == ((finish, 1.0),)
     assert PlanTiming(guards()).places[work].duration == Duration.exponential(1.0)
     assert timing.events[work] == (net.transition_index["low"],)
-    assert timing.of_action(work) == [finish]
+    assert guards().of_action(work) == (finish,)
     assert any("the events low come at the rates" in text for text in timing.assumptions)
 
 
