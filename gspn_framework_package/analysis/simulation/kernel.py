@@ -348,6 +348,25 @@ def only_current(
     return left
 
 
+def put(
+    time: float,
+    tag: int,
+    what: int,
+    size: int,
+    times: Floats,
+    tags: Indices,
+    who: Indices,
+    divisor: int,
+    since: Indices,
+) -> int:
+    """Enter an event that interrupts into a heap of ``size`` events, from which those of visits
+    that are over are removed if it is full (see :func:`only_current`); returns the new size."""
+    if size >= len(who):
+        size = only_current(size, times, tags, who, divisor, since, False)
+    push(time, tag, what, size, times, tags, who)
+    return size + 1
+
+
 def set_leaf(tree: Floats, leaves: int, i: int, value: float) -> None:
     """Set leaf ``i`` of a tree of sums; node 1 is the whole sum."""
     i += leaves
@@ -1175,7 +1194,6 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     n_arrivals = numbers[ARRIVALS]
     n_held = numbers[HELD]
     heap_room = len(heap_robot)
-    arrival_room = len(arrival_who)
     interrupted = False
     queue_head = numbers[QUEUE_HEAD]
     n_queue = numbers[QUEUE]
@@ -1211,18 +1229,8 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                         total = 0.0
                         for i in range(begin, end):
                             if event_after[i] > 0.0:
-                                if n_arrivals >= arrival_room:
-                                    n_arrivals = only_current(
-                                        n_arrivals,
-                                        arrival_time,
-                                        arrival_tag,
-                                        arrival_who,
-                                        all_events + 1,
-                                        visit_from,
-                                        False,
-                                    )
                                 sequence += 1
-                                push(
+                                n_arrivals = put(
                                     now + event_after[i],
                                     sequence,
                                     robot * (all_events + 1) + i,
@@ -1230,23 +1238,14 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                                     arrival_time,
                                     arrival_tag,
                                     arrival_who,
+                                    all_events + 1,
+                                    visit_from,
                                 )
-                                n_arrivals += 1
                             else:
                                 total += event_rate[i]
                         if total > 0.0:
-                            if n_arrivals >= arrival_room:
-                                n_arrivals = only_current(
-                                    n_arrivals,
-                                    arrival_time,
-                                    arrival_tag,
-                                    arrival_who,
-                                    all_events + 1,
-                                    visit_from,
-                                    False,
-                                )
                             sequence += 1
-                            push(
+                            n_arrivals = put(
                                 now + exponential(random) / total,
                                 sequence,
                                 robot * (all_events + 1) + all_events,
@@ -1254,8 +1253,9 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                                 arrival_time,
                                 arrival_tag,
                                 arrival_who,
+                                all_events + 1,
+                                visit_from,
                             )
-                            n_arrivals += 1
                 if timing_kind[timing] == NULL_ACTION:
                     what = IS_DONE
                     wish = null_list[timing]
@@ -1625,7 +1625,7 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                             if u < 0.0:
                                 break
                     sequence += 1
-                    push(
+                    n_arrivals = put(
                         now + exponential(random) / total,
                         sequence,
                         robot * (all_events + 1) + all_events,
@@ -1633,8 +1633,9 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
                         arrival_time,
                         arrival_tag,
                         arrival_who,
+                        all_events + 1,
+                        visit_from,
                     )
-                    n_arrivals += 1
                 if not fits(event, level, event_test_from, event_tests):
                     if event_hold[event] > 0:
                         i = 0
