@@ -326,5 +326,5 @@ def test_serve_serves_until_it_is_interrupted():
 
 def test_the_page_names_all_its_modules_so_that_they_load_at_once():
     static = Path(visualizer.__file__).parent / "static"
-    named = set(re.findall(r'"/static/js/([a-z_]+\.js)"', (static / "index.html").read_text()))
-    assert named == {path.name for path in (static / "js").iterdir()}
+    named = set(re.findall(r'"/static/js/([a-z_/]+\.js)"', (static / "index.html").read_text()))
+    assert named == {path.relative_to(static / "js").as_posix() for path in static.rglob("*.js")}

@@ -1,0 +1,88 @@
+// The plan that is being edited, and the edits that made it what it is. The state is one immutable value
+// {plan, net, policy}; an edit replaces it by another that shares all that has not changed. Undo and redo go
+// back and forth between the states, so every edit is undone exactly.
+
+const KEPT = 5000; // edits that can be undone
+
+/** The same object with some keys replaced; a key whose new value is undefined is left out. */
+export function changed(object, values) {
+  const result = { ...object, ...values };
+  for (const [key, value] of Object.entries(values)) if (value === undefined) delete result[key];
+  return result;
+}
+
+/** Fires "change" (detail {before, edit}) after each edit, undo and redo; "saved" when the state on the disk is
+ * known to be the present one. */
+export class PlanDocument extends EventTarget {
+  /** `state`: {plan, net, policy}: the JSON objects of the plan file, its net, and its policy or null. */
+  constructor(state) {
+    super();
+    this.state = state;
+    this.saved = state; // the state that the files hold
+    this.done = []; // edits, the latest last: {label, before, after, merge}
+    this.undone = [];
+  }
+
+  get net() {
+    return this.state.net;
+  }
+
+  get plan() {
+    return this.state.plan;
+  }
+
+  get policy() {
+    return this.state.policy;
+  }
+
+  /** Whether there is something to save. */
+  get dirty() {
+    return this.state !== this.saved;
+  }
+
+  /** Make an edit. `label` says what it does ("Add place P1"); `change` takes the state and returns the parts of
+   * it that are new, e.g. {net}. Consecutive edits with the same `merge` (a drag, typing in one field) are undone
+   * together. Returns whether anything changed. */
+  edit(label, change, merge = null) {
+    const before = this.state;
+    const after = { ...before, ...change(before) };
+    if (Object.keys(after).every((key) => after[key] === before[key])) return false;
+    const last = this.done[this.done.length - 1];
+    const edit = { label, before, after, merge };
+    if (merge !== null && last?.merge === merge && last.after === before && before !== this.saved)
+      edit.before = this.done.pop().before;
+    this.done.push(edit);
+    if (this.done.length > KEPT) this.done.shift();
+    this.undone = [];
+    this.put(after, edit);
+    return true;
+  }
+
+  undo() {
+    const edit = this.done.pop();
+    if (!edit) return null;
+    this.undone.push(edit);
+    this.put(edit.before, edit);
+    return edit;
+  }
+
+  redo() {
+    const edit = this.undone.pop();
+    if (!edit) return null;
+    this.done.push(edit);
+    this.put(edit.after, edit);
+    return edit;
+  }
+
+  /** Note that the files hold `state` (the one that was sent). */
+  markSaved(state = this.state) {
+    this.saved = state;
+    this.dispatchEvent(new CustomEvent("saved"));
+  }
+
+  put(state, edit) {
+    const before = this.state;
+    this.state = state;
+    this.dispatchEvent(new CustomEvent("change", { detail: { before, edit } }));
+  }
+}
