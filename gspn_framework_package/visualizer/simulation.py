@@ -26,6 +26,9 @@ STEPS_AT_ONCE = 10_000
 STEPS_BACK = 20_000
 """Number of steps that can be undone."""
 
+MOST_TOKENS = 10**9
+"""Most tokens in a place of a marking that the page asks for."""
+
 
 class _Past(NamedTuple):
     """``marking`` and ``time`` before ``transition`` (-1: a reset or a clear) fired. ``counts``:
@@ -59,6 +62,7 @@ class OfflineSimulation(Activity):
             "back": self._locked(self._back),
             "reset": self._locked(self._reset),
             "clear": self._locked(self._clear),
+            "move": self._locked(self._move),
             "probabilities": self._locked(self._set_probabilities),
         }
 
@@ -97,7 +101,9 @@ class OfflineSimulation(Activity):
 
     def _fire(self, fields: Fields) -> Dict[str, Any]:
         t = self.net.transition_number(text_field(fields, "transition"))
-        if t not in self._simulator.enabled.now and self.net.is_enabled(self._simulator.marking, t):
+        precedence = fields.get("any_priority") is not True
+        waits = t not in self._simulator.enabled.now
+        if precedence and waits and self.net.is_enabled(self._simulator.marking, t):
             raise RefusedError(
                 "immediate transitions of higher priority go first",
                 element="transition '%s'" % self.net.transitions[t].name,
@@ -147,6 +153,21 @@ class OfflineSimulation(Activity):
         self._past.append(_Past(-1, self._simulator.marking, self._time))
         self._simulator.move_to((0,) * len(self.net.places))
         self._publish(self._whole("cleared"))
+        return {}
+
+    def _move(self, fields: Fields) -> Dict[str, Any]:
+        """Go to another marking."""
+        marking = fields.get("marking")
+        count = len(self.net.places)
+        if (
+            not isinstance(marking, list)
+            or len(marking) != count
+            or not all(type(n) is int and 0 <= n <= MOST_TOKENS for n in marking)
+        ):
+            raise UsageError("'marking' is a list of the token counts of all %d places" % count)
+        self._past.append(_Past(-1, self._simulator.marking, self._time))
+        self._simulator.move_to(marking)
+        self._publish(self._whole("another marking"))
         return {}
 
     def _set_probabilities(self, fields: Fields) -> Dict[str, Any]:

@@ -54,6 +54,26 @@ def test_an_immediate_transition_goes_before_a_chosen_exponential_one():
     assert refused.status_code == 409 and "go first" in refused.get_json()["error"]
 
 
+def test_a_firing_sequence_of_a_run_does_not_wait_for_priorities():
+    net = NetBuilder().place("p", 1).exponential("slow", inputs="p").immediate("now", inputs="p")
+    client = open_net(net.build())
+    assert client.do("fire", transition="slow", any_priority=True).status_code == 200
+    assert client.board()["marking"] == [0]
+    refused = client.do("fire", transition="slow", any_priority=True)
+    assert refused.status_code == 409  # it still needs its tokens
+
+
+def test_a_simulation_moves_to_a_marking_and_back(client):
+    before = client.board()
+    assert client.do("move", marking=[0, 3]).status_code == 200
+    assert client.board()["marking"] == [0, 3] and client.board()["enabled"] == [1]
+    for wrong in ([0], [0, -1], [0, 1.5], [0, True], [0, 10**10], "01", None):
+        refused = client.do("move", marking=wrong)
+        assert refused.status_code == 400 and "all 2 places" in refused.get_json()["error"]
+    client.do("back")
+    assert client.board()["marking"] == before["marking"]
+
+
 def test_steps_are_taken_back_to_the_beginning(client):
     boards = [client.board()]
     for _ in range(4):

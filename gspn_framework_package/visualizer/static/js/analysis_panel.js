@@ -27,10 +27,11 @@ function questionText(request) {
 
 /** Fires "choose" (detail {kind, index, fly}). */
 export class AnalysisPanel extends EventTarget {
-  /** `refusal`: why no analysis is possible; "" if one is. */
-  constructor(model, view, refusal = "") {
+  /** `stageFrom(marking)`: where firing sequences are played. `refusal`: why no analysis is possible; "" if one is. */
+  constructor(model, view, stageFrom, refusal = "") {
     super();
     this.model = model;
+    this.stageFrom = stageFrom;
     this.refusal = refusal;
     this.panel = $("analysis");
     this.views = new AnswerViews(model, view, (detail) =>
@@ -270,6 +271,7 @@ export class AnalysisPanel extends EventTarget {
       ...(plan ? { reading: reading.value } : {}),
       event: this.model.board.n,
     };
+    const stage = this.stageFrom(from.value === "initial" ? null : [...this.model.board.marking]);
     const about = h("span", { class: "muted" });
     const tell = (start) => {
       about.textContent = [
@@ -289,7 +291,7 @@ export class AnalysisPanel extends EventTarget {
         started: ({ event }) => {
           if (body.from === "marking") tell(`from the marking after event ${event}`);
         },
-        found: (result) => this.show(result, request, body),
+        found: (result) => this.show(result, request, body, stage),
       });
       if (!report) return;
       if (report.state === "done" && !request.structure)
@@ -308,11 +310,11 @@ export class AnalysisPanel extends EventTarget {
     );
   }
 
-  show(result, request, body) {
+  show(result, request, body, stage) {
     const text = JSON.stringify(result);
     if (text === this.shownText) return;
     this.shownText = text;
-    this.answers.replaceChildren(this.asked, ...this.views.all(result, request, body));
+    this.answers.replaceChildren(this.asked, ...this.views.all(result, request, body, stage));
   }
 
   close() {

@@ -2,6 +2,7 @@
 
 import { h, number, plural, $ } from "./dom.js";
 import { curvePlot, barPlot, CURVES } from "./plot.js";
+import { FiringSequence, sequenceControls } from "./sequence.js";
 
 const YES = { true: ["yes", "good"], false: ["no", "bad"] };
 const LIST = 60;
@@ -15,7 +16,9 @@ export class AnswerViews {
     this.transitions = new Map(model.scene.transitions.map((t, i) => [t.name, i]));
   }
 
-  all(result, request, body) {
+  /** `stage`: where the firing sequences in the answer are played (sequence.js). */
+  all(result, request, body, stage) {
+    this.stage = stage;
     if (request.simulate) return [this.simulated(result.simulation)].filter(Boolean);
     const parts = [];
     if (request.reach) parts.push(this.reach(result));
@@ -106,6 +109,19 @@ export class AnswerViews {
 
   way(steps) {
     if (!steps) return null;
+    const fired = steps.filter((name) => this.transitions.has(name)); // robots also wait in a step
+    const { mode, session } = this.model;
+    return h(
+      "div",
+      {},
+      this.wayText(steps),
+      fired.length > 0 &&
+        (mode === "SIMULATE" || session.simulable) &&
+        sequenceControls(new FiringSequence(fired, this.stage)),
+    );
+  }
+
+  wayText(steps) {
     return h(
       "p",
       { class: "muted" },

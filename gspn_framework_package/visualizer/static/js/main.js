@@ -11,7 +11,7 @@ import { AnalysisPanel } from "./analysis_panel.js";
 import { OptimisePanel } from "./optimise_panel.js";
 import { FiringLog } from "./log.js";
 import { TimeLine } from "./timeline.js";
-import { Tools } from "./tools.js";
+import { Tools, simulationStage } from "./tools.js";
 import { Room } from "./room.js";
 import { TABS, bindKeys, showHelp } from "./keys.js";
 import { Panels } from "./panels.js";
@@ -137,7 +137,12 @@ class Page {
     this.orders = new Orders(this);
     this.inspector = new Inspector(model, this.orders);
     this.robots = new RobotsPanel(model, this.orders);
-    this.analysis = new AnalysisPanel(model, this.view, this.mayAct ? "" : ONLY_LOOK);
+    this.analysis = new AnalysisPanel(
+      model,
+      this.view,
+      (start) => simulationStage(this, start),
+      this.mayAct ? "" : ONLY_LOOK,
+    );
     this.optimise = new OptimisePanel(model, this.view, this.mayAct ? "" : ONLY_LOOK);
     this.log = new FiringLog(model);
     this.line = new TimeLine(model);

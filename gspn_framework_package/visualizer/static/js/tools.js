@@ -4,6 +4,26 @@ import { h, $, ask, attempt, announce, toast, plural, number } from "./dom.js";
 import { post } from "./api.js";
 import { ONLY_LOOK } from "./orders.js";
 
+/** The simulation as the stage of a firing sequence (sequence.js) from `start`, a marking; null: the initial one. The
+ * sequence fires as a team may, in which an immediate transition does not wait for those of higher priority. */
+export function simulationStage(page, start) {
+  const { model } = page;
+  const simulate = (command, fields) => {
+    if (page.model !== model) return Promise.resolve(null); // another net is open now
+    if (model.mode === "SIMULATE") return page.tools.simulate(command, fields);
+    toast("firing sequences play in the simulation: press Simulate first");
+    return Promise.resolve(null);
+  };
+  return {
+    begin: () => {
+      page.tools?.stopRunning();
+      return start ? simulate("move", { marking: start }) : simulate("reset");
+    },
+    fire: (transition) => simulate("fire", { transition, any_priority: true }),
+    back: () => simulate("back", { steps: 1 }),
+  };
+}
+
 export class Tools {
   constructor(page) {
     this.page = page;

@@ -1,0 +1,103 @@
+// A firing sequence that is played step by step, wherever its stage fires it: in the simulation, or on a canvas.
+
+import { h } from "./dom.js";
+
+const PAUSE = 700; // ms between two steps while it plays
+
+/** Plays the transitions `steps` (names) on a stage: {begin(), fire(name), back()}, each of which resolves to whether
+ * it was done. Fires "change". */
+export class FiringSequence extends EventTarget {
+  constructor(steps, stage) {
+    super();
+    this.steps = steps;
+    this.stage = stage;
+    this.at = null; // how many steps have fired; null: it has not begun
+    this.playing = false;
+    this.busy = false;
+  }
+
+  get ended() {
+    return this.at === this.steps.length;
+  }
+
+  /** Fire the next step; begin first if it has not begun. Resolves to whether that was done. */
+  next() {
+    return this.alone(async () => {
+      if (this.at === null && !(await this.begin())) return false;
+      if (this.ended || !(await this.stage.fire(this.steps[this.at]))) return false;
+      this.at += 1;
+      return true;
+    });
+  }
+
+  previous() {
+    return this.alone(async () => {
+      if (!this.at || !(await this.stage.back())) return false;
+      this.at -= 1;
+      return true;
+    });
+  }
+
+  /** Play what is left of it, or all of it again. */
+  async play() {
+    if (this.playing) return;
+    this.playing = true;
+    if (this.ended) this.at = null;
+    while (this.playing && (await this.next()) && !this.ended)
+      await new Promise((resolve) => setTimeout(resolve, PAUSE));
+    this.stop();
+  }
+
+  stop() {
+    this.playing = false;
+    this.tell();
+  }
+
+  async begin() {
+    if (!(await this.stage.begin())) return false;
+    this.at = 0;
+    return true;
+  }
+
+  /** Run one action at a time: a second press while one is under way does nothing. */
+  async alone(action) {
+    if (this.busy) return false;
+    this.busy = true;
+    this.tell();
+    try {
+      return await action();
+    } finally {
+      this.busy = false;
+      this.tell();
+    }
+  }
+
+  tell() {
+    this.dispatchEvent(new Event("change"));
+  }
+}
+
+/** The buttons of a sequence: previous step, play, next step, and where it is. */
+export function sequenceControls(sequence) {
+  const button = (label, name, press) =>
+    h("button", { text: label, title: name, "aria-label": name, onclick: press });
+  const previous = button("◂", "Previous step", () => sequence.previous());
+  const play = button("▶ Play", "Play the sequence from its start", () =>
+    sequence.playing ? sequence.stop() : sequence.play(),
+  );
+  const next = button("▸", "Next step", () => sequence.next());
+  const where = h("span", { class: "muted", role: "status" });
+  const show = () => {
+    const { at, steps, playing, busy, ended } = sequence;
+    if (playing && !where.isConnected) sequence.playing = false; // another answer took its place
+    previous.disabled = busy || playing || !at;
+    next.disabled = busy || playing || ended;
+    play.textContent = playing ? "❚❚ Stop" : "▶ Play";
+    where.textContent = ended
+      ? `${steps.length} of ${steps.length} fired`
+      : `${at || 0} of ${steps.length} fired, next ${steps[at || 0]}`;
+  };
+  sequence.addEventListener("change", show);
+  show();
+  return h("div", { class: "buttons sequence" }, previous, play, next, where);
+}
