@@ -20,6 +20,7 @@ import { setPalette } from "./colours.js";
 import { alarming, setPhases } from "./phases.js";
 import { notice, closeNotice } from "./notice.js";
 import { Orders, ONLY_LOOK } from "./orders.js";
+import { Editor } from "./edit/editor.js";
 
 const MODE_SAYS = {
   LIVE: "happening now",
@@ -39,6 +40,7 @@ class Page {
       this.theme(localStorage.getItem("gspn-theme")),
     );
     this.panels = new Panels(() => this.room?.shown && this.room.update());
+    this.editor = new Editor(this);
     this.bind();
     bindKeys(this);
     setInterval(() => this.showConnection(), 500);
@@ -85,9 +87,16 @@ class Page {
   }
 
   async route() {
-    const key = decodeURIComponent(location.hash.slice(1));
-    if (key && this.model?.session.id === key) return;
-    if (key) await this.open(key);
+    const [coded, word] = location.hash.slice(1).split("&");
+    const key = decodeURIComponent(coded);
+    const edits = word === "edit";
+    if (edits && this.editor.id === key) return;
+    if (!edits) {
+      if (key && this.model?.session.id === key) return;
+      if (!(await this.editor.leave())) return;
+    }
+    if (key && edits) await this.editor.open(key);
+    else if (key) await this.open(key);
     else if (this.hello.first && !this.begun) {
       history.replaceState(null, "", `#${encodeURIComponent(this.hello.first)}`);
       await this.open(this.hello.first);
@@ -101,8 +110,16 @@ class Page {
     else location.hash = hash;
   }
 
+  /** Edit a file of the folder. */
+  edit(key) {
+    const hash = `#${encodeURIComponent(key)}&edit`;
+    if (location.hash === hash) this.route();
+    else location.hash = hash;
+  }
+
   /** The screen for opening a net. `another`: the user asked for it and can return from it. */
   async openScreen(another = false) {
+    if (!(await this.editor.leave())) return;
     this.closeNet();
     document.body.dataset.mode = "";
     $("mode").textContent = "";
@@ -110,9 +127,10 @@ class Page {
     $("subtitle").textContent = "";
     document.title = "GSPN";
     history[another && location.hash ? "pushState" : "replaceState"](null, "", location.pathname);
-    const key = await openingScreen(this.hello);
+    const { id, edit } = await openingScreen(this.hello);
     hideOpening();
-    this.go(key);
+    if (edit) this.edit(id);
+    else this.go(id);
   }
 
   async open(key) {
@@ -149,6 +167,7 @@ class Page {
     this.room = new Room(model);
     this.tools = null;
     this.wire(model);
+    this.editor.showButtons();
     this.view.addEventListener("frame", () => {
       if (!this.model?.board || document.body.dataset.ready) return;
       this.readyAt = performance.now();
@@ -263,6 +282,7 @@ class Page {
     $("room").hidden = true;
     $("execution").hidden = true;
     $("page").hidden = $("folds").hidden = true;
+    this.editor.showButtons();
   }
 
   // -- one board, many views -----------------------------------------------------------------------

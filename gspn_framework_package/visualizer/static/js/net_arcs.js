@@ -10,8 +10,8 @@ const KINDS = {
   heads: "heads",
   circles: "circles",
 };
-const SIZES = [1, 1.5, 2, 3, 4]; // enlargement of arrowheads, so that they stay visible when zoomed out
-const BEND = 16; // px by which two arcs between the same nodes bend apart
+export const SIZES = [1, 1.5, 2, 3, 4]; // enlargement of arrowheads, so that they stay visible when zoomed out
+export const BEND = 16; // px by which two arcs between the same nodes bend apart
 
 export class Arcs {
   /** `places` and `transitions`: the nodes, by index. */

@@ -2,6 +2,7 @@
 
 import { h, $, attempt } from "./dom.js";
 import { get, post } from "./api.js";
+import { mayEdit, newPlan } from "./edit/new_plan.js";
 
 const KINDS = { net: "net", plan: "plan", log: "recorded run" };
 
@@ -13,18 +14,21 @@ async function encoded(file) {
   return { name: file.name, content: btoa(text) };
 }
 
-/** Shows the screen; resolves to the key of the session that was opened. */
+/** Shows the screen; resolves to {id, edit}: the key of the session that was opened, and whether to edit it. */
 export async function openingScreen(hello) {
   const mayAct = hello.role !== "viewer";
   const fresh = (await attempt(() => get("hello"))) || hello;
   const screen = $("opening");
   return new Promise((resolve) => {
     const open = (path) =>
-      attempt(async () => resolve(mayAct ? (await post("open", { path })).id : `file-${path}`));
+      attempt(async () =>
+        resolve({ id: mayAct ? (await post("open", { path })).id : `file-${path}` }),
+      );
     const upload = (files) =>
       attempt(async () => {
         if (!files.length) return;
-        resolve((await post("upload", { files: await Promise.all([...files].map(encoded)) })).id);
+        const body = { files: await Promise.all([...files].map(encoded)) };
+        resolve({ id: (await post("upload", body)).id });
       });
     const chooser = h("input", {
       type: "file",
@@ -104,6 +108,20 @@ export async function openingScreen(hello) {
                     text: "There is no net, plan or recorded run in this folder.",
                   })
               : h("p", { class: "muted", text: "This server serves no folder." }),
+            mayEdit(fresh) &&
+              h(
+                "p",
+                {},
+                h("button", {
+                  id: "ed-new",
+                  text: "New plan …",
+                  onclick: () =>
+                    attempt(async () => {
+                      const id = await newPlan(fresh);
+                      if (id) resolve({ id, edit: true });
+                    }),
+                }),
+              ),
           ),
           mayAct && h("div", { class: "card" }, h("h3", { text: "Your own" }), drop),
         ),

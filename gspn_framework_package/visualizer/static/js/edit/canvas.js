@@ -1,0 +1,430 @@
+// The drawing of the document that is being edited. Two states of a document share all that did not change, so only
+// the elements of changed objects are drawn again: an edit of a large net costs as much as one of a small net.
+
+import { s } from "../dom.js";
+import { arcShape, arcLine, arcEnd } from "../geometry.js";
+import { Camera } from "../net_camera.js";
+import { Labels } from "../labels.js";
+import { at, buildPlace, buildTransition, drawPlace } from "../net_nodes.js";
+import { BEND, SIZES } from "../net_arcs.js";
+import { arcKey, nodeKey } from "./net_edits.js";
+
+const NEAREST = 44; // px between two nodes below which the positions of a file are spread
+const SPREAD = 68; // px to which they are spread
+const GAP = 96; // px between the nodes of a net without positions
+const LEVELS = ["error", "warning", "note"]; // of marks
+
+/** How far the positions of a file are spread, so that no symbols lie over each other. */
+function spreadOf(positions) {
+  let nearest = Infinity;
+  const sorted = [...positions].sort((a, b) => a[0] - b[0]);
+  for (let i = 0; i < sorted.length; i++)
+    for (let j = i + 1; j < sorted.length && sorted[j][0] - sorted[i][0] < nearest; j++) {
+      const apart = Math.hypot(sorted[j][0] - sorted[i][0], sorted[j][1] - sorted[i][1]);
+      if (apart > 0 && apart < nearest) nearest = apart;
+    }
+  return nearest < NEAREST ? SPREAD / nearest : 1;
+}
+
+/** Fires "frame" after drawing. Keys of elements are those of the selection: "place:NAME", "arc:FROM>TO". */
+export class Canvas extends EventTarget {
+  constructor(container, document) {
+    super();
+    this.container = container;
+    this.document = document;
+    this.byKey = new Map(); // key -> node
+    this.arcsByKey = new Map(); // key -> arcs between the same nodes
+    this.nodes = [];
+    this.arcs = { all: [], zoomed: (k) => this.zoomed(k) };
+    this.chosen = new Set();
+    this.marks = new Map();
+    this.stale = new Set(); // arcs to be routed before the next frame
+    this.size = 1;
+    this.own = new Map(); // positions of nodes that have none in the document
+    this.shown = null; // the state that is drawn
+    this.counts = null; // tokens that are shown instead of those of the document
+    const sheet = (name, ...content) =>
+      s("svg", { class: name, "aria-hidden": "true" }, ...content);
+    this.layer = { arcs: s("g"), nodes: s("g"), over: s("g") };
+    container.replaceChildren(
+      sheet("arcs", this.layer.arcs),
+      sheet("nodes", this.layer.nodes),
+      sheet("over", this.layer.over),
+    );
+    this.moving = Object.values(this.layer);
+    this.measure();
+    this.show();
+    this.labels = new Labels(this);
+    this.camera = new Camera(this);
+    this.changed = () => this.show();
+    document.addEventListener("change", this.changed);
+  }
+
+  // -- positions -----------------------------------------------------------------------------------
+
+  /** Find the scale of the document's positions, and a grid for nodes without any. */
+  measure() {
+    const { places, transitions } = this.document.net;
+    const nodes = [...places, ...transitions];
+    this.scale = spreadOf(nodes.filter((node) => node.position).map((node) => node.position));
+    const bare = nodes.filter((node) => !node.position);
+    const across = Math.ceil(Math.sqrt(bare.length * 1.6)) || 1;
+    const below = Math.max(
+      -GAP,
+      ...nodes.filter((n) => n.position).map((n) => n.position[1] * this.scale),
+    );
+    bare.forEach((node, i) =>
+      this.own.set(node.name, [(i % across) * GAP, below + GAP * (1 + Math.floor(i / across))]),
+    );
+  }
+
+  /** The position of a node of the document, in pixels of the drawing. */
+  positionOf(data) {
+    if (data.position) return data.position.map((value) => value * this.scale);
+    if (!this.own.has(data.name)) this.own.set(data.name, this.freeSpot());
+    return this.own.get(data.name);
+  }
+
+  /** A position of the drawing, as the document has it. */
+  toDocument(x, y) {
+    return [x, y].map((value) => Math.round((value / this.scale) * 100) / 100 + 0);
+  }
+
+  /** The positions of all nodes, as the document has them: name -> [x, y]. */
+  positions() {
+    return new Map(this.nodes.map((node) => [node.name, this.toDocument(node.x, node.y)]));
+  }
+
+  /** Use the server's layout for nodes that have no position: they are shown there, the document stays as it is. */
+  useLayout({ places, transitions }) {
+    for (const [name, [x, y]] of Object.entries({ ...places, ...transitions }))
+      this.own.set(name, [x * this.scale, y * this.scale]);
+    for (const node of this.nodes) if (!node.data.position) this.place(node);
+    this.camera.fit();
+  }
+
+  /** A spot where no node is, near [x, y] or the middle of the view. */
+  freeSpot(x, y) {
+    if (x === undefined) {
+      const { width, height } = this.container.getBoundingClientRect();
+      const { k, x: x0, y: y0 } = this.camera?.now || { k: 1, x: 0, y: 0 };
+      [x, y] = [(width / 2 - x0) / k, (height / 2 - y0) / k];
+    }
+    const taken = (px, py) =>
+      this.nodes.some((node) => Math.abs(node.x - px) < 50 && Math.abs(node.y - py) < 50);
+    for (let ring = 0; ring < 40; ring++)
+      for (const [dx, dy] of [
+        [0, 0],
+        [0, 1],
+        [0, -1],
+        [1, 0],
+        [1, 1],
+        [1, -1],
+        [-1, 0],
+        [-1, 1],
+        [-1, -1],
+      ]) {
+        const [px, py] = [x + dx * ring * 70, y + dy * ring * 70].map(
+          (v) => Math.round(v / 10) * 10,
+        );
+        if (!taken(px, py)) return [px, py];
+      }
+    return [x, y];
+  }
+
+  /** A point of the container, in the drawing. */
+  toDrawing(px, py) {
+    const { k, x, y } = this.camera.now;
+    return [(px - x) / k, (py - y) / k];
+  }
+
+  bounds() {
+    let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
+    for (const { x, y } of this.nodes) {
+      x0 = Math.min(x0, x);
+      y0 = Math.min(y0, y);
+      x1 = Math.max(x1, x);
+      y1 = Math.max(y1, y);
+    }
+    return this.nodes.length ? [x0 - 40, y0 - 40, x1 + 40, y1 + 40] : [0, 0, 480, 320];
+  }
+
+  // -- drawing what changed ------------------------------------------------------------------------
+
+  /** Draw the present state: the difference to the one that is drawn. */
+  show() {
+    const { state } = this.document;
+    const before = this.shown;
+    const { net, plan } = state;
+    this.shown = state;
+    const another = (key) => !before || before.net[key] !== net[key];
+    const roles = !before || before.plan !== plan;
+    if (roles) {
+      this.resources = new Set(Array.isArray(plan?.resource_places) ? plan.resource_places : []);
+      this.actions = plan?.actions || {};
+    }
+    let nodes = false;
+    if (another("places") || roles) nodes = this.showNodes("place", net.places) || nodes;
+    if (another("transitions")) nodes = this.showNodes("transition", net.transitions) || nodes;
+    if (nodes) this.nodes = [...this.byKey.values()];
+    if (another("arcs") || nodes) this.showArcs(net.arcs);
+    this.labels?.later();
+    this.request();
+  }
+
+  classOf(kind, data) {
+    if (kind === "transition") return data.timed ? "timed" : "immediate";
+    if (this.subnetOf(data.name)) return "subnet-box";
+    return this.resources.has(data.name) ? "resource" : "";
+  }
+
+  /** The file of the subnet that a place stands for, or null. */
+  subnetOf(place) {
+    const action = Object.hasOwn(this.actions, place) ? this.actions[place] : null;
+    return typeof action?.plan === "string" ? action.plan : null;
+  }
+
+  /** Returns whether nodes came or went. */
+  showNodes(kind, list) {
+    const seen = new Set();
+    let other = false;
+    for (const data of list) {
+      const key = nodeKey(kind, data.name);
+      seen.add(key);
+      const node = this.byKey.get(key);
+      const look = this.classOf(kind, data);
+      if (!node) {
+        this.add(kind, key, data, look);
+        other = true;
+      } else if (node.data !== data || node.look !== look) {
+        const moved = node.data.position !== data.position;
+        node.data = data;
+        if (node.look !== look) this.rebuild(node, look);
+        if (moved) this.place(node);
+        this.drawTokens(node);
+      }
+    }
+    for (const [key, node] of this.byKey) {
+      if (node.type !== kind || seen.has(key)) continue;
+      node.element.remove();
+      this.byKey.delete(key);
+      other = true;
+    }
+    return other;
+  }
+
+  add(kind, key, data, look) {
+    const node = { type: kind, key, name: data.name, data, arcs: new Set() };
+    [node.x, node.y] = this.positionOf(data);
+    this.byKey.set(key, node);
+    this.build(node, look);
+    this.layer.nodes.append(node.element);
+    return node;
+  }
+
+  build(node, look) {
+    node.look = look;
+    node.kind = node.type === "place" ? "place" : look;
+    node.index = node.name;
+    if (node.type === "place") {
+      node.element = buildPlace(node, { name: node.name, kind: look });
+      if (look === "subnet-box")
+        node.element.prepend(
+          s("rect", { class: "box", x: -27, y: -27, width: 54, height: 54, rx: 7 }),
+        );
+    } else node.element = buildTransition(node, { name: node.name });
+    Object.assign(node, { count: undefined, dots: null, label: null, value: null, sign: null });
+    node.element.classList.toggle("selected", this.chosen.has(node.key));
+    this.drawTokens(node);
+    this.drawMark(node);
+  }
+
+  rebuild(node, look) {
+    const old = node.element;
+    this.build(node, look);
+    old.replaceWith(node.element);
+    for (const arc of node.arcs) this.stale.add(arc);
+  }
+
+  drawTokens(node) {
+    if (node.type !== "place") return;
+    const shown = this.counts?.get(node.name);
+    drawPlace(node, shown ?? node.data.tokens ?? 0, []);
+  }
+
+  /** Put a node where the document has it. */
+  place(node) {
+    this.moveTo(node, ...this.positionOf(node.data));
+  }
+
+  /** Show a node somewhere; the document stays as it is. */
+  moveTo(node, x, y) {
+    if (node.x === x && node.y === y) return;
+    [node.x, node.y] = [x, y];
+    node.element.setAttribute("transform", at(node));
+    for (const arc of node.arcs) this.stale.add(arc);
+    this.request();
+  }
+
+  showArcs(list) {
+    const known = new Map(this.arcs.all.map((arc) => [arc.data, arc]));
+    const both = new Set(list.map((data) => arcKey(data)));
+    const all = [];
+    const node = (name) =>
+      this.byKey.get(nodeKey("place", name)) || this.byKey.get(nodeKey("transition", name));
+    for (const data of list) {
+      const [from, to] = [node(data.from), node(data.to)];
+      if (!from || !to) continue;
+      const bent = both.has(arcKey({ from: data.to, to: data.from }));
+      let arc = known.get(data);
+      known.delete(data);
+      if (arc && (arc.from !== from || arc.to !== to)) {
+        this.dropArc(arc);
+        arc = null;
+      }
+      if (!arc) arc = this.addArc(data, from, to);
+      if (arc.both !== bent) {
+        arc.both = bent;
+        this.stale.add(arc);
+      }
+      all.push(arc);
+    }
+    for (const arc of known.values()) this.dropArc(arc);
+    this.arcs.all = all;
+    this.arcsByKey = new Map();
+    for (const arc of all) {
+      if (!this.arcsByKey.has(arc.key)) this.arcsByKey.set(arc.key, []);
+      this.arcsByKey.get(arc.key).push(arc);
+    }
+  }
+
+  addArc(data, from, to) {
+    const key = arcKey(data);
+    const line = s("path", { class: `lines${data.inhibitor ? " inhibitor" : ""}` });
+    const end = s("path", { class: data.inhibitor ? "circles" : "heads" });
+    const element = s("g", { class: "arc", "data-arc": key }, line, end);
+    const arc = { key, data, from, to, both: null, line, end, element, points: [], middle: [0, 0] };
+    if ((data.weight ?? 1) !== 1) {
+      arc.weight = s("text", { text: String(data.weight) });
+      element.append(arc.weight);
+    }
+    element.classList.toggle("selected", this.chosen.has(key));
+    from.arcs.add(arc);
+    to.arcs.add(arc);
+    this.layer.arcs.append(element);
+    this.stale.add(arc);
+    return arc;
+  }
+
+  dropArc(arc) {
+    arc.from.arcs.delete(arc);
+    arc.to.arcs.delete(arc);
+    arc.element.remove();
+    this.stale.delete(arc);
+  }
+
+  route(arc) {
+    const { inhibitor } = arc.data;
+    arc.shape = arcShape(arc.from, arc.to, null, arc.both ? BEND : 0);
+    arc.points = arc.shape.points;
+    arc.middle = arc.shape.middle;
+    arc.line.setAttribute("d", arcLine(arc.shape, inhibitor));
+    arc.end.setAttribute("d", arcEnd(arc.shape, inhibitor, this.size));
+    arc.weight?.setAttribute("x", arc.middle[0].toFixed(1));
+    arc.weight?.setAttribute("y", arc.middle[1].toFixed(1));
+  }
+
+  zoomed(k) {
+    const size = SIZES.find((factor) => factor * k >= 0.7) || SIZES[SIZES.length - 1];
+    if (size === this.size) return;
+    this.size = size;
+    for (const arc of this.arcs.all) this.stale.add(arc);
+  }
+
+  request() {
+    if (!this.frame) this.frame = requestAnimationFrame(() => this.draw());
+  }
+
+  draw() {
+    this.frame = 0;
+    if (this.camera.dirty) {
+      this.camera.draw();
+      this.labels.later();
+    }
+    for (const arc of this.stale) this.route(arc);
+    this.stale.clear();
+    this.dispatchEvent(new CustomEvent("frame"));
+  }
+
+  // -- selection, marks, tokens --------------------------------------------------------------------
+
+  elementsOf(key) {
+    const node = this.byKey.get(key);
+    return node ? [node.element] : (this.arcsByKey.get(key) || []).map((arc) => arc.element);
+  }
+
+  select(keys) {
+    for (const key of this.chosen)
+      if (!keys.has(key))
+        for (const element of this.elementsOf(key)) element.classList.remove("selected");
+    for (const key of keys)
+      for (const element of this.elementsOf(key)) element.classList.add("selected");
+    this.chosen = new Set(keys);
+    this.labels.later();
+    this.request();
+  }
+
+  /** The one node whose name takes precedence, for Labels. */
+  get selection() {
+    for (const key of this.chosen) if (this.byKey.has(key)) return key;
+    return null;
+  }
+
+  nodeOf(key) {
+    return this.byKey.get(key);
+  }
+
+  /** `marks`: key of a node -> {level: "error" | "warning" | "note", text}. */
+  mark(marks) {
+    this.marks = marks;
+    for (const node of this.nodes) this.drawMark(node);
+  }
+
+  drawMark(node) {
+    const mark = this.marks.get(node.key);
+    node.sign?.remove();
+    node.sign = null;
+    node.element.classList.remove(...LEVELS.map((level) => `mark-${level}`));
+    const title = node.element.querySelector("title");
+    title.textContent = mark ? `${node.name}: ${mark.text}` : node.name;
+    if (!mark) return;
+    node.element.classList.add(`mark-${mark.level}`);
+    node.sign = s(
+      "g",
+      { class: "mark-sign", transform: "translate(17 -20)" },
+      s("circle", { r: 8 }),
+      s("text", { text: mark.level === "note" ? "i" : "!" }),
+    );
+    node.element.append(node.sign);
+  }
+
+  /** Show other tokens than the document's: place -> count; null: those of the document. */
+  showTokens(counts) {
+    this.counts = counts;
+    for (const node of this.nodes) this.drawTokens(node);
+  }
+
+  flyTo(key) {
+    const node = this.byKey.get(key) || this.arcsByKey.get(key)?.[0].from;
+    if (node) this.camera.flyTo(node);
+  }
+
+  close() {
+    this.document.removeEventListener("change", this.changed);
+    this.camera.close();
+    this.labels.close();
+    cancelAnimationFrame(this.frame);
+    this.frame = -1;
+    this.container.replaceChildren();
+  }
+}

@@ -1,0 +1,95 @@
+// Between the page and the mode EDIT: opening, leaving, and the documents that are left open meanwhile.
+
+import { $, attempt } from "../dom.js";
+import { get } from "../api.js";
+import { hideOpening } from "../opening.js";
+import { EditMode, mayLeave } from "./mode.js";
+import { mayEdit } from "./new_plan.js";
+
+const FILE = "file-";
+
+export class Editor {
+  constructor(page) {
+    this.page = page;
+    this.mode = null;
+    this.kept = new Map(); // key -> {opened, document}: what was opened since the editor was entered
+    this.trail = []; // keys of the files that led to the open one
+    $("ed-open").onclick = () => page.edit(page.model.session.id);
+    $("ed-close").onclick = () => page.go(this.id);
+    addEventListener("beforeunload", (event) => {
+      if (this.unsaved.length) event.preventDefault();
+    });
+  }
+
+  /** The key of the file that is being edited, or null. */
+  get id() {
+    return this.mode?.id ?? null;
+  }
+
+  /** The keys of the documents with unsaved work. */
+  get unsaved() {
+    return [...this.kept].filter(([, { document }]) => document.dirty).map(([key]) => key);
+  }
+
+  showButtons() {
+    const key = this.page.model?.session.id;
+    $("ed-open").hidden = !(key?.startsWith(FILE) && mayEdit(this.page.hello));
+    $("ed-close").hidden = !this.mode;
+  }
+
+  /** Edit a file. What was changed in other files since the editor was entered is kept. */
+  async open(key) {
+    hideOpening();
+    const { page } = this;
+    const kept = this.kept.get(key);
+    const opened = kept?.opened || (await attempt(() => get("edit", { id: key })));
+    if (!opened) {
+      if (this.mode) history.replaceState(null, "", `#${encodeURIComponent(this.id)}&edit`);
+      else page.go(key);
+      return;
+    }
+    const at = this.trail.indexOf(key);
+    if (at >= 0) this.trail.length = at;
+    page.closeNet();
+    this.mode?.close();
+    $("ed-page").hidden = false;
+    document.body.dataset.mode = "EDIT";
+    $("mode").textContent = "EDIT";
+    $("connection").hidden = true;
+    const crumbs = this.trail.map((id) => [id, this.kept.get(id).opened.path]);
+    this.mode = new EditMode(page, key, opened, { document: kept?.document, crumbs });
+    this.kept.set(key, { opened, document: this.mode.document });
+    window.gspn = { page, edit: this.mode };
+    this.showButtons();
+    this.mode.addEventListener("frame", () => (document.body.dataset.ready = "0"), { once: true });
+  }
+
+  /** Open the file of a subnet; a path of crumbs leads back. */
+  enter(key) {
+    this.trail.push(this.id);
+    this.page.edit(key);
+  }
+
+  /** Leave the mode; if there is unsaved work, ask first. Returns whether it was left. */
+  async leave() {
+    if (!this.mode) return true;
+    const { unsaved } = this;
+    const here = `#${encodeURIComponent(this.id)}&edit`;
+    if (unsaved.length) {
+      const { hash } = location;
+      if (hash !== here) history.replaceState(null, "", here);
+      const names = unsaved.map((key) => this.kept.get(key).opened.path);
+      const { files } = this.mode;
+      const only = unsaved.length === 1 && unsaved[0] === this.id;
+      if (!(await mayLeave(names, only && files ? () => files.save() : null))) return false;
+      history.replaceState(null, "", hash);
+    }
+    this.mode.close();
+    this.mode = null;
+    this.kept.clear();
+    this.trail = [];
+    $("ed-page").hidden = true;
+    this.showButtons();
+    return true;
+  }
+}

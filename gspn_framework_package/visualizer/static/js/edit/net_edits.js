@@ -1,0 +1,110 @@
+// What can be done to a net, as functions from a state {plan, net, policy} to the parts of it that are new. They know
+// nothing of the page.
+
+import { changed } from "./plan_document.js";
+
+export const nodeKey = (kind, name) => `${kind}:${name}`;
+export const arcKey = ({ from, to }) => `arc:${from}>${to}`;
+
+const LISTS = { place: "places", transition: "transitions" };
+
+/** The kind and the object of a node: {kind, data}, or null. */
+export function findNode(net, key) {
+  for (const [kind, list] of Object.entries(LISTS))
+    if (key.startsWith(`${kind}:`)) {
+      const name = key.slice(kind.length + 1);
+      const data = net[list].find((node) => node.name === name);
+      return data ? { kind, data } : null;
+    }
+  return null;
+}
+
+/** A name that no node has: the wanted one, or it with the next free number. */
+export function freeName(net, wanted, taken = new Set()) {
+  const names = new Set([...net.places, ...net.transitions].map((node) => node.name));
+  const free = (name) => !names.has(name) && !taken.has(name);
+  if (free(wanted)) return wanted;
+  const [, stem, digits] = /^(.*?)(\d*)$/su.exec(wanted);
+  for (let n = digits ? Number(digits) + 1 : 2; ; n++) {
+    const name = digits ? `${stem}${n}` : `${stem}_${n}`;
+    if (free(name)) return name;
+  }
+}
+
+/** Replace the nodes of some keys by what `change(data, key)` returns. */
+export function changeNodes(net, keys, change) {
+  const wanted = new Set(keys);
+  const result = { ...net };
+  for (const [kind, list] of Object.entries(LISTS)) {
+    let other = false;
+    const nodes = net[list].map((data) => {
+      const key = nodeKey(kind, data.name);
+      if (!wanted.has(key)) return data;
+      const after = change(data, key);
+      other = other || after !== data;
+      return after;
+    });
+    if (other) result[list] = nodes;
+  }
+  return LISTS && Object.values(LISTS).every((list) => result[list] === net[list]) ? net : result;
+}
+
+/** Give nodes positions: `positions`: name -> [x, y]. Nodes without any get theirs too, for a net whose positions are
+ * incomplete would be laid out anew when it is opened. */
+export function moveNodes(net, positions, all) {
+  const place = (data) => {
+    const wanted = positions.get(data.name) || (data.position ? null : all.get(data.name));
+    if (!wanted) return data;
+    const [x, y] = data.position || [];
+    return x === wanted[0] && y === wanted[1] ? data : { ...data, position: wanted };
+  };
+  const keys = [
+    ...net.places.map((p) => nodeKey("place", p.name)),
+    ...net.transitions.map((t) => nodeKey("transition", t.name)),
+  ];
+  return changeNodes(net, keys, place);
+}
+
+/** Add nodes and arcs. */
+export function addParts(net, { places = [], transitions = [], arcs = [] }) {
+  return changed(net, {
+    places: places.length ? [...net.places, ...places] : net.places,
+    transitions: transitions.length ? [...net.transitions, ...transitions] : net.transitions,
+    arcs: arcs.length ? [...net.arcs, ...arcs] : net.arcs,
+  });
+}
+
+/** Why no arc may lead from one node to another ("" if it may). */
+export function problemOfArc(net, from, to) {
+  const [a, b] = [findNode(net, from), findNode(net, to)];
+  if (!a || !b) return "There is no such node.";
+  if (from === to) return "An arc joins two nodes.";
+  if (a.kind === b.kind)
+    return `An arc joins a place and a transition; both of these are ${a.kind}s.`;
+  if (net.arcs.some((arc) => arc.from === a.data.name && arc.to === b.data.name))
+    return `There is an arc from ${a.data.name} to ${b.data.name} already; + raises its weight.`;
+  return "";
+}
+
+/** Replace the arcs of some keys. */
+export function changeArcs(net, keys, change) {
+  const wanted = new Set(keys);
+  let other = false;
+  const arcs = net.arcs.map((arc) => {
+    if (!wanted.has(arcKey(arc))) return arc;
+    const after = change(arc);
+    other = other || after !== arc;
+    return after;
+  });
+  return other ? { ...net, arcs } : net;
+}
+
+/** A transition of the other kind; what does not apply to it is left out. */
+export function otherKind(transition) {
+  if (transition.timed) {
+    const rest = changed(transition, { timed: undefined, rate: undefined, servers: undefined });
+    return rest;
+  }
+  const { name, ...rest } = changed(transition, { weight: undefined, priority: undefined });
+  return { name, timed: true, rate: 1, ...rest };
+}
